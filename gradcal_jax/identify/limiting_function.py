@@ -1,0 +1,201 @@
+"""The limiting function of the Direct Bound: how far an aligned gyro's angle may drift, per second of integration.
+
+Source: Z. Berman, "Inertial Sensors - A New Approach for Low Cost Calibration and Testing", section 3.
+
+The sensor at rest shows `x(s) + n(s)`: a stationary first-order Gauss-Markov drift `x` (standard deviation σ,
+correlation time τ, autocovariance `σ² exp(-|s|/τ)`) and white rate noise `n` (angle random walk N). During the Δ
+seconds before time zero something is learnt of the drift (the *alignment*) and subtracted; the rate is then
+integrated for t seconds. `D_L(t)` is the standard deviation of the angle error divided by t: a rate.
+
+Two alignments exist, and mixing them ruins an identification (true 1 deg/h comes back as 5 deg/h):
+
+* a **Kalman filter** that knows σ, τ and N and shrinks to its prior where Δ is too short to learn anything:
+  `limiting_function`, the one of the paper's Figures 3-5;
+* the **plain mean** over Δ, whose own random-walk error is N/√Δ however well the process is known:
+  `limiting_function_of_mean`, the one that equations 6-7 let the data go through, hence the one to identify with.
+
+Symbols, with `u = t/τ`; everything below is a function of u that keeps full relative precision for u → 0:
+
+    a(u) = (1 - e⁻ᵘ)/u                     mean over t of what is left of a drift that was 1 at time zero
+    b(u) = 1 - a(u)
+    r(u) = [2u - 3 + 4e⁻ᵘ - e⁻²ᵘ]/u²       variance of the mean over t *given* the drift at time zero, over σ²
+    V(t)/t² = r(u) + a(u)²                 variance of the mean over t, over σ²
+
+Given the drift at time zero, what comes after it and what came before are independent (the Markov property). So the
+variances of the two windows add, and no difference of nearly equal terms is ever formed.
+"""
+
+from math import factorial
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+# Where the closed forms lose digits their Taylor series take over, with terms enough to be exact to rounding.
+_SERIES_BELOW = 1.0
+_DECAY_LOSS_SERIES = tuple((-1.0) ** k / factorial(k + 2) for k in range(20))
+_CONDITIONAL_VARIANCE_SERIES = tuple((-1.0) ** k * (4.0 - 2.0**k) / factorial(k) for k in range(3, 30))
+
+
+def limiting_function(
+    integration_time_s: ArrayLike,
+    drift_std: ArrayLike,
+    correlation_time_s: ArrayLike,
+    angle_random_walk: ArrayLike,
+    alignment_time_s: ArrayLike = 0.0,
+    *,
+    correction: str = "carried",
+) -> Float[Array, "..."]:
+    """Standard deviation of the angle error after a Kalman alignment, divided by the integration time.
+
+    The filter starts from its prior σ² and sees the noisy rate for Δ seconds; what remains of the drift's variance is
+    `kalman_alignment_variance`, P. Afterwards
+
+    * `"carried"`: the filter goes on without measurements and takes off what it expects of the drift, which decays
+      as exp(-s/τ):  `D_L² = P a² + σ² r + N²/t`. This is the filter's own covariance and the least any linear
+      alignment leaves; never above `D_L` without alignment.
+    * `"held"`: the estimate at the alignment's end is taken off as a constant, as a bias would be:
+      `D_L² = P a² + (σ² - P) b² + σ² r + N²/t`; for t » τ the estimate has gone stale and √(σ² - P) stays.
+
+    With Δ = 0 both are the drift without alignment, `σ² V(t)/t² + N²/t`.
+
+    **Arguments:** `integration_time_s` t > 0 and `correlation_time_s` τ > 0, finite, s; `drift_std` σ ≥ 0, rad/s;
+    `angle_random_walk` N ≥ 0, rad/√s; `alignment_time_s` Δ ≥ 0, s. Any one coherent unit of angle will do. Shapes
+    broadcast.
+
+    **Returns:** D_L, rad/s; the angle error itself is `t * D_L`. Differentiable in every argument.
+    """
+    if correction not in ("carried", "held"):
+        raise ValueError(f'correction is "carried" or "held", not {correction!r}')
+    t, sigma, tau, walk, delta = _floating(
+        integration_time_s, drift_std, correlation_time_s, angle_random_walk, alignment_time_s
+    )
+    u = t / tau
+    remaining, learnt = _alignment_variances(delta, sigma, tau, walk)
+    variance = remaining * _mean_decay(u) ** 2 + sigma**2 * _conditional_variance(u) + walk**2 / t
+    if correction == "held":
+        variance = variance + learnt * _decay_loss(u) ** 2
+    return _safe_sqrt(variance)
+
+
+def kalman_alignment_variance(
+    alignment_time_s: ArrayLike, drift_std: ArrayLike, correlation_time_s: ArrayLike, angle_random_walk: ArrayLike
+) -> Float[Array, "..."]:
+    """Variance P of the drift's estimate at the end of a Kalman alignment of Δ seconds, (rad/s)².
+
+    The Riccati equation `dP/ds = -2P/τ + 2σ²/τ - P²/N²`, `P(0) = σ²`, is solved by the matrix exponential of its
+    Hamiltonian, whose square is a multiple of the identity. With `S = √(N² + 2σ²τ)` and `h = tanh(Δ S/(τ N))`
+
+        P = σ² (N S + N² h) / (N S + (N² + σ²τ) h)
+
+    a ratio of positive terms: nothing cancels, for a drift far below the random walk either. P falls from σ² at Δ = 0
+    to the steady state of the filter; for τ → ∞ it tends to the constant bias's `σ²N²/(N² + σ²Δ)`.
+
+    Arguments and units as in `limiting_function`.
+    """
+    delta, sigma, tau, walk = _floating(alignment_time_s, drift_std, correlation_time_s, angle_random_walk)
+    return _alignment_variances(delta, sigma, tau, walk)[0]
+
+
+def limiting_function_of_mean(
+    integration_time_s: ArrayLike,
+    drift_std: ArrayLike,
+    correlation_time_s: ArrayLike,
+    angle_random_walk: ArrayLike,
+    averaging_time_s: ArrayLike,
+) -> Float[Array, "..."]:
+    """Standard deviation of [mean rate over the next t] - [mean rate over the last Δ]: the paper's eqs. 6-7.
+
+    `D_L² = σ² g(t, Δ, τ) + N² (1/t + 1/Δ)`; g is `drift_shape_of_mean`. Arguments and units as in `limiting_function`,
+    with `averaging_time_s` Δ > 0. Differentiable in every argument.
+    """
+    t, sigma, tau, walk, delta = _floating(
+        integration_time_s, drift_std, correlation_time_s, angle_random_walk, averaging_time_s
+    )
+    return _safe_sqrt(sigma**2 * drift_shape_of_mean(t, delta, tau) + random_walk_variance_of_mean(t, delta, walk))
+
+
+def drift_shape_of_mean(
+    integration_time_s: ArrayLike, averaging_time_s: ArrayLike, correlation_time_s: ArrayLike
+) -> Float[Array, "..."]:
+    """g(t, Δ, τ): variance of the difference of two adjacent means of a drift of unit variance; dimensionless, ≥ 0.
+
+    With u = t/τ and v = Δ/τ
+
+        g = V(t)/t² + V(Δ)/Δ² - 2 a(u) a(v) = r(u) + r(v) + [b(u) - b(v)]²
+
+    The first form is the textbook's and loses everything where both windows are short against τ (g → ⅔(u + v));
+    the second is the first with the drift at their common instant conditioned upon, and loses nothing.
+    """
+    t, delta, tau = _floating(integration_time_s, averaging_time_s, correlation_time_s)
+    u, v = t / tau, delta / tau
+    return _conditional_variance(u) + _conditional_variance(v) + (_decay_loss(u) - _decay_loss(v)) ** 2
+
+
+def random_walk_variance_of_mean(
+    integration_time_s: ArrayLike, averaging_time_s: ArrayLike, angle_random_walk: ArrayLike
+) -> Float[Array, "..."]:
+    """`N² (1/t + 1/Δ)`: what white rate noise alone gives to the difference of two adjacent means, (rad/s)²."""
+    t, delta, walk = _floating(integration_time_s, averaging_time_s, angle_random_walk)
+    return walk**2 * (1.0 / t + 1.0 / delta)
+
+
+def _alignment_variances(
+    delta: Float[Array, "..."], sigma: Float[Array, "..."], tau: Float[Array, "..."], walk: Float[Array, "..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """(P, σ² - P) of a Kalman alignment, each as a ratio of positive terms; see `kalman_alignment_variance`."""
+    root = jnp.sqrt(jnp.where((walk > 0) | (sigma > 0), walk**2 + 2.0 * sigma**2 * tau, 1.0))
+    noisy = walk > 0
+    # Without random walk one instant of data tells the drift: tanh(∞) = 1, but for an alignment that does not happen.
+    grown = jnp.where(noisy, jnp.tanh(delta * root / (tau * jnp.where(noisy, walk, 1.0))), jnp.sign(delta))
+    denominator = walk * root + (walk**2 + sigma**2 * tau) * grown
+    nothing_known = denominator == 0
+    denominator = jnp.where(nothing_known, 1.0, denominator)
+    remaining = jnp.where(nothing_known, sigma**2, sigma**2 * (walk * root + walk**2 * grown) / denominator)
+    learnt = sigma**4 * tau * grown / denominator
+    return remaining, learnt
+
+
+def _mean_decay(u: Float[Array, "..."]) -> Float[Array, "..."]:
+    """a(u) = (1 - e⁻ᵘ)/u, a(0) = 1."""
+    return 1.0 - _decay_loss(u)
+
+
+def _decay_loss(u: Float[Array, "..."]) -> Float[Array, "..."]:
+    """b(u) = (u - 1 + e⁻ᵘ)/u = 1 - a(u), b(u) → u/2."""
+    small, large = _split(u)
+    return jnp.where(u < _SERIES_BELOW, small * _horner(_DECAY_LOSS_SERIES, small), (large + jnp.expm1(-large)) / large)
+
+
+def _conditional_variance(u: Float[Array, "..."]) -> Float[Array, "..."]:
+    """r(u) = [2u - 3 + 4e⁻ᵘ - e⁻²ᵘ]/u², r(u) → ⅔u."""
+    small, large = _split(u)
+    decayed = jnp.exp(-large)
+    closed = (2.0 * large - 3.0 + 4.0 * decayed - decayed**2) / large**2
+    return jnp.where(u < _SERIES_BELOW, small * _horner(_CONDITIONAL_VARIANCE_SERIES, small), closed)
+
+
+def _split(u: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """The argument for either branch of a `where`, harmless in the branch not taken so that gradients stay finite."""
+    short = u < _SERIES_BELOW
+    # Not minimum and maximum: at a tie those pass half of the gradient each.
+    return jnp.where(short, u, _SERIES_BELOW), jnp.where(short, _SERIES_BELOW, u)
+
+
+def _horner(coefficients: tuple[float, ...], u: Float[Array, "..."]) -> Float[Array, "..."]:
+    total = jnp.full_like(u, coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        total = total * u + coefficient
+    return total
+
+
+def _safe_sqrt(variance: Float[Array, "..."]) -> Float[Array, "..."]:
+    """√, with a derivative of zero instead of infinity for a sensor without any error at all."""
+    positive = variance > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, variance, 1.0)), 0.0)
+
+
+def _floating(*values: ArrayLike) -> tuple[Float[Array, "..."], ...]:
+    """JAX arrays of one floating type; whole numbers are taken for the real numbers they are."""
+    arrays = [jnp.asarray(value) for value in values]
+    dtype = jnp.result_type(float, *(a for a in arrays if jnp.issubdtype(a.dtype, jnp.floating)))
+    return tuple(array.astype(dtype) for array in arrays)

@@ -1,0 +1,188 @@
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad, solve_ivp
+
+from gradcal_jax.identify.limiting_function import (
+    drift_shape_of_mean,
+    kalman_alignment_variance,
+    limiting_function,
+    limiting_function_of_mean,
+    random_walk_variance_of_mean,
+)
+
+DEG_PER_H = np.pi / 180 / 3600
+DEG_PER_ROOT_H = np.pi / 180 / 60
+PAPER = (1 * DEG_PER_H, 120.0, 0.1 * DEG_PER_ROOT_H)
+
+positive = st.floats(-6, 6).map(lambda exponent: 10.0**exponent)
+
+
+def gauss_legendre(function, end):
+    """Integral of a smooth function over [0, end], to rounding, over pieces no longer than one."""
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    edges = np.linspace(0, end, int(np.ceil(end)) + 1)
+    return sum((b - a) / 2 * weights @ function((a + b) / 2 + (b - a) / 2 * nodes) for a, b in pairwise(edges))
+
+
+def test_the_papers_half_hour_without_alignment():
+    rate = limiting_function(1800.0, *PAPER)
+    assert float(jnp.rad2deg(1800.0 * rate)) == pytest.approx(0.190, abs=5e-5)
+    assert float(rate / DEG_PER_H) == pytest.approx(0.38, abs=5e-4)
+
+
+def test_the_kalman_alignment_shrinks_to_its_prior():
+    t = jnp.geomspace(1.0, 1e4, 50)
+    unaligned = limiting_function(t, *PAPER)
+    for correction in ("carried", "held"):
+        assert jnp.allclose(limiting_function(t, *PAPER, 0.0, correction=correction), unaligned, rtol=1e-14, atol=0.0)
+    aligned = [limiting_function(t, *PAPER, delta) for delta in (0.0, 1.0, 10.0, 100.0, 1000.0)]
+    for shorter, longer in pairwise(aligned):
+        assert bool(jnp.all(longer < shorter))
+    # Ten seconds: the mean's own error is 1.9 deg/h, the Kalman filter's never exceeds the prior's 1 deg/h.
+    assert float(limiting_function_of_mean(1800.0, *PAPER, 10.0) / DEG_PER_H) > 1.9
+    assert float(limiting_function(1800.0, *PAPER, 10.0) / DEG_PER_H) < 0.38
+
+
+@pytest.mark.parametrize("delta", [0.3, 20.0, 400.0])
+@pytest.mark.parametrize(("sigma", "tau", "walk"), [(1.0, 120.0, 6.0), (3.0, 10.0, 0.5), (1e-3, 50.0, 20.0)])
+def test_alignment_variance_solves_the_riccati_equation(delta, sigma, tau, walk):
+    def slope(_, p):
+        return -2 * p / tau + 2 * sigma**2 / tau - p**2 / walk**2
+
+    solution = solve_ivp(slope, (0, delta), [sigma**2], method="DOP853", rtol=1e-12, atol=1e-18 * sigma**2)
+    assert float(kalman_alignment_variance(delta, sigma, tau, walk)) == pytest.approx(solution.y[0, -1], rel=1e-9)
+
+
+def test_alignment_variance_of_a_constant_bias_and_of_a_noiseless_sensor():
+    assert float(kalman_alignment_variance(30.0, 2.0, 1e9, 5.0)) == pytest.approx(
+        4.0 * 25.0 / (25.0 + 4.0 * 30.0), rel=1e-6
+    )
+    assert float(kalman_alignment_variance(30.0, 2.0, 100.0, 0.0)) == 0.0
+    assert float(kalman_alignment_variance(0.0, 2.0, 100.0, 0.0)) == 4.0
+    assert float(limiting_function(30.0, 0.0, 100.0, 0.0, 10.0)) == 0.0
+
+
+@pytest.mark.parametrize("correction", ["carried", "held"])
+def test_a_discrete_kalman_filter_leaves_the_same_angle_error(correction):
+    """The whole experiment in discrete time, every covariance by brute force, with the step sent towards zero."""
+    sigma, tau, walk, delta, t = 2.0, 40.0, 5.0, 25.0, 60.0
+
+    def discrete(step):
+        time = np.concatenate([-delta + step * (np.arange(round(delta / step)) + 0.5), [0.0]])
+        count = len(time) - 1
+        later = step * (np.arange(round(t / step)) + 0.5)
+        times = np.concatenate([time, later])
+        covariance = sigma**2 * np.exp(-np.abs(times[:, None] - times[None, :]) / tau)
+        data = covariance[:count, :count] + walk**2 / step * np.eye(count)
+        angle = np.zeros(len(times))
+        angle[count + 1 :] = step  # the integral over the run, by the midpoint rule
+        decay = tau * -np.expm1(-t / tau) if correction == "carried" else t
+        gain = np.linalg.solve(data, covariance[:count, count])
+        error = angle.copy()
+        error[:count] -= decay * gain
+        return np.sqrt(error @ covariance @ error + decay**2 * walk**2 / step * gain @ gain + walk**2 * t) / t
+
+    coarse, fine = discrete(0.5), discrete(0.25)
+    extrapolated = fine + (fine - coarse) / 3
+    exact = float(limiting_function(t, sigma, tau, walk, delta, correction=correction))
+    assert extrapolated == pytest.approx(exact, rel=1e-6)
+
+
+@given(t=positive, delta=positive, tau=positive)
+@settings(max_examples=200, deadline=None)
+def test_mean_shape_keeps_its_digits_however_short_the_windows(t, delta, tau):
+    """Against quadratures of positive integrands, r(u) = 2/u² ∫ (1 - e⁻ʷ)² dw, over twelve decades of t/τ."""
+
+    def conditional_variance(u):
+        if u > 200:
+            return (2 * u - 3) / u**2
+        return 2 / u**2 * gauss_legendre(lambda w: np.expm1(-w) ** 2, u)
+
+    def loss(u):
+        return 1.0 if u > 1e15 else gauss_legendre(lambda w: -np.expm1(-w), u) / u if u < 200 else 1 - 1 / u
+
+    u, v = t / tau, delta / tau
+    expected = conditional_variance(u) + conditional_variance(v) + (loss(u) - loss(v)) ** 2
+    assert float(drift_shape_of_mean(t, delta, tau)) == pytest.approx(expected, rel=1e-12)
+
+
+@given(t=positive, delta=positive)
+@settings(max_examples=100, deadline=None)
+def test_mean_shape_is_the_textbook_form(t, delta):
+    tau = 0.3 * max(t, delta)
+
+    def variance(s):
+        return 2 * tau**2 * (s / tau - 1 + np.exp(-s / tau))
+
+    cross = 2 * tau**2 * np.expm1(-t / tau) * np.expm1(-delta / tau) / (t * delta)
+    # For a window far shorter than tau the textbook's V(s)/s² itself has lost its digits.
+    if min(t, delta) / tau < 1e-3:
+        return
+    expected = variance(t) / t**2 + variance(delta) / delta**2 - cross
+    assert float(drift_shape_of_mean(t, delta, tau)) == pytest.approx(expected, rel=1e-8)
+
+
+def test_simulated_statistic_has_the_modelled_variance():
+    sigma, tau, walk, delta, t, step = 1.0, 30.0, 2.0, 8.0, 40.0, 0.5
+    rng = np.random.default_rng(4)
+    runs, count = 20000, round((delta + t) / step)
+    drift = np.empty((count, runs))
+    drift[0] = sigma * rng.standard_normal(runs)
+    keep = np.exp(-step / tau)
+    for k in range(1, count):
+        drift[k] = keep * drift[k - 1] + sigma * np.sqrt(1 - keep**2) * rng.standard_normal(runs)
+    rate = drift + walk / np.sqrt(step) * rng.standard_normal((count, runs))
+    before = round(delta / step)
+    statistic = rate[before:].mean(0) - rate[:before].mean(0)
+    expected = float(limiting_function_of_mean(t, sigma, tau, walk, delta))
+    assert statistic.std() == pytest.approx(expected, rel=4 / np.sqrt(2 * runs))
+
+
+@pytest.mark.parametrize("u", [1e-8, 1e-3, 0.3, 0.999999, 1.0, 1.000001, 5.0, 300.0])
+@pytest.mark.parametrize("correction", ["carried", "held"])
+def test_gradients_match_central_differences(u, correction):
+    def kalman(z):
+        return limiting_function(z[0], z[1], z[2], z[3], z[4], correction=correction)
+
+    def mean(z):
+        return limiting_function_of_mean(z[0], z[1], z[2], z[3], z[4])
+
+    point = jnp.array([u * 50.0, 1.3, 50.0, 2.0, 7.0])
+    for function in (kalman, mean):
+        gradient = jax.grad(function)(point)
+        steps = 1e-5 * point
+        central = jnp.stack(
+            [
+                (function(point.at[i].add(steps[i])) - function(point.at[i].add(-steps[i]))) / (2 * steps[i])
+                for i in range(5)
+            ]
+        )
+        scaled = gradient * point
+        assert float(jnp.linalg.norm(scaled - central * point)) < 1e-7 * float(jnp.linalg.norm(scaled))
+
+
+def test_gradients_are_finite_at_the_edges():
+    for point in ([10.0, 0.0, 50.0, 0.0, 5.0], [10.0, 1.0, 50.0, 0.0, 5.0], [10.0, 1.0, 50.0, 1.0, 0.0]):
+        gradient = jax.grad(lambda z: limiting_function(z[0], z[1], z[2], z[3], z[4]))(jnp.array(point))
+        assert bool(jnp.all(jnp.isfinite(gradient)))
+
+
+def test_whole_numbers_grids_and_wrong_words():
+    grid = limiting_function(jnp.arange(1, 5)[:, None], 1, jnp.array([[10.0, 100.0]]), 0.5, 3)
+    assert grid.shape == (4, 2)
+    assert grid.dtype == jnp.float64
+    assert float(random_walk_variance_of_mean(4, 1, 2)) == 5.0
+    with pytest.raises(ValueError, match="carried"):
+        limiting_function(1.0, 1.0, 1.0, 1.0, correction="constant")
+
+
+def test_variance_of_the_unaligned_mean_is_the_double_integral_of_the_autocovariance():
+    tau, t = 7.0, 11.0
+    expected = quad(lambda s: 2 * (t - s) * np.exp(-s / tau), 0, t, epsabs=0, epsrel=1e-13)[0] / t**2
+    assert float(limiting_function(t, 1.0, tau, 0.0)) ** 2 == pytest.approx(expected, rel=1e-12)

@@ -1,0 +1,244 @@
+"""What only the sections together can tell: limits of rig and sensor, and references between sections.
+
+Every section may be None, where it could not be read; then what depends on it is left out, so that one run of `check`
+says all that can be known.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+from gradcal_jax.files.bench import Rig
+from gradcal_jax.files.design import TIMES, Design
+from gradcal_jax.files.moves import AXES, ResolvedMove
+from gradcal_jax.files.plan import GradientPlan, RampItem, StandardPlan
+from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
+from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.requirement import BiasRequirement, ScaleFactorRequirement
+from gradcal_jax.files.schedule import GradientSchedule, gradient_schedule, resolve_cycle
+from gradcal_jax.files.sensor import Sensor
+
+# Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
+_SLACK = 1e-6
+
+
+def between_sections(
+    sensor: Sensor | None,
+    rig: Rig | None,
+    requirements: Sequence[ScaleFactorRequirement | BiasRequirement] | None,
+    plan: GradientPlan | StandardPlan | None,
+    design: Design | None,
+) -> list[Problem]:
+    """Every problem between the sections, keys from the top of the file."""
+    problems: list[Problem] = []
+    if requirements is not None:
+        problems += _requirements(requirements, sensor)
+        if design is not None:
+            problems += _design(design, [requirement.name for requirement in requirements])
+    if isinstance(plan, StandardPlan):
+        problems += [p.under("plan") for p in _standard(plan, rig, sensor)]
+    elif plan is not None and rig is not None:
+        problems += [p.under("plan") for p in _gradient(plan, rig, sensor)]
+    return problems
+
+
+def _requirements(
+    requirements: Sequence[ScaleFactorRequirement | BiasRequirement], sensor: Sensor | None
+) -> Iterator[Problem]:
+    seen: dict[str, int] = {}
+    for i, requirement in enumerate(requirements):
+        key = ("requirement", i)
+        if requirement.name in seen:
+            message = f"is the name of requirement[{seen[requirement.name]}] too; names must differ"
+            yield Problem((*key, "name"), message, requirement.name)
+        seen.setdefault(requirement.name, i)
+        if sensor is None:
+            continue
+        section = sensor.scale_factor if requirement.quantity == "scale_factor" else sensor.bias
+        if section is None:
+            message = f"is not estimated: there is no [sensor.{requirement.quantity}]"
+            yield Problem((*key, "quantity"), message, requirement.quantity)
+            continue
+        yield from _inside(requirement.temperature, section.temperature.span, (*key, "temperature"))
+        if isinstance(requirement, ScaleFactorRequirement) and sensor.scale_factor is not None:
+            yield from _inside(requirement.rate, sensor.scale_factor.rate.span, (*key, "rate"))
+
+
+def _inside(
+    box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: tuple[str | int, ...]
+) -> list[Problem]:
+    if span is None:
+        return []
+    return [
+        Problem((*key, i), f"lies outside the {key[-1]} basis (its first and last entries)", end.text)
+        for i, end in enumerate(box)
+        if not span[0] <= end <= span[1]
+    ]
+
+
+def _design(design: Design, names: Sequence[str]) -> list[Problem]:
+    if design.minimise in names or design.minimise in TIMES:
+        return []
+    close = nearest(design.minimise, [*names, *TIMES])
+    ending = f'; nearest: "{close}"' if close else ""
+    message = f"expected the name of a requirement ({one_of(names)}) or {one_of(TIMES)}{ending}"
+    return [Problem(("design", "minimise"), message, design.minimise)]
+
+
+def _standard(plan: StandardPlan, rig: Rig | None, sensor: Sensor | None) -> Iterator[Problem]:
+    rates = plan.rates or ()
+    if rig is not None:
+        low, high = rig.chamber.range
+        for i, temperature in enumerate(plan.temperatures):
+            yield from _in_chamber(temperature, low, high, ("temperatures", i), temperature.text)
+        for before, after in zip(plan.temperatures, plan.temperatures[1:], strict=False):
+            slope = rig.chamber.max_heating if after > before else rig.chamber.max_cooling
+            needed = abs(after - before) / slope
+            if needed > plan.soak * (1.0 + _SLACK):
+                message = f"is too short: from {before} to {after} the chamber alone needs {needed / 60.0:.4g} min"
+                yield Problem(("soak",), message, plan.soak.text)
+                break
+        for i, rate in enumerate(rates):
+            swept = abs(rate) * plan.integration
+            if swept > rig.table.travel * (1.0 + _SLACK):
+                message = (
+                    f"turns {math.degrees(swept):.6g} deg in {plan.integration}, "
+                    f"and the table's travel is {rig.table.travel}"
+                )
+                yield Problem(("rates", i), message, rate.text)
+    for i, rate in enumerate(rates):
+        yield from _rate_limits(abs(rate), rig, sensor, ("rates", i), rate.text)
+
+
+def _gradient(plan: GradientPlan, rig: Rig, sensor: Sensor | None) -> list[Problem]:
+    problems: list[Problem] = []
+    schedule: GradientSchedule | None = None
+    moves: Sequence[ResolvedMove] | None = None
+    try:
+        schedule = gradient_schedule(plan, rig)
+    except SpecError as error:
+        problems += error.problems
+    if schedule is not None and schedule.cycle is not None:
+        moves = schedule.cycle.moves
+    elif plan.cycle is not None:
+        try:
+            moves = resolve_cycle(plan.cycle, rig).moves
+        except SpecError:  # said above
+            moves = None
+    if moves is not None:
+        problems += _motion(moves, rig, sensor)
+        if schedule is not None:
+            problems += _travel(moves, schedule.cycles, rig)
+    problems += _temperature(plan, rig, schedule)
+    return problems
+
+
+def _temperature(plan: GradientPlan, rig: Rig, schedule: GradientSchedule | None) -> Iterator[Problem]:
+    low, high = rig.chamber.range
+    if plan.programme is not None:
+        heating, cooling = rig.chamber.max_heating, rig.chamber.max_cooling
+        here: Quantity | None = None
+        for i, item in enumerate(plan.programme):
+            key = next(name for name in ("soak", "ramp_to", "step_to") if name in type(item).model_fields)
+            goal = getattr(item, "at" if key == "soak" else key)
+            if goal is None:
+                continue
+            named = "at" if key == "soak" else key
+            yield from _in_chamber(goal, low, high, ("programme", i, named), goal.text)
+            if isinstance(item, RampItem) and here is not None:
+                limit = heating if goal > here else cooling
+                yield from _slope(float(item.rate), limit, goal > here, ("programme", i, "rate"), item.rate.text)
+            here = goal
+        return
+    for i, temperature in enumerate(plan.temperature or ()):
+        yield from _in_chamber(temperature, low, high, ("temperature", i), temperature.text)
+    if isinstance(plan.gradient, tuple):
+        for i, slope in enumerate(plan.gradient):
+            limit = rig.chamber.max_heating if slope > 0 else rig.chamber.max_cooling
+            yield from _slope(abs(slope), limit, slope > 0, ("gradient", i), slope.text)
+        if schedule is not None:
+            for i, segment in enumerate(s for s in schedule.segments if s.kind == "ramp"):
+                end = segment.temperature_end
+                if not low - 1e-6 <= end <= high + 1e-6:
+                    message = f"takes the chamber to {end:.4g} degC, outside its range, {low} to {high}"
+                    yield Problem(("gradient", i), message, plan.gradient[i].text)
+                    break
+    elif plan.gradient is not None and plan.temperature is not None and len(plan.temperature) == 2:
+        heats = plan.temperature[1] > plan.temperature[0]
+        limit = rig.chamber.max_heating if heats else rig.chamber.max_cooling
+        yield from _slope(float(plan.gradient), limit, heats, ("gradient",), plan.gradient.text)
+
+
+def _in_chamber(
+    value: float, low: Quantity, high: Quantity, key: tuple[str | int, ...], text: str
+) -> Iterator[Problem]:
+    if not low <= value <= high:
+        yield Problem(key, f"lies outside the chamber's range, {low} to {high}", text)
+
+
+def _slope(size: float, limit: Quantity, heats: bool, key: tuple[str | int, ...], text: str) -> Iterator[Problem]:
+    if size > limit * (1.0 + _SLACK):
+        name = "max_heating" if heats else "max_cooling"
+        yield Problem(key, f"exceeds rig.chamber.{name}, {limit}", text)
+
+
+def _rate_limits(
+    rate: float, rig: Rig | None, sensor: Sensor | None, key: tuple[str | int, ...], text: str
+) -> Iterator[Problem]:
+    if rig is not None and rate > rig.table.max_rate * (1.0 + _SLACK):
+        message = f"reaches {math.degrees(rate):.5g} deg/s and exceeds rig.table.max_rate, {rig.table.max_rate}"
+        yield Problem(key, message, text)
+    if sensor is not None and sensor.usable_rate is not None and rate > sensor.usable_rate * (1.0 + _SLACK):
+        message = (
+            f"reaches {math.degrees(rate):.5g} deg/s and exceeds the sensor's full scale, {sensor.full_scale}, "
+            f"less its margin, {sensor.full_scale_margin}"
+        )
+        yield Problem(key, message, text)
+
+
+def _motion(moves: Sequence[ResolvedMove], rig: Rig, sensor: Sensor | None) -> Iterator[Problem]:
+    limit = rig.table.max_acceleration
+    for i, move in enumerate(moves):
+        key = ("cycle", "moves", i)
+        if move.is_rest:
+            continue
+        if (move.shape == "hand") != (rig.table.drive == "hand"):
+            wrong = "needs a table that is turned by hand" if move.shape == "hand" else "cannot be made by hand"
+            message = f'{wrong}; rig.table.drive is "{rig.table.drive}"'
+            yield Problem((*key, "shape"), message, move.shape)
+        # Of the peak's share: a ramp written to hundredths of a second may miss a limit by its rounding.
+        yield from _rate_limits(move.fastest, rig, sensor, key, _described(move))
+        if move.peak_acceleration > limit * (1.0 + _SLACK):
+            message = (
+                f"accelerates at up to {math.degrees(move.peak_acceleration):.5g} deg/s^2 and exceeds "
+                f"rig.table.max_acceleration, {limit}"
+            )
+            yield Problem(key, message, _described(move))
+
+
+def _described(move: ResolvedMove) -> str:
+    return f"{move.shape}, {move.duration:.4g} s"
+
+
+def _travel(moves: Sequence[ResolvedMove], cycles: int, rig: Rig) -> Iterator[Problem]:
+    """The cable winds up over all cycles: each axis must stay within the travel either way of its start."""
+    travel = rig.table.travel
+    if math.isinf(travel):
+        return
+    for axis in AXES:
+        mine = [(i, move) for i, move in enumerate(moves) if move.axis == axis and not move.is_rest]
+        if not mine:
+            continue
+        net = math.fsum(move.repeat * move.angle for _, move in mine)
+        for first in sorted({0, max(0, cycles - 1)}):
+            at = first * net
+            for i, move in mine:
+                ends = (0.0, (move.repeat - 1) * move.angle)
+                reach = max(abs(at + end + side) for end in ends for side in (move.low, move.high))
+                if reach > travel * (1.0 + _SLACK):
+                    message = f"takes the {axis} axis {math.degrees(reach):.6g} deg from its start"
+                    if first > 0:
+                        message += f" in cycle {first + 1} (each cycle ends {math.degrees(net):.6g} deg further)"
+                    message += f"; rig.table.travel is {travel} each way"
+                    yield Problem(("cycle", "moves", i), message, _described(move))
+                    return
+                at += move.repeat * move.angle

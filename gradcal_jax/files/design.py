@@ -1,0 +1,40 @@
+"""`[design]`: what `optimise` may change, and what for. Other commands do not read it."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from gradcal_jax.files.quantity import Count, Flag, Number, Text, Time, Whole
+from gradcal_jax.files.section import Section
+
+TIMES = ("motion time", "total time")
+"""What can be minimised besides a requirement's residual; the targets then are limits."""
+
+Free = Literal[
+    "gradient", "soak", "rest", "peak_rate", "duration", "turn", "ramp", "shape", "other_axes", "cycle",
+    "temperatures", "rates", "integration", "programme",
+]  # fmt: skip
+
+
+class Scenario(Section):
+    """A variant of sensor or rig that the plan must serve too: overrides of single keys, and a weight."""
+
+    name: Text | None = None
+    weight: Annotated[Number, Field(gt=0.0)] = 1.0
+    sensor: dict[str, Any] = Field(default_factory=dict)
+    rig: dict[str, Any] = Field(default_factory=dict)
+
+
+class Design(Section):
+    """`minimise`: a requirement's name, "motion time" or "total time"."""
+
+    minimise: Text
+    free: Annotated[tuple[Free, ...], Field(min_length=1)]
+    max_motion: Time | None = None
+    max_total: Time | None = None
+    starts: Count = 16
+    seed: Whole = 0
+    min_distinct_rates: Count | None = None
+    whole_turns: Flag = False
+    robust: Literal["mean", "worst"] = "mean"
+    scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()

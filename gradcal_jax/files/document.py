@@ -1,0 +1,63 @@
+"""Reading a TOML document from a path or a text, with one clean sentence for whatever is wrong with it as a whole."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gradcal_jax.files.problems import Problem, SpecError, nearest
+
+_LARGEST = 20_000_000
+
+
+def read_text(path: str | Path) -> str:
+    """The text of a file. Raises `SpecError` where there is none: missing, a directory, unreadable, not text."""
+    path = Path(path)
+    name = str(path)
+    try:
+        if path.is_dir():
+            raise SpecError([Problem((), "is a directory; give a TOML file")], name)
+        if path.stat().st_size > _LARGEST:
+            raise SpecError([Problem((), f"is larger than {_LARGEST // 1_000_000} MB; give a TOML file")], name)
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise SpecError([Problem((), "does not exist" + _neighbour(path))], name) from None
+    except OSError as error:
+        raise SpecError([Problem((), f"cannot be read: {error.strerror or error}")], name) from None
+    except ValueError:
+        raise SpecError([Problem((), "is not a path that can exist")], repr(name)) from None
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise SpecError([Problem((), "is not text in UTF-8; give a TOML file")], name) from None
+
+
+def _neighbour(path: Path) -> str:
+    try:
+        names = [entry.name for entry in path.parent.iterdir() if entry.suffix == ".toml"]
+    except (OSError, ValueError):
+        return ""
+    close = nearest(path.name, names)
+    return f'; nearest: "{close}"' if close else ""
+
+
+def read_toml(text: str, source: str = "") -> dict[str, Any]:
+    """The tables of a TOML text. Raises `SpecError` with line and column."""
+    try:
+        return tomllib.loads(text.replace("\r\n", "\n"))
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
+        reason = "the brackets nest too deeply" if isinstance(error, RecursionError) else str(error)
+        raise SpecError([Problem((), f"is not valid TOML: {reason}")], source) from None
+
+
+def format_problem(document: Mapping[str, Any], expected: str) -> Problem | None:
+    """What is wrong with the `format` key, if anything."""
+    if "format" not in document:
+        return Problem(("format",), f'this key is missing; expected "{expected}"', kind="missing")
+    found = document["format"]
+    if found == expected:
+        return None
+    kind = expected.split("/")[0]
+    if isinstance(found, str) and found.split("/")[0] == kind:
+        return Problem(("format",), f'this version of the program reads "{expected}"', found)
+    return Problem(("format",), f'expected "{expected}"', found)

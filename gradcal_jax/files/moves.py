@@ -1,0 +1,542 @@
+"""The moves of a cycle: what people write, and the motion that it means.
+
+Kinematics (D duration, A peak rate, r ramp time, θ angle):
+
+    shape           angle        peak acceleration     keys
+    cosine ramps    A(D − r)     πA/(2r)               turn|turns, peak_rate, duration, ramp
+    linear ramps    A(D − r)     A/r                   turn|turns, peak_rate, duration, ramp
+    half sine       2AD/π        πA/D                  turn|turns, peak_rate, duration
+    raised cosine   AD/2         πA/D                  turn|turns, peak_rate, duration
+    sinusoid        0            2πA/period            peak_rate, period, cycles
+    spline          integral     largest slope         duration, rates (inner control values)
+    hand            AD/2         largest slope         turn|turns, duration, unevenness
+
+The user gives as many keys as fix the motion; with two for a ramped shape the ramps are as short as the table's largest
+acceleration allows. More keys are welcome where they agree within 0.5 % (rounded figures of a paper do); then the
+angle and the duration given are taken as exact. The sign of the motion belongs to `turn`; where the angle follows from
+the other keys it belongs to `peak_rate`.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Final, Literal, Self, cast
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from gradcal_jax import formulas
+from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
+from gradcal_jax.files.quantity import Angle, Count, Number, Rate, Time
+from gradcal_jax.files.section import Section, choose, refuse
+
+Axis = Literal["x", "y", "z"]
+AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
+AGREEMENT: Final = 0.005
+_ROUNDING: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class ResolvedMove:
+    """One move in SI, complete. Shape "rest" stands still for `duration`.
+
+    `peak_rate` (rad/s, signed like `angle`) and the shape's parameters are those of
+    `gradcal_jax.formulas.shape_pieces`: `controls` are rates relative to `peak_rate`.
+    `fastest` and `peak_acceleration` are true maxima of the magnitude.
+    `low` and `high` bound the angle during the move, from its start. The move is made `repeat` times.
+    A reading is taken at the end (`read_end`), or every `read_every` seconds from the start.
+    """
+
+    shape: str
+    axis: Axis
+    duration: float
+    angle: float = 0.0
+    peak_rate: float = 0.0
+    ramp: float = 0.0
+    peak_acceleration: float = 0.0
+    fastest: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+    cycles: int = 1
+    controls: tuple[float, ...] = ()
+    unevenness: float = 0.0
+    repeat: int = 1
+    read_end: bool = True
+    read_every: float | None = None
+
+    @property
+    def is_rest(self) -> bool:
+        """Whether the axis stands still."""
+        return self.shape == "rest"
+
+    @property
+    def readings(self) -> int:
+        """Readings in one execution: at `k·read_every`, k = 1, 2, … ≤ duration/read_every, or the one at the end."""
+        return reading_count(self.duration, self.read_every) if self.read_every is not None else int(self.read_end)
+
+
+def reading_count(duration: float, read_every: float) -> int:
+    """How many readings, `read_every` apart, end within `duration`; a hair's breadth of rounding does not lose one."""
+    return math.floor(duration / read_every * (1.0 + _ROUNDING) + _ROUNDING)
+
+
+class _Move(Section):
+    axis: Axis = "x"
+    repeat: Count = 1
+    read: Literal["end", "none"] | None = None
+    read_every: Time | None = None
+
+    @model_validator(mode="after")
+    def _one_way_to_read(self) -> Self:
+        if self.read is not None and self.read_every is not None:
+            refuse(Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text))
+        return self
+
+    @property
+    def read_end(self) -> bool:
+        """Whether the angle is read once, at the end."""
+        return self.read != "none" and self.read_every is None
+
+
+class Rest(_Move):
+    """Standing still."""
+
+    rest: Time
+
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """The rest in SI."""
+        del max_acceleration
+        return ResolvedMove(
+            "rest",
+            self.axis,
+            float(self.rest),
+            repeat=self.repeat,
+            read_end=self.read_end,
+            read_every=_number(self.read_every),
+        )
+
+
+class _Turn(_Move):
+    turn: Angle | None = None
+    turns: Number | None = None
+    duration: Time | None = None
+
+    @model_validator(mode="after")
+    def _one_angle(self) -> Self:
+        if self.turn is not None and self.turns is not None:
+            refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
+        if self.turn == 0.0:
+            refuse(Problem(("turn",), "must not be zero; a rest is written { rest = … }", "0"))
+        if self.turns == 0.0 or (self.turns is not None and abs(self.turns) > 1e6):
+            refuse(Problem(("turns",), "must be a number of turns other than zero, at most a million", self.turns))
+        return self
+
+    @property
+    def angle(self) -> float | None:
+        """The angle that was written, in rad."""
+        if self.turns is not None:
+            return 2.0 * math.pi * self.turns
+        return _number(self.turn)
+
+    @property
+    def angle_key(self) -> str:
+        """The key that holds the angle."""
+        return "turns" if self.turns is not None else "turn"
+
+
+class _PeakedTurn(_Turn):
+    peak_rate: Rate | None = None
+
+    @model_validator(mode="after")
+    def _signs(self) -> Self:
+        if self.peak_rate is not None:
+            if self.peak_rate == 0.0:
+                refuse(Problem(("peak_rate",), "must not be zero", self.peak_rate.text))
+            if self.peak_rate < 0.0 and self.angle is not None:
+                message = f'must be positive: the direction is the sign of "{self.angle_key}"'
+                refuse(Problem(("peak_rate",), message, self.peak_rate.text))
+        return self
+
+    def sizes(self) -> tuple[float, float | None, float | None, float | None]:
+        """Direction (±1), and the sizes of angle, peak rate and duration that were written."""
+        angle, peak = self.angle, _number(self.peak_rate)
+        leading = angle if angle is not None else peak
+        direction = -1.0 if leading is not None and leading < 0.0 else 1.0
+        return direction, _size(angle), _size(peak), _number(self.duration)
+
+    def motion(
+        self,
+        shape: str,
+        *,
+        angle: float,
+        peak: float,
+        duration: float,
+        acceleration: float,
+        ramp: float = 0.0,
+        direction: float = 1.0,
+    ) -> ResolvedMove:
+        """A one-way turn from sizes and a direction."""
+        return ResolvedMove(
+            shape,
+            self.axis,
+            duration,
+            angle=direction * angle,
+            peak_rate=direction * peak,
+            ramp=ramp,
+            peak_acceleration=acceleration,
+            fastest=peak,
+            low=min(0.0, direction * angle),
+            high=max(0.0, direction * angle),
+            repeat=self.repeat,
+            read_end=self.read_end,
+            read_every=_number(self.read_every),
+        )
+
+
+class _RampedTurn(_PeakedTurn):
+    ramp: Time | None = None
+
+    def solve(self, shape: str, steepness: float, max_acceleration: float) -> ResolvedMove:
+        """Complete (θ, A, D, r) by θ = A(D − r); `steepness` is the peak acceleration times r/A."""
+        direction, angle, peak, duration = self.sizes()
+        ramp = _number(self.ramp)
+        given = [value is not None for value in (angle, peak, duration)]
+        if sum(given) < 2:
+            message = "the motion is not determined; give two of turn, peak_rate and duration (and ramp if it matters)"
+            raise SpecError([Problem((), message)])
+        least = steepness / max_acceleration  # ramp time for each unit of peak rate
+        if angle is not None and peak is not None and duration is not None:
+            ramp = self._from_three(angle, peak, duration, ramp)
+        elif angle is not None and peak is not None:
+            ramp = ramp if ramp is not None else least * peak
+            duration = angle / peak + ramp
+            if ramp > (angle / peak) * (1.0 + _ROUNDING):
+                self._too_fast(angle, peak, ramp, least)
+        elif peak is not None and duration is not None:
+            ramp = ramp if ramp is not None else least * peak
+            if ramp > 0.5 * duration * (1.0 + _ROUNDING):
+                self._too_short(2.0 * ramp)
+            ramp = min(ramp, 0.5 * duration)
+            angle = peak * (duration - ramp)
+        else:
+            assert angle is not None
+            assert duration is not None
+            if ramp is not None:
+                if ramp > 0.5 * duration * (1.0 + _ROUNDING):
+                    self._too_short(2.0 * ramp)
+                peak = angle / (duration - ramp)
+            else:
+                # A(D − least·A) = θ; the smaller root, written so that nothing cancels
+                discriminant = duration**2 - 4.0 * least * angle
+                if discriminant < 0.0:
+                    self._too_short(2.0 * math.sqrt(least * angle))
+                peak = 2.0 * angle / (duration + math.sqrt(discriminant))
+                ramp = least * peak
+        return self.motion(
+            shape,
+            angle=angle,
+            peak=peak,
+            duration=duration,
+            ramp=ramp,
+            acceleration=steepness * peak / ramp,
+            direction=direction,
+        )
+
+    def _from_three(self, angle: float, peak: float, duration: float, ramp: float | None) -> float:
+        found = duration - angle / peak
+        if ramp is not None and abs(peak * (duration - ramp) - angle) > AGREEMENT * angle:
+            turned = _degrees(peak * (duration - ramp))
+            message = f"contradicts the others: peak_rate × (duration − ramp) is {turned}; leave one of the four out"
+            raise SpecError([Problem((self.angle_key,), message, self._written_angle())])
+        if found <= 0.0 or found > 0.5 * duration * (1.0 + AGREEMENT):
+            shortest, longest = _seconds(angle / peak), _seconds(2.0 * angle / peak)
+            message = (
+                f"contradicts {self.angle_key} and peak_rate, which need more than {shortest} (no ramps) "
+                f"and at most {longest} (ramps only)"
+            )
+            raise SpecError([Problem(("duration",), message, str(self.duration))])
+        return min(found, 0.5 * duration)
+
+    def _too_fast(self, angle: float, peak: float, ramp: float, least: float) -> None:
+        if self.ramp is not None:
+            message = f"is too long for {self._written_angle()} at {self.peak_rate}: at most {_seconds(angle / peak)}"
+            raise SpecError([Problem(("ramp",), message, self.ramp.text)])
+        message = (
+            f"cannot be reached within {self._written_angle()} at the table's max_acceleration; "
+            f"at most {_round_rate(math.sqrt(angle / least))}"
+        )
+        raise SpecError([Problem(("peak_rate",), message, str(self.peak_rate))])
+
+    def _too_short(self, needed: float) -> None:
+        reason = "its two ramps" if self.ramp is not None else "the ramps at the table's max_acceleration"
+        message = f"is too short for {reason}; at least {_seconds(needed)}"
+        raise SpecError([Problem(("duration",), message, str(self.duration))])
+
+    def _written_angle(self) -> str:
+        return str(self.turn) if self.turn is not None else f"{self.turns:g} turns"
+
+
+class CosineRamps(_RampedTurn):
+    """Constant rate between two half-cosine ramps (the paper's turn)."""
+
+    shape: Literal["cosine ramps"]
+
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """The turn in SI. Raises `SpecError`, keys relative to the move."""
+        return self.solve("cosine ramps", math.pi / 2.0, max_acceleration)
+
+
+class LinearRamps(_RampedTurn):
+    """Constant rate between two ramps of constant acceleration."""
+
+    shape: Literal["linear ramps"]
+
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """The turn in SI. Raises `SpecError`, keys relative to the move."""
+        return self.solve("linear ramps", 1.0, max_acceleration)
+
+
+class _WholeTurn(_PeakedTurn):
+    def complete(self, shape: str, fullness: float, max_acceleration: float) -> ResolvedMove:
+        """Complete (θ, A, D) by θ = fullness·A·D; both shapes peak at πA/D."""
+        del max_acceleration
+        direction, angle, peak, duration = self.sizes()
+        if sum(value is not None for value in (angle, peak, duration)) < 2:
+            message = "the motion is not determined; give two of turn, peak_rate and duration"
+            raise SpecError([Problem((), message)])
+        if angle is not None and duration is not None:
+            found = angle / (fullness * duration)
+            if peak is not None and abs(found - peak) > AGREEMENT * peak:
+                message = f"contradicts {self.angle_key} and duration, which mean {_round_rate(found)}; leave one out"
+                raise SpecError([Problem(("peak_rate",), message, str(self.peak_rate))])
+            peak = found
+        elif peak is not None and duration is not None:
+            angle = fullness * peak * duration
+        else:
+            assert angle is not None
+            assert peak is not None
+            duration = angle / (fullness * peak)
+        return self.motion(
+            shape,
+            angle=angle,
+            peak=peak,
+            duration=duration,
+            acceleration=math.pi * peak / duration,
+            direction=direction,
+        )
+
+
+class HalfSine(_WholeTurn):
+    """Half a period of a sine."""
+
+    shape: Literal["half sine"]
+
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """The turn in SI. Raises `SpecError`, keys relative to the move."""
+        return self.complete("half sine", 2.0 / math.pi, max_acceleration)
+
+
+class RaisedCosine(_WholeTurn):
+    """One period of 1 − cos."""
+
+    shape: Literal["raised cosine"]
+
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """The turn in SI. Raises `SpecError`, keys relative to the move."""
+        return self.complete("raised cosine", 0.5, max_acceleration)
+
+
+class Sinusoid(_Move):
+    """Whole periods of A·sin(2πt/period): an oscillation that ends where it began."""
+
+    shape: Literal["sinusoid"]
+    peak_rate: Rate
+    period: Time
+    cycles: Annotated[Count, Field(le=10_000)] = 1
+
+    @model_validator(mode="after")
+    def _moving(self) -> Self:
+        if self.peak_rate == 0.0:
+            refuse(Problem(("peak_rate",), "must not be zero", self.peak_rate.text))
+        return self
+
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """The oscillation in SI."""
+        del max_acceleration
+        peak, period = float(self.peak_rate), float(self.period)
+        swing = peak * period / math.pi
+        return ResolvedMove(
+            "sinusoid",
+            self.axis,
+            period * self.cycles,
+            peak_rate=peak,
+            peak_acceleration=2.0 * math.pi * abs(peak) / period,
+            fastest=abs(peak),
+            low=min(0.0, swing),
+            high=max(0.0, swing),
+            cycles=self.cycles,
+            repeat=self.repeat,
+            read_end=self.read_end,
+            read_every=_number(self.read_every),
+        )
+
+
+class Spline(_Move):
+    """Free-form: a clamped uniform cubic B-spline of the rate whose first and last control values are zero."""
+
+    shape: Literal["spline"]
+    duration: Time
+    rates: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=60)]
+
+    @model_validator(mode="after")
+    def _moving(self) -> Self:
+        if all(rate == 0.0 for rate in self.rates):
+            refuse(Problem(("rates",), "must not all be zero"))
+        return self
+
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """The motion in SI; maxima are exact, from the cubic pieces."""
+        del max_acceleration
+        peak = max(abs(rate) for rate in self.rates)
+        controls = tuple(rate / peak for rate in self.rates)
+        pieces = [c[:4] for _, _, c in formulas.shape_pieces("spline", controls=controls)]
+        span = float(self.duration) / len(pieces)
+        fastest = steepest = 0.0
+        angle = low = high = 0.0
+        for c0, c1, c2, c3 in pieces:
+            turning = [u for u in _roots(3.0 * c3, 2.0 * c2, c1) if 0.0 <= u <= 1.0]
+            fastest = max(fastest, *(abs(c0 + u * (c1 + u * (c2 + u * c3))) for u in (0.0, 1.0, *turning)))
+            bending = [u for u in _roots(0.0, 6.0 * c3, 2.0 * c2) if 0.0 <= u <= 1.0]
+            steepest = max(steepest, *(abs(c1 + u * (2.0 * c2 + u * 3.0 * c3)) for u in (0.0, 1.0, *bending)))
+            for i in range(1, 65):
+                u = i / 64.0
+                here = angle + u * (c0 + u * (c1 / 2.0 + u * (c2 / 3.0 + u * c3 / 4.0)))
+                low, high = min(low, here), max(high, here)
+            angle += c0 + c1 / 2.0 + c2 / 3.0 + c3 / 4.0
+        return ResolvedMove(
+            "spline",
+            self.axis,
+            float(self.duration),
+            angle=angle * peak * span,
+            peak_rate=peak,
+            peak_acceleration=steepest * peak / span,
+            fastest=fastest * peak,
+            low=low * peak * span,
+            high=high * peak * span,
+            controls=controls,
+            repeat=self.repeat,
+            read_end=self.read_end,
+            read_every=_number(self.read_every),
+        )
+
+
+class Hand(_Turn):
+    """A turn by hand, slow and uneven: A·½(1 − cos 2πu)·(1 + unevenness·sin 6πu). Only its ends are known."""
+
+    shape: Literal["hand"]
+    unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
+
+    @model_validator(mode="after")
+    def _ends_only(self) -> Self:
+        if self.read_every is not None:
+            message = "a turn by hand is known at its ends only; leave this key out"
+            refuse(Problem(("read_every",), message, self.read_every.text))
+        return self
+
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """The turn in SI. Raises `SpecError`, keys relative to the move."""
+        del max_acceleration
+        angle = self.angle
+        if angle is None or self.duration is None:
+            missing = "turn" if angle is None else "duration"
+            raise SpecError([Problem((missing,), "this key is missing: a turn by hand has an angle and a duration")])
+        peak, duration = 2.0 * angle / self.duration, float(self.duration)
+        fastest, steepest = _uneven_maxima(self.unevenness)
+        return ResolvedMove(
+            "hand",
+            self.axis,
+            duration,
+            angle=angle,
+            peak_rate=peak,
+            peak_acceleration=abs(peak) / duration * steepest,
+            fastest=abs(peak) * fastest,
+            low=min(0.0, angle),
+            high=max(0.0, angle),
+            unevenness=self.unevenness,
+            repeat=self.repeat,
+            read_end=self.read_end,
+        )
+
+
+Move = Annotated[
+    Rest | CosineRamps | LinearRamps | HalfSine | RaisedCosine | Sinusoid | Spline | Hand,
+    BeforeValidator(lambda value: _choose_move(value)),
+]
+
+SHAPES: Final[dict[str, type[Section]]] = {
+    "cosine ramps": CosineRamps,
+    "linear ramps": LinearRamps,
+    "half sine": HalfSine,
+    "raised cosine": RaisedCosine,
+    "sinusoid": Sinusoid,
+    "spline": Spline,
+    "hand": Hand,
+}
+
+
+def _choose_move(value: object) -> object:
+    if not isinstance(value, dict):
+        return value
+    table = cast("dict[str, object]", value)
+    if "rest" in table:
+        return Rest.model_validate(table)
+    if "shape" not in table:
+        for key in table:
+            near = nearest(key, ["rest", "shape"])
+            if near is not None:
+                message = f'this key is unknown; nearest: "{near}"'
+                raise SpecError([Problem((key,), message, table[key], "unknown")])
+        message = f'a move is a rest ("rest") or has a "shape": {one_of(SHAPES)}'
+        raise SpecError([Problem(("shape",), message, kind="missing")])
+    return choose(table, "shape", SHAPES)
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None else float(value)
+
+
+def _size(value: float | None) -> float | None:
+    return None if value is None else abs(value)
+
+
+def _roots(a: float, b: float, c: float) -> list[float]:
+    """Real roots of a·u² + b·u + c, the stable way round."""
+    if a == 0.0:
+        return [] if b == 0.0 else [-c / b]
+    discriminant = b * b - 4.0 * a * c
+    if discriminant < 0.0:
+        return []
+    half = -0.5 * (b + math.copysign(math.sqrt(discriminant), b))
+    return [half / a] + ([c / half] if half != 0.0 else [])
+
+
+def _uneven_maxima(unevenness: float) -> tuple[float, float]:
+    """Largest rate over A, and largest acceleration over A/D, of the turn by hand; on a fine grid."""
+    fastest = steepest = 0.0
+    tau = 2.0 * math.pi
+    for i in range(2001):
+        u = i / 2000.0
+        bell, ripple = 0.5 * (1.0 - math.cos(tau * u)), 1.0 + unevenness * math.sin(3.0 * tau * u)
+        slope = 0.5 * tau * math.sin(tau * u) * ripple + bell * unevenness * 3.0 * tau * math.cos(3.0 * tau * u)
+        fastest, steepest = max(fastest, bell * ripple), max(steepest, abs(slope))
+    return fastest, steepest
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.4g} s"
+
+
+def _degrees(value: float) -> str:
+    return f"{math.degrees(value):.5g} deg"
+
+
+def _round_rate(value: float) -> str:
+    return f"{math.degrees(value):.4g} deg/s"

@@ -1,0 +1,231 @@
+"""`[plan]`: what chamber and table do, and when the axis is read.
+
+Two methods. "standard": stable temperatures one after the other, each with a soak, a reference rate (or standstill) at
+each. "gradient": the temperature keeps changing, the table turns and rests, and the only reference is the angle.
+
+The temperature of a gradient plan is written in one of three ways:
+
+* `temperature = [start, end]` with one `gradient` (a size; `start` may be the warmer), after an optional `soak`;
+* `temperature = [start]` with a list of signed gradients, one a cycle: the ramp ends where they take it;
+* `programme`, a list of soaks, ramps and steps, of which the first is a soak with `at`.
+"""
+
+from typing import Annotated, Any, Literal, Self, cast
+
+from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
+
+from gradcal_jax.files.moves import Move
+from gradcal_jax.files.problems import Problem, SpecError, nearest
+from gradcal_jax.files.quantity import (
+    Flag,
+    Of,
+    PositiveTemperatureSlope,
+    Quantity,
+    Rate,
+    Temperature,
+    Time,
+)
+from gradcal_jax.files.section import Section, choose, refuse
+
+
+class Soak(Section):
+    """Waiting at the start temperature; `used`: whether its readings are part of the data."""
+
+    duration: Time
+    used: Flag = False
+
+
+class SoakItem(Section):
+    """An item of a programme: stay for `soak`; `at` is needed for the first item alone."""
+
+    soak: Time
+    at: Temperature | None = None
+    used: Flag = False
+
+
+class RampItem(Section):
+    """An item of a programme: go to `ramp_to` at `rate` (a size)."""
+
+    ramp_to: Temperature
+    rate: PositiveTemperatureSlope
+    used: Flag = True
+
+
+class StepItem(Section):
+    """An item of a programme: go to `step_to` as fast as the chamber can."""
+
+    step_to: Temperature
+    used: Flag = False
+
+
+_ITEMS: dict[str, type[Section]] = {"soak": SoakItem, "ramp_to": RampItem, "step_to": StepItem}
+
+
+def _choose_item(value: object) -> object:
+    if not isinstance(value, dict):
+        return value
+    item = cast("dict[str, object]", value)
+    kinds = [key for key in _ITEMS if key in item]
+    if len(kinds) == 1:
+        return _ITEMS[kinds[0]].model_validate(item)
+    if not kinds:
+        misspelt = [(key, near) for key in item if (near := nearest(key, _ITEMS)) is not None]
+        if misspelt:
+            key, near = misspelt[0]
+            raise SpecError([Problem((key,), f'this key is unknown; nearest: "{near}"', item[key], "unknown")])
+    raise ValueError("expected one of { soak = …, at = … }, { ramp_to = …, rate = … } or { step_to = … }")
+
+
+ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, BeforeValidator(_choose_item)]
+
+
+class OtherAxes(Section):
+    """The time that the other axes take in each cycle, during which this axis stands; `read`: whether it is read then.
+
+    `read_every` absent: as in the first rest of the cycle that has one.
+    """
+
+    duration: Time
+    read: Flag = False
+    read_every: Time | None = None
+
+    @model_validator(mode="after")
+    def _reading(self) -> Self:
+        if self.read_every is not None and not self.read:
+            refuse(Problem(("read_every",), 'has no effect without "read = true"', self.read_every.text))
+        return self
+
+
+class Cycle(Section):
+    """The motion that repeats. `duration` absent: what moves and other axes take; longer: the rest is standing."""
+
+    moves: Annotated[tuple[Move, ...], Field(min_length=1, max_length=1000)]
+    other_axes: OtherAxes | None = None
+    duration: Time | None = None
+
+
+class _Slopes:
+    """Marks a field that holds one size of a slope, or a list of signed slopes."""
+
+    _one = Of("temperature slope", above="0 K/min")
+    _each = Of("temperature slope")
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        writing = core_schema.plain_serializer_function_ser_schema(_slopes_as_text)
+        return core_schema.no_info_plain_validator_function(self.read, serialization=writing)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        one = self._one.__get_pydantic_json_schema__(schema, handler)
+        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
+
+    def read(self, value: object) -> Quantity | tuple[Quantity, ...]:
+        if not isinstance(value, list | tuple):
+            return self._one.read(value)
+        slopes: list[Quantity] = []
+        problems: list[Problem] = []
+        for i, entry in enumerate(cast("list[object]", value)):
+            try:
+                slopes.append(self._each.read(entry))
+            except ValueError as error:
+                problems.append(Problem((i,), str(error), entry))
+        if not slopes and not problems:
+            raise ValueError("expected a temperature slope, or a list of them, one for each cycle")
+        refuse(*problems)
+        return tuple(slopes)
+
+
+def _slopes_as_text(value: Quantity | tuple[Quantity, ...]) -> str | list[str]:
+    return [str(slope) for slope in value] if isinstance(value, tuple) else str(value)
+
+
+Slopes = Annotated[Quantity | tuple[Quantity, ...], _Slopes()]
+
+
+class GradientPlan(Section):
+    """The gradient method. `gradient`: one size, or one signed slope for each cycle. `read_every`: without a cycle."""
+
+    method: Literal["gradient"]
+    reference: Literal["angle"] = "angle"
+    temperature: Annotated[tuple[Temperature, ...], Field(min_length=1, max_length=2)] | None = None
+    gradient: Slopes | None = None
+    soak: Soak | None = None
+    programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
+    read_every: Time | None = None
+    cycle: Cycle | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        refuse(*self._temperature_problems(), *self._reading_problems())
+        return self
+
+    def _temperature_problems(self) -> list[Problem]:
+        problems: list[Problem] = []
+        if self.programme is not None:
+            for key in ("temperature", "gradient", "soak"):
+                if getattr(self, key) is not None:
+                    problems.append(Problem((key,), 'cannot stand beside "programme", which says it all'))
+            first = self.programme[0]
+            if not isinstance(first, SoakItem) or first.at is None:
+                message = 'the first item must be a soak that says where it begins: { soak = "1 h", at = "-30 degC" }'
+                problems.append(Problem(("programme", 0), message))
+            elif not any(item.used for item in self.programme):
+                problems.append(Problem(("programme",), "none of its items is used; there would be no data"))
+            return problems
+        for key in ("temperature", "gradient"):
+            if getattr(self, key) is None:
+                problems.append(Problem((key,), 'this key is missing (or give a "programme")', kind="missing"))
+        if problems:
+            return problems
+        assert self.temperature is not None
+        if isinstance(self.gradient, tuple):
+            if self.cycle is None:
+                problems.append(
+                    Problem(("gradient",), "a list has one slope for each cycle, and there is no [plan.cycle]")
+                )
+            if len(self.temperature) == 2:
+                message = "with a list of gradients, the ramp ends where they take it; give the start alone"
+                problems.append(Problem(("temperature",), message, [t.text for t in self.temperature]))
+        elif len(self.temperature) == 1:
+            problems.append(Problem(("temperature",), "expected [start, end]", [t.text for t in self.temperature]))
+        elif self.temperature[0] == self.temperature[1]:
+            problems.append(Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature]))
+        return problems
+
+    def _reading_problems(self) -> list[Problem]:
+        if self.cycle is None and self.read_every is None:
+            message = 'this key is missing: without a cycle it says how often the standing axis is read, such as "1 s"'
+            return [Problem(("read_every",), message, kind="missing")]
+        if self.cycle is not None and self.read_every is not None:
+            message = "with a cycle, the moves say when the axis is read; leave this key out"
+            return [Problem(("read_every",), message, self.read_every.text)]
+        return []
+
+
+class StandardPlan(Section):
+    """The standard method: `rates` absent means standing still; `integration` is the time at each point."""
+
+    method: Literal["standard"]
+    temperatures: Annotated[tuple[Temperature, ...], Field(min_length=1, max_length=1000)]
+    soak: Time
+    integration: Time
+    rates: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=1000)] | None = None
+    estimator: Literal["best linear", "least squares"] = "best linear"
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        problems: list[Problem] = []
+        for i in range(1, len(self.temperatures)):
+            if self.temperatures[i] == self.temperatures[i - 1]:
+                message = "repeats the entry before it; lengthen the integration instead"
+                problems.append(Problem(("temperatures", i), message, self.temperatures[i].text))
+        refuse(*problems)
+        return self
+
+
+def _plan(value: object) -> object:
+    return choose(value, "method", {"gradient": GradientPlan, "standard": StandardPlan})
+
+
+Plan = Annotated[GradientPlan | StandardPlan, BeforeValidator(_plan)]

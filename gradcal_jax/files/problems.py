@@ -1,0 +1,170 @@
+"""What is wrong with a file: every problem at once, each with its key, its value and what was expected."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+Key = tuple[str | int, ...]
+
+_SHOWN: Final = 60
+
+
+class _Absent:
+    def __repr__(self) -> str:
+        return "absent"
+
+
+ABSENT: Final = _Absent()
+"""The value of a problem that is about a key which is not there, or about several keys together."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fault. `key` is the path (names and list positions), `value` what the file says there (or `ABSENT`)."""
+
+    key: Key
+    message: str
+    value: object = ABSENT
+    kind: str = "value"
+
+    @property
+    def dotted(self) -> str:
+        """The key as people write it: ``plan.cycle.moves[2].peak_rate``."""
+        return dotted(self.key)
+
+    def under(self, *prefix: str | int) -> "Problem":
+        """The same problem, seen from further up."""
+        return replace(self, key=(*prefix, *self.key))
+
+    def __str__(self) -> str:
+        where = self.dotted or "file"
+        if isinstance(self.value, _Absent):
+            return f"{where}: {self.message}"
+        return f"{where} = {shown(self.value)}: {self.message}"
+
+
+class SpecError(ValueError):
+    """A file that cannot be used. `problems` lists every fault; the message says them all, one a line."""
+
+    def __init__(self, problems: Iterable[Problem], source: str = "") -> None:
+        self.problems: tuple[Problem, ...] = _unique(problems)
+        self.source = source
+        super().__init__(self._sentence())
+
+    def _sentence(self) -> str:
+        count = len(self.problems)
+        head = f"{self.source}: " if self.source else ""
+        if count == 1:
+            return f"{head}{self.problems[0]}"
+        return f"{head}{count} problems\n" + "\n".join(f"  {problem}" for problem in self.problems)
+
+
+def _unique(problems: Iterable[Problem]) -> tuple[Problem, ...]:
+    found: dict[str, Problem] = {}
+    for problem in problems:
+        found.setdefault(str(problem), problem)
+    return tuple(found.values())
+
+
+def dotted(key: Key) -> str:
+    """``("moves", 2, "peak_rate")`` -> ``moves[2].peak_rate``."""
+    text = ""
+    for part in key:
+        text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else part)
+    return text
+
+
+def shown(value: object) -> str:
+    """A value of the file, short enough for a line."""
+    if isinstance(value, Mapping):
+        return "{…}" if value else "{}"
+    if isinstance(value, bool):
+        text = "true" if value else "false"
+    elif isinstance(value, str):
+        text = '"' + "".join(c if c.isprintable() else "?" for c in value) + '"'
+    else:
+        text = str(value)
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The nearest right spelling, or None where nothing is near."""
+    names = list(known)
+    folded = {name.casefold().replace("-", "_").replace(" ", "_"): name for name in names}
+    exact = folded.get(word.casefold().replace("-", "_").replace(" ", "_"))
+    if exact is not None:
+        return exact
+    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    return close[0] if close else None
+
+
+def one_of(known: Iterable[str]) -> str:
+    """``"a", "b" or "c"``."""
+    names = [f'"{name}"' for name in known]
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " or " + names[-1]
+
+
+def from_validation(error: ValidationError, fields: Mapping[str, Iterable[str]] | None = None) -> list[Problem]:
+    """Every problem in what pydantic found, nested ones and ours among them, in our words."""
+    del fields
+    return [problem for details in error.errors(include_url=False) for problem in _translate(details)]
+
+
+# Pydantic's own kinds of error -> what was expected, in our words; the braces take the error's context.
+_EXPECTED: Final[Mapping[str, str]] = {
+    "string_type": "expected text in quotes",
+    "int_type": "expected a whole number",
+    "int_from_float": "expected a whole number",
+    "int_parsing_size": "the number is too large",
+    "float_type": "expected a number without unit",
+    "finite_number": "expected a finite number",
+    "bool_type": "expected true or false",
+    "list_type": "expected a list",
+    "tuple_type": "expected a list",
+    "dict_type": "expected a table",
+    "model_type": "expected a table",
+    "model_attributes_type": "expected a table",
+    "greater_than": "must be above {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be below {lt}",
+    "less_than_equal": "must be at most {le}",
+    "too_short": "expected at least {min_length} entries, found {actual_length}",
+    "too_long": "expected at most {max_length} entries, found {actual_length}",
+    "string_too_short": "must not be empty",
+    "string_too_long": "the text is too long",
+}
+
+
+def _translate(details: ErrorDetails) -> list[Problem]:
+    key: Key = tuple(details["loc"])
+    value = details["input"]
+    kind = details["type"]
+    context: dict[str, Any] = details.get("ctx") or {}
+    inner = context.get("error")
+    if isinstance(inner, SpecError):
+        return [problem.under(*key) for problem in inner.problems]
+    if isinstance(inner, ValidationError):
+        return [problem.under(*key) for problem in from_validation(inner)]
+    if kind == "missing":
+        return [Problem(key, "this key is missing", kind="missing")]
+    if kind == "extra_forbidden":
+        return [Problem(key, "this key is unknown", value, kind="unknown")]
+    if kind == "literal_error":
+        return [Problem(key, _enumeration(value, str(context.get("expected", ""))), value)]
+    if isinstance(inner, ValueError):
+        return [Problem(key, str(inner), value)]
+    if kind in _EXPECTED:
+        return [Problem(key, _EXPECTED[kind].format(**context), value)]
+    return [Problem(key, details["msg"], value)]
+
+
+def _enumeration(value: object, expected: str) -> str:
+    # pydantic gives "'a', 'b' or 'c'"
+    names = expected.split("'")[1::2]
+    close = nearest(value, names) if isinstance(value, str) else None
+    listed = f"expected {one_of(names)}" if names else f"expected {expected}"
+    return listed + (f'; nearest: "{close}"' if close and len(names) > 1 else "")

@@ -1,0 +1,64 @@
+"""`[[requirement]]`: what the calibration must serve, and how the residual is summed up there."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from gradcal_jax.files.bases import increasing
+from gradcal_jax.files.problems import Problem
+from gradcal_jax.files.quantity import PositiveRate, PositiveScaleFactor, Rate, Temperature, Text
+from gradcal_jax.files.section import Section, choose, refuse
+
+Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
+
+
+def _rates_only(value: object) -> object:
+    if value == "mean of max":
+        raise ValueError('a bias has no rate to average over; expected "mean", "max" or "rms"')
+    return value
+
+
+class ScaleFactorRequirement(Section):
+    """A box of temperature and rate. `grid`: numbers of temperatures and of rates, ends included."""
+
+    name: Text
+    quantity: Literal["scale_factor"]
+    temperature: tuple[Temperature, Temperature]
+    rate: tuple[Rate, Rate]
+    statistic: Literal["mean of max", "max", "mean", "rms"] = "mean of max"
+    target: PositiveScaleFactor | None = None
+    grid: tuple[Points, Points] = (101, 121)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        too_fine = [Problem(("grid",), "at most 1000000 points together", list(self.grid))]
+        fine = self.grid[0] * self.grid[1] > 1_000_000
+        refuse(
+            *increasing(self.temperature, "temperature"),
+            *increasing(self.rate, "rate"),
+            *(too_fine if fine else []),
+        )
+        return self
+
+
+class BiasRequirement(Section):
+    """A range of temperature. `grid`: number of temperatures, ends included."""
+
+    name: Text
+    quantity: Literal["bias"]
+    temperature: tuple[Temperature, Temperature]
+    statistic: Annotated[Literal["max", "mean", "rms"], BeforeValidator(_rates_only)] = "mean"
+    target: PositiveRate | None = None
+    grid: tuple[Points] = (101,)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        refuse(*increasing(self.temperature, "temperature"))
+        return self
+
+
+def _requirement(value: object) -> object:
+    return choose(value, "quantity", {"scale_factor": ScaleFactorRequirement, "bias": BiasRequirement})
+
+
+Requirement = Annotated[ScaleFactorRequirement | BiasRequirement, BeforeValidator(_requirement)]

@@ -1,0 +1,309 @@
+"""A plan worked out against its rig: when the chamber is where, how often the cycle repeats, how many readings.
+
+Nothing here knows an array; `gradcal_jax.assemble` turns a schedule into the core's objects, `check` prints it.
+Temperatures are the *chamber's*; a sensor's thermal lag is the core's affair.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+from gradcal_jax.files.bench import Rig
+from gradcal_jax.files.moves import ResolvedMove, reading_count
+from gradcal_jax.files.plan import Cycle, GradientPlan, RampItem, SoakItem, StandardPlan
+from gradcal_jax.files.problems import Problem, SpecError
+
+_ROUNDING = 1e-9
+MOST_READINGS = 50_000_000
+MOST_CYCLES = 1_000_000
+
+
+@dataclass(frozen=True)
+class TemperatureSegment:
+    """A stretch of constant slope of the chamber. `start` counts from the beginning of the plan (s)."""
+
+    kind: Literal["soak", "ramp", "step"]
+    start: float
+    duration: float
+    temperature_start: float
+    temperature_end: float
+    used: bool
+
+    @property
+    def end(self) -> float:
+        """When the segment ends (s)."""
+        return self.start + self.duration
+
+    @property
+    def slope(self) -> float:
+        """K/s, signed."""
+        return (self.temperature_end - self.temperature_start) / self.duration
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Neighbouring segments whose data are used. The cycle starts with it and repeats as long as the axis's own moves
+    still fit; in what is then left of the stretch the axis stands (`leftover`, s)."""
+
+    start: float
+    duration: float
+    cycles: int
+    leftover: float
+
+
+@dataclass(frozen=True)
+class ResolvedCycle:
+    """One cycle in SI: the moves one after the other, then the other axes' time, then idle standing (not read).
+
+    `other_read_every` is None where the axis is not read while the others turn.
+    """
+
+    moves: tuple[ResolvedMove, ...]
+    moving: float
+    other: float
+    other_read_every: float | None
+    idle: float
+
+    @property
+    def duration(self) -> float:
+        """Of the whole cycle (s)."""
+        return self.moving + self.other + self.idle
+
+
+@dataclass(frozen=True)
+class GradientSchedule:
+    """A gradient plan in SI. `read_every`: spacing of readings of a standing axis; None where there is a cycle."""
+
+    segments: tuple[TemperatureSegment, ...]
+    stretches: tuple[Stretch, ...]
+    cycle: ResolvedCycle | None
+    read_every: float | None
+
+    @property
+    def duration(self) -> float:
+        """Of the whole plan (s)."""
+        return sum(segment.duration for segment in self.segments)
+
+    @property
+    def soak(self) -> float:
+        """Time at constant temperature (s)."""
+        return sum(segment.duration for segment in self.segments if segment.kind == "soak")
+
+    @property
+    def motion(self) -> float:
+        """Time of changing temperature (s); `max_motion` of [design] limits it."""
+        return self.duration - self.soak
+
+    @property
+    def cycles(self) -> int:
+        """How often the cycle is made, all stretches together."""
+        return sum(stretch.cycles for stretch in self.stretches)
+
+    @property
+    def readings(self) -> int:
+        """Angle readings of the plan, the first of each stretch not counted."""
+        if self.cycle is None:
+            every = self.read_every
+            return 0 if every is None else sum(reading_count(stretch.duration, every) for stretch in self.stretches)
+        cycle, total = self.cycle, 0
+        own = sum(move.repeat * move.readings for move in cycle.moves)
+        for stretch in self.stretches:
+            total += stretch.cycles * own
+            if cycle.other_read_every is not None:
+                whole = max(0, stretch.cycles - 1) * reading_count(cycle.other, cycle.other_read_every)
+                total += whole + reading_count(stretch.leftover, cycle.other_read_every)
+        return total
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of the standard method: `integration` seconds at `temperature` (°C) and `rate` (rad/s)."""
+
+    start: float
+    temperature: float
+    rate: float
+    integration: float
+
+
+@dataclass(frozen=True)
+class StandardSchedule:
+    """A standard plan in SI; each temperature begins with `soak` seconds of waiting."""
+
+    points: tuple[Point, ...]
+    soak_each: float
+    temperatures: tuple[float, ...]
+    rates: tuple[float, ...]
+    integration: float
+
+    @property
+    def duration(self) -> float:
+        """Of the whole plan (s)."""
+        return self.soak + self.motion
+
+    @property
+    def soak(self) -> float:
+        """All soaks together (s)."""
+        return self.soak_each * len(self.temperatures)
+
+    @property
+    def motion(self) -> float:
+        """All integrations together (s)."""
+        return self.integration * len(self.points)
+
+    @property
+    def readings(self) -> int:
+        """One mean rate a point."""
+        return len(self.points)
+
+
+Schedule = GradientSchedule | StandardSchedule
+
+
+def standard_schedule(plan: StandardPlan) -> StandardSchedule:
+    """The points in order: temperatures outside, rates inside; a single rate of zero where the plan has none."""
+    rates = (0.0,) if plan.rates is None else tuple(float(rate) for rate in plan.rates)
+    points: list[Point] = []
+    clock = 0.0
+    for temperature in plan.temperatures:
+        clock += plan.soak
+        for rate in rates:
+            points.append(Point(clock, float(temperature), rate, float(plan.integration)))
+            clock += plan.integration
+    temperatures = tuple(float(temperature) for temperature in plan.temperatures)
+    return StandardSchedule(tuple(points), float(plan.soak), temperatures, rates, float(plan.integration))
+
+
+def gradient_schedule(plan: GradientPlan, rig: Rig) -> GradientSchedule:
+    """Work a gradient plan out. Raises `SpecError` with every problem found, keys relative to the plan."""
+    cycle = None if plan.cycle is None else resolve_cycle(plan.cycle, rig)
+    segments = _programme(plan, rig) if plan.programme is not None else _ramp(plan, cycle)
+    stretches = _stretches(segments, cycle)
+    result = GradientSchedule(segments, stretches, cycle, None if plan.read_every is None else float(plan.read_every))
+    problems: list[Problem] = []
+    if cycle is not None and result.cycles == 0:
+        longest = max(stretch.duration for stretch in stretches)
+        message = f"its moves take {cycle.moving:.4g} s; the longest stretch of used data is {longest:.4g} s"
+        problems.append(Problem(("cycle",), message))
+    if result.cycles > MOST_CYCLES:
+        problems.append(Problem(("cycle",), f"repeats {result.cycles} times; at most {MOST_CYCLES}"))
+    elif result.readings > MOST_READINGS:
+        message = f"the plan has {result.readings} readings; at most {MOST_READINGS}: read less often"
+        problems.append(Problem(("cycle",) if cycle is not None else ("read_every",), message))
+    elif result.readings == 0:
+        problems.append(Problem(("cycle",) if cycle is not None else ("read_every",), "the plan has no readings"))
+    if problems:
+        raise SpecError(problems)
+    return result
+
+
+def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
+    """Complete the moves and the cycle's time. Raises `SpecError`, keys relative to the plan."""
+    moves: list[ResolvedMove] = []
+    problems: list[Problem] = []
+    for i, move in enumerate(cycle.moves):
+        try:
+            moves.append(move.resolve(float(rig.table.max_acceleration)))
+        except SpecError as error:
+            problems += [problem.under("cycle", "moves", i) for problem in error.problems]
+    other, every = 0.0, None
+    if cycle.other_axes is not None:
+        other = float(cycle.other_axes.duration)
+        if cycle.other_axes.read:
+            spacings = [move.read_every for move in moves if move.is_rest and move.read_every is not None]
+            if cycle.other_axes.read_every is not None:
+                every = float(cycle.other_axes.read_every)
+            elif spacings:
+                every = spacings[0]
+            elif not problems:
+                message = "this key is missing: no rest of the cycle says how often a standing axis is read"
+                problems.append(Problem(("cycle", "other_axes", "read_every"), message, kind="missing"))
+    moving = math.fsum(move.repeat * move.duration for move in moves)
+    idle = 0.0
+    if cycle.duration is not None and not problems:
+        idle = cycle.duration - moving - other
+        if idle < -_ROUNDING * cycle.duration:
+            message = f"is shorter than the moves and the other axes together, {moving + other:.6g} s"
+            problems.append(Problem(("cycle", "duration"), message, cycle.duration.text))
+        idle = max(0.0, idle)
+    if problems:
+        raise SpecError(problems)
+    return ResolvedCycle(tuple(moves), moving, other, every, idle)
+
+
+def _ramp(plan: GradientPlan, cycle: ResolvedCycle | None) -> tuple[TemperatureSegment, ...]:
+    assert plan.temperature is not None
+    assert plan.gradient is not None
+    segments: list[TemperatureSegment] = []
+    clock, here = 0.0, float(plan.temperature[0])
+    if plan.soak is not None:
+        segments.append(TemperatureSegment("soak", 0.0, float(plan.soak.duration), here, here, plan.soak.used))
+        clock = float(plan.soak.duration)
+    if isinstance(plan.gradient, tuple):
+        assert cycle is not None
+        for slope in plan.gradient:
+            end = here + slope * cycle.duration
+            segments.append(TemperatureSegment("ramp", clock, cycle.duration, here, end, True))
+            clock, here = clock + cycle.duration, end
+    else:
+        end = float(plan.temperature[1])
+        segments.append(TemperatureSegment("ramp", clock, abs(end - here) / plan.gradient, here, end, True))
+    return tuple(segments)
+
+
+def _programme(plan: GradientPlan, rig: Rig) -> tuple[TemperatureSegment, ...]:
+    assert plan.programme is not None
+    segments: list[TemperatureSegment] = []
+    problems: list[Problem] = []
+    clock = 0.0
+    first = plan.programme[0]
+    assert isinstance(first, SoakItem)
+    assert first.at is not None
+    here = float(first.at)
+    for i, item in enumerate(plan.programme):
+        if isinstance(item, SoakItem):
+            if item.at is not None and item.at != here:
+                message = f"the chamber is at {here:.6g} degC by then; ramp or step there first"
+                problems.append(Problem(("programme", i, "at"), message, item.at.text))
+            segments.append(TemperatureSegment("soak", clock, float(item.soak), here, here, item.used))
+        elif isinstance(item, RampItem):
+            end = float(item.ramp_to)
+            if end == here:
+                problems.append(Problem(("programme", i, "ramp_to"), "the chamber is there already", str(item.ramp_to)))
+                continue
+            segments.append(TemperatureSegment("ramp", clock, abs(end - here) / item.rate, here, end, item.used))
+        else:
+            end = float(item.step_to)
+            if end == here:
+                problems.append(Problem(("programme", i, "step_to"), "the chamber is there already", str(item.step_to)))
+                continue
+            fastest = rig.chamber.max_heating if end > here else rig.chamber.max_cooling
+            segments.append(TemperatureSegment("step", clock, abs(end - here) / fastest, here, end, item.used))
+        clock, here = segments[-1].end, segments[-1].temperature_end
+    if problems:
+        raise SpecError(problems)
+    return tuple(segments)
+
+
+def _stretches(segments: tuple[TemperatureSegment, ...], cycle: ResolvedCycle | None) -> tuple[Stretch, ...]:
+    bounds: list[list[float]] = []
+    for before, segment in pairwise((None, *segments)):
+        assert segment is not None
+        if not segment.used:
+            continue
+        if before is not None and before.used:
+            bounds[-1][1] += segment.duration
+        else:
+            bounds.append([segment.start, segment.duration])
+    return tuple(Stretch(start, duration, *_repeats(duration, cycle)) for start, duration in bounds)
+
+
+def _repeats(duration: float, cycle: ResolvedCycle | None) -> tuple[int, float]:
+    """Whole repetitions of the cycle's moves that fit, and the standing time after the last one's moves."""
+    if cycle is None:
+        return 0, duration
+    room = duration * (1.0 + _ROUNDING) - cycle.moving
+    if room < 0.0:
+        return 0, duration
+    count = math.floor(room / cycle.duration + _ROUNDING) + 1
+    return count, max(0.0, duration - (count - 1) * cycle.duration - cycle.moving)

@@ -1,0 +1,166 @@
+"""`[sensor]`: what is calibrated, its noise, and the error functions to be found."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from gradcal_jax.files.bases import Degree, RateBasis, TemperatureBasis
+from gradcal_jax.files.problems import Problem
+from gradcal_jax.files.quantity import (
+    AngleRandomWalk,
+    BiasSlope,
+    Margin,
+    PositiveGradientSensitivity,
+    PositiveRate,
+    PositiveScaleFactor,
+    PositiveTemperatureDifference,
+    Quantity,
+    RateRandomWalk,
+    ScaleFactorSlope,
+    SizeOfRate,
+    SizeOfScaleFactor,
+    Text,
+    Time,
+)
+from gradcal_jax.files.section import Section, refuse
+
+
+class Drift(Section):
+    """In-run bias instability: a first-order Gauss–Markov process (stationary standard deviation, correlation time)."""
+
+    standard_deviation: PositiveRate
+    correlation_time: Time
+
+
+class ScaleFactorInstability(Section):
+    """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate."""
+
+    standard_deviation: PositiveScaleFactor
+    correlation_time: Time
+
+
+class TemperatureError(Section):
+    """Error of the temperature measurement; the maps' slopes in temperature turn it into rate error.
+
+    Without `correlation_time` the error is one draw for the whole run.
+    """
+
+    standard_deviation: PositiveTemperatureDifference
+    correlation_time: Time | None = None
+    bias_slope: BiasSlope | None = None
+    scale_factor_slope: ScaleFactorSlope | None = None
+
+    @model_validator(mode="after")
+    def _slopes(self) -> Self:
+        if self.bias_slope is None and self.scale_factor_slope is None:
+            refuse(
+                Problem((), 'a temperature error acts through "bias_slope" or "scale_factor_slope"; give at least one')
+            )
+        return self
+
+
+class BiasTemperatureGradient(Section):
+    """Bias sensitivity to dT/dt; the table's presence makes it a parameter to estimate. `prior` absent: flat."""
+
+    prior: PositiveGradientSensitivity | None = None
+
+
+class BiasDiscrepancy(Section):
+    """What the chosen structure of B(T) may hide: the next orthogonal polynomials, with a prior."""
+
+    standard_deviation: PositiveRate
+    temperature_degree: Degree
+
+
+class ScaleFactorDiscrepancy(Section):
+    """What the chosen structure of M(T, ω) may hide: polynomials up to these degrees, with a prior."""
+
+    standard_deviation: PositiveScaleFactor
+    temperature_degree: Degree
+    rate_degree: Degree
+
+
+class Bias(Section):
+    """B(T), to be estimated. `prior`: std of each coefficient; `smoothness`: of the differences of neighbours."""
+
+    temperature: TemperatureBasis
+    prior: PositiveRate | None = None
+    smoothness: PositiveRate | None = None
+    discrepancy: BiasDiscrepancy | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        refuse(*_smoothness(self.smoothness, self.temperature.basis))
+        return self
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return self.temperature.size
+
+
+class ScaleFactor(Section):
+    """M(T, ω), to be estimated: a tensor basis in temperature and rate."""
+
+    temperature: TemperatureBasis
+    rate: RateBasis
+    prior: PositiveScaleFactor | None = None
+    smoothness: PositiveScaleFactor | None = None
+    discrepancy: ScaleFactorDiscrepancy | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        refuse(*_smoothness(self.smoothness, self.temperature.basis, self.rate.basis))
+        return self
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return self.temperature.size * self.rate.size
+
+
+def _smoothness(value: Quantity | None, *bases: str) -> list[Problem]:
+    if value is not None and all(basis == "polynomial" for basis in bases):
+        message = 'neighbouring coefficients have a meaning for "b-spline" and "bins" only; leave this key out'
+        return [Problem(("smoothness",), message, value.text)]
+    return []
+
+
+def _gyro(value: object) -> object:
+    if value == "accelerometer":
+        raise ValueError('accelerometers cannot be planned for yet; expected "gyro"')
+    return value
+
+
+class Sensor(Section):
+    """A gyro axis: every term of the error model (paper, eq. 1). Absent terms are absent from the model."""
+
+    name: Text | None = None
+    quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
+    angle_random_walk: AngleRandomWalk
+    rate_random_walk: RateRandomWalk | None = None
+    turn_on_bias: SizeOfRate | None = None
+    full_scale: PositiveRate | None = None
+    full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
+    thermal_lag: Time | None = None
+    sample_clock_error: SizeOfScaleFactor | None = None
+    drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
+    scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
+    temperature_error: TemperatureError | None = None
+    bias_temperature_gradient: BiasTemperatureGradient | None = None
+    bias: Bias | None = None
+    scale_factor: ScaleFactor | None = None
+
+    @model_validator(mode="after")
+    def _something_to_find(self) -> Self:
+        problems: list[Problem] = []
+        if self.bias is None and self.scale_factor is None:
+            message = "there is nothing to calibrate; add [sensor.bias], [sensor.scale_factor] or both"
+            problems.append(Problem((), message))
+        refuse(*problems)
+        return self
+
+    @property
+    def usable_rate(self) -> float | None:
+        """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
+        return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)

@@ -1,0 +1,127 @@
+"""gradcal-spec/1: sensor, rig, requirements, plan. What people write and every command reads."""
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self, cast
+
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
+
+from gradcal_jax.files.bench import Rig
+from gradcal_jax.files.checks import between_sections
+from gradcal_jax.files.design import Design
+from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.plan import Plan, StandardPlan
+from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.quantity import Text
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.schedule import GradientSchedule, Schedule, gradient_schedule, standard_schedule
+from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.sensor import Sensor
+
+FORMAT: Final = "gradcal-spec/1"
+Requirements = Annotated[tuple[Requirement, ...], Field(max_length=100)]
+
+
+class Spec(Section):
+    """A whole spec. Quantities are SI (°C for temperatures) and keep their text; `schedule` is the plan worked out."""
+
+    format: Literal["gradcal-spec/1"]
+    title: Text | None = None
+    sensor: Sensor
+    rig: Rig
+    requirement: Requirements = ()
+    plan: Plan
+    design: Design | None = None
+
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        refuse(*between_sections(self.sensor, self.rig, self.requirement, self.plan, self.design))
+        return self
+
+    @cached_property
+    def schedule(self) -> Schedule:
+        """The plan in SI: `GradientSchedule` or `StandardSchedule`."""
+        if isinstance(self.plan, StandardPlan):
+            return standard_schedule(self.plan)
+        return gradient_schedule(self.plan, self.rig)
+
+    @property
+    def gradient_schedule(self) -> GradientSchedule:
+        """The schedule of a gradient plan. Raises `ValueError` for a standard one."""
+        if not isinstance(self.schedule, GradientSchedule):
+            raise ValueError('this needs a plan of method = "gradient"')
+        return self.schedule
+
+
+_SECTIONS: Final[Mapping[str, TypeAdapter[Any]]] = {
+    "sensor": TypeAdapter(Sensor),
+    "rig": TypeAdapter(Rig),
+    "requirement": TypeAdapter(Requirements),
+    "plan": TypeAdapter(Plan),
+    "design": TypeAdapter(Design),
+}
+
+
+def read_spec(path: str | Path) -> Spec:
+    """Read a spec file. Raises `SpecError` that lists everything wrong with it."""
+    return parse_spec(read_text(path), str(path))
+
+
+def parse_spec(text: str, source: str = "") -> Spec:
+    """A spec from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
+    return spec_of(read_toml(text, source), source)
+
+
+def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
+    """A spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
+    problem = format_problem(document, FORMAT)
+    if problem is not None and isinstance(document.get("format"), str):
+        # Another kind or version of file: the rest would only be noise.
+        raise SpecError([problem], source)
+    try:
+        return Spec.model_validate(document)
+    except ValidationError as error:
+        problems = [p for p in from_validation(error) if p.key != ("format",)]
+    if problem is not None:
+        problems.insert(0, problem)
+    raise SpecError([*problems, *_still_visible(document, problems)], source)
+
+
+def _still_visible(document: Mapping[str, Any], problems: list[Problem]) -> list[Problem]:
+    """Problems between the sections that could be read by themselves, when another section could not."""
+    if any(problem.kind == "between" for problem in problems):
+        return []
+    sections: dict[str, Any] = {}
+    pruned = _without_unknown_keys(document, problems)
+    for name, adapter in _SECTIONS.items():
+        try:
+            sections[name] = adapter.validate_python(pruned[name]) if name in pruned else None
+        except ValidationError:
+            sections[name] = None
+    if "requirement" not in pruned:
+        sections["requirement"] = ()
+    found = between_sections(
+        sections["sensor"], sections["rig"], sections["requirement"], sections["plan"], sections["design"]
+    )
+    said = {problem.key for problem in problems}
+    return [problem for problem in found if problem.key not in said]
+
+
+def _without_unknown_keys(document: Mapping[str, Any], problems: list[Problem]) -> dict[str, Any]:
+    """The document less its unknown keys; a section with a likely slip for a known key is left out whole."""
+    unknown = {problem.key for problem in problems if problem.kind == "unknown"}
+    slips = {problem.key[0] for problem in problems if problem.kind == "unknown" and "nearest" in problem.message}
+    kept = {name: value for name, value in document.items() if name not in slips}
+    return cast("dict[str, Any]", _pruned(kept, (), unknown))
+
+
+def _pruned(value: object, key: tuple[str | int, ...], unknown: set[tuple[str | int, ...]]) -> object:
+    if isinstance(value, Mapping):
+        table = cast("Mapping[str, object]", value)
+        return {
+            name: _pruned(entry, (*key, name), unknown) for name, entry in table.items() if (*key, name) not in unknown
+        }
+    if isinstance(value, list):
+        return [_pruned(entry, (*key, i), unknown) for i, entry in enumerate(cast("list[object]", value))]
+    return value

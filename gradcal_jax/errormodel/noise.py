@@ -1,0 +1,108 @@
+"""The noise of a gyro channel and of its angle reference.
+
+**Processes.** Every slow error is one scalar process `x` with
+
+    dx = −decay·x dt + diffusion dw,   Var x(0) = initial_std²,
+
+that drives the integrated angle at the rate `(bias_gain + rate_gain·ω(t))·x`:
+
+| error | initial_std | decay | diffusion | bias_gain | rate_gain |
+|---|---|---|---|---|---|
+| bias instability (σ, τ) | σ | 1/τ | σ√(2/τ) | 1 | 0 |
+| rate random walk K | 0 | 0 | K | 1 | 0 |
+| residual scale-factor instability (σ, τ) | σ | 1/τ | σ√(2/τ) | 0 | 1 |
+| error of the temperature measurement (σ, τ) | σ | 1/τ | σ√(2/τ) | dB/dT | dM/dT |
+| a constant (turn-on bias, sample clock) | σ | 0 | 0 | 1 or 0 | 0 or 1 |
+
+The rate random walk is thus the limit of the first row, not another code path.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class Processes(eqx.Module):
+    """`m` independent scalar noise processes; every field has the shape `(m,)` and SI units."""
+
+    initial_std: Float[Array, " m"]
+    decay: Float[Array, " m"]
+    diffusion: Float[Array, " m"]
+    bias_gain: Float[Array, " m"]
+    rate_gain: Float[Array, " m"]
+
+    @property
+    def count(self) -> int:
+        return self.decay.shape[0]
+
+    def __add__(self, other: "Processes") -> "Processes":
+        joined = (
+            jnp.concatenate([getattr(self, name), getattr(other, name)])
+            for name in ("initial_std", "decay", "diffusion", "bias_gain", "rate_gain")
+        )
+        return Processes(*joined)
+
+
+def _process(initial_std, decay, diffusion, bias_gain, rate_gain) -> Processes:
+    fields = (initial_std, decay, diffusion, bias_gain, rate_gain)
+    return Processes(*(jnp.reshape(jnp.asarray(v, dtype=float), (1,)) for v in fields))
+
+
+def no_processes() -> Processes:
+    """The empty set, to add to."""
+    return Processes(*(jnp.zeros(0) for _ in range(5)))
+
+
+def gauss_markov(standard_deviation, correlation_time, *, bias_gain=1.0, rate_gain=0.0) -> Processes:
+    """First-order Gauss–Markov process, stationary: σ in rad/s (or 1, or K, as the gains say), τ in s (`inf`: a constant)."""
+    decay = 1.0 / jnp.asarray(correlation_time, dtype=float)
+    return _process(standard_deviation, decay, standard_deviation * jnp.sqrt(2.0 * decay), bias_gain, rate_gain)
+
+
+def rate_random_walk(coefficient) -> Processes:
+    """Rate random walk K in rad/s/√s; it starts at zero, its unknown start being part of the bias."""
+    return _process(0.0, 0.0, coefficient, 1.0, 0.0)
+
+
+def constant(standard_deviation, *, bias_gain=0.0, rate_gain=0.0) -> Processes:
+    """An error that is drawn once per run: turn-on bias (`bias_gain=1`, rad/s) or sample clock (`rate_gain=1`)."""
+    return _process(standard_deviation, 0.0, 0.0, bias_gain, rate_gain)
+
+
+class Reference(eqx.Module):
+    """Error budget of the reference: an angle read at standstill or on the move, or a rate that is held.
+
+    Arguments, all standard deviations: `reading_noise` rad, white, each reading; `standstill_offset` rad, one draw each
+    time the table comes to rest; `timing_error` s, costs `ω·σ_t` on the move; `rate_accuracy`, relative, common to a set
+    point; `harmonic_amplitudes` rad, of each of the cosine and sine of `harmonic_orders` cycles per turn of the
+    encoder's repeatable error.
+    """
+
+    reading_noise: Float[Array, ""]
+    standstill_offset: Float[Array, ""]
+    timing_error: Float[Array, ""]
+    rate_accuracy: Float[Array, ""]
+    harmonic_amplitudes: Float[Array, " h"]
+    harmonic_orders: tuple[int, ...] = eqx.field(static=True, default=())
+    has_offset: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        if len(self.harmonic_orders) != self.harmonic_amplitudes.shape[0]:
+            raise ValueError("give one amplitude for each harmonic order of the angle error")
+
+
+def angle_reference(
+    reading_noise=0.0, standstill_offset=0.0, timing_error=0.0, rate_accuracy=0.0, harmonics: dict[int, float] | None = None
+) -> Reference:
+    """A `Reference` from plain numbers (SI). An offset of exactly 0 gets no noise state."""
+    harmonics = harmonics or {}
+    as_array = lambda v: jnp.asarray(v, dtype=float)  # noqa: E731
+    return Reference(
+        as_array(reading_noise),
+        as_array(standstill_offset),
+        as_array(timing_error),
+        as_array(rate_accuracy),
+        jnp.asarray(list(harmonics.values()), dtype=float),
+        tuple(harmonics),
+        has_offset=bool(standstill_offset != 0.0),
+    )

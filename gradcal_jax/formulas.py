@@ -1,0 +1,243 @@
+"""Basis functions and motion shapes, written once for every array namespace.
+
+The core (JAX), the simulated devices and `apply` (NumPy) call the same functions; this module imports neither. Every
+function takes arrays that carry `__array_namespace__` and works elementwise, adding one last axis where it says so.
+
+**Motion.** Every smooth piece of every motion is a combination of one small family of functions of the fraction
+`u ∈ [0, 1]` of its duration,
+
+    rate(u) = Σ_m c_m f_m(u),   f = 1, u, u², u³, cos πu, sin πu, cos 2πu, sin 4πu, sin 6πu, sin 8πu
+
+so a piece is ten numbers, its angle is a closed form, and shapes mix in one array without branches. `shape_pieces`
+gives the pieces of each named shape for unit peak rate.
+"""
+
+from math import pi
+from typing import Any
+
+Array = Any
+
+# --- bases ------------------------------------------------------------------------------------------------------------
+
+
+def monomials(x: Array, degree: int) -> Array:
+    """`1, x, …, x^degree` on a new last axis: `(...) -> (..., degree + 1)`."""
+    xp = x.__array_namespace__()
+    columns = [xp.ones_like(x)]
+    for _ in range(degree):
+        columns.append(columns[-1] * x)
+    return xp.stack(columns, axis=-1)
+
+
+def chebyshev(x: Array, degree: int) -> Array:
+    """Chebyshev polynomials of the first kind, `(...) -> (..., degree + 1)`; orthogonal on [-1, 1]."""
+    xp = x.__array_namespace__()
+    columns = [xp.ones_like(x), x]
+    for _ in range(2, degree + 1):
+        columns.append(2.0 * x * columns[-1] - columns[-2])
+    return xp.stack(columns[: degree + 1], axis=-1)
+
+
+def legendre(x: Array, degree: int) -> Array:
+    """Legendre polynomials with P(1) = 1, `(...) -> (..., degree + 1)`; orthogonal on [-1, 1]."""
+    xp = x.__array_namespace__()
+    columns = [xp.ones_like(x), x]
+    for n in range(2, degree + 1):
+        columns.append(((2 * n - 1) * x * columns[-1] - (n - 1) * columns[-2]) / n)
+    return xp.stack(columns[: degree + 1], axis=-1)
+
+
+def bins(x: Array, edges: tuple[float, ...]) -> Array:
+    """Indicator of each bin, `(...) -> (..., len(edges) - 1)`; a value outside belongs to the nearest bin."""
+    xp = x.__array_namespace__()
+    above = [xp.ones_like(x), *(xp.where(x >= e, 1.0, 0.0) for e in edges[1:-1]), xp.zeros_like(x)]
+    return xp.stack([above[i] - above[i + 1] for i in range(len(edges) - 1)], axis=-1)
+
+
+def b_spline(x: Array, knots: tuple[float, ...], degree: int) -> Array:
+    """Clamped B-splines by the Cox–de Boor recursion, `(...) -> (..., len(knots) - 1 + degree)`.
+
+    `knots` are increasing and include both ends; they are repeated at the ends here. Outside them the value at the
+    nearest end holds.
+    """
+    xp = x.__array_namespace__()
+    x = xp.clip(x, knots[0], knots[-1])
+    t = (knots[0],) * degree + tuple(knots) + (knots[-1],) * degree
+    spans = bins(x, tuple(knots))
+    zero = xp.zeros_like(x)
+    values = [zero] * degree + [spans[..., i] for i in range(len(knots) - 1)] + [zero] * degree
+    for d in range(1, degree + 1):
+        raised: list[Array] = []
+        for i in range(len(values) - 1):
+            left, right = t[i + d] - t[i], t[i + d + 1] - t[i + 1]
+            value = zero
+            if left > 0.0:
+                value = value + (x - t[i]) / left * values[i]
+            if right > 0.0:
+                value = value + (t[i + d + 1] - x) / right * values[i + 1]
+            raised.append(value)
+        values = raised
+    return xp.stack(values, axis=-1)
+
+
+# --- motion -----------------------------------------------------------------------------------------------------------
+
+MOTION_TERMS = ("1", "u", "u^2", "u^3", "cos pi u", "sin pi u", "cos 2 pi u", "sin 4 pi u", "sin 6 pi u", "sin 8 pi u")
+
+
+def motion_rate(u: Array) -> Array:
+    """The motion family at the fraction `u` of a piece, `(...) -> (..., 10)`."""
+    xp = u.__array_namespace__()
+    return xp.stack(
+        [
+            xp.ones_like(u),
+            u,
+            u * u,
+            u * u * u,
+            xp.cos(pi * u),
+            xp.sin(pi * u),
+            xp.cos(2 * pi * u),
+            xp.sin(4 * pi * u),
+            xp.sin(6 * pi * u),
+            xp.sin(8 * pi * u),
+        ],
+        axis=-1,
+    )
+
+
+def motion_angle(u: Array) -> Array:
+    """Integral of the motion family from 0 to `u`, `(...) -> (..., 10)`; times the duration it is an angle."""
+    xp = u.__array_namespace__()
+    return xp.stack(
+        [
+            u,
+            u * u / 2,
+            u * u * u / 3,
+            u * u * u * u / 4,
+            xp.sin(pi * u) / pi,
+            (1.0 - xp.cos(pi * u)) / pi,
+            xp.sin(2 * pi * u) / (2 * pi),
+            (1.0 - xp.cos(4 * pi * u)) / (4 * pi),
+            (1.0 - xp.cos(6 * pi * u)) / (6 * pi),
+            (1.0 - xp.cos(8 * pi * u)) / (8 * pi),
+        ],
+        axis=-1,
+    )
+
+
+def _terms(**terms: float) -> tuple[float, ...]:
+    names = ("one", "u", "u2", "u3", "cos1", "sin1", "cos2", "sin4", "sin6", "sin8")
+    return tuple(terms.get(name, 0.0) for name in names)
+
+
+REST = _terms()
+CONSTANT = _terms(one=1.0)
+_COSINE_UP, _COSINE_DOWN = _terms(one=0.5, cos1=-0.5), _terms(one=0.5, cos1=0.5)
+_LINEAR_UP, _LINEAR_DOWN = _terms(u=1.0), _terms(one=1.0, u=-1.0)
+_HALF_SINE, _HALF_SINE_BACK = _terms(sin1=1.0), _terms(sin1=-1.0)
+_RAISED_COSINE = _terms(one=0.5, cos2=-0.5)
+
+SHAPES = ("cosine ramps", "linear ramps", "half sine", "raised cosine", "sinusoid", "spline", "hand")
+RAMPED_SHAPES = ("cosine ramps", "linear ramps")
+
+
+def _uneven(unevenness: float) -> tuple[float, ...]:
+    """½(1 − cos 2πu)(1 + e·sin 6πu), multiplied out: a slow turn by hand, quick and slow by turns."""
+    e = unevenness
+    return _terms(one=0.5, cos2=-0.5, sin4=-e / 4, sin6=e / 2, sin8=-e / 4)
+
+
+def _spline_spans(controls: tuple[float, ...]) -> list[tuple[float, ...]]:
+    """Cubic pieces of a clamped uniform B-spline whose first and last control values are an implied zero.
+
+    Each span's cubic is found from the basis at four points of the span, which is exact for a cubic.
+    """
+    values = (0.0, *controls, 0.0)
+    count = len(values) - 3
+    knots = [0.0] * 3 + [float(i) for i in range(count + 1)] + [float(count)] * 3
+
+    def basis(x: float, span: int) -> list[float]:
+        b = [1.0 if i == span + 3 else 0.0 for i in range(len(knots) - 1)]
+        for d in range(1, 4):
+            for i in range(len(knots) - 1 - d):
+                left, right = knots[i + d] - knots[i], knots[i + d + 1] - knots[i + 1]
+                b[i] = ((x - knots[i]) / left * b[i] if left > 0 else 0.0) + (
+                    (knots[i + d + 1] - x) / right * b[i + 1] if right > 0 else 0.0
+                )
+        return b[: len(values)]
+
+    spans: list[tuple[float, ...]] = []
+    for span in range(count):
+        f0, f1, f2, f3 = (
+            sum(w * v for w, v in zip(basis(span + k / 3, span), values, strict=True)) for k in range(4)
+        )
+        spans.append(
+            _terms(
+                one=f0,
+                u=(-11 * f0 + 18 * f1 - 9 * f2 + 2 * f3) / 2,
+                u2=(18 * f0 - 45 * f1 + 36 * f2 - 9 * f3) / 2,
+                u3=(-9 * f0 + 27 * f1 - 27 * f2 + 9 * f3) / 2,
+            )
+        )
+    return spans
+
+
+def shape_pieces(
+    shape: str, *, cycles: int = 1, controls: tuple[float, ...] = (), unevenness: float = 0.0
+) -> list[tuple[str, float, tuple[float, ...]]]:
+    """The smooth pieces of a shape for unit peak rate, as `(what, share, coefficients)`.
+
+    `what` is "ramp" (lasts the ramp time), "flat" (what the two ramps leave) or "share" (that share of the whole
+    duration). For "spline" the control values are rates relative to the peak rate. Errors: `ValueError` for an unknown shape.
+    """
+    if shape == "cosine ramps":
+        return [("ramp", 1.0, _COSINE_UP), ("flat", 1.0, CONSTANT), ("ramp", 1.0, _COSINE_DOWN)]
+    if shape == "linear ramps":
+        return [("ramp", 1.0, _LINEAR_UP), ("flat", 1.0, CONSTANT), ("ramp", 1.0, _LINEAR_DOWN)]
+    if shape == "half sine":
+        return [("share", 1.0, _HALF_SINE)]
+    if shape == "raised cosine":
+        return [("share", 1.0, _RAISED_COSINE)]
+    if shape == "sinusoid":
+        return [("share", 0.5 / cycles, c) for _ in range(cycles) for c in (_HALF_SINE, _HALF_SINE_BACK)]
+    if shape == "spline":
+        spans = _spline_spans(controls)
+        return [("share", 1.0 / len(spans), c) for c in spans]
+    if shape == "hand":
+        return [("share", 1.0, _uneven(unevenness))]
+    raise ValueError(f"unknown motion shape {shape!r}; known: {', '.join(SHAPES)}")
+
+
+def turned_angle(shape: str, peak_rate: Array, duration: Array, ramp: Array = 0.0) -> Array:
+    """Net angle of a whole move, in peak_rate's angle unit. A spline's depends on its controls: integrate its pieces."""
+    if shape in RAMPED_SHAPES:
+        return peak_rate * (duration - ramp)
+    if shape == "half sine":
+        return 2.0 * peak_rate * duration / pi
+    if shape in ("raised cosine", "hand"):
+        return peak_rate * duration / 2.0
+    if shape == "sinusoid":
+        return 0.0 * peak_rate
+    raise ValueError(f"the angle of shape {shape!r} has no formula in peak rate and duration alone")
+
+
+# --- temperature ------------------------------------------------------------------------------------------------------
+
+
+def lagged_temperature(t: Array, start: Array, slope: Array, excess: Array, lag_rate: Array) -> Array:
+    """Sensor temperature `t` seconds into a stretch on which the chamber moves at a constant slope.
+
+    The chamber stands at `start + slope·t`; the sensor follows `dT/dt = (T_chamber − T)·lag_rate`, so its distance
+    from the steady trail `T_chamber − slope/lag_rate` decays. `excess` is that distance at t = 0, in K, and `start` is
+    the start of the *trail*: without a lag give the chamber's start and `excess = 0`.
+    """
+    xp = t.__array_namespace__()
+    return start + slope * t + excess * xp.exp(-lag_rate * t)
+
+
+# --- maps -------------------------------------------------------------------------------------------------------------
+
+
+def scale_factor_map(temperature_basis: Array, rate_basis: Array, coefficients: Array) -> Array:
+    """`M(T, ω) = Σ_ij ψ_i(T) c_ij χ_j(ω)`: bases `(..., n_T)`, `(..., n_ω)`, coefficients `(n_T, n_ω)` -> `(...)`."""
+    return ((temperature_basis @ coefficients) * rate_basis).sum(-1)

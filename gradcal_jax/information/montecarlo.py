@@ -1,0 +1,103 @@
+"""The Monte Carlo twin: simulate a plan's readings, estimate with the real estimator, compare with the prediction.
+
+The noise is drawn step by step from the timeline's own linear system in NumPy; the estimator whitens the simulated
+readings together with the regressors and solves the least squares: the same code that is fed with a real log.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import chi2
+
+from gradcal_jax.errormodel import GyroModel
+from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
+from gradcal_jax.information.posterior import Posterior, posterior, square_root
+from gradcal_jax.information.regressors import at_readings
+from gradcal_jax.information.whitening import whiten
+from gradcal_jax.plans import Timeline
+
+
+class Twin(NamedTuple):
+    """`errors` `(runs, p)`: estimate minus truth, in the engine's parameters; `predicted`: the posterior they should follow."""
+
+    errors: np.ndarray
+    predicted: Posterior
+
+
+def twin(timeline: Timeline, model: GyroModel, runs: int, seed: int = 0, tile: int = 256) -> Twin:
+    """Simulate `runs` calibrations. Parameters with a prior are drawn from it; flat ones are zero, which costs nothing.
+
+    Errors: `ValueError` where the plan leaves something unobservable, since its estimate would be arbitrary.
+    """
+    steps, columns = noise_steps(timeline, model), at_readings(timeline, model)
+    prior = model.prior_rows()
+    rng = np.random.default_rng(seed)
+    whitened = jnp.concatenate([whiten(steps, columns), prior])
+    known = posterior(square_root(whitened))
+    if known.hidden.shape[1]:
+        raise ValueError("the plan leaves some parameters unobservable, so no estimate of them can be compared: give them a prior")
+    p = model.columns.count
+    rows = np.asarray(prior)
+    errors = []
+    for begin in range(0, runs, tile):
+        size = min(tile, runs - begin)
+        truth = np.linalg.pinv(rows) @ rng.standard_normal((rows.shape[0], size)) if len(rows) else np.zeros((p, size))
+        readings = simulate_noise(steps, size, rng) + np.asarray(columns) @ truth
+        both = np.asarray(whiten(steps, jnp.concatenate([columns, jnp.asarray(readings)], axis=1)))
+        design = np.concatenate([both[:, :p], rows])
+        data = np.concatenate([both[:, p:], np.zeros((len(rows), size))])
+        scale = np.linalg.norm(design, axis=0)
+        estimate = np.linalg.lstsq(design / scale, data, rcond=None)[0] / scale[:, None]
+        errors.append((estimate - truth).T)
+    return Twin(np.concatenate(errors), known)
+
+
+def simulate_noise(steps: NoiseSteps, runs: int, rng: np.random.Generator) -> np.ndarray:
+    """Noise of the readings, `(N, runs)`, drawn from the linear system; a step without a reading has none to use."""
+    transition, observation = np.asarray(steps.transition), np.asarray(steps.observation)
+    noise_root = _roots(np.asarray(steps.covariance))
+    reading_std = np.sqrt(np.asarray(steps.reading_variance))
+    n = observation.shape[1]
+    state = _roots(np.asarray(steps.initial)[None])[0] @ rng.standard_normal((n, runs))
+    readings = np.empty((len(observation), runs))
+    for k in range(len(observation)):
+        state = transition[k] @ state + noise_root[k] @ rng.standard_normal((n, runs))
+        readings[k] = observation[k] @ state + reading_std[k] * rng.standard_normal(runs)
+    return readings
+
+
+def _roots(covariances: np.ndarray) -> np.ndarray:
+    """Square roots of positive semidefinite matrices, singular ones included; scaled first, for their units differ."""
+    scale = np.sqrt(np.einsum("kii->ki", covariances))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariances / (safe[:, :, None] * safe[:, None, :]))
+    return scale[:, :, None] * vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+
+
+class WishartTest(NamedTuple):
+    """Is an empirical covariance consistent with the predicted one? `statistic` against `low … high`."""
+
+    statistic: float
+    low: float
+    high: float
+
+    @property
+    def consistent(self) -> bool:
+        return self.low <= self.statistic <= self.high
+
+
+def wishart_test(errors: np.ndarray, predicted: Posterior, confidence: float = 0.999) -> WishartTest:
+    """Likelihood-ratio test that `runs` errors of zero mean have the predicted covariance.
+
+    With the errors whitened by the prediction and S their mean square, `−2 ln Λ = runs·(tr S − ln det S − p)` is chi-square
+    with p(p+1)/2 degrees of freedom, after Bartlett's factor (Muirhead, Aspects of Multivariate Statistical Theory, 8.4).
+    """
+    runs, p = errors.shape
+    white = np.linalg.lstsq(predicted.spread, errors.T, rcond=None)[0]
+    mean_square = white @ white.T / runs
+    log_ratio = runs * (np.trace(mean_square) - np.linalg.slogdet(mean_square)[1] - p)
+    bartlett = 1.0 - (2 * p**2 + 3 * p - 1) / (6.0 * runs * (p + 1))
+    degrees = p * (p + 1) / 2
+    tail = (1.0 - confidence) / 2
+    return WishartTest(float(bartlett * log_ratio), float(chi2.ppf(tail, degrees)), float(chi2.isf(tail, degrees)))

@@ -1,0 +1,55 @@
+"""Triangular factors that differentiate safely, and the solves that go with them.
+
+A square-root information matrix is an upper triangular `R` with `RᵀR = AᵀA` for stacked whitened rows `A`. Nothing here
+inverts a matrix, and nothing adds an absolute jitter: in radians a diagonal of 1e-9 is larger than the signal.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float
+
+
+@jax.custom_jvp
+def triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
+    """Upper triangular `R`, diagonal not negative, with `RᵀR = rowsᵀ rows`, by QR.
+
+    The derivative follows from `d(RᵀR) = dRᵀR + RᵀdR`: with `S = R⁻ᵀ d(rowsᵀrows) R⁻¹`, `dR = (upper(S) + ½diag(S)) R`. JAX's
+    own rule for QR divides by zero for rows that do not span the space; here such directions (a zero on R's diagonal)
+    contribute nothing, so every function of `RᵀR` that has a derivative gets it, and none gets NaN.
+    """
+    n, p = rows.shape
+    if n < p:
+        rows = jnp.concatenate([rows, jnp.zeros((p - n, p), rows.dtype)])
+    factor = jnp.linalg.qr(rows, mode="r")
+    sign = jnp.where(jnp.diagonal(factor) < 0.0, -1.0, 1.0).astype(rows.dtype)
+    return jnp.triu(factor * sign[:, None])
+
+
+@triangular_factor.defjvp
+def _triangular_factor_jvp(primals, tangents):
+    (rows,), (d_rows,) = primals, tangents
+    factor = triangular_factor(rows)
+    diagonal = jnp.diagonal(factor)
+    eps = jnp.finfo(rows.dtype).eps
+    dead = diagonal <= rows.shape[1] * eps * jnp.max(diagonal, initial=0.0)
+    safe = factor + jnp.diag(jnp.where(dead, 1.0 - diagonal, 0.0))
+    cross = rows.T @ d_rows
+    half = solve_triangular(safe, cross + cross.T, trans=1, lower=False)
+    inner = solve_triangular(safe, half.T, trans=1, lower=False)
+    alive = jnp.where(dead, 0.0, 1.0).astype(rows.dtype)
+    inner = inner * alive[:, None] * alive[None, :]
+    upper = jnp.triu(inner, 1) + 0.5 * jnp.diag(jnp.diagonal(inner))
+    return factor, upper @ factor
+
+
+def solve_transposed(factor: Float[Array, "p p"], right: Float[Array, "p m"]) -> Float[Array, "p m"]:
+    """`R⁻ᵀ right` for upper triangular `R`: the columns' norms squared are `rightᵀ (RᵀR)⁻¹ right`."""
+    return solve_triangular(factor, right, trans=1, lower=False)
+
+
+def column_norms(rows: Float[Array, "n p"]) -> Float[Array, " p"]:
+    """Euclidean norm of each column, 1 where a column is zero; its derivative is zero there, not NaN."""
+    square = jnp.sum(rows * rows, axis=0)
+    alive = square > 0.0
+    return jnp.where(alive, jnp.sqrt(jnp.where(alive, square, 1.0)), 1.0)

@@ -44,6 +44,7 @@ __all__ = [
     "format_quantity",
     "parse",
     "to_unit",
+    "unit_of",
 ]
 
 
@@ -514,6 +515,17 @@ def dimension_of(unit: str) -> str:
         if dimension.powers == found.powers and dimension.name != "temperature":
             return dimension.name
     raise UnitError(f"unit '{unit}' measures no quantity of this program")
+
+
+def unit_of(text: str) -> str:
+    """The unit of a quantity's text: ``unit_of("0.05 deg") == "deg"``; that of the first part of '2 h 40 min'."""
+    plain = text.strip(" ").translate(_SAME)
+    number = _NUMBER.match(plain)
+    unit = plain[number.end() :].lstrip(" ") if number else ""
+    compound = re.match(r"([A-Za-z]+|[°′'″\"]) *[0-9]", unit)
+    unit = compound.group(1) if compound else unit
+    dimension_of(unit)
+    return unit
 
 
 def _in_unit(value: float, unit: _Unit) -> Decimal:

@@ -41,7 +41,9 @@ class Problem:
         return replace(self, key=(*prefix, *self.key))
 
     def __str__(self) -> str:
-        where = self.dotted or "file"
+        where = self.dotted
+        if not where:
+            return self.message
         if isinstance(self.value, _Absent):
             return f"{where}: {self.message}"
         return f"{where} = {shown(self.value)}: {self.message}"

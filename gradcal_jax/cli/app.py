@@ -1,0 +1,75 @@
+"""The command line as a whole: which commands there are, and what becomes of their errors."""
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Final, TextIO
+
+from cyclopts import App, CycloptsError
+
+import gradcal_jax
+from gradcal_jax.cli import check, new, schema
+from gradcal_jax.cli.console import complain, is_plain
+
+DONE: Final = 0
+WRONG_INPUT: Final = 2
+INTERRUPTED: Final = 130
+
+_HELP: Final = """Calibration plans for gyros: what they will leave, known beforehand.
+
+A spec file says what sensor, rig and plan are. Begin with `gradcal new --list`.
+"""
+
+
+def build() -> App:
+    """The application with every command family registered."""
+    app = App(
+        name="gradcal",
+        help=_HELP,
+        version=gradcal_jax.__version__,
+        help_formatter="plain" if is_plain(sys.stdout) else "default",
+    )
+    for family in (new, check, schema):
+        family.register(app)
+    return app
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Parse and run one command line; every foreseeable failure is a sentence on stderr and an exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        _never_fail_to_print(stream)
+    try:
+        app = build()
+        tokens = sys.argv[1:] if arguments is None else list(arguments)
+        command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
+        status = command(*bound.args, **bound.kwargs)
+        sys.stdout.flush()
+        return status if isinstance(status, int) else DONE
+    except CycloptsError as error:
+        complain(f"{error}\nSee gradcal --help.")
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader has gone (`gradcal … | head`); keep the interpreter from complaining about it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except (ValueError, OSError) as error:
+        if os.environ.get("GRADCAL_TRACEBACK"):
+            raise
+        complain(_sentence(error))
+        return WRONG_INPUT
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
+
+
+def _never_fail_to_print(stream: TextIO) -> None:
+    """A terminal that cannot show ° or √ shows something else, not a traceback."""
+    reconfigure = getattr(stream, "reconfigure", None)
+    if reconfigure is not None:
+        reconfigure(errors="replace")

@@ -1,0 +1,202 @@
+"""`gradcal check`: everything wrong with a spec at once; if nothing is, what its plan does."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+if TYPE_CHECKING:
+    from gradcal_jax.files import Spec
+    from gradcal_jax.files.moves import ResolvedMove
+    from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, StandardSchedule
+
+_MOST_ROWS = 24
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(check)
+
+
+def check(spec: Path, /, *, files_only: Annotated[bool, Parameter(negative="")] = False) -> int:
+    """Say all that is wrong with a spec, or what its plan does.
+
+    If nothing is wrong, it also says what the plan cannot observe.
+
+    Parameters
+    ----------
+    spec
+        The spec file.
+    files_only
+        Leave out what the plan cannot observe, which takes a few seconds to work out.
+    """
+    from gradcal_jax.cli.console import strong
+    from gradcal_jax.files import read_spec
+
+    found = read_spec(spec)
+    print(strong(found.title or str(spec)))
+    print(summary(found))
+    blind = [] if files_only else unobservable(found)
+    for sentence in blind:
+        print(f"cannot be observed: {sentence}")
+    print("the spec is sound" + ("; see what it cannot observe" if blind else ""))
+    return 0
+
+
+def unobservable(spec: "Spec") -> list[str]:
+    """A sentence for each combination of parameters that the plan cannot observe."""
+    import importlib.util
+
+    if importlib.util.find_spec("gradcal_jax.assemble") is None:
+        return []
+    from gradcal_jax.cli.precision import use_float64
+
+    use_float64()
+    assemble = importlib.import_module("gradcal_jax.assemble")
+    answer = getattr(assemble, "unobservable", None)
+    return [] if answer is None else list(answer(spec))
+
+
+def summary(spec: "Spec") -> str:
+    """What the plan does, in lines of plain text, from the file alone."""
+    from gradcal_jax.files.schedule import GradientSchedule
+
+    schedule = spec.schedule
+    lines = _gradient(schedule) if isinstance(schedule, GradientSchedule) else _standard(schedule)
+    return "\n".join([*_sensor(spec), *lines, *(f"note: {note}" for note in notes(spec))])
+
+
+def _sensor(spec: "Spec") -> list[str]:
+    parts: list[str] = []
+    if spec.sensor.bias is not None:
+        parts.append(f"bias ({spec.sensor.bias.size})")
+    if spec.sensor.scale_factor is not None:
+        parts.append(f"scale factor ({spec.sensor.scale_factor.size})")
+    if spec.sensor.bias_temperature_gradient is not None:
+        parts.append("bias temperature gradient (1)")
+    lines = [f"to be found: {', '.join(parts)}"]
+    for requirement in spec.requirement:
+        box = f"{requirement.temperature[0]} to {requirement.temperature[1]}"
+        if requirement.quantity == "scale_factor":
+            box += f", {requirement.rate[0]} to {requirement.rate[1]}"
+        target = f", target {requirement.target}" if requirement.target is not None else ""
+        what = requirement.quantity.replace("_", " ")
+        lines.append(f'required: "{requirement.name}": {what}, {requirement.statistic}, {box}{target}')
+    return lines
+
+
+def _times(duration: float, soak: float, motion: float, motion_name: str) -> str:
+    from gradcal_jax.cli.console import time_text
+
+    return f"{time_text(duration)} in all: soak {time_text(soak)}, {motion_name} {time_text(motion)}"
+
+
+def _standard(schedule: "StandardSchedule") -> list[str]:
+    from gradcal_jax.cli.console import time_text
+
+    temperatures = ", ".join(f"{temperature:g}" for temperature in schedule.temperatures)
+    lines = [
+        "plan: standard method, " + _times(schedule.duration, schedule.soak, schedule.motion, "integration"),
+        f"  at {temperatures} degC: soak {time_text(schedule.soak_each)}",
+    ]
+    rates = ", ".join(f"{math.degrees(rate):g}" for rate in schedule.rates)
+    at = f"at {rates} deg/s" if any(schedule.rates) else "standing still"
+    lines.append(f"  {at}: {time_text(schedule.integration)} each; {len(schedule.points)} points")
+    return lines
+
+
+def _gradient(schedule: "GradientSchedule") -> list[str]:
+    from gradcal_jax.cli.console import columns, time_text
+
+    total = _times(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
+    lines = [f"plan: gradient method, {total}; {len(schedule.segments)} segments"]
+    rows: list[tuple[str, ...]] = []
+    for segment in schedule.segments[:_MOST_ROWS]:
+        where = f"{segment.temperature_start:.5g}"
+        if segment.kind != "soak":
+            where += f" -> {segment.temperature_end:.5g}"
+        slope = "" if segment.kind == "soak" else f"{60.0 * segment.slope:+.4g} K/min"
+        used = "" if segment.used else "not used"
+        rows.append(
+            (f"at {time_text(segment.start)}", segment.kind, time_text(segment.duration), f"{where} degC", slope, used)
+        )
+    lines.append(columns(rows))
+    if len(schedule.segments) > _MOST_ROWS:
+        lines.append(f"  … and {len(schedule.segments) - _MOST_ROWS} more")
+    if schedule.cycle is not None:
+        lines += _cycle(schedule.cycle, schedule)
+    elif schedule.read_every is not None:
+        lines.append(f"  the axis stands and is read every {time_text(schedule.read_every)}")
+    lines.append(f"readings: {schedule.readings}")
+    return lines
+
+
+def _cycle(cycle: "ResolvedCycle", schedule: "GradientSchedule") -> list[str]:
+    from gradcal_jax.cli.console import columns, time_text
+
+    parts = [f"moves {time_text(cycle.moving)}"]
+    if cycle.other:
+        read = "not read" if cycle.other_read_every is None else f"read every {time_text(cycle.other_read_every)}"
+        parts.append(f"other axes {time_text(cycle.other)} ({read})")
+    if cycle.idle:
+        parts.append(f"standing {time_text(cycle.idle)} (not read)")
+    lines = [f"cycle: {time_text(cycle.duration)}, made {schedule.cycles} times: {', '.join(parts)}"]
+    lines.append(columns([_move(move) for move in cycle.moves[:_MOST_ROWS]], right=(0,)))
+    if len(cycle.moves) > _MOST_ROWS:
+        lines.append(f"  … and {len(cycle.moves) - _MOST_ROWS} more")
+    return lines
+
+
+def _move(move: "ResolvedMove") -> tuple[str, ...]:
+    from gradcal_jax.cli.console import time_text
+
+    count = f"{move.repeat} ×" if move.repeat > 1 else ""
+    if move.read_every is not None:
+        read = f"read every {time_text(move.read_every)}"
+    else:
+        read = "read at the end" if move.read_end else "not read"
+    if move.is_rest:
+        return (count, move.axis, "rest", time_text(move.duration), "", "", "", read)
+    return (
+        count,
+        move.axis,
+        move.shape,
+        time_text(move.duration),
+        f"{math.degrees(move.angle):+.6g} deg",
+        f"up to {math.degrees(move.fastest):.4g} deg/s",
+        f"{math.degrees(move.peak_acceleration):.4g} deg/s^2",
+        read,
+    )
+
+
+def notes(spec: "Spec") -> list[str]:
+    """What is no fault but worth knowing: time left over, and requirements further out than the plan goes."""
+    from gradcal_jax.cli.console import time_text
+    from gradcal_jax.files.schedule import GradientSchedule
+
+    said: list[str] = []
+    schedule = spec.schedule
+    if isinstance(schedule, GradientSchedule):
+        used = [segment for segment in schedule.segments if segment.used]
+        visited = [t for segment in used for t in (segment.temperature_start, segment.temperature_end)]
+        rates = [move.fastest for move in schedule.cycle.moves] if schedule.cycle is not None else [0.0]
+        left = sum(stretch.leftover for stretch in schedule.stretches)
+        if schedule.cycle is not None and left > 0.0:
+            said.append(f"after the last cycle's moves the axis stands for {time_text(left)}")
+    else:
+        visited, rates = list(schedule.temperatures), [abs(rate) for rate in schedule.rates]
+        if any(schedule.rates) and spec.rig.table.rate_accuracy is None:
+            said.append("rig.table.rate_accuracy is absent: the reference rate counts as exact")
+    low, high = min(visited), max(visited)
+    for requirement in spec.requirement:
+        if requirement.temperature[0] < low - 1e-6 or requirement.temperature[1] > high + 1e-6:
+            said.append(f'requirement "{requirement.name}" goes beyond the plan\'s {low:.5g} to {high:.5g} degC')
+        if requirement.quantity == "scale_factor":
+            asked = max(abs(rate) for rate in requirement.rate)
+            if asked > max(rates) * (1.0 + 1e-6):
+                reached = math.degrees(max(rates))
+                said.append(
+                    f'requirement "{requirement.name}" goes beyond the plan\'s fastest rate, {reached:.5g} deg/s'
+                )
+    return said

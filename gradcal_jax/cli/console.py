@@ -1,0 +1,49 @@
+"""Printing: plain text unless a terminal asks for more; answers on stdout, complaints on stderr."""
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import TextIO
+
+
+def is_plain(stream: TextIO) -> bool:
+    """Whether a stream gets text without any escape sequences."""
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return True
+    return not stream.isatty()
+
+
+def strong(text: str) -> str:
+    """Bold on a terminal."""
+    return text if is_plain(sys.stdout) else f"\x1b[1m{text}\x1b[0m"
+
+
+def complain(text: str) -> None:
+    """An error's sentence on stderr."""
+    mark = "gradcal: " if is_plain(sys.stderr) else "\x1b[1;31mgradcal:\x1b[0m "
+    print(mark + text, file=sys.stderr, flush=True)
+
+
+def columns(rows: Sequence[Sequence[str]], *, indent: str = "  ", right: Sequence[int] = ()) -> str:
+    """Rows as aligned text; the columns numbered in `right` are flush right."""
+    if not rows:
+        return ""
+    widths = [max(len(row[i]) for row in rows if i < len(row)) for i in range(max(len(row) for row in rows))]
+    lines: list[str] = []
+    for row in rows:
+        cells = [cell.rjust(widths[i]) if i in right else cell.ljust(widths[i]) for i, cell in enumerate(row)]
+        lines.append((indent + "  ".join(cells)).rstrip())
+    return "\n".join(lines)
+
+
+def time_text(seconds: float) -> str:
+    """Hours, minutes and seconds as people say them: '2 h 40 min', '45.45 s'."""
+    if seconds < 120.0:
+        return f"{seconds:.4g} s"
+    whole = round(seconds)
+    hours, rest = divmod(whole, 3600)
+    minutes, left = divmod(rest, 60)
+    parts = [f"{hours} h"] if hours else []
+    parts += [f"{minutes} min"] if minutes else []
+    parts += [f"{left} s"] if left and hours < 10 else []
+    return " ".join(parts) if parts else "0 s"

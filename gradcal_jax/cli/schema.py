@@ -1,0 +1,35 @@
+"""`gradcal schema`: JSON Schema of every file and contract."""
+
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(schema)
+
+
+def schema(
+    name: str | None = None, /, *, listing: Annotated[bool, Parameter(name="--list", negative="")] = False
+) -> int:
+    """Print the JSON Schema of a file or contract.
+
+    Parameters
+    ----------
+    name
+        Its name: spec, timeline, prediction.
+    listing
+        List the names.
+    """
+    import json
+
+    from gradcal_jax.files import schemas
+
+    if listing:
+        print("\n".join(schemas.names()))
+        return 0
+    if name is None:
+        raise ValueError(f"which one? Known: {', '.join(schemas.names())}")
+    print(json.dumps(schemas.schema(name), indent=2, ensure_ascii=False))
+    return 0

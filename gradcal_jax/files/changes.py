@@ -1,0 +1,98 @@
+"""Changing single keys of a spec by their dotted names: for sweeps, scenarios, sensitivities and optimised plans.
+
+    changed(spec, {"plan.cycle.moves[1].peak_rate": 3.1, "rig.table.angle.reading_noise": "30 arcsec"})
+
+A plain number for a key that holds a quantity is SI (°C for temperatures) and is written in the unit that stood there.
+"""
+
+import copy
+import re
+from collections.abc import Mapping
+from typing import Any, Final, cast
+
+from gradcal_jax import units
+from gradcal_jax.files.problems import Key, Problem, SpecError, dotted, nearest
+from gradcal_jax.files.spec import Spec, spec_of
+
+_PART: Final = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_-]*)|\[([0-9]{1,9})\]")
+
+
+def split_key(text: str) -> Key:
+    """``"plan.cycle.moves[2].rest"`` -> ``("plan", "cycle", "moves", 2, "rest")``. Raises `ValueError`."""
+    parts: list[str | int] = []
+    at = 0
+    while at < len(text):
+        match = _PART.match(text, at)
+        if match is None:
+            raise ValueError(f"'{text}' is not a key; expected one such as 'plan.cycle.moves[0].rest'")
+        parts.append(match.group(1) if match.group(1) is not None else int(match.group(2)))
+        at = match.end()
+    if not parts or not isinstance(parts[0], str):
+        raise ValueError(f"'{text}' is not a key; expected one such as 'plan.gradient'")
+    return tuple(parts)
+
+
+def tables_of(spec: Spec) -> dict[str, Any]:
+    """The spec as the tables of its file: texts, numbers, lists; free to change."""
+    return cast("dict[str, Any]", spec.model_dump(mode="json", exclude_unset=True))
+
+
+def changed(spec: Spec, changes: Mapping[str, object], source: str = "") -> Spec:
+    """A new spec with some keys set (None removes a key). Raises `SpecError` for unknown keys and bad values."""
+    tables = tables_of(spec)
+    problems: list[Problem] = []
+    for text, value in changes.items():
+        try:
+            _put(tables, split_key(text), value)
+        except SpecError as error:
+            problems += error.problems
+        except ValueError as error:
+            problems.append(Problem((text,), str(error), value))
+    if problems:
+        raise SpecError(problems, source)
+    return spec_of(tables, source)
+
+
+def _put(tables: dict[str, Any], key: Key, value: object) -> None:
+    here: Any = tables
+    for depth, part in enumerate(key[:-1]):
+        if isinstance(part, str) and isinstance(here, dict) and part not in here:
+            cast("dict[str, Any]", here)[part] = {}
+        here = _inside(here, part, key[: depth + 1])
+    last = key[-1]
+    if isinstance(here, dict) and isinstance(last, str):
+        table = cast("dict[str, Any]", here)
+        if value is None:
+            table.pop(last, None)
+        else:
+            table[last] = _dressed(table.get(last), value)
+        return
+    old = _inside(here, last, key)
+    here[last] = _dressed(old, value)
+
+
+def _inside(here: Any, part: str | int, key: Key) -> Any:
+    if isinstance(part, int):
+        if not isinstance(here, list):
+            raise SpecError([Problem(key, "there is no list here")])
+        entries = cast("list[Any]", here)
+        if part >= len(entries):
+            raise SpecError([Problem(key, f"the list has {len(entries)} entries, counted from 0")])
+        return entries[part]
+    if not isinstance(here, dict):
+        raise SpecError([Problem(key, "there is no table here")])
+    table = cast("dict[str, Any]", here)
+    if part not in table:  # pragma: no cover - tables are made on the way
+        close = nearest(part, table)
+        raise SpecError([Problem(key, "there is no such key" + (f'; nearest: "{close}"' if close else ""))])
+    return table[part]
+
+
+def _dressed(old: object, value: object) -> object:
+    """`value` as the file writes it: an SI number takes the unit of the text that stood there."""
+    if isinstance(value, float | int) and not isinstance(value, bool) and isinstance(old, str):
+        return units.format_quantity(float(value), units.unit_of(old))
+    return copy.deepcopy(value) if isinstance(value, dict | list) else value
+
+
+__all__ = ["changed", "dotted", "split_key", "tables_of"]

@@ -1,0 +1,110 @@
+"""Writing models back as TOML: the texts of quantities as they were read, and nothing that was left to its default."""
+
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, cast
+
+import tomlkit
+from tomlkit.items import AoT, Array, InlineTable, Table
+
+from gradcal_jax.files.section import Section
+
+# Tables short enough for one line, and lists whose tables are best read one a line.
+_INLINE: Final = frozenset({"temperature", "rate", "soak", "other_axes", "discrepancy"})
+_TRAILING: Final = frozenset({"axis", "repeat", "read", "read_every", "used"})
+_LISTED: Final = frozenset({"moves", "programme", "harmonics"})
+
+
+def to_toml(model: Section, *, header: str = "") -> str:
+    """The model as TOML text, `header` above it as comment lines."""
+    document = tomlkit.document()
+    for line in header.splitlines():
+        document.add(tomlkit.comment(line))
+    tables = cast("dict[str, Any]", model.model_dump(mode="json", exclude_unset=True))
+    for name, value in _scalars_first(tables):
+        document.add(name, _item(name, value))
+    return tomlkit.dumps(document)  # pyright: ignore[reportUnknownMemberType]
+
+
+def write_toml(model: Section, path: str | Path, *, header: str = "") -> None:
+    """Write the model, whole or not at all."""
+    write_whole(path, to_toml(model, header=header))
+
+
+def write_whole(path: str | Path, text: str) -> None:
+    """Write a text under a passing name beside its goal and move it there, so that no half file is ever seen."""
+    path = Path(path)
+    handle, passing = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
+        umask = os.umask(0)
+        os.umask(umask)
+        Path(passing).chmod(0o666 & ~umask)
+        Path(passing).replace(path)
+    except BaseException:
+        Path(passing).unlink(missing_ok=True)
+        raise
+
+
+def _scalars_first(table: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """TOML wants a table's own keys before its subtables."""
+    return sorted(table.items(), key=lambda entry: _opens_table(entry[0], entry[1]))
+
+
+def _opens_table(name: str, value: object) -> bool:
+    if isinstance(value, Mapping):
+        return name not in _INLINE
+    return _is_tables(value) and name not in _LISTED
+
+
+def _is_tables(value: object) -> bool:
+    if not isinstance(value, list) or not value:
+        return False
+    return all(isinstance(entry, Mapping) for entry in cast("list[object]", value))
+
+
+def _item(name: str, value: Any) -> Any:
+    if isinstance(value, Mapping):
+        table = cast("Mapping[str, Any]", value)
+        return _inline(table) if name in _INLINE else _table(table)
+    if _is_tables(value):
+        entries = cast("list[Mapping[str, Any]]", value)
+        return _list(entries) if name in _LISTED else _tables(entries)
+    return cast("Any", tomlkit.item(value))  # pyright: ignore[reportUnknownMemberType]
+
+
+def _table(value: Mapping[str, Any]) -> Table:
+    table = tomlkit.table()
+    for name, entry in _scalars_first(value):
+        table.add(name, _item(name, entry))
+    return table
+
+
+def _tables(entries: list[Mapping[str, Any]]) -> AoT:
+    tables = tomlkit.aot()
+    for entry in entries:
+        tables.append(_table(entry))  # pyright: ignore[reportUnknownMemberType]
+    return tables
+
+
+def _inline(value: Mapping[str, Any]) -> InlineTable:
+    table = tomlkit.inline_table()
+    # What an entry is comes before how it is read and by which axis.
+    for name, entry in sorted(value.items(), key=lambda item: item[0] in _TRAILING):
+        table.append(name, _inline(cast("Mapping[str, Any]", entry)) if isinstance(entry, Mapping) else _short(entry))
+    return table
+
+
+def _short(value: object) -> object:
+    """5 for 5.0: numbers without unit count things (turns)."""
+    return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 1e9 else value
+
+
+def _list(entries: list[Mapping[str, Any]]) -> Array:
+    array = tomlkit.array()
+    for entry in entries:
+        array.append(_inline(entry))  # pyright: ignore[reportUnknownMemberType]
+    return array.multiline(True)

@@ -1,0 +1,55 @@
+"""What the decoders of IMU streams share: building and joining batches, and counting what is missing."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..roles import ImuBatch
+
+STANDARD_GRAVITY = 9.80665  # m/s² in one g of every data sheet here
+
+
+def join(batches: Sequence[ImuBatch]) -> ImuBatch:
+    """One batch of several; of none, an empty one."""
+    if not batches:
+        return ImuBatch(
+            host_time_s=np.zeros(0),
+            device_time_s=np.zeros(0),
+            gyro_dps=np.zeros((0, 3)),
+            acceleration_g=np.zeros((0, 3)),
+            temperature_c=np.zeros((0, 3)),
+            raw_gyro=np.zeros((0, 3), np.int32),
+            status=np.zeros(0, np.int64),
+            gap_before=np.zeros(0, np.int64),
+        )
+    names = ImuBatch.__dataclass_fields__
+    return ImuBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names})
+
+
+class GapCounter:
+    """Unwraps a sample counter and says how many samples are missing before each one.
+
+    A counter that wraps after `modulus` samples cannot show the loss of a whole number of wraps by itself. Where the
+    stream was disturbed the host's clock says how many wraps went by; where it was not, a late chunk is only late.
+    """
+
+    def __init__(self, *, step: int, modulus: int, ticks_per_s: float) -> None:
+        self._step, self._modulus, self._ticks_per_s = step, modulus, ticks_per_s
+        self._count = 0
+        self._last_raw: int | None = None
+        self._last_host_s = 0.0
+
+    def push(
+        self, raw: NDArray[np.int64], host_time_s: float, *, disturbed: bool
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Unwrapped counts and gaps of samples that came together; `disturbed`: bytes were lost before the first."""
+        previous = raw[0] - self._step if self._last_raw is None else self._last_raw
+        delta = np.mod(np.diff(raw, prepend=previous), self._modulus)
+        delta[delta == 0] = self._modulus
+        if disturbed and self._last_raw is not None:
+            elapsed = (host_time_s - self._last_host_s) * self._ticks_per_s
+            delta[0] += self._modulus * max(0, round((elapsed - float(delta[0])) / self._modulus))
+        counts = self._count + np.cumsum(delta)
+        self._count, self._last_raw, self._last_host_s = int(counts[-1]), int(raw[-1]), host_time_s
+        return counts, delta // self._step - 1

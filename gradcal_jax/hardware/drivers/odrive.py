@@ -1,0 +1,346 @@
+"""ODrive motor controllers, firmware 0.5.x and 0.6.x: the ASCII protocol, with check sums.
+
+Sources: ODrive's repository (documentation and firmware 0.5.6) and the enumerations of its 0.6.11 package. 115200 8N1.
+A request that ends in `*` and the decimal exclusive or of its characters is answered with one; a damaged request
+*vanishes without an answer*. Commands of motion are never answered: the driver reads back what the controller took for
+its input. `t` leaves the controller in trapezoid mode, in which a later `v` is silently ignored, so that the input mode
+is set and verified before every move. An invalid encoder estimate is printed as 0.0, so that readiness is asked for
+with every position. `q` and `c` are not used.
+
+**Watchdog**: fed by every motion command and by `heartbeat()`. When it expires the motor goes idle and *coasts*: an
+unbalanced gimbal falls. `safe('hold')` therefore switches the watchdog off before it leaves the motor powered.
+
+Unverified on real hardware: the property names, which change between versions of the firmware and are options
+(`ready_property`, `error_property`, `input_velocity_property`, `input_position_property`); that `v` is ignored in
+trapezoid mode (read from the source). The position counts from where the encoder found its index or was switched on:
+there is no homing by default (`home_state` 11 asks the controller to).
+"""
+
+import re
+from dataclasses import dataclass
+
+from ..checksums import xor8
+from ..clock import Clock
+from ..errors import ChecksumError, DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, printable
+from ..exchange import Exchange, until_shown
+from ..framing import LineFramer
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
+from ..transport import Transport
+
+IDLE, CLOSED_LOOP = 1, 8
+VELOCITY_RAMP, TRAPEZOID = 2, 5
+VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
+
+ERRORS_05 = {
+    0x1: "invalid state",
+    0x40: "motor failed",
+    0x80: "sensorless estimator failed",
+    0x100: "encoder failed",
+    0x200: "controller failed",
+    0x800: "watchdog expired",
+    0x1000: "lower end stop pressed",
+    0x2000: "upper end stop pressed",
+    0x4000: "emergency stop",
+}
+ERRORS_06 = {
+    0x1: "initialising",
+    0x20: "driver fault",
+    0x100: "over-voltage",
+    0x200: "under-voltage",
+    0x1000: "current limit",
+    0x2000: "motor temperature",
+    0x4000: "inverter temperature",
+    0x8000: "velocity limit",
+    0x10000: "position limit",
+    0x01000000: "watchdog expired",
+    0x02000000: "emergency stop",
+    0x04000000: "spin-out detected",
+    0x40000000: "calibration error",
+}
+_REFUSALS = ("invalid command format", "invalid motor", "invalid property", "not implemented", "unknown command")
+_NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+_FEEDBACK = re.compile(rf"({_NUMBER}) ({_NUMBER})")
+_STANDING_TURNS_PER_S = 1e-3
+
+
+@dataclass(frozen=True)
+class ODriveConfig:
+    """Options of the rig file. `generation` is the firmware's, "0.5" or "0.6"; zero `watchdog_s`: no watchdog."""
+
+    motor: int = 0
+    generation: str = "0.5"
+    baudrate: int = 115200
+    reply_timeout_s: float = 0.3
+    poll_s: float = 0.05
+    watchdog_s: float = 1.0
+    turns_per_table_turn: float = 1.0
+    direction: int = 1
+    zero_deg: float = 0.0
+    max_rate_dps: float = 300.0
+    max_acceleration_dps2: float = 300.0
+    lowest_deg: float | None = None
+    highest_deg: float | None = None
+    in_position_deg: float = 0.05
+    home_state: int = 0
+    home_timeout_s: float = 60.0
+    stop_timeout_s: float = 30.0
+    ready_property: str = "encoder.is_ready"
+    error_property: str = ""
+    input_velocity_property: str = "controller.input_vel"
+    input_position_property: str = "controller.input_pos"
+
+    def __post_init__(self) -> None:
+        if self.generation not in ("0.5", "0.6"):
+            raise ValueError(f"generation is {self.generation!r}; the driver knows firmware '0.5' and '0.6'.")
+        if self.motor not in (0, 1) or self.direction not in (-1, 1) or not self.turns_per_table_turn > 0.0:
+            raise ValueError("motor is 0 or 1, direction is 1 or -1, turns_per_table_turn is above zero.")
+
+    @property
+    def errors_in(self) -> str:
+        return self.error_property or ("error" if self.generation == "0.5" else "active_errors")
+
+
+# ------------------------------------------------------------------------------------------------------------ codec
+
+
+def request(words: str) -> bytes:
+    return f"{words}*{xor8(words.encode())}\n".encode("ascii")
+
+
+def parse_line(frame: bytes) -> str:
+    """Text of a reply whose check sum fits. Raises `ChecksumError` also where there is none: one was asked for."""
+    body, star, check = frame.rpartition(b"*")
+    if not star or check != str(xor8(body)).encode():
+        raise ChecksumError(f"The reply {printable(frame)!r} fails its check sum. Check the line's shielding.")
+    text = body.decode("ascii", "replace").strip()
+    if text.startswith(_REFUSALS):
+        raise Rejected(f"The controller refuses: {text}.", code=text)
+    return text
+
+
+def parse_feedback(frame: bytes) -> tuple[float, float]:
+    """Position (turns) and velocity (turns/s) of the reply to `f`."""
+    match = _FEEDBACK.fullmatch(parse_line(frame))
+    if match is None:
+        raise FramingError(f"f was answered {printable(frame)!r}; position and velocity were expected.")
+    return float(match[1]), float(match[2])
+
+
+def parse_number(frame: bytes) -> float:
+    text = parse_line(frame)
+    if re.fullmatch(_NUMBER, text) is None:
+        raise FramingError(f"A property was answered {printable(frame)!r}; a number was expected.")
+    return float(text)
+
+
+def decimal(value: float) -> str:
+    """At most seven digits, never exponential: the controller reads `%f`."""
+    text = f"{value:.7f}".rstrip("0").rstrip(".")
+    return "0" if text in ("", "-0") else text
+
+
+# ----------------------------------------------------------------------------------------------------------- driver
+
+
+def open_exchange(transport: Transport, clock: Clock, config: ODriveConfig) -> Exchange:
+    return Exchange(
+        transport,
+        LineFramer(b"\r\n"),
+        clock=clock,
+        device="The ODrive controller",
+        reply_timeout_s=config.reply_timeout_s,
+    )
+
+
+class ODriveAxis:
+    """Role `MotionAxis`. Both motors of one board share an exchange."""
+
+    def __init__(self, exchange: Exchange, config: ODriveConfig) -> None:
+        self._exchange = exchange
+        self._config = config
+        self._clock = exchange.clock
+        self._target_turns: float | None = None
+        self._spinning = False
+
+    def identify(self) -> Identity:
+        with self._exchange.lock:
+            self._exchange.tell(request("i"))
+            lines = self._exchange.transport.read(self._config.reply_timeout_s)
+            lines += self._exchange.transport.drain(self._config.reply_timeout_s)
+        texts = [parse_line(line) for line in lines.split(b"\r\n") if line]
+        if len(texts) != 3:
+            raise FramingError(
+                f"The controller at {self._exchange.transport.url} answered `i` with {printable(lines)!r}; hardware, "
+                "firmware and serial number were expected. Check port and baud rate."
+            )
+        values = [text.partition(":")[2].strip() or text for text in texts]
+        return Identity("odrive", values[0], values[2], values[1])
+
+    def limits(self) -> AxisLimits:
+        config = self._config
+        fastest = abs(self._property("controller.config.vel_limit")) * 360.0 / config.turns_per_table_turn
+        return AxisLimits(
+            min(config.max_rate_dps, fastest),
+            config.max_acceleration_dps2,
+            config.lowest_deg,
+            config.highest_deg,
+            360e-6 / config.turns_per_table_turn,
+            hardware_watchdog=config.watchdog_s > 0.0,
+        )
+
+    def read(self) -> AxisReading:
+        config = self._config
+        turns, turns_per_s = self._exchange.ask(request(f"f {config.motor}"), parse_feedback)
+        time_s = self._clock.now()
+        errors = self._faults()
+        ready = self._property(config.ready_property) != 0.0 if config.ready_property else True
+        slow = abs(turns_per_s) < _STANDING_TURNS_PER_S
+        arrived = self._target_turns is None or abs(turns - self._target_turns) < self._turns(config.in_position_deg)
+        moving = not slow or self._spinning or not arrived
+        if errors:
+            # A controller with an error has let go of the motor: nothing is under way any more.
+            moving = not slow
+        return AxisReading(
+            time_s,
+            self._degrees(turns),
+            config.direction * turns_per_s * 360.0 / config.turns_per_table_turn,
+            moving,
+            ready,
+            errors if ready else (*errors, "the encoder's position is not valid"),
+            (),
+        )
+
+    def home(self) -> None:
+        if self._config.home_state:
+            self._tell(f"w axis{self._config.motor}.requested_state {self._config.home_state}")
+            self._wait_for_state(IDLE, self._config.home_timeout_s, "homing")
+        if faults := self.read().faults:
+            raise DeviceFault(f"The axis has no valid reference: {', '.join(faults)}.", codes=faults)
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        config = self._config
+        if (config.lowest_deg is not None and position_deg < config.lowest_deg - 1e-9) or (
+            config.highest_deg is not None and position_deg > config.highest_deg + 1e-9
+        ):
+            raise LimitExceeded(f"{position_deg:g} deg lies outside the travel of the rig file.")
+        rate, acceleration = self._checked(rate_dps, acceleration_dps2)
+        self._close_loop()
+        self._set("trap_traj.config.vel_limit", rate)
+        self._set("trap_traj.config.accel_limit", acceleration)
+        self._set("trap_traj.config.decel_limit", acceleration)
+        turns = (position_deg - config.zero_deg) * config.direction / 360.0 * config.turns_per_table_turn
+        self._spinning, self._target_turns = False, turns
+        self._shown(f"t {config.motor} {decimal(turns)}", config.input_position_property, turns)
+
+    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
+        rate, acceleration = self._checked(abs(rate_dps), acceleration_dps2)
+        self._close_loop()
+        self._velocity(rate * (1.0 if rate_dps >= 0.0 else -1.0) * self._config.direction, acceleration)
+        self._spinning, self._target_turns = True, None
+
+    def stop(self) -> None:
+        self._brake()
+        if faults := self._faults():
+            raise DeviceFault(f"The axis reports {', '.join(faults)} after stopping.", codes=faults)
+
+    def heartbeat(self) -> None:
+        if self._config.watchdog_s > 0.0:
+            self._tell(f"u {self._config.motor}")
+
+    def arm_watchdog(self) -> None:
+        """Switch the watchdog on; from now on `heartbeat` must come well within `watchdog_s`."""
+        if self._config.watchdog_s > 0.0:
+            self._set("config.watchdog_timeout", self._config.watchdog_s)
+            self._tell(f"u {self._config.motor}")
+            self._set("config.enable_watchdog", 1.0)
+
+    def safe(self, policy: AxisSafe) -> SafeReport:
+        reading = self._brake()
+        if policy is AxisSafe.UNPOWER:
+            self._tell(f"w axis{self._config.motor}.requested_state {IDLE}")
+            self._wait_for_state(IDLE, 2.0, "unpowering")
+        elif self._config.watchdog_s > 0.0:
+            self._set("config.enable_watchdog", 0.0)
+        state = int(self._property("current_state"))
+        powered = "closed loop" if state == CLOSED_LOOP else "idle" if state == IDLE else f"state {state}"
+        evidence = f"{reading.rate_dps:.3f} deg/s at {reading.position_deg:.3f} deg, {powered}"
+        return SafeReport(policy.value, not reading.moving, "; ".join([evidence, *reading.faults]))
+
+    def close(self) -> None:
+        self._exchange.transport.close()
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _tell(self, words: str) -> None:
+        self._exchange.tell(request(words))
+
+    def _property(self, path: str) -> float:
+        return self._exchange.ask(request(f"r axis{self._config.motor}.{path}"), parse_number)
+
+    def _set(self, path: str, value: float) -> None:
+        self._shown(f"w axis{self._config.motor}.{path} {decimal(value)}", path, value)
+
+    def _shown(self, words: str, path: str, value: float) -> None:
+        """Send a line that has no reply until the property shows it (the reply of a property has ten characters)."""
+        until_shown(
+            lambda: self._tell(words),
+            lambda: self._property(path),
+            lambda shown: abs(shown - value) <= 1e-5 + 2e-5 * abs(value),
+            what=f"{words!r}",
+            clock=self._clock,
+        )
+
+    def _faults(self) -> tuple[str, ...]:
+        code = int(self._property(self._config.errors_in))
+        names = ERRORS_05 if self._config.generation == "0.5" else ERRORS_06
+        known = [f"0x{bit:x} ({text})" for bit, text in names.items() if code & bit]
+        rest = code & ~sum(names)
+        return tuple(known + ([f"0x{rest:x}"] if rest else []))
+
+    def _close_loop(self) -> None:
+        if faults := self._faults():
+            raise DeviceFault(f"The controller reports {', '.join(faults)}. Clear the cause and start again.")
+        if int(self._property("current_state")) != CLOSED_LOOP:
+            self._tell(f"w axis{self._config.motor}.requested_state {CLOSED_LOOP}")
+            self._wait_for_state(CLOSED_LOOP, 2.0, "closing the loop")
+
+    def _wait_for_state(self, state: int, timeout_s: float, doing: str) -> None:
+        end = self._clock.now() + timeout_s
+        while (seen := int(self._property("current_state"))) != state:
+            if self._clock.now() > end:
+                raise NotVerified(f"The controller is in state {seen} after {timeout_s:g} s of {doing}, not {state}.")
+            self._clock.sleep(self._config.poll_s)
+
+    def _velocity(self, turns_per_s: float, acceleration_turns: float) -> None:
+        self._set("controller.config.vel_ramp_rate", acceleration_turns)
+        self._set("controller.config.control_mode", float(VELOCITY_CONTROL))
+        self._set("controller.config.input_mode", float(VELOCITY_RAMP))
+        words = f"v {self._config.motor} {decimal(turns_per_s)} 0"
+        self._shown(words, self._config.input_velocity_property, turns_per_s)
+
+    def _brake(self) -> AxisReading:
+        if int(self._property("current_state")) == CLOSED_LOOP:
+            self._velocity(0.0, self._turns(self._config.max_acceleration_dps2))
+        self._spinning, self._target_turns = False, None
+        end = self._clock.now() + self._config.stop_timeout_s
+        while (reading := self.read()).moving:
+            if self._clock.now() > end:
+                raise NotVerified(f"The axis still turns at {reading.rate_dps:.2f} deg/s. Look at the table.")
+            self._clock.sleep(self._config.poll_s)
+        return reading
+
+    def _checked(self, rate_dps: float, acceleration_dps2: float) -> tuple[float, float]:
+        config = self._config
+        if not (0.0 < rate_dps <= config.max_rate_dps and 0.0 < acceleration_dps2 <= config.max_acceleration_dps2):
+            raise LimitExceeded(
+                f"{rate_dps:g} deg/s with {acceleration_dps2:g} deg/s² lies outside the rig file's "
+                f"{config.max_rate_dps:g} deg/s and {config.max_acceleration_dps2:g} deg/s²."
+            )
+        return self._turns(rate_dps), self._turns(acceleration_dps2)
+
+    def _turns(self, degrees: float) -> float:
+        return degrees / 360.0 * self._config.turns_per_table_turn
+
+    def _degrees(self, turns: float) -> float:
+        config = self._config
+        return config.zero_deg + config.direction * turns * 360.0 / config.turns_per_table_turn

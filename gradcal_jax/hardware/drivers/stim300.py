@@ -1,0 +1,207 @@
+"""Sensonor / Safran STIM300 inertial units: binary datagrams, and Utility Mode for everything else.
+
+Source: the official data sheet TS1524 rev. 31; the frames of a real unit agree. Datagrams are decoded in
+`stim300_datagrams`. Utility Mode (`$name,parameters,check`) is the interface for machines; nothing is ever saved to the
+flash memory. Bias trim and g-compensation alter the outputs: they are read and recorded.
+
+The counter counts internal samples (2000 /s) modulo 256: at 125 samples/s it wraps every 16 samples. Whole wraps that
+are lost in a disturbed stretch are reckoned with the host's clock.
+
+Unverified on real hardware: the codes of the output units (`rate_unit_code`, `increment_unit_code`); which field of
+`$it` tells the line end (`line_end_field`); rates other than those of a standard line on USB adapters.
+"""
+
+import re
+import time
+from dataclasses import dataclass
+
+from ..checksums import crc8_stim300
+from ..clock import Clock
+from ..errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTimeout, printable
+from ..exchange import Exchange, NotThisReply
+from ..framing import LineFramer
+from ..roles import Identity, ImuSettings, SafeReport
+from ..transport import Transport
+from .stim300_datagrams import CONTENTS, INTERNAL_RATE_HZ, LAYOUTS, Stim300Decoder
+
+SAMPLE_RATE_CODES = {125.0: 0, 250.0: 1, 500.0: 2, 1000.0: 3, 2000.0: 4}
+STATUS_TEXTS = {
+    1: "invalid",
+    2: "check failed",
+    3: "unknown command",
+    4: "wrong number of parameters",
+    5: "invalid parameter",
+    6: "too many saves",
+    7: "save failed",
+    8: "reduced to limits",
+}
+
+
+@dataclass(frozen=True)
+class Stim300Config:
+    """Options of the rig file. `datagram` is the code of `$sd`: 5 is rate, acceleration and temperature."""
+
+    baudrate: int = 921600
+    stopbits: int = 1
+    parity: str = "N"
+    sample_rate_hz: float = 125.0
+    datagram: int = 5
+    increments: bool = False
+    rate_unit_code: int = 0
+    increment_unit_code: int = 1
+    line_end_field: int = 4
+    reply_timeout_s: float = 1.0
+    mode_timeout_s: float = 3.0
+
+    def __post_init__(self) -> None:
+        if self.sample_rate_hz not in SAMPLE_RATE_CODES:
+            raise ValueError(f"sample_rate is {self.sample_rate_hz:g} /s; the unit has 125, 250, 500, 1000, 2000.")
+        if not 0 <= self.datagram < len(CONTENTS):
+            raise ValueError(f"datagram is {self.datagram}; the unit has 0 to 7 (5: rate, acceleration, temperature).")
+        bits = 1 + 8 + (self.parity != "N") + self.stopbits
+        needed = 1.1 * bits * LAYOUTS[CONTENTS[self.datagram][1]].length * self.sample_rate_hz
+        if self.baudrate < needed:
+            raise ValueError(
+                f"{self.sample_rate_hz:g} datagrams/s need {needed:.0f} bits/s and the line has {self.baudrate}: the "
+                "unit would lose datagrams silently. Raise baudrate, lower sample_rate or choose a shorter datagram."
+            )
+
+
+# ---------------------------------------------------------------------------------------------- Utility Mode (pure)
+
+
+def utility_request(name: str, *parameters: object) -> bytes:
+    body = ",".join([f"${name}", *map(str, parameters)]) + ","
+    return f"{body}{crc8_stim300(body.encode())}\r".encode("ascii")
+
+
+def parse_utility(frame: bytes) -> tuple[str, list[str]]:
+    """Name and fields of a reply whose check fits; raises `Rejected` for a status other than 0 and 8."""
+    body, comma, check = frame[frame.find(b"#") :].rpartition(b",")
+    if not comma or check != str(crc8_stim300(body + comma)).encode():
+        raise ChecksumError(f"The reply {printable(frame)!r} fails its check. Check the line's shielding.")
+    name, *fields = body.decode("ascii", "replace").removeprefix("#").split(",")
+    if not fields or not fields[0].isdigit():
+        raise FramingError(f"{printable(frame)!r} is no reply of Utility Mode.")
+    status = int(fields[0])
+    if status not in (0, 8):
+        text = STATUS_TEXTS.get(status, "unknown status")
+        raise Rejected(
+            f"The unit refuses {name or 'the command'}: status {status} ({text}).", code=fields[0], text=text
+        )
+    return name, fields[1:]
+
+
+# ----------------------------------------------------------------------------------------------------------- driver
+
+
+class Stim300Stream:
+    """Role `ImuStream`."""
+
+    def __init__(self, transport: Transport, clock: Clock, config: Stim300Config) -> None:
+        self._transport = transport
+        self._config = config
+        self._exchange = Exchange(
+            transport,
+            LineFramer(b"\r"),
+            clock=clock,
+            device="The STIM300",
+            reply_timeout_s=config.reply_timeout_s,
+        )
+        self._range_g = 0
+        self._line_end = False
+        self._in_utility = False
+
+    def identify(self) -> Identity:
+        self._enter_utility()
+        return Identity("stim300", self._ask("ix")[0], self._ask("isn")[0], self._ask("ifw")[0])
+
+    def configure(self) -> ImuSettings:
+        self._enter_utility()
+        config = self._config
+        self._set("m", SAMPLE_RATE_CODES[config.sample_rate_hz])
+        self._set("d", config.datagram)
+        self._set("gu", config.increment_unit_code if config.increments else config.rate_unit_code)
+        self._set("au", config.increment_unit_code if config.increments else config.rate_unit_code)
+        registers: dict[str, str] = {}
+        for name in ("id", "im", "it", "irng", "igu", "iau", "igf", "iaf", "ig", "ibto", "isv"):
+            try:
+                registers[name] = ",".join(self._ask(name))
+            except Rejected as refusal:
+                registers[name] = f"refused: {refusal.text}"
+        ranges = registers["irng"].split(",")
+        try:
+            (self._range_g,) = {int(text) for text in ranges[3:6]}
+        except ValueError:
+            raise FramingError(
+                f"The unit reports its ranges as {registers['irng']!r}; one accelerometer range was expected in the "
+                "fourth to sixth field."
+            ) from None
+        line = registers["it"].split(",")
+        self._line_end = len(line) > config.line_end_field and line[config.line_end_field] == "1"
+        return ImuSettings(config.sample_rate_hz, round(256 * config.sample_rate_hz / INTERNAL_RATE_HZ), registers)
+
+    def start(self) -> None:
+        if self._in_utility:
+            self._ask("xn")
+            self._in_utility = False
+
+    def stop(self) -> None:
+        self._enter_utility()
+
+    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
+        return self._transport.read_stamped(timeout_s)
+
+    def decoder(self) -> Stim300Decoder:
+        if not self._range_g:
+            raise NotVerified("The unit's accelerometer range is not known yet: call configure() first.")
+        return Stim300Decoder(
+            sample_rate_hz=self._config.sample_rate_hz,
+            acceleration_range_g=self._range_g,
+            increments=self._config.increments,
+            line_end=self._line_end,
+        )
+
+    def safe(self) -> SafeReport:
+        return SafeReport("left streaming", True, "a STIM300 has nothing that can be unsafe")
+
+    def close(self) -> None:
+        self._transport.close()
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _enter_utility(self) -> None:
+        if self._in_utility:
+            return
+        heard = b""
+        for _ in range(2):
+            self._transport.write(b"UTILITYMODE\r")
+            end = time.monotonic() + self._config.mode_timeout_s
+            while (left := end - time.monotonic()) > 0.0:
+                heard = (heard + self._transport.read(min(left, 0.1)))[-4096:]
+                if re.search(rb"#UTILITYMODE,234\r", heard):
+                    self._transport.drain(0.02)
+                    self._in_utility = True
+                    return
+        raise (FramingError if heard else ReplyTimeout)(
+            f"The unit at {self._transport.url} was sent 'UTILITYMODE' and did not enter Utility Mode"
+            + (f"; it sent {printable(heard[-80:])!r}. Check that this is a STIM300 and" if heard else ". Check")
+            + " power, cable (RS-422), baud rate and parity."
+        )
+
+    def _ask(self, name: str, *parameters: object) -> list[str]:
+        def parse(frame: bytes) -> list[str]:
+            answered, fields = parse_utility(frame)
+            if answered != name:
+                raise NotThisReply
+            return fields
+
+        return self._exchange.ask(utility_request(name, *parameters), parse)
+
+    def _set(self, name: str, code: int) -> None:
+        """Settings are idempotent: asking again after a lost reply does no harm; the read-back decides."""
+        if self._ask(f"i{name}")[0] == str(code):
+            return
+        self._ask(f"s{name}", code)
+        if (shown := self._ask(f"i{name}")[0]) != str(code):
+            raise NotVerified(f"The unit was told ${name} = {code} and reports {shown}.")

@@ -1,0 +1,213 @@
+"""STIM300 datagrams: from the bytes of Normal Mode to samples. Pure; the driver is in `stim300`.
+
+Source: data sheet TS1524 rev. 31. A datagram has no sync word: it begins with an identifier that implies its length and
+ends in a CRC-32 that is reckoned with zero bytes which are never sent, up to a multiple of four. The decoder locks only
+where a CRC fits, stays locked while CRCs fit, and on a failure goes on by one byte.
+"""
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checksums import BIT_REVERSED
+from ..roles import ImuBatch
+from .imu_common import STANDARD_GRAVITY, GapCounter, join
+
+INTERNAL_RATE_HZ = 2000
+# By the codes of `$sd`: (accelerometer, inclinometer, temperatures), identifier, identifier with PPS, of older units.
+CONTENTS = (
+    ((False, False, False), 0x90, 0xF0, 0x98),
+    ((True, False, False), 0x91, 0xF1, 0x99),
+    ((False, True, False), 0x92, 0xF2, 0x9A),
+    ((True, True, False), 0x93, 0xF3, 0x9B),
+    ((False, False, True), 0x94, 0xF4, 0x9C),
+    ((True, False, True), 0xA5, 0xF5, 0xAD),
+    ((False, True, True), 0xA6, 0xF6, 0xAE),
+    ((True, True, True), 0xA7, 0xF7, 0xAF),
+)
+SPECIAL_LENGTHS = {0xB1: 20, 0xB3: 22, 0xB5: 20, 0xB7: 22, 0xBC: 26, 0xBD: 28, 0xD1: 40, 0xD2: 42, 0xBE: 21, 0xBF: 23}
+_ACCELERATION_BITS = {2: 21, 5: 20, 10: 19, 30: 18, 80: 16}
+_INCREMENT_BITS = {5: 23, 10: 22, 30: 21, 80: 19}
+
+
+@dataclass(frozen=True)
+class DatagramLayout:
+    """Offsets of one kind of datagram; -1 where a part is absent. `length` is without a line end."""
+
+    length: int
+    acceleration: int
+    temperature: int
+    counter: int
+    unsent_zeros: int
+
+
+def _layout(acceleration: bool, inclination: bool, temperature: bool, auxiliary: bool) -> DatagramLayout:
+    end = 11
+    at_acceleration = end if acceleration else -1
+    end += 10 * acceleration + 10 * inclination
+    at_temperature = end if temperature else -1
+    end += 7 * temperature * (1 + acceleration + inclination) + 4 * auxiliary
+    return DatagramLayout(end + 7, at_acceleration, at_temperature, end, -(end + 3) % 4)
+
+
+LAYOUTS: dict[int, DatagramLayout] = {}
+for _contents, _plain, _pulse, _older in CONTENTS:
+    LAYOUTS[_plain] = _layout(*_contents, auxiliary=False)
+    LAYOUTS[_pulse] = LAYOUTS[_older] = _layout(*_contents, auxiliary=True)
+
+
+def _sound(reversed_frame: bytes, layout: DatagramLayout) -> bool:
+    """Whether the CRC fits, given the frame with the bits of every byte reversed (see `checksums.crc32_mpeg2`)."""
+    end = layout.length - 4
+    crc = zlib.crc32(bytes(layout.unsent_zeros), zlib.crc32(reversed_frame[:end]))
+    return crc ^ 0xFFFFFFFF == int.from_bytes(reversed_frame[end : layout.length], "little")
+
+
+def _int24(columns: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """(n, 9) big-endian bytes -> (n, 3) signed integers."""
+    wide = columns.astype(np.int32).reshape(-1, 3, 3)
+    value = wide[..., 0] << 16 | wide[..., 1] << 8 | wide[..., 2]
+    return np.where(value >= 1 << 23, value - (1 << 24), value).astype(np.int32)
+
+
+class Stim300Decoder:
+    """Bytes of Normal Mode -> samples. `acceleration_range_g` comes from the unit itself (`$irng`)."""
+
+    def __init__(
+        self,
+        *,
+        sample_rate_hz: float = 125.0,
+        acceleration_range_g: int = 10,
+        increments: bool = False,
+        line_end: bool = False,
+    ) -> None:
+        bits = (_INCREMENT_BITS if increments else _ACCELERATION_BITS).get(acceleration_range_g)
+        if bits is None:
+            raise ValueError(f"An accelerometer range of {acceleration_range_g} g is not in the data sheet.")
+        rate = sample_rate_hz if increments else 1.0
+        self._gyro_scale = rate / 2 ** (21 if increments else 14)
+        self._acceleration_scale = rate / 2**bits / (STANDARD_GRAVITY if increments else 1.0)
+        self._line_end = line_end
+        self._buffer = b""
+        self._locked: int | None = None
+        self._disturbed = False
+        self._gaps = GapCounter(
+            step=round(INTERNAL_RATE_HZ / sample_rate_hz), modulus=256, ticks_per_s=float(INTERNAL_RATE_HZ)
+        )
+        self._bad_bytes = 0
+        self.special_datagrams = 0
+
+    @property
+    def bad_bytes(self) -> int:
+        return self._bad_bytes
+
+    def push(self, data: bytes, host_time_s: float) -> ImuBatch:
+        self._buffer += data
+        batches: list[ImuBatch] = []
+        while self._buffer:
+            if self._locked is None and not self._lock():
+                break
+            assert self._locked is not None
+            layout = LAYOUTS[self._locked]
+            stride = layout.length + 2 * self._line_end
+            whole = len(self._buffer) // stride
+            good = self._sound_frames(whole, stride, layout)
+            if good:
+                block = np.frombuffer(self._buffer, np.uint8, good * stride).reshape(good, stride)
+                batches.append(self._decode(block, layout, host_time_s))
+                self._buffer = self._buffer[good * stride :]
+            if good == whole:
+                # What is left may already be known not to be a datagram of this kind.
+                if self._buffer and self._buffer[0] != self._locked and not self._skip_special(stride):
+                    if self._buffer[0] in SPECIAL_LENGTHS and len(self._buffer) < 48 + stride:
+                        break
+                    self._unlock()
+                    continue
+                if len(self._buffer) < stride:
+                    break
+            elif not self._skip_special(stride):
+                if self._buffer[0] in SPECIAL_LENGTHS and len(self._buffer) < 48 + stride:
+                    break
+                self._unlock()
+        return join(batches)
+
+    def _unlock(self) -> None:
+        self._locked, self._disturbed = None, True
+        self._buffer = self._buffer[1:]
+        self._bad_bytes += 1
+
+    def _lock(self) -> bool:
+        """Find the next sound datagram. False when more bytes are needed to decide."""
+        reversed_buffer = self._buffer.translate(BIT_REVERSED)
+        for start, identifier in enumerate(self._buffer):
+            layout = LAYOUTS.get(identifier)
+            if layout is None:
+                continue
+            if start + layout.length > len(self._buffer):
+                self._drop(start)
+                return False
+            if _sound(reversed_buffer[start : start + layout.length], layout):
+                self._drop(start)
+                self._locked = identifier
+                return True
+        self._drop(len(self._buffer))
+        return False
+
+    def _drop(self, count: int) -> None:
+        self._buffer = self._buffer[count:]
+        self._bad_bytes += count
+        self._disturbed = self._disturbed or count > 0
+
+    def _sound_frames(self, whole: int, stride: int, layout: DatagramLayout) -> int:
+        reversed_buffer = self._buffer[: whole * stride].translate(BIT_REVERSED)
+        for index in range(whole):
+            start = index * stride
+            if self._buffer[start] != self._locked or not _sound(reversed_buffer[start : start + stride], layout):
+                return index
+            if self._line_end and self._buffer[start + layout.length : start + stride] != b"\r\n":
+                return index
+        return whole
+
+    def _skip_special(self, stride: int) -> bool:
+        """Pass over a special datagram that is followed by a sound normal one."""
+        length = SPECIAL_LENGTHS.get(self._buffer[0])
+        if length is None or self._locked is None:
+            return False
+        layout = LAYOUTS[self._locked]
+        follower = self._buffer[length : length + stride]
+        if len(follower) < stride or follower[0] != self._locked:
+            return False
+        if not _sound(follower.translate(BIT_REVERSED), layout):
+            return False
+        self._buffer = self._buffer[length:]
+        self.special_datagrams += 1
+        return True
+
+    def _decode(self, block: NDArray[np.uint8], layout: DatagramLayout, host_time_s: float) -> ImuBatch:
+        count = block.shape[0]
+        raw = _int24(block[:, 1:10])
+        status = block[:, 10].astype(np.int64)
+        acceleration = np.full((count, 3), np.nan)
+        if (at := layout.acceleration) >= 0:
+            acceleration = _int24(block[:, at : at + 9]).astype(np.float64) * self._acceleration_scale
+            status |= block[:, at + 9].astype(np.int64) << 8
+        temperature = np.full((count, 3), np.nan)
+        if (at := layout.temperature) >= 0:
+            temperature = np.ascontiguousarray(block[:, at : at + 6]).view(">i2").astype(np.float64) / 256.0
+            status |= block[:, at + 6].astype(np.int64) << 16
+        counts, gaps = self._gaps.push(
+            block[:, layout.counter].astype(np.int64), host_time_s, disturbed=self._disturbed
+        )
+        self._disturbed = False
+        return ImuBatch(
+            host_time_s=np.full(count, host_time_s, np.float64),
+            device_time_s=counts.astype(np.float64) / float(INTERNAL_RATE_HZ),
+            gyro_dps=raw.astype(np.float64) * self._gyro_scale,
+            acceleration_g=acceleration,
+            temperature_c=temperature,
+            raw_gyro=raw,
+            status=status,
+            gap_before=gaps,
+        )

@@ -1,0 +1,314 @@
+"""VectorNav VN-100 and VN-200: ASCII registers, and samples as binary packets or as `$VNIMU` lines.
+
+Sources: the vendor's C library and its example for binary output. 115200 8N1. An ASCII message is `$VN…*` and two
+hexadecimal digits of the exclusive or between `$` and `*`; a binary packet is FA, a byte of groups, a 16-bit mask per
+group, the payload, and a CRC-16 with which everything after FA comes to zero. Replies come between samples and are told
+from them by their header. Nothing is saved to the unit's memory.
+
+The samples are the *uncompensated* ones: calibrated in the factory, without the user's filter and bias registers.
+Binary packets carry the unit's own time in nanoseconds, from which missing samples are counted. ASCII lines carry no
+time and no counter: **a lost line cannot be noticed**, so that binary is the default and ASCII is for a look at the
+bench.
+
+Unverified on real hardware: that the base rate is 800 Hz on every model (`base_rate_hz`); the meaning of
+"uncompensated" differs between versions of the firmware.
+"""
+
+import math
+import re
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..checksums import crc16_vectornav, xor8
+from ..clock import Clock
+from ..errors import ChecksumError, FramingError, NotVerified, Rejected, printable
+from ..exchange import Exchange, NotThisReply
+from ..roles import Identity, ImuBatch, ImuSettings, SafeReport
+from ..transport import Transport
+from .imu_common import STANDARD_GRAVITY, join
+
+ERRORS = {
+    1: "hard fault",
+    2: "serial buffer overflow",
+    3: "invalid check sum",
+    4: "invalid command",
+    5: "not enough parameters",
+    6: "too many parameters",
+    7: "invalid parameter",
+    8: "invalid register",
+    9: "unauthorised access",
+    10: "watchdog reset",
+    11: "output buffer overflow",
+    12: "baud rate too low for the output",
+    255: "error buffer overflow",
+}
+_SYNC = 0xFA
+_LONGEST_PACKET = 600
+_LONGEST_LINE = 256
+_FIELD_LENGTHS = (
+    (8, 8, 8, 12, 16, 12, 24, 12, 12, 24, 20, 28, 2, 4, 8),
+    (8, 8, 8, 2, 8, 8, 8, 4, 4, 1),
+    (2, 12, 12, 12, 4, 4, 16, 12, 12, 12, 12, 2, 40),
+)
+# Group 1 bit 0: time since start-up; group 3 bits 2, 3, 4: uncompensated acceleration and rate, temperature.
+_HEADER = bytes.fromhex("FA0501001C00")
+_PAYLOAD = struct.Struct("<Q3f3ff")
+_IMU_OUTPUT = 19
+_ASCII_RATES = (1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200)
+_NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
+
+
+@dataclass(frozen=True)
+class VectorNavConfig:
+    """Options of the rig file. `output` is "binary" or "ascii"."""
+
+    baudrate: int = 115200
+    output: str = "binary"
+    sample_rate_hz: float = 200.0
+    base_rate_hz: float = 800.0
+    reply_timeout_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.output not in ("binary", "ascii"):
+            raise ValueError(f"output is {self.output!r}; it is 'binary' or 'ascii'.")
+        if self.output == "ascii" and self.sample_rate_hz not in _ASCII_RATES:
+            raise ValueError(f"sample_rate is {self.sample_rate_hz:g} /s; ASCII output has {_ASCII_RATES}.")
+        divisor = self.base_rate_hz / self.sample_rate_hz
+        if self.output == "binary" and abs(divisor - round(divisor)) > 1e-9:
+            raise ValueError(f"sample_rate {self.sample_rate_hz:g} /s does not divide {self.base_rate_hz:g} /s.")
+        length = len(_HEADER) + _PAYLOAD.size + 2 if self.output == "binary" else 130
+        if 10 * length * self.sample_rate_hz > self.baudrate:
+            raise ValueError(
+                f"{self.sample_rate_hz:g} samples/s of {length} bytes do not fit {self.baudrate} baud. Raise baudrate "
+                "(also in the unit) or lower sample_rate."
+            )
+
+
+# ------------------------------------------------------------------------------------------------------------ codec
+
+
+def request(words: str) -> bytes:
+    return f"${words}*{xor8(words.encode()):02X}\r\n".encode("ascii")
+
+
+def parse_line(frame: bytes) -> list[str]:
+    """Fields of an ASCII message whose check sum fits. Raises `Rejected` for `$VNERR`."""
+    body, star, check = frame[1:].rpartition(b"*")
+    if frame[:1] != b"$" or not star or check != b"%02X" % xor8(body):
+        raise ChecksumError(f"The message {printable(frame)!r} fails its check sum. Check cable and baud rate.")
+    fields = body.decode("ascii", "replace").split(",")
+    if fields[0] == "VNERR":
+        code = int(fields[1]) if len(fields) > 1 and fields[1].isdigit() else -1
+        text = ERRORS.get(code, "unknown error")
+        raise Rejected(f"The unit reports error {code}: {text}.", code=str(code), text=text)
+    return fields
+
+
+def packet_length(head: bytes) -> int | None:
+    """Length of the binary packet that begins with `head`; 0 when more bytes are needed, None when it is none."""
+    if len(head) < 2:
+        return 0
+    groups = [bit for bit in range(8) if head[1] >> bit & 1]
+    if not groups or any(group >= len(_FIELD_LENGTHS) for group in groups):
+        return None
+    if len(head) < 2 + 2 * len(groups):
+        return 0
+    length = 2 + 2 * len(groups) + 2
+    for index, group in enumerate(groups):
+        mask = int.from_bytes(head[2 + 2 * index : 4 + 2 * index], "little")
+        lengths = _FIELD_LENGTHS[group]
+        if not mask or mask >> len(lengths):
+            return None
+        length += sum(size for bit, size in enumerate(lengths) if mask >> bit & 1)
+    return length if length <= _LONGEST_PACKET else None
+
+
+class VectorNavFramer:
+    """ASCII lines (`$…`, without the line end) and sound binary packets (FA…) from one stream, in order."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self.bad_bytes = 0
+
+    @property
+    def pending(self) -> bytes:
+        return self._buffer
+
+    def reset(self) -> None:
+        self._buffer = b""
+
+    def push(self, data: bytes) -> list[bytes]:
+        self._buffer += data
+        frames: list[bytes] = []
+        while self._buffer:
+            length = self._line() if self._buffer[0] == 0x24 else self._packet()
+            if length == 0:
+                break
+            if length is None:
+                start = next((i for i, byte in enumerate(self._buffer[1:], 1) if byte in (0x24, _SYNC)), None)
+                dropped = len(self._buffer) if start is None else start
+                self.bad_bytes += dropped
+                self._buffer = self._buffer[dropped:]
+                continue
+            frame = self._buffer[:length]
+            frames.append(frame[:-2] if frame[0] == 0x24 else frame)
+            self._buffer = self._buffer[length:]
+        return frames
+
+    def _line(self) -> int | None:
+        end = self._buffer.find(b"\r\n")
+        text = self._buffer[: end if end >= 0 else len(self._buffer)].removesuffix(b"\r")
+        if len(text) > _LONGEST_LINE or not all(32 <= byte < 127 for byte in text):
+            return None
+        return end + 2 if end >= 0 else 0
+
+    def _packet(self) -> int | None:
+        if self._buffer[0] != _SYNC:
+            return None
+        length = packet_length(self._buffer)
+        if not length:
+            return length
+        if len(self._buffer) < length:
+            return 0
+        return length if crc16_vectornav(self._buffer[1:length]) == 0 else None
+
+
+class VectorNavDecoder:
+    """Bytes -> samples. Only packets of the configured output count; others are passed over."""
+
+    def __init__(self, *, sample_rate_hz: float) -> None:
+        self._rate = sample_rate_hz
+        self._framer = VectorNavFramer()
+        self._last_time_s: float | None = None
+        self._lines = 0
+        self._bad_lines = 0
+
+    @property
+    def bad_bytes(self) -> int:
+        return self._framer.bad_bytes + self._bad_lines
+
+    def push(self, data: bytes, host_time_s: float) -> ImuBatch:
+        rows = [row for frame in self._framer.push(data) if (row := self._row(frame)) is not None]
+        if not rows:
+            return join([])
+        table = np.array([row[0] for row in rows])
+        times = table[:, 0]
+        previous = times[0] - 1.0 / self._rate if self._last_time_s is None else self._last_time_s
+        steps = np.rint(np.diff(times, prepend=previous) * self._rate).astype(np.int64)
+        self._last_time_s = float(times[-1])
+        count = len(rows)
+        return ImuBatch(
+            host_time_s=np.full(count, host_time_s),
+            device_time_s=times,
+            gyro_dps=np.degrees(table[:, 4:7]),
+            acceleration_g=table[:, 1:4] / STANDARD_GRAVITY,
+            temperature_c=np.repeat(table[:, 7:8], 3, axis=1),
+            raw_gyro=np.zeros((count, 3), np.int32),
+            status=np.array([row[1] for row in rows], np.int64),
+            gap_before=np.maximum(steps - 1, 0),
+        )
+
+    def _row(self, frame: bytes) -> tuple[list[float], int] | None:
+        """Time, three accelerations (m/s²), three rates (rad/s), temperature (°C); status 1 where not finite."""
+        if frame[0] == _SYNC:
+            if frame[: len(_HEADER)] != _HEADER:
+                return None
+            time_ns, *values = _PAYLOAD.unpack_from(frame, len(_HEADER))
+            return [time_ns * 1e-9, *values], int(not all(map(math.isfinite, values)))
+        try:
+            header, *texts = parse_line(frame)
+        except (ChecksumError, Rejected):
+            self._bad_lines += len(frame)
+            return None
+        if header != "VNIMU" or len(texts) != 11 or not all(map(_NUMBER.fullmatch, texts)):
+            return None
+        values = [float(text) for text in texts]
+        self._lines += 1
+        return [self._lines / self._rate, *values[3:9], values[9]], 0
+
+
+# ----------------------------------------------------------------------------------------------------------- driver
+
+
+class VectorNavStream:
+    """Role `ImuStream`."""
+
+    def __init__(self, transport: Transport, clock: Clock, config: VectorNavConfig) -> None:
+        self._transport = transport
+        self._config = config
+        self._exchange = Exchange(
+            transport,
+            VectorNavFramer(),
+            clock=clock,
+            device="The VectorNav unit",
+            reply_timeout_s=config.reply_timeout_s,
+        )
+
+    def identify(self) -> Identity:
+        model, hardware, serial, firmware = (",".join(self._read(register)) for register in (1, 2, 3, 4))
+        return Identity("vectornav", model, serial, firmware, {"hardware": hardware})
+
+    def configure(self) -> ImuSettings:
+        self.stop()
+        registers = {f"{register:02d}": ",".join(self._read(register)) for register in (1, 2, 3, 4, 5, 30)}
+        if self._config.output == "ascii":
+            self._write(7, f"{self._config.sample_rate_hz:g}")
+        registers |= {f"{register:02d}": ",".join(self._read(register)) for register in (6, 7, 75)}
+        return ImuSettings(self._config.sample_rate_hz, 0, registers)
+
+    def start(self) -> None:
+        if self._config.output == "ascii":
+            self._write(6, str(_IMU_OUTPUT))
+        else:
+            self._write(75, self._binary_output(1))
+
+    def stop(self) -> None:
+        self._write(6, "0")
+        self._write(75, self._binary_output(0))
+
+    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
+        return self._transport.read_stamped(timeout_s)
+
+    def decoder(self) -> VectorNavDecoder:
+        return VectorNavDecoder(sample_rate_hz=self._config.sample_rate_hz)
+
+    def safe(self) -> SafeReport:
+        return SafeReport("left streaming", True, "a VectorNav unit has nothing that can be unsafe")
+
+    def close(self) -> None:
+        self._transport.close()
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _binary_output(self, port: int) -> str:
+        return f"{port},{round(self._config.base_rate_hz / self._config.sample_rate_hz)},05,0001,001C"
+
+    def _ask(self, words: str, header: list[str]) -> list[str]:
+        def parse(frame: bytes) -> list[str]:
+            if frame[0] == _SYNC:
+                raise NotThisReply
+            fields = parse_line(frame)
+            if [fields[0], *(field.lstrip("0") for field in fields[1 : len(header)])] != header:
+                raise NotThisReply
+            return fields[len(header) :]
+
+        return self._exchange.ask(request(words), parse)
+
+    def _read(self, register: int) -> list[str]:
+        return self._ask(f"VNRRG,{register:02d}", ["VNRRG", str(register)])
+
+    def _write(self, register: int, values: str) -> None:
+        """Registers are idempotent: writing again after a lost reply does no harm; the read-back decides."""
+        self._ask(f"VNWRG,{register:02d},{values}", ["VNWRG", str(register)])
+        shown = self._read(register)
+        if not _same(shown, values.split(",")):
+            raise NotVerified(f"Register {register} was told {values} and reports {','.join(shown)}.")
+
+
+def _same(shown: list[str], wanted: list[str]) -> bool:
+    """Equal but for leading zeros; a unit may append fields of its other ports."""
+    if len(shown) < len(wanted):
+        raise FramingError(f"A register reports {','.join(shown)!r}; {len(wanted)} fields were expected.")
+    return all((a.lstrip("0") or "0") == (b.lstrip("0") or "0") for a, b in zip(shown, wanted, strict=False))

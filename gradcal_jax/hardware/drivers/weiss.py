@@ -1,0 +1,362 @@
+"""Weiss / Vötsch chambers with SIMCON/32 or S!MPAC (VC, VT, VTS, WK …): the ASCII-2 protocol, no check sum.
+
+Sources: several independent public drivers and their tests, two captured self-descriptions, and a chamber's help text.
+9600 8N1, address of two digits, CR. `$aaI` reads a fixed-width record whose layout differs from chamber to chamber;
+`$aaE` writes *all* set points and *all* digital channels at once; `$aaU` sets gradients; `$aa?` describes the layout.
+The driver reads the description once and derives where everything stands; a chamber that does not describe itself gets
+its layout from the rig file. Writing is reading, changing temperature and start, and writing everything else as it was.
+
+The manual allows one string in five seconds (`min_interval_s`): more disturbs the chamber's own control.
+
+Unverified on real hardware: that `$aaU` is per minute (two sources agree, no manual page was seen); `$aaF`, the reply
+to which no source shows (`read_faults`, off by default: then `alarms` is always empty and the rig needs another way to
+notice a chamber alarm); records with 16 digital channels (`digital_channels`, one source); the acknowledgement, which
+old controllers send (`0`) and new ones do not (both are accepted, the read-back decides). While a gradient runs the
+nominal value of the record is the moving one.
+"""
+
+import re
+from dataclasses import dataclass
+
+from ..clock import Clock
+from ..errors import FramingError, LimitExceeded, Rejected, ReplyTimeout, printable
+from ..exchange import Exchange, NotThisReply, until_shown
+from ..framing import LineFramer
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..transport import Transport
+
+LOWEST_PLAUSIBLE_C, HIGHEST_PLAUSIBLE_C = -100.0, 250.0
+_NUMBER = re.compile(r"-?\d{1,5}\.\d")
+_CHANNEL = re.compile(r"(?:CV|SV|MV|DO)\d\d")
+_DEFINITION = re.compile(r"((?:CV|SV|MV|DO)\d\d)\s+(?!(?:CV|SV|MV|DO)\d)(.*[A-Za-z].*)")
+_RANGE = re.compile(r"min\D*?(-?\d+(?:\.\d+)?)\D+?max\D*?(-?\d+(?:\.\d+)?)\s*(.*)")
+
+
+@dataclass(frozen=True)
+class WeissConfig:
+    """Options of the rig file. `read_layout`, `write_layout` (channel names, blanks between) only for a chamber that
+    does not answer `$aa?`; with them `lowest_c` and `highest_c`."""
+
+    address: int = 1
+    baudrate: int = 9600
+    min_interval_s: float = 5.0
+    reply_timeout_s: float = 5.0
+    acknowledge_timeout_s: float = 1.0
+    description_silence_s: float = 1.0
+    line_end: str = "\r"
+    temperature_channel: str = ""
+    product_channel: str = ""
+    start_channel: int = 1
+    digital_channels: int = 32
+    read_layout: str = ""
+    write_layout: str = ""
+    lowest_c: float = -70.0
+    highest_c: float = 180.0
+    hardware_ramp: bool = True
+    read_faults: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.address <= 31:
+            raise ValueError(f"The chamber's address is {self.address}; ASCII-2 addresses are 0 to 31.")
+        if bool(self.read_layout) != bool(self.write_layout):
+            raise ValueError("Give read_layout and write_layout together, or neither.")
+
+
+# ------------------------------------------------------------------------------------------------------------ codec
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which number of the record is what. `read` and `write` are the numeric channels in the order of the line."""
+
+    read: tuple[str, ...]
+    write: tuple[str, ...]
+    temperature: str
+    lowest_c: float
+    highest_c: float
+    names: dict[str, str]
+
+    def __post_init__(self) -> None:
+        if self.read.count(self.temperature) != 2 or self.temperature not in self.write:
+            raise ValueError(
+                f"The temperature channel {self.temperature!r} must stand twice in the read layout (nominal, actual) "
+                f"and once in the write layout; they are {' '.join(self.read)} and {' '.join(self.write)}."
+            )
+        if missing := [name for name in self.write if name not in self.read]:
+            raise ValueError(f"Channels {' '.join(missing)} are written but never read; the layout cannot be right.")
+
+    def nominal(self, channel: str) -> int:
+        """Position of the nominal value: the first of a channel's two numbers, or its only one."""
+        return self.read.index(channel)
+
+    def actual(self, channel: str) -> int:
+        return len(self.read) - 1 - self.read[::-1].index(channel)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One `$aaI` record: numbers in the layout's order and the digital channels as text of 0 and 1."""
+
+    numbers: tuple[float, ...]
+    digital: str
+
+
+def number(value: float) -> str:
+    """Six characters, one decimal, a sign only when negative: `0023.4`, `-005.5`."""
+    text = f"{value:06.1f}"
+    if len(text) != 6:
+        raise LimitExceeded(f"{value} does not fit the six characters of ASCII-2.")
+    return "0000.0" if text == "-000.0" else text
+
+
+def request(address: int, letter: str, body: str = "", line_end: str = "\r") -> bytes:
+    return f"${address:02d}{letter}{' ' if body else ''}{body}{line_end}".encode("ascii")
+
+
+def write_body(layout: Layout, record: Record, *, temperature_c: float, start: bool, start_channel: int) -> str:
+    """The body of `$aaE`: everything as the record has it, except temperature and start."""
+    values = [
+        temperature_c if name == layout.temperature else record.numbers[layout.nominal(name)] for name in layout.write
+    ]
+    digital = record.digital[:start_channel] + ("1" if start else "0") + record.digital[start_channel + 1 :]
+    return " ".join([*map(number, values), digital])
+
+
+def parse_record(frame: bytes, layout: Layout, digital_channels: int = 32) -> Record:
+    """Raises `FramingError` unless count of numbers, their form and the digital channels all fit the layout."""
+    fields = frame.decode("ascii", "replace").strip().split(" ")
+    *numbers, digital = fields
+    if (
+        len(numbers) != len(layout.read)
+        or not all(len(text) >= 6 and _NUMBER.fullmatch(text) for text in numbers)
+        or re.fullmatch(rf"[01]{{{digital_channels}}}", digital) is None
+    ):
+        raise FramingError(
+            f"The chamber's record {printable(frame)!r} does not have {len(layout.read)} numbers and "
+            f"{digital_channels} digital channels. Check the layout in the rig file."
+        )
+    return Record(tuple(map(float, numbers)), digital)
+
+
+def parse_description(text: str, temperature_channel: str = "") -> Layout:
+    """The layout from the answer to `$aa?`.
+
+    Old firmware separates `DO00 DO01`, new firmware joins them and breaks lines within a name: all blanks and line
+    breaks of a template go before the names are looked for.
+
+    Raises:
+        FramingError: no templates, or no temperature channel with its range.
+    """
+    lines = [line.strip() for line in re.split(r"[\r\n]+", text) if line.strip()]
+    definitions = [(index, match) for index, line in enumerate(lines) if (match := _DEFINITION.match(line))]
+    starts = {
+        kind: next((i for i, line in enumerate(lines) if re.search(rf"\b{kind}-?\s?[Ss]tring", line)), None)
+        for kind in "EI"
+    }
+    if starts["E"] is None or starts["I"] is None:
+        raise FramingError(
+            "The chamber's description has no E-String and I-String. Write read_layout and write_layout in the rig "
+            f"file; it said {printable(text.encode('ascii', 'replace'), 400)!r}."
+        )
+    templates: dict[str, tuple[str, ...]] = {}
+    for kind, start in starts.items():
+        assert start is not None
+        ends = [i for i, _ in definitions if i > start] + [i for i in starts.values() if i is not None and i > start]
+        joined = re.sub(r"\s+", "", "".join(lines[start : min(ends, default=len(lines))]))
+        templates[kind] = tuple(name for name in _CHANNEL.findall(joined) if not name.startswith("DO"))
+    names: dict[str, str] = {}
+    ranges: dict[str, tuple[float, float]] = {}
+    for _, match in definitions:
+        limits = _RANGE.search(match[2])
+        names[match[1]] = (limits[3] if limits else match[2]).strip()
+        if limits:
+            ranges[match[1]] = (float(limits[1]), float(limits[2]))
+    channel = temperature_channel or next(
+        (name for name, words in names.items() if name.startswith("CV") and "temp" in words.lower()), ""
+    )
+    if channel not in ranges:
+        raise FramingError(
+            f"The chamber's description names no temperature channel with a range (channels: {names}). "
+            "Write temperature_channel, read_layout and write_layout in the rig file."
+        )
+    try:
+        return Layout(templates["I"], templates["E"], channel, *ranges[channel], names)
+    except ValueError as problem:
+        raise FramingError(f"{problem} Write read_layout and write_layout in the rig file.") from None
+
+
+# ----------------------------------------------------------------------------------------------------------- driver
+
+
+def open_exchange(transport: Transport, clock: Clock, config: WeissConfig) -> Exchange:
+    return Exchange(
+        transport,
+        LineFramer(b"\r"),
+        clock=clock,
+        device="The Weiss/Vötsch chamber",
+        reply_timeout_s=config.reply_timeout_s,
+        min_interval_s=config.min_interval_s,
+    )
+
+
+class WeissChamber:
+    """Role `Chamber`. Knows its layout from the first call that needs it."""
+
+    def __init__(self, exchange: Exchange, config: WeissConfig) -> None:
+        self._exchange = exchange
+        self._config = config
+        self._clock = exchange.clock
+        self._known: Layout | None = None
+
+    def identify(self) -> Identity:
+        layout = self._layout()
+        return Identity("weiss", "ASCII-2 chamber", details={"channels": " ".join(layout.read)} | layout.names)
+
+    def limits(self) -> ChamberLimits:
+        layout = self._layout()
+        return ChamberLimits(
+            layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, slowest_ramp_k_per_min=0.1
+        )
+
+    def read(self) -> ChamberReading:
+        layout, record = self._layout(), self._record()
+        time_s = self._clock.now()
+        product = self._config.product_channel
+        running = record.digital[self._config.start_channel] == "1"
+        return ChamberReading(
+            time_s,
+            record.numbers[layout.actual(layout.temperature)],
+            record.numbers[layout.actual(product)] if product else None,
+            record.numbers[layout.nominal(layout.temperature)],
+            "RUN" if running else "STOP",
+            running,
+            self._faults(),
+        )
+
+    def hold(self, temperature_c: float) -> None:
+        self._check(temperature_c)
+        # An old gradient stays active until it is overwritten.
+        self._gradient(0.0, 0.0)
+        self._write(temperature_c, start=True, nominal_moves=False)
+
+    def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
+        if not self._config.hardware_ramp:
+            raise Rejected("Hardware ramps are switched off for this chamber in the rig file.")
+        rate = round(rate_k_per_min, 1)
+        if not rate > 0.0:
+            raise LimitExceeded(f"{rate_k_per_min} K/min is below the chamber's resolution of 0.1 K/min.")
+        self._check(temperature_c)
+        layout, record = self._layout(), self._record()
+        warming = temperature_c >= record.numbers[layout.nominal(layout.temperature)]
+        self._gradient(rate if warming else 0.0, 0.0 if warming else rate)
+        self._write(temperature_c, start=True, nominal_moves=True)
+        return rate
+
+    def standby(self) -> None:
+        layout, record = self._layout(), self._record()
+        self._write(record.numbers[layout.nominal(layout.temperature)], start=False, nominal_moves=False)
+
+    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
+        if policy is ChamberSafe.STANDBY:
+            self.standby()
+        else:
+            layout = self._layout()
+            here = self._record().numbers[layout.actual(layout.temperature)]
+            wanted = here if policy is ChamberSafe.HOLD else ambient_c
+            self.hold(min(max(wanted, layout.lowest_c), layout.highest_c))
+        reading = self.read()
+        return SafeReport(policy.value, True, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
+
+    def close(self) -> None:
+        self._exchange.transport.close()
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _layout(self) -> Layout:
+        if self._known is None:
+            config = self._config
+            if config.read_layout:
+                names = config.read_layout.split(), config.write_layout.split()
+                channel = config.temperature_channel or names[0][0]
+                self._known = Layout(tuple(names[0]), tuple(names[1]), channel, config.lowest_c, config.highest_c, {})
+            else:
+                with self._exchange.lock:
+                    self._exchange.tell(self._request("?"))
+                    # There is no end mark: the first byte has the reply's time, then silence ends the text.
+                    heard = self._exchange.transport.read(config.reply_timeout_s)
+                    heard += self._exchange.transport.drain(config.description_silence_s, longest_s=10.0)
+                if not heard:
+                    raise ReplyTimeout(
+                        f"The chamber at {self._exchange.transport.url} did not describe itself ($aa?). Check address, "
+                        "baud rate and cable; if it has a fixed layout, write read_layout and write_layout in the rig "
+                        "file."
+                    )
+                self._known = parse_description(heard.decode("ascii", "replace"), config.temperature_channel)
+        return self._known
+
+    def _record(self) -> Record:
+        layout = self._layout()
+
+        def parse(frame: bytes) -> Record:
+            if frame.strip() == b"0":
+                raise NotThisReply  # a late acknowledgement
+            record = parse_record(frame, layout, self._config.digital_channels)
+            here = record.numbers[layout.actual(layout.temperature)]
+            if not LOWEST_PLAUSIBLE_C <= here <= HIGHEST_PLAUSIBLE_C:
+                raise FramingError(f"The chamber reports {here} degC, which is not plausible. Check line and layout.")
+            return record
+
+        return self._exchange.ask(self._request("I"), parse)
+
+    def _write(self, temperature_c: float, *, start: bool, nominal_moves: bool) -> None:
+        layout, before, channel = self._layout(), self._record(), self._config.start_channel
+        body = write_body(layout, before, temperature_c=temperature_c, start=start, start_channel=channel)
+
+        def shows(now: Record) -> bool:
+            nominal = now.numbers[layout.nominal(layout.temperature)]
+            arrived = abs(nominal - float(number(temperature_c))) < 0.05
+            return (now.digital[channel] == "1") == start and (arrived or nominal_moves)
+
+        until_shown(
+            lambda: self._acknowledged("E", body),
+            self._record,
+            shows,
+            what=f"Set point {temperature_c:.1f} degC with start {'on' if start else 'off'}",
+            clock=self._clock,
+            looks=1,
+        )
+
+    def _gradient(self, up: float, down: float) -> None:
+        self._acknowledged("U", " ".join(map(number, (up, down, 0.0, 0.0))))
+
+    def _acknowledged(self, letter: str, body: str) -> None:
+        """Send a command. `0` and silence are both consent; the read-back that follows decides."""
+
+        def parse(frame: bytes) -> None:
+            text = frame.decode("ascii", "replace").strip()
+            if text != "0":
+                raise Rejected(f"The chamber refuses ${letter}: {text!r}.", code=text)
+
+        try:
+            self._exchange.ask(
+                self._request(letter, body), parse, repeat=False, reply_timeout_s=self._config.acknowledge_timeout_s
+            )
+        except ReplyTimeout:
+            return
+
+    def _faults(self) -> tuple[str, ...]:
+        if not self._config.read_faults:
+            return ()
+        text = self._exchange.ask(self._request("F"), lambda frame: frame.decode("ascii", "replace").strip())
+        return () if text in ("", "0") else (text,)
+
+    def _check(self, temperature_c: float) -> None:
+        layout = self._layout()
+        if not layout.lowest_c <= temperature_c <= layout.highest_c:
+            raise LimitExceeded(
+                f"{temperature_c:.1f} degC lies outside the chamber's range {layout.lowest_c} to {layout.highest_c} "
+                "degC. Change the plan."
+            )
+
+    def _request(self, letter: str, body: str = "") -> bytes:
+        return request(self._config.address, letter, body, self._config.line_end)

@@ -1,0 +1,356 @@
+"""Zaber rotary stages: the ASCII protocol, with message ids and check sums on every command.
+
+Source: the vendor's packages `zaber.serial` and `zaber-motion`. 115200 8N1. A device answers `@ device axis id OK|RJ
+BUSY|IDLE warning data`; infos (`#`) and alerts (`!`) may come at any time and are passed over. The check is the two's
+complement of the sum of all characters after the first, as two hexadecimal digits.
+
+Positions are microsteps; microsteps a turn come from `limit.cycle.dist`, or from `microsteps_per_turn` in the rig file
+for devices without that setting.
+
+Unverified on real hardware: `velocity_factor` and `acceleration_factor` (data value per microstep/s and microstep/s²;
+time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver asks for it and
+then demands a check sum of every reply if it was granted and the next reply carries one (`reply_checksum` tells).
+Rates are not read from the device but are the mean since the previous reading.
+"""
+
+import re
+from dataclasses import dataclass
+
+from ..checksums import lrc_zaber
+from ..clock import Clock
+from ..errors import ChecksumError, DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, printable
+from ..exchange import Exchange, NotThisReply, until_shown
+from ..framing import LineFramer
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
+from ..transport import Transport
+
+WARNINGS = {
+    "FF": "critical system error",
+    "FN": "peripheral not supported",
+    "FZ": "peripheral inactive",
+    "FH": "hardware emergency stop",
+    "FV": "supply voltage out of range",
+    "FO": "driver disabled by the user",
+    "FC": "inrush current error",
+    "FM": "motor temperature error",
+    "FD": "driver disabled",
+    "FQ": "encoder error",
+    "FI": "index error",
+    "FA": "analogue encoder synchronisation error",
+    "FR": "overdrive limit exceeded",
+    "FS": "stalled and stopped",
+    "FB": "stream bounds exceeded",
+    "FP": "path deviation",
+    "FE": "limit error",
+    "FT": "excessive twist",
+    "WL": "unexpected limit trigger",
+    "WV": "supply voltage out of range",
+    "WT": "driver temperature high",
+    "WS": "stalled and recovered",
+    "WM": "displaced when stationary",
+    "WP": "calibration needed",
+    "WR": "no reference position",
+    "WH": "not homed",
+}
+_UNREFERENCED = {"WR", "WH"}
+_REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-Z]{2}) (\S.*)")
+
+
+@dataclass(frozen=True)
+class ZaberConfig:
+    """Options of the rig file. `zero_deg` is the rig's angle at the device's position 0, `direction` +1 or -1."""
+
+    device: int = 1
+    axis: int = 1
+    baudrate: int = 115200
+    reply_timeout_s: float = 0.5
+    poll_s: float = 0.05
+    microsteps_per_turn: int = 0
+    velocity_factor: float = 1.6384
+    acceleration_factor: float = 1.6384e-4
+    max_rate_dps: float = 360.0
+    max_acceleration_dps2: float = 300.0
+    direction: int = 1
+    zero_deg: float = 0.0
+    home_timeout_s: float = 120.0
+    stop_timeout_s: float = 30.0
+    unpower_command: str = ""
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.device <= 99 and 1 <= self.axis <= 9):
+            raise ValueError(f"Device {self.device}, axis {self.axis}: devices are 1 to 99, axes 1 to 9.")
+        if self.direction not in (-1, 1):
+            raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
+
+
+# ------------------------------------------------------------------------------------------------------------ codec
+
+
+@dataclass(frozen=True)
+class Reply:
+    """One `@` message. `message_id` is None where the device sent none."""
+
+    device: int
+    axis: int
+    message_id: int | None
+    accepted: bool
+    busy: bool
+    warning: str
+    data: str
+    checked: bool
+
+
+def command(device: int, axis: int, message_id: int, words: str) -> bytes:
+    body = f"{device} {axis} {message_id}{' ' if words else ''}{words}"
+    return f"/{body}:{lrc_zaber(body.encode()):02X}\n".encode("ascii")
+
+
+def parse_reply(frame: bytes, *, demand_checksum: bool) -> Reply:
+    """Raises `NotThisReply` for infos and alerts, `ChecksumError`, `FramingError`. Check digits are upper case."""
+    if frame[:1] in (b"#", b"!"):
+        raise NotThisReply
+    body, colon, check = frame[1:].rpartition(b":")
+    checked = bool(colon) and len(check) == 2
+    if checked and check != b"%02X" % lrc_zaber(body):
+        raise ChecksumError(f"The reply {printable(frame)!r} fails its check sum. Check the line's shielding.")
+    if demand_checksum and not checked:
+        raise ChecksumError(f"The reply {printable(frame)!r} has no check sum although the device sends them.")
+    text = frame[:1] + (body if checked else frame[1:])
+    match = _REPLY.fullmatch(text.decode("ascii", "replace"))
+    if match is None:
+        raise FramingError(f"{printable(frame)!r} is no Zaber reply. Check port and baud rate.")
+    number = int(match[3]) if match[3] is not None else None
+    return Reply(
+        int(match[1]), int(match[2]), number, match[4] == "OK", match[5] == "BUSY", match[6], match[7], checked
+    )
+
+
+# ----------------------------------------------------------------------------------------------------------- driver
+
+
+def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Exchange:
+    return Exchange(
+        transport,
+        LineFramer(b"\r\n"),
+        clock=clock,
+        device="The Zaber stage",
+        reply_timeout_s=config.reply_timeout_s,
+    )
+
+
+class ZaberAxis:
+    """Role `MotionAxis`. Several axes of one chain share an exchange."""
+
+    def __init__(self, exchange: Exchange, config: ZaberConfig) -> None:
+        self._exchange = exchange
+        self._config = config
+        self._clock = exchange.clock
+        self._message_id = 0
+        self._steps_per_turn = float(config.microsteps_per_turn)
+        self._previous: tuple[float, float] | None = None
+        self.reply_checksum = False
+
+    def identify(self) -> Identity:
+        try:
+            self._ask("set comm.checksum 1", axis=0)
+            self.reply_checksum = self._ask("get device.id", axis=0).checked
+        except Rejected:
+            self.reply_checksum = False
+        self._tolerated("set comm.alert 0")
+        self._tolerated("set knob.enable 0")
+        model, serial = self._setting("device.id", axis=0), self._setting("system.serial", axis=0)
+        firmware = self._setting("version", axis=0)
+        return Identity(
+            "zaber",
+            f"device {model}",
+            serial,
+            firmware,
+            {
+                "microsteps a turn": f"{self._turn():g}",
+                "replies": "with check sum" if self.reply_checksum else "without check sum",
+            },
+        )
+
+    def limits(self) -> AxisLimits:
+        turn = self._turn()
+        low, high = (float(self._setting(name)) for name in ("limit.min", "limit.max"))
+        ends = sorted((self._degrees(low), self._degrees(high)))
+        # Limits as wide as the integers that hold them are no limits.
+        endless = high - low >= 2.0**31
+        fastest = min(self._config.max_rate_dps, self._rate_limit())
+        return AxisLimits(
+            fastest,
+            self._config.max_acceleration_dps2,
+            None if endless else ends[0],
+            None if endless else ends[1],
+            360.0 / turn,
+            hardware_watchdog=False,
+        )
+
+    def read(self) -> AxisReading:
+        reply = self._ask("get pos")
+        time_s = self._clock.now()
+        position = self._degrees(_number(reply))
+        rate = 0.0
+        if self._previous is not None and reply.busy and time_s > self._previous[0]:
+            rate = (position - self._previous[1]) / (time_s - self._previous[0])
+        self._previous = (time_s, position)
+        flag = reply.warning
+        text = f"{flag} ({WARNINGS.get(flag, 'see the manual')})"
+        return AxisReading(
+            time_s,
+            position,
+            rate,
+            reply.busy,
+            flag not in _UNREFERENCED,
+            (text,) if flag.startswith("F") else (),
+            (text,) if flag.startswith("W") else (),
+        )
+
+    def home(self) -> None:
+        self._ask("home", repeat=False)
+        reading = self._until_idle(self._config.home_timeout_s, "homing")
+        if not reading.referenced:
+            raise DeviceFault("The axis stopped without finding its reference. Look at the stage.", codes=("WR",))
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        limits = self.limits()
+        beyond = (limits.lowest_deg is not None and position_deg < limits.lowest_deg - 1e-9) or (
+            limits.highest_deg is not None and position_deg > limits.highest_deg + 1e-9
+        )
+        if beyond:
+            raise LimitExceeded(
+                f"{position_deg:g} deg lies outside the travel {limits.lowest_deg:g} to {limits.highest_deg:g} deg."
+            )
+        reading = self.read()
+        if reading.faults or not reading.referenced:
+            raise DeviceFault(
+                f"The axis cannot go to an angle: {', '.join(reading.faults) or 'it has no reference'}. Home it first.",
+                codes=reading.faults,
+            )
+        self._check_rate(rate_dps)
+        self._set("maxspeed", round(rate_dps * self._velocity_data()))
+        self._set_acceleration(acceleration_dps2)
+        steps = round((position_deg - self._config.zero_deg) * self._config.direction / 360.0 * self._turn())
+        self._start(f"move abs {steps}")
+
+    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
+        self._check_rate(abs(rate_dps))
+        self._set_acceleration(acceleration_dps2)
+        self._start(f"move vel {round(rate_dps * self._config.direction * self._velocity_data())}")
+
+    def stop(self) -> None:
+        # A stop does no harm twice: it may be repeated without looking.
+        self._ask("stop")
+        self._until_idle(self._config.stop_timeout_s, "stopping")
+
+    def heartbeat(self) -> None:
+        """These stages have no watchdog."""
+
+    def safe(self, policy: AxisSafe) -> SafeReport:
+        self._ask("stop")
+        reading = self._until_idle(self._config.stop_timeout_s, "stopping", raise_faults=False)
+        if policy is AxisSafe.UNPOWER:
+            if not self._config.unpower_command:
+                raise Rejected("The rig file names no unpower_command for this stage; choose the safe policy 'hold'.")
+            self._ask(self._config.unpower_command, repeat=False)
+        state = "; ".join((*reading.faults, *reading.warnings)) or "no warnings"
+        return SafeReport(policy.value, not reading.moving, f"idle at {reading.position_deg:.4f} deg, {state}")
+
+    def close(self) -> None:
+        self._exchange.transport.close()
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _ask(self, words: str, *, axis: int | None = None, repeat: bool = True) -> Reply:
+        config = self._config
+        number = self._config.axis if axis is None else axis
+
+        with self._exchange.lock:
+            self._message_id = message_id = (self._message_id + 1) % 100
+
+            def parse(frame: bytes) -> Reply:
+                reply = parse_reply(frame, demand_checksum=self.reply_checksum)
+                if (reply.device, reply.axis, reply.message_id) != (config.device, number, message_id):
+                    raise NotThisReply
+                return reply
+
+            reply = self._exchange.ask(command(config.device, number, message_id, words), parse, repeat=repeat)
+        if not reply.accepted:
+            text = f"{reply.data}, {reply.warning}" if reply.warning != "--" else reply.data
+            raise Rejected(f"The stage refuses {words!r}: {text}.", code=reply.data, text=reply.warning)
+        return reply
+
+    def _start(self, words: str) -> None:
+        """A command of motion is sent once: whether it took effect is what the next reading says."""
+        reply = self._ask(words, repeat=False)
+        if reply.warning.startswith("F"):
+            raise DeviceFault(f"The stage reports {reply.warning} ({WARNINGS.get(reply.warning, 'see the manual')}).")
+
+    def _tolerated(self, words: str) -> None:
+        try:
+            self._ask(words, axis=0)
+        except Rejected:
+            return
+
+    def _setting(self, name: str, *, axis: int | None = None) -> str:
+        return self._ask(f"get {name}", axis=axis).data
+
+    def _set(self, name: str, value: int) -> None:
+        until_shown(
+            lambda: self._ask(f"set {name} {value}", repeat=False),
+            lambda: self._setting(name),
+            lambda shown: shown == str(value),
+            what=f"The setting {name} = {value}",
+            clock=self._clock,
+        )
+
+    def _set_acceleration(self, acceleration_dps2: float) -> None:
+        if not 0.0 < acceleration_dps2 <= self._config.max_acceleration_dps2:
+            raise LimitExceeded(
+                f"{acceleration_dps2:g} deg/s² lies outside 0 to {self._config.max_acceleration_dps2:g} deg/s²."
+            )
+        data = round(acceleration_dps2 / 360.0 * self._turn() * self._config.acceleration_factor)
+        self._set("accel", max(1, data))
+
+    def _check_rate(self, rate_dps: float) -> None:
+        if not 0.0 < rate_dps <= self._config.max_rate_dps:
+            raise LimitExceeded(f"{rate_dps:g} deg/s lies outside 0 to {self._config.max_rate_dps:g} deg/s.")
+
+    def _turn(self) -> float:
+        if not self._steps_per_turn:
+            try:
+                self._steps_per_turn = _number(self._ask("get limit.cycle.dist"))
+            except Rejected:
+                raise Rejected(
+                    "The stage does not tell its microsteps a turn (limit.cycle.dist). Write microsteps_per_turn of "
+                    "its data sheet in the rig file."
+                ) from None
+        return self._steps_per_turn
+
+    def _velocity_data(self) -> float:
+        """Data value of 1 deg/s."""
+        return self._turn() / 360.0 * self._config.velocity_factor
+
+    def _rate_limit(self) -> float:
+        """The largest rate whose data value a 32-bit integer holds, deg/s."""
+        return 2.0**31 / self._velocity_data()
+
+    def _degrees(self, steps: float) -> float:
+        return self._config.zero_deg + self._config.direction * steps * 360.0 / self._turn()
+
+    def _until_idle(self, timeout_s: float, doing: str, *, raise_faults: bool = True) -> AxisReading:
+        end = self._clock.now() + timeout_s
+        while (reading := self.read()).moving:
+            if self._clock.now() > end:
+                raise NotVerified(f"The axis is still moving after {timeout_s:g} s of {doing}. Look at the stage.")
+            self._clock.sleep(self._config.poll_s)
+        if raise_faults and reading.faults:
+            raise DeviceFault(f"The axis reports {', '.join(reading.faults)} after {doing}.", codes=reading.faults)
+        return reading
+
+
+def _number(reply: Reply) -> float:
+    if re.fullmatch(r"-?\d+(\.\d+)?", reply.data) is None:
+        raise FramingError(f"The stage answered {reply.data!r} where a number was expected.")
+    return float(reply.data)

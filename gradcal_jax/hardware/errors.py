@@ -1,0 +1,71 @@
+"""What can go wrong between the program and a device, by what may be done about it.
+
+Reads may be repeated after `ReplyTimeout`, `FramingError` and `ChecksumError`. Writes are repeated only when a
+read-back has shown that they did not take effect. `Rejected` and `DeviceFault` are the device's own word and are never
+repeated blindly. Every message is a sentence that says what was seen and what to do.
+"""
+
+
+def printable(data: bytes, limit: int = 160) -> str:
+    """Bytes as text for a message: printable ASCII as it is, the rest as `\\xNN`, cut at `limit` bytes."""
+    text = "".join(chr(b) if 32 <= b < 127 and b != 92 else _ESCAPES.get(b, f"\\x{b:02x}") for b in data[:limit])
+    return text + (f"… ({len(data)} bytes)" if len(data) > limit else "")
+
+
+_ESCAPES = {10: "\\n", 13: "\\r", 92: "\\\\"}
+
+
+class HardwareError(Exception):
+    """Any failure of a port, a device or a run. The message is for the person at the bench."""
+
+
+class PortRefused(HardwareError):
+    """The port does not exist, cannot be opened, or belongs to another program."""
+
+
+class Disconnected(HardwareError):
+    """The port vanished while it was open: a cable, an adapter or the peer is gone."""
+
+
+class ReplyTimeout(HardwareError):
+    """The device did not answer within its time."""
+
+
+class FramingError(HardwareError):
+    """Bytes came, but they are not a message of this protocol."""
+
+
+class ChecksumError(FramingError):
+    """A message came whose check does not fit its contents."""
+
+
+class Rejected(HardwareError):
+    """The device understood and said no.
+
+    `code` is the device's own code or word, `text` its meaning where known.
+    """
+
+    def __init__(self, message: str, *, code: str = "", text: str = "") -> None:
+        Exception.__init__(self, message)
+        self.code = code
+        self.text = text
+
+
+class DeviceFault(HardwareError):
+    """The device reports an alarm, a limit, an emergency stop or a failed self-test."""
+
+    def __init__(self, message: str, *, codes: tuple[str, ...] = ()) -> None:
+        Exception.__init__(self, message)
+        self.codes = codes
+
+
+class NotVerified(HardwareError):
+    """A command was sent, and the read-back shows that it did not take effect."""
+
+
+class WrongIdentity(HardwareError):
+    """The device that answers is not the one that the rig file or the journal names."""
+
+
+class LimitExceeded(HardwareError, ValueError):
+    """What was asked lies outside the limits that the device reports; nothing was sent."""

@@ -1,0 +1,165 @@
+"""Request and reply over one line, shared by all drivers whose device speaks when spoken to.
+
+The rules of retrying live here once: before every request the input is drained, so that a late reply to an earlier
+question is not taken for the answer to this one; after a time-out or a damaged reply the line is given time to fall
+silent; questions are repeated, commands are not (their driver reads back instead).
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+from .clock import Clock
+from .errors import ChecksumError, FramingError, NotVerified, ReplyTimeout, printable
+from .framing import Framer
+from .transport import Transport
+
+Reply = TypeVar("Reply")
+
+
+class NotThisReply(Exception):
+    """Raised by a reply parser for a frame that is sound but answers something else: the exchange goes on waiting."""
+
+
+class Exchange:
+    """One conversation at a time on a port. Thread-safe; several devices of one port share one exchange.
+
+    `min_interval_s` is the pause, on the run's clock, that the device wants between the starts of two requests;
+    `reply_timeout_s` is real time; `settle_s` is the silence (real time) that ends a disturbed conversation.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        framer: Framer,
+        *,
+        clock: Clock,
+        device: str,
+        reply_timeout_s: float,
+        min_interval_s: float = 0.0,
+        settle_s: float = 0.05,
+        tries: int = 3,
+    ) -> None:
+        self.transport = transport
+        self.clock = clock
+        self.device = device
+        self._framer = framer
+        self._reply_timeout_s = reply_timeout_s
+        self._min_interval_s = min_interval_s
+        self._settle_s = settle_s
+        self._tries = tries
+        self._next_request_s = -float("inf")
+        self.lock = threading.RLock()
+        self.disturbances = 0
+
+    def ask(
+        self,
+        request: bytes,
+        parse: Callable[[bytes], Reply],
+        *,
+        repeat: bool = True,
+        reply_timeout_s: float | None = None,
+        pause_after_s: float | None = None,
+    ) -> Reply:
+        """Send `request`, return what `parse` makes of the reply.
+
+        `parse` raises `NotThisReply` for a frame to pass over, `FramingError` or `ChecksumError` for a damaged one.
+        With `repeat` (questions only) those and a time-out are tried again. `pause_after_s` replaces the usual
+        interval to the next request.
+        """
+        with self.lock:
+            tries = self._tries if repeat else 1
+            for attempt in range(1, tries + 1):
+                try:
+                    return self._once(request, parse, reply_timeout_s or self._reply_timeout_s, pause_after_s)
+                except (ReplyTimeout, FramingError):
+                    self.disturbances += 1
+                    self.transport.drain(self._settle_s)
+                    if attempt == tries:
+                        raise
+            raise AssertionError("unreachable: the last try returns or raises")
+
+    def tell(self, request: bytes, *, pause_after_s: float | None = None) -> None:
+        """Send something that has no reply."""
+        with self.lock:
+            self._send(request, pause_after_s)
+
+    def _send(self, request: bytes, pause_after_s: float | None) -> None:
+        self.clock.sleep_until(self._next_request_s)
+        self.transport.drain()
+        self._framer.reset()
+        self._next_request_s = self.clock.now() + (self._min_interval_s if pause_after_s is None else pause_after_s)
+        self.transport.write(request)
+
+    def _once(
+        self, request: bytes, parse: Callable[[bytes], Reply], reply_timeout_s: float, pause_after_s: float | None
+    ) -> Reply:
+        self._send(request, pause_after_s)
+        end = time.monotonic() + reply_timeout_s
+        heard = b""
+        problem: FramingError | None = None
+        while (left := end - time.monotonic()) > 0.0:
+            data = self.transport.read(min(left, 0.1))
+            heard += data
+            for frame in self._framer.push(data):
+                try:
+                    return parse(frame)
+                except NotThisReply:
+                    continue
+                except ChecksumError:
+                    # The message was ours to judge and is damaged: no use in waiting for another.
+                    raise
+                except FramingError as damage:
+                    # Perhaps noise before the reply: the reply may still come in its time.
+                    problem = damage
+        if problem is not None:
+            raise problem
+        if heard:
+            raise FramingError(
+                f"{self.device} at {self.transport.url} was sent {printable(request)!r} and answered "
+                f"{printable(heard)!r}, which is no complete reply of its protocol. Check that the port leads to this "
+                "device, its baud rate and its terminator."
+            )
+        raise ReplyTimeout(
+            f"{self.device} at {self.transport.url} was sent {printable(request)!r} and did not answer in "
+            f"{reply_timeout_s:g} s. Check that it is on, the cable, the baud rate and its address."
+        )
+
+
+def until_shown(
+    send: Callable[[], object],
+    read: Callable[[], Reply],
+    shows: Callable[[Reply], bool],
+    *,
+    what: str,
+    clock: Clock,
+    tries: int = 3,
+    pause_s: float = 0.2,
+    looks: int = 3,
+) -> Reply:
+    """Command, then read back until the read-back shows it; the one way in which this room repeats a command.
+
+    `send` is repeated only after `looks` read-backs, `pause_s` of the run's clock apart, have shown that it did not
+    take effect: a lost acknowledgement alone repeats nothing. A refusal by the device is raised at once.
+
+    Raises:
+        NotVerified: after `tries` commands the read-back still differs; `what` names the command for the message.
+    """
+    seen: Reply | None = None
+    unanswered = ""
+    for _ in range(tries):
+        try:
+            send()
+        except (ReplyTimeout, FramingError) as problem:
+            unanswered = f" ({problem})"
+        for look in range(looks):
+            if look:
+                clock.sleep(pause_s)
+            seen = read()
+            if shows(seen):
+                return seen
+    raise NotVerified(
+        f"{what} was sent {tries} times and the read-back still says {seen!r}{unanswered}. "
+        "Look at the device's own display: it may be in local mode, locked, or limited."
+    )

@@ -1,0 +1,116 @@
+"""From a stream of bytes to messages: pure, without ports and without clocks.
+
+A framer takes chunks of any size and gives whole frames; how the stream was cut into chunks makes no difference. The
+framers of single devices (datagrams, packets) stand beside their codecs; here are those that several devices share.
+"""
+
+from typing import Protocol, runtime_checkable
+
+from .checksums import crc16_modbus
+
+
+@runtime_checkable
+class Framer(Protocol):
+    """Cuts a stream into frames."""
+
+    def push(self, data: bytes) -> list[bytes]:
+        """Take the next bytes; return the frames that are now complete."""
+        ...
+
+    def reset(self) -> None:
+        """Forget an unfinished frame, after a time-out or a re-opened port."""
+        ...
+
+    @property
+    def pending(self) -> bytes:
+        """The bytes of the unfinished frame."""
+        ...
+
+
+class LineFramer:
+    """Text lines that end at `terminator`, which is not part of the frame. Empty lines are dropped.
+
+    A line longer than `longest` bytes is garbage: it is dropped up to the next terminator.
+    """
+
+    def __init__(self, terminator: bytes, *, longest: int = 4096) -> None:
+        self._terminator = terminator
+        self._longest = longest
+        self._buffer = b""
+        self._overlong = False
+
+    @property
+    def pending(self) -> bytes:
+        return self._buffer
+
+    def reset(self) -> None:
+        self._buffer, self._overlong = b"", False
+
+    def push(self, data: bytes) -> list[bytes]:
+        *lines, self._buffer = (self._buffer + data).split(self._terminator)
+        if lines and self._overlong:
+            lines, self._overlong = lines[1:], False
+        if len(self._buffer) > self._longest:
+            # The tail may be the first part of a terminator of several bytes.
+            self._buffer, self._overlong = self._buffer[1 - len(self._terminator) or len(self._buffer) :], True
+        return [line for line in lines if line and len(line) <= self._longest]
+
+
+class ModbusReplyFramer:
+    """Replies of a Modbus RTU slave to functions 3, 4, 6 and 16, by the length that their head announces.
+
+    The frames' CRC is *not* checked here: the codec does, so that a damaged reply is told from a missing one. Only what
+    belongs to `address` starts a frame; other leading bytes are noise and are dropped one by one.
+    """
+
+    def __init__(self, address: int) -> None:
+        self._address = address
+        self._buffer = b""
+
+    @property
+    def pending(self) -> bytes:
+        return self._buffer
+
+    def reset(self) -> None:
+        self._buffer = b""
+
+    def push(self, data: bytes) -> list[bytes]:
+        self._buffer += data
+        frames: list[bytes] = []
+        while len(self._buffer) >= 3:
+            length = self._length(self._buffer)
+            if length is None:
+                self._buffer = self._buffer[1:]
+                continue
+            if len(self._buffer) < length:
+                break
+            frame = self._buffer[:length]
+            if crc16_modbus(frame[:-2]) != frame[-2:] and self._later_frame():
+                self._buffer = self._buffer[1:]
+                continue
+            frames.append(frame)
+            self._buffer = self._buffer[length:]
+        return frames
+
+    def _length(self, head: bytes) -> int | None:
+        if head[0] != self._address:
+            return None
+        function = head[1]
+        if function & 0x80:
+            return 5
+        if function in (3, 4):
+            return 5 + head[2] if head[2] and head[2] % 2 == 0 else None
+        return 8 if function in (6, 16) else None
+
+    def _later_frame(self) -> bool:
+        """Whether a sound frame begins later in the buffer: then the one at its head is noise."""
+        for start in range(1, len(self._buffer) - 4):
+            rest = self._buffer[start:]
+            length = self._length(rest)
+            if (
+                length is not None
+                and len(rest) >= length
+                and crc16_modbus(rest[: length - 2]) == rest[length - 2 : length]
+            ):
+                return True
+        return False

@@ -1,0 +1,233 @@
+"""What the runner asks of devices: a chamber, axes of motion, a stream of an IMU, and a person.
+
+Small protocols in the sense of `typing`: a driver has the methods, it inherits nothing. What was asked for (the set
+point) and what is (the read-back) are different fields everywhere. Units stand in the names: temperatures in °C (`_c`),
+angles in degrees (`_deg`), rates in deg/s (`_dps`).
+"""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who answered: compared with the rig file before a run and with the journal when one resumes."""
+
+    driver: str
+    model: str
+    serial_number: str = ""
+    firmware: str = ""
+    details: dict[str, str] = field(default_factory=dict[str, str])
+
+
+class ChamberSafe(Enum):
+    """What a chamber does when the run ends badly."""
+
+    STANDBY = "standby"  # conditioning off: drifts to the room
+    HOLD = "hold"  # stays where it is
+    AMBIENT = "ambient"  # goes on conditioning at the rig file's ambient temperature: no condensation
+
+
+class AxisSafe(Enum):
+    """What an axis does when the run ends badly. There is no default that unpowers a gravity-loaded axis."""
+
+    HOLD = "hold"  # controlled stop, stays powered
+    STOP = "controlled stop"  # controlled stop; powered state left to the device
+    UNPOWER = "unpower"  # controlled stop, then the motor goes idle: only where the axis is safe without power
+
+
+@dataclass(frozen=True)
+class ChamberLimits:
+    """What the chamber itself says it accepts."""
+
+    lowest_c: float
+    highest_c: float
+    resolution_k: float
+    hardware_ramp: bool
+    slowest_ramp_k_per_min: float = 0.0
+    fastest_ramp_k_per_min: float = float("inf")
+
+
+@dataclass(frozen=True)
+class ChamberReading:
+    """One reading; `setpoint_c` is the one that the controller works to now (moving while a ramp runs)."""
+
+    time_s: float
+    air_c: float
+    product_c: float | None
+    setpoint_c: float
+    mode: str
+    conditioning: bool
+    alarms: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SafeReport:
+    """What a device was told in `safe()` and what its read-back said."""
+
+    action: str
+    verified: bool
+    evidence: str
+
+
+@runtime_checkable
+class Chamber(Protocol):
+    """Every command returns only after the read-back has shown it; else it raises `NotVerified`."""
+
+    def identify(self) -> Identity: ...
+    def limits(self) -> ChamberLimits: ...
+    def read(self) -> ChamberReading: ...
+    def hold(self, temperature_c: float) -> None:
+        """Condition at `temperature_c`, as fast as the chamber can."""
+        ...
+
+    def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
+        """Go to `temperature_c` at `rate_k_per_min` (above zero), in the controller.
+
+        Returns the rate that the controller's resolution makes of it, K/min.
+        """
+        ...
+
+    def standby(self) -> None: ...
+    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport: ...
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class AxisLimits:
+    """What the axis accepts. Travel is None where it turns for ever."""
+
+    max_rate_dps: float
+    max_acceleration_dps2: float
+    lowest_deg: float | None
+    highest_deg: float | None
+    resolution_deg: float
+    hardware_watchdog: bool
+
+
+@dataclass(frozen=True)
+class AxisReading:
+    """One reading. `position_deg` is unwrapped: it goes on counting over whole turns."""
+
+    time_s: float
+    position_deg: float
+    rate_dps: float
+    moving: bool
+    referenced: bool
+    faults: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@runtime_checkable
+class MotionAxis(Protocol):
+    def identify(self) -> Identity: ...
+    def limits(self) -> AxisLimits: ...
+    def read(self) -> AxisReading: ...
+    def home(self) -> None:
+        """Find the reference; returns when it is found, raises `DeviceFault` when it is not."""
+        ...
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        """Start a trapezoidal move to an absolute position and return at once; `read().moving` tells its end."""
+        ...
+
+    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
+        """Start turning at a signed constant rate and return at once."""
+        ...
+
+    def stop(self) -> None:
+        """Controlled stop; returns when the axis stands."""
+        ...
+
+    def heartbeat(self) -> None:
+        """Feed the device's watchdog, where it has one."""
+        ...
+
+    def safe(self, policy: AxisSafe) -> SafeReport: ...
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class ImuSettings:
+    """What the unit says of itself after configuration, for the log."""
+
+    sample_rate_hz: float
+    counter_modulus: int
+    registers: dict[str, str]
+
+
+@dataclass(frozen=True)
+class ImuBatch:
+    """Samples decoded together. `n` of them, three axes; a quantity that the unit does not send is NaN.
+
+    Raw integers are kept beside scaled values: what is reported can be computed again.
+
+    host_time_s     (n,)   clock of the run when the last byte of the sample was in hand
+    device_time_s   (n,)   the unit's own time, unwrapped, from its counter or clock
+    gyro_dps        (n, 3) angular rate, deg/s
+    acceleration_g  (n, 3) specific force, in g0 = 9.80665 m/s²
+    temperature_c   (n, 3) of the gyro axes
+    raw_gyro        (n, 3) integers as sent; zeros where the unit sends floating point
+    status          (n,)   status bits, 0 = good; the meaning is the driver's
+    gap_before      (n,)   number of samples missing just before this one
+    """
+
+    host_time_s: NDArray[np.float64]
+    device_time_s: NDArray[np.float64]
+    gyro_dps: NDArray[np.float64]
+    acceleration_g: NDArray[np.float64]
+    temperature_c: NDArray[np.float64]
+    raw_gyro: NDArray[np.int32]
+    status: NDArray[np.int64]
+    gap_before: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return self.host_time_s.shape[0]
+
+
+@runtime_checkable
+class ImuDecoder(Protocol):
+    """Pure: the same bytes with the same stamps always give the same samples, however they were cut."""
+
+    def push(self, data: bytes, host_time_s: float) -> ImuBatch: ...
+
+    @property
+    def bad_bytes(self) -> int:
+        """Bytes passed over because they belonged to no sound frame."""
+        ...
+
+
+@runtime_checkable
+class ImuStream(Protocol):
+    def identify(self) -> Identity: ...
+    def configure(self) -> ImuSettings:
+        """Bring the unit to the profile of the rig file, verify by read-back; nothing is saved to its flash."""
+        ...
+
+    def start(self) -> None: ...
+    def stop(self) -> None: ...
+    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
+        """Raw bytes of the stream with their time: they go to disk before anyone decodes them."""
+        ...
+
+    def decoder(self) -> ImuDecoder:
+        """A fresh decoder for this unit's settings."""
+        ...
+
+    def safe(self) -> SafeReport: ...
+    def close(self) -> None: ...
+
+
+@runtime_checkable
+class Operator(Protocol):
+    """The person at the bench: prompts, a hand-moved gimbal, typed angles."""
+
+    def confirm(self, text: str) -> None:
+        """Show `text` and return when the person says it is done; raises `HardwareError` where nobody can answer."""
+        ...
+
+    def angle_deg(self, text: str) -> float: ...

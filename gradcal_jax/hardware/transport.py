@@ -1,0 +1,193 @@
+"""A serial line: opened exclusively, read and written with time-outs, every byte recorded.
+
+pyserial behind one small class, so that a fork of it could take its place. What the code depends on (pyserial 3.5): a
+vanished pty or adapter raises `SerialException` from `read` and `write` but a bare `OSError` from `in_waiting`; a
+`socket://` line reports at most one waiting byte; without a write time-out a stuck peer blocks for ever; an exclusive
+open does not stop an opener that did not ask for exclusiveness, hence our own lock file besides.
+"""
+
+import contextlib
+import hashlib
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import serial
+
+from .clock import Clock
+from .errors import Disconnected, PortRefused
+from .transcript import Recorder
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
+Parity = Literal["N", "E", "O"]
+
+
+class PortLock:
+    """One process, one port: a lock file that the operating system releases when its owner dies."""
+
+    def __init__(self, url: str) -> None:
+        identity = os.path.realpath(url) if "://" not in url else url
+        folder = Path(tempfile.gettempdir()) / "gradcal-ports"
+        folder.mkdir(mode=0o777, exist_ok=True)
+        self._path = folder / (hashlib.sha256(identity.encode()).hexdigest()[:24] + ".lock")
+        self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            self._take()
+        except OSError:
+            owner = os.pread(self._handle, 200, 1).decode("utf-8", "replace").strip() if os.name == "posix" else ""
+            os.close(self._handle)
+            raise PortRefused(
+                f"The port {url} is in use by another run{f' ({owner})' if owner else ''}. "
+                "Wait until it ends or give this run another port."
+            ) from None
+        os.ftruncate(self._handle, 0)
+        # The first byte belongs to the lock (Windows locks a byte range), the note begins behind it.
+        os.write(self._handle, f"\nprocess {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
+
+    def _take(self) -> None:
+        if sys.platform == "win32":
+            os.lseek(self._handle, 0, os.SEEK_SET)
+            msvcrt.locking(self._handle, msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def release(self) -> None:
+        # The file stays: unlinking it would let two processes hold locks on two files of one name.
+        os.close(self._handle)
+
+
+class Transport:
+    """Bytes to and from one port.
+
+    `url` is a device path, `COM3`, or any URL of `serial.serial_for_url`, such as `socket://192.168.0.7:10001`.
+    Reading returns what is there, as soon as anything is. All methods raise `Disconnected` once the port is gone.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        clock: Clock,
+        baudrate: int = 9600,
+        bytesize: int = 8,
+        parity: Parity = "N",
+        stopbits: float = 1,
+        write_timeout_s: float = 2.0,
+        recorder: Recorder | None = None,
+    ) -> None:
+        self.url = url
+        self._clock = clock
+        self._recorder = recorder
+        self._lock = PortLock(url)
+        try:
+            port: Any = serial.serial_for_url(url, do_not_open=True)
+            port.baudrate, port.bytesize, port.parity, port.stopbits = baudrate, bytesize, parity, stopbits
+            port.timeout, port.write_timeout = 0.1, write_timeout_s
+            if "://" not in url:
+                port.exclusive = True
+            port.open()
+        except (serial.SerialException, OSError, ValueError) as problem:
+            self._lock.release()
+            raise PortRefused(
+                f"The port {url} cannot be opened: {problem}. Check its name, the cable, the rights of your account, "
+                "and that no other program holds it."
+            ) from None
+        self._port = port
+        self._is_socket = url.startswith("socket://")
+        self._link = clock.link(url)
+        self._link.attach()
+        self._closed = False
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The line settings as pyserial holds them: baudrate, bytesize, parity, stopbits."""
+        return {name: getattr(self._port, name) for name in ("baudrate", "bytesize", "parity", "stopbits")}
+
+    def write(self, data: bytes) -> None:
+        if self._recorder is not None:
+            self._recorder.record(self._clock.now(), ">", data)
+        self._link.host_wrote(len(data))
+        try:
+            self._port.write(data)
+        except serial.SerialTimeoutException:
+            raise Disconnected(
+                f"The port {self.url} takes no bytes: {len(data)} waited {self._port.write_timeout} s to be written. "
+                "Check flow control and that the device is on."
+            ) from None
+        except (serial.SerialException, OSError) as problem:
+            raise self._gone(problem) from None
+
+    def read(self, timeout_s: float, *, most: int = 65536) -> bytes:
+        """Up to `most` bytes, as soon as there are any; empty when none came in `timeout_s` real seconds."""
+        return self.read_stamped(timeout_s, most=most)[0]
+
+    def read_stamped(self, timeout_s: float, *, most: int = 65536) -> tuple[bytes, float]:
+        """Like `read`, with the clock's time at which the bytes were in hand."""
+        try:
+            self._set_timeout(timeout_s)
+            data: bytes = self._port.read(1)
+            if data:
+                if self._is_socket:
+                    self._set_timeout(0.0)
+                    data += self._port.read(most - 1)
+                elif (waiting := min(self._port.in_waiting, most - 1)) > 0:
+                    data += self._port.read(waiting)
+        except (serial.SerialException, OSError, TypeError) as problem:
+            # TypeError: pyserial reads through a descriptor that another thread has just closed.
+            raise self._gone(problem) from None
+        now = self._clock.now()
+        if data:
+            if self._recorder is not None:
+                self._recorder.record(now, "<", data)
+            # Counted after the stamp: virtual time cannot have moved between arrival and stamp.
+            self._link.host_read(len(data))
+        return data, now
+
+    def drain(self, quiet_s: float = 0.0, *, longest_s: float = 2.0) -> bytes:
+        """Read and return (and record) what is waiting, until nothing came for `quiet_s`, for at most `longest_s`."""
+        dropped = b""
+        end = time.monotonic() + longest_s
+        while chunk := self.read(quiet_s):
+            dropped += chunk
+            if time.monotonic() > end:
+                break
+        return dropped
+
+    def set_baudrate(self, baudrate: int) -> None:
+        try:
+            self._port.baudrate = baudrate
+        except (serial.SerialException, OSError, ValueError) as problem:
+            raise PortRefused(f"The port {self.url} does not take {baudrate} baud: {problem}.") from None
+
+    def close(self) -> None:
+        """Idempotent, and never raises: it runs where something has already failed."""
+        if self._closed:
+            return
+        self._closed = True
+        self._link.detach()
+        with contextlib.suppress(serial.SerialException, OSError):
+            self._port.close()
+        self._lock.release()
+
+    def __enter__(self) -> "Transport":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _set_timeout(self, timeout_s: float) -> None:
+        if self._port.timeout != timeout_s:
+            self._port.timeout = timeout_s
+
+    def _gone(self, problem: Exception) -> Disconnected:
+        return Disconnected(f"The port {self.url} is gone ({problem}). Check the cable and the device's power.")

@@ -1,7 +1,7 @@
 """The `temperature` and `rate` bases of `[sensor.bias]` and `[sensor.scale_factor]`."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -77,7 +77,7 @@ class TemperatureSpline(Section):
     knots: Annotated[tuple[Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "TemperatureSpline":
         refuse(*increasing(self.knots, "knots"))
         return self
 
@@ -100,7 +100,7 @@ class RateSpline(Section):
     knots: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "RateSpline":
         refuse(*increasing(self.knots, "knots"))
         return self
 
@@ -122,7 +122,7 @@ class TemperatureBins(Section):
     edges: Annotated[tuple[Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "TemperatureBins":
         refuse(*increasing(self.edges, "edges"))
         return self
 
@@ -144,7 +144,7 @@ class RateBins(Section):
     edges: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "RateBins":
         refuse(*increasing(self.edges, "edges"))
         return self
 

@@ -1,6 +1,6 @@
 """`[rig]`: the table, its angle reference, and the chamber, as far as a plan must respect them."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -58,7 +58,7 @@ class Chamber(Section):
     max_cooling: PositiveTemperatureSlope
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "Chamber":
         refuse(*increasing(self.range, "range"))
         return self
 

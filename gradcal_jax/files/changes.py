@@ -34,7 +34,7 @@ def split_key(text: str) -> Key:
 
 def tables_of(spec: Spec) -> dict[str, Any]:
     """The spec as the tables of its file: texts, numbers, lists; free to change."""
-    return cast("dict[str, Any]", spec.model_dump(mode="json", exclude_unset=True))
+    return spec.model_dump(mode="json", exclude_unset=True)
 
 
 def changed(spec: Spec, changes: Mapping[str, object], source: str = "") -> Spec:
@@ -92,7 +92,7 @@ def _dressed(old: object, value: object) -> object:
     """`value` as the file writes it: an SI number takes the unit of the text that stood there."""
     if isinstance(value, float | int) and not isinstance(value, bool) and isinstance(old, str):
         return units.format_quantity(float(value), units.unit_of(old))
-    return copy.deepcopy(value) if isinstance(value, dict | list) else value
+    return copy.deepcopy(value)
 
 
 __all__ = ["changed", "dotted", "split_key", "tables_of"]

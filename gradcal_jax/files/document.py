@@ -20,6 +20,8 @@ def read_text(path: str | Path) -> str:
         if path.stat().st_size > _LARGEST:
             raise SpecError([Problem((), f"is larger than {_LARGEST // 1_000_000} MB; give a TOML file")], name)
         raw = path.read_bytes()
+    except SpecError:
+        raise
     except FileNotFoundError:
         raise SpecError([Problem((), "does not exist" + _neighbour(path))], name) from None
     except OSError as error:

@@ -19,14 +19,14 @@ the other keys it belongs to `peak_rate`.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal, Self, cast
+from typing import Annotated, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax import formulas
 from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
 from gradcal_jax.files.quantity import Angle, Count, Number, Rate, Time
-from gradcal_jax.files.section import Section, choose, refuse
+from gradcal_jax.files.section import Section, a_table, choose, refuse
 
 Axis = Literal["x", "y", "z"]
 AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
@@ -85,7 +85,7 @@ class _Move(Section):
     read_every: Time | None = None
 
     @model_validator(mode="after")
-    def _one_way_to_read(self) -> Self:
+    def _one_way_to_read(self) -> "_Move":
         if self.read is not None and self.read_every is not None:
             refuse(Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text))
         return self
@@ -120,7 +120,7 @@ class _Turn(_Move):
     duration: Time | None = None
 
     @model_validator(mode="after")
-    def _one_angle(self) -> Self:
+    def _one_angle(self) -> "_Turn":
         if self.turn is not None and self.turns is not None:
             refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
         if self.turn == 0.0:
@@ -146,7 +146,7 @@ class _PeakedTurn(_Turn):
     peak_rate: Rate | None = None
 
     @model_validator(mode="after")
-    def _signs(self) -> Self:
+    def _signs(self) -> "_PeakedTurn":
         if self.peak_rate is not None:
             if self.peak_rate == 0.0:
                 refuse(Problem(("peak_rate",), "must not be zero", self.peak_rate.text))
@@ -353,7 +353,7 @@ class Sinusoid(_Move):
     cycles: Annotated[Count, Field(le=10_000)] = 1
 
     @model_validator(mode="after")
-    def _moving(self) -> Self:
+    def _moving(self) -> "Sinusoid":
         if self.peak_rate == 0.0:
             refuse(Problem(("peak_rate",), "must not be zero", self.peak_rate.text))
         return self
@@ -387,7 +387,7 @@ class Spline(_Move):
     rates: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=60)]
 
     @model_validator(mode="after")
-    def _moving(self) -> Self:
+    def _moving(self) -> "Spline":
         if all(rate == 0.0 for rate in self.rates):
             refuse(Problem(("rates",), "must not all be zero"))
         return self
@@ -435,7 +435,7 @@ class Hand(_Turn):
     unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
 
     @model_validator(mode="after")
-    def _ends_only(self) -> Self:
+    def _ends_only(self) -> "Hand":
         if self.read_every is not None:
             message = "a turn by hand is known at its ends only; leave this key out"
             refuse(Problem(("read_every",), message, self.read_every.text))
@@ -483,9 +483,9 @@ SHAPES: Final[dict[str, type[Section]]] = {
 
 
 def _choose_move(value: object) -> object:
-    if not isinstance(value, dict):
+    if isinstance(value, Section):
         return value
-    table = cast("dict[str, object]", value)
+    table = a_table(value)
     if "rest" in table:
         return Rest.model_validate(table)
     if "shape" not in table:

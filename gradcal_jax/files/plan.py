@@ -10,7 +10,7 @@ The temperature of a gradient plan is written in one of three ways:
 * `programme`, a list of soaks, ramps and steps, of which the first is a soak with `at`.
 """
 
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
@@ -27,7 +27,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Time,
 )
-from gradcal_jax.files.section import Section, choose, refuse
+from gradcal_jax.files.section import Section, a_table, choose, refuse
 
 
 class Soak(Section):
@@ -64,9 +64,9 @@ _ITEMS: dict[str, type[Section]] = {"soak": SoakItem, "ramp_to": RampItem, "step
 
 
 def _choose_item(value: object) -> object:
-    if not isinstance(value, dict):
+    if isinstance(value, Section):
         return value
-    item = cast("dict[str, object]", value)
+    item = a_table(value)
     kinds = [key for key in _ITEMS if key in item]
     if len(kinds) == 1:
         return _ITEMS[kinds[0]].model_validate(item)
@@ -92,7 +92,7 @@ class OtherAxes(Section):
     read_every: Time | None = None
 
     @model_validator(mode="after")
-    def _reading(self) -> Self:
+    def _reading(self) -> "OtherAxes":
         if self.read_every is not None and not self.read:
             refuse(Problem(("read_every",), 'has no effect without "read = true"', self.read_every.text))
         return self
@@ -156,7 +156,7 @@ class GradientPlan(Section):
     cycle: Cycle | None = None
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
+    def _complete(self) -> "GradientPlan":
         refuse(*self._temperature_problems(), *self._reading_problems())
         return self
 
@@ -214,7 +214,7 @@ class StandardPlan(Section):
     estimator: Literal["best linear", "least squares"] = "best linear"
 
     @model_validator(mode="after")
-    def _distinct(self) -> Self:
+    def _distinct(self) -> "StandardPlan":
         problems: list[Problem] = []
         for i in range(1, len(self.temperatures)):
             if self.temperatures[i] == self.temperatures[i - 1]:

@@ -110,10 +110,15 @@ def one_of(known: Iterable[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " or " + names[-1]
 
 
-def from_validation(error: ValidationError, fields: Mapping[str, Iterable[str]] | None = None) -> list[Problem]:
+def from_validation(error: ValidationError) -> list[Problem]:
     """Every problem in what pydantic found, nested ones and ours among them, in our words."""
-    del fields
-    return [problem for details in error.errors(include_url=False) for problem in _translate(details)]
+    found = [problem for details in error.errors(include_url=False) for problem in _translate(details)]
+    # A list of which every entry was refused is also "too short": that is no fault of its own.
+    return [p for p in found if p.kind != "short" or not any(_below(p.key, other.key) for other in found)]
+
+
+def _below(key: Key, other: Key) -> bool:
+    return len(other) > len(key) and other[: len(key)] == key
 
 
 # Pydantic's own kinds of error -> what was expected, in our words; the braces take the error's context.
@@ -160,7 +165,7 @@ def _translate(details: ErrorDetails) -> list[Problem]:
     if isinstance(inner, ValueError):
         return [Problem(key, str(inner), value)]
     if kind in _EXPECTED:
-        return [Problem(key, _EXPECTED[kind].format(**context), value)]
+        return [Problem(key, _EXPECTED[kind].format(**context), value, "short" if kind == "too_short" else "value")]
     return [Problem(key, details["msg"], value)]
 
 

@@ -7,7 +7,7 @@ writing a file back changes nothing. A number that the program worked out is dre
 import math
 import operator
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Strict
 from pydantic.json_schema import JsonSchemaValue
@@ -26,19 +26,19 @@ class Quantity(float):
     text: str
     dimension: str
 
-    def __new__(cls, value: float, text: str, dimension: str) -> Self:
+    def __new__(cls, value: float, text: str, dimension: str) -> "Quantity":
         self = super().__new__(cls, value)
         self.text = text
         self.dimension = dimension
         return self
 
     @classmethod
-    def read(cls, text: str, dimension: str) -> Self:
+    def read(cls, text: str, dimension: str) -> "Quantity":
         """``Quantity.read("30 arcsec", "angle")``. Raises `gradcal_jax.units.UnitError`."""
         return cls(units.parse(text, dimension), text, dimension)
 
     @classmethod
-    def of(cls, value: float, unit: str) -> Self:
+    def of(cls, value: float, unit: str) -> "Quantity":
         """An SI value dressed in `unit`; its text reads back as exactly this value."""
         text = units.format_quantity(value, unit)
         return cls(value, text, units.dimension_of(unit))

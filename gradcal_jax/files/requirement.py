@@ -1,6 +1,6 @@
 """`[[requirement]]`: what the calibration must serve, and how the residual is summed up there."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -30,7 +30,7 @@ class ScaleFactorRequirement(Section):
     grid: tuple[Points, Points] = (101, 121)
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "ScaleFactorRequirement":
         too_fine = [Problem(("grid",), "at most 1000000 points together", list(self.grid))]
         fine = self.grid[0] * self.grid[1] > 1_000_000
         refuse(
@@ -52,7 +52,7 @@ class BiasRequirement(Section):
     grid: tuple[Points] = (101,)
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _ordered(self) -> "BiasRequirement":
         refuse(*increasing(self.temperature, "temperature"))
         return self
 

@@ -1,9 +1,9 @@
 """The base of every table in a file: frozen, closed to unknown keys, and plain-spoken about what is wrong."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Self, cast
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, cast
 
-from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
 
@@ -13,9 +13,10 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=False)
 
+    # Plain types: the tests check annotations function by function, where Self means nothing.
     @model_validator(mode="wrap")
     @classmethod
-    def _in_words(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _in_words(cls, value: Any, handler: Callable[[Any], Any]) -> Any:
         try:
             return handler(value)
         except ValidationError as error:
@@ -44,9 +45,9 @@ def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: ob
 
 def choose(value: object, key: str, classes: Mapping[str, type[Section]]) -> object:
     """The table read by the class that its `key` names: the before-validator of a field that holds one of several."""
-    if not isinstance(value, Mapping):
+    if isinstance(value, Section):
         return value
-    table = cast("Mapping[str, object]", value)
+    table = a_table(value)
     if key not in table:
         misspelt = next((name for name in table if nearest(name, [key]) == key), None)
         if misspelt is not None:
@@ -59,6 +60,13 @@ def choose(value: object, key: str, classes: Mapping[str, type[Section]]) -> obj
         ending = f'; nearest: "{close}"' if close else ""
         raise SpecError([Problem((key,), f"expected {one_of(classes)}{ending}", name)])
     return classes[name].model_validate(value)
+
+
+def a_table(value: object) -> Mapping[str, object]:
+    """The value, where it is a table. Raises `ValueError`."""
+    if not isinstance(value, Mapping):
+        raise ValueError("expected a table")
+    return cast("Mapping[str, object]", value)
 
 
 def refuse(*problems: Problem) -> None:

@@ -1,6 +1,6 @@
 """`[sensor]`: what is calibrated, its noise, and the error functions to be found."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -51,7 +51,7 @@ class TemperatureError(Section):
     scale_factor_slope: ScaleFactorSlope | None = None
 
     @model_validator(mode="after")
-    def _slopes(self) -> Self:
+    def _slopes(self) -> "TemperatureError":
         if self.bias_slope is None and self.scale_factor_slope is None:
             refuse(
                 Problem((), 'a temperature error acts through "bias_slope" or "scale_factor_slope"; give at least one')
@@ -89,7 +89,7 @@ class Bias(Section):
     discrepancy: BiasDiscrepancy | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _consistent(self) -> "Bias":
         refuse(*_smoothness(self.smoothness, self.temperature.basis))
         return self
 
@@ -109,7 +109,7 @@ class ScaleFactor(Section):
     discrepancy: ScaleFactorDiscrepancy | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _consistent(self) -> "ScaleFactor":
         refuse(*_smoothness(self.smoothness, self.temperature.basis, self.rate.basis))
         return self
 
@@ -152,7 +152,7 @@ class Sensor(Section):
     scale_factor: ScaleFactor | None = None
 
     @model_validator(mode="after")
-    def _something_to_find(self) -> Self:
+    def _something_to_find(self) -> "Sensor":
         problems: list[Problem] = []
         if self.bias is None and self.scale_factor is None:
             message = "there is nothing to calibrate; add [sensor.bias], [sensor.scale_factor] or both"

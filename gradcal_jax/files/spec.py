@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, cast
+from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
@@ -35,7 +35,7 @@ class Spec(Section):
     design: Design | None = None
 
     @model_validator(mode="after")
-    def _together(self) -> Self:
+    def _together(self) -> "Spec":
         refuse(*between_sections(self.sensor, self.rig, self.requirement, self.plan, self.design))
         return self
 

@@ -22,7 +22,7 @@ def to_toml(model: Section, *, header: str = "") -> str:
     document = tomlkit.document()
     for line in header.splitlines():
         document.add(tomlkit.comment(line))
-    tables = cast("dict[str, Any]", model.model_dump(mode="json", exclude_unset=True))
+    tables = model.model_dump(mode="json", exclude_unset=True)
     for name, value in _scalars_first(tables):
         document.add(name, _item(name, value))
     return tomlkit.dumps(document)  # pyright: ignore[reportUnknownMemberType]

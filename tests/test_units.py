@@ -1,0 +1,342 @@
+"""The strict grammar of quantities: datasheet idioms, refusals, round trips, and pint where pint is right."""
+
+import math
+import pickle
+import string
+from fractions import Fraction
+
+import pint
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from gradcal_jax import units
+from gradcal_jax.units import DIMENSIONS, UnitError, convert, dimension_of, format_quantity, parse, to_unit, unit_of
+
+DEG = math.pi / 180.0
+ARW = "angle random walk"
+
+IDIOMS = [
+    ("10 deg/s", "angular rate", 10 * DEG),
+    ("1 deg/h", "angular rate", DEG / 3600),
+    ("1 °/h", "angular rate", DEG / 3600),
+    ("1°/hr", "angular rate", DEG / 3600),
+    ("1 deg/hour", "angular rate", DEG / 3600),
+    ("5 dps", "angular rate", 5 * DEG),
+    ("5 mdps", "angular rate", 5e-3 * DEG),
+    ("−5 °/s", "angular rate", -5 * DEG),
+    ("1 rpm", "angular rate", 2 * math.pi / 60),
+    ("2 rev/min", "angular rate", 4 * math.pi / 60),
+    ("1 rad·s⁻¹", "angular rate", 1.0),
+    ("300 deg/s^2", "angular acceleration", 300 * DEG),
+    ("300 °/s²", "angular acceleration", 300 * DEG),
+    ("300 deg/(s·s)", "angular acceleration", 300 * DEG),
+    ("0.1 deg/sqrt(h)", ARW, 0.1 * DEG / 60),
+    ("0.1 °/√h", ARW, 0.1 * DEG / 60),
+    ("0.1°/√hr", ARW, 0.1 * DEG / 60),
+    ("0.1 °/√(h)", ARW, 0.1 * DEG / 60),
+    ("0.1 deg/rt-hr", ARW, 0.1 * DEG / 60),
+    ("0.1 deg/h^0.5", ARW, 0.1 * DEG / 60),
+    ("0.1 deg/h^(1/2)", ARW, 0.1 * DEG / 60),
+    ("6 deg/h/sqrt(Hz)", ARW, 0.1 * DEG / 60),
+    ("6 deg/h/√Hz", ARW, 0.1 * DEG / 60),
+    ("6 °/h/rtHz", ARW, 0.1 * DEG / 60),
+    ("6 deg/(h·√Hz)", ARW, 0.1 * DEG / 60),
+    ("0.005 dps/√Hz", ARW, 0.005 * DEG),
+    ("1 rad/s/sqrt(Hz)", ARW, 1.0),
+    ("2 deg/h/sqrt(h)", "rate random walk", 2 * DEG / 3600 / 60),
+    ("2 °/h/√h", "rate random walk", 2 * DEG / 3600 / 60),
+    ("30 arcsec", "angle", DEG / 120),
+    ("30″", "angle", DEG / 120),
+    ('30 "', "angle", DEG / 120),
+    ("0.5'", "angle", DEG / 120),
+    ("0.5 ′", "angle", DEG / 120),
+    ("1° 30′ 36″", "angle", 1.51 * DEG),
+    ("-1 deg 30 arcmin", "angle", -1.5 * DEG),
+    ("2 turns", "angle", 4 * math.pi),
+    ("50 µrad", "angle", 50e-6),
+    ("50 \N{GREEK SMALL LETTER MU}rad", "angle", 50e-6),
+    ("2 h 40 min", "time", 9600.0),
+    ("2h40min", "time", 9600.0),
+    ("1 min 1.5 s", "time", 61.5),
+    ("100 min", "time", 6000.0),
+    ("10 us", "time", 1e-5),
+    ("20 degC", "temperature", 20.0),
+    ("−30 °C", "temperature", -30.0),
+    ("25 ℃", "temperature", 25.0),
+    ("86 degF", "temperature", 30.0),
+    ("-40 °F", "temperature", -40.0),
+    ("50 K", "temperature difference", 50.0),
+    ("100 mK", "temperature difference", 0.1),
+    ("1 K/min", "temperature slope", 1 / 60),
+    ("1 °C/min", "temperature slope", 1 / 60),
+    ("1 degC/min", "temperature slope", 1 / 60),
+    ("80 ppm", "scale factor", 80e-6),
+    ("0.1 %", "scale factor", 1e-3),
+    ("1 ‰", "scale factor", 1e-3),
+    ("0.01 1", "scale factor", 0.01),
+    ("5 ppm/K", "scale factor slope", 5e-6),
+    ("5 ppm/°C", "scale factor slope", 5e-6),
+    ("3 deg/h/K", "bias slope", 3 * DEG / 3600),
+    ("0.01 dps/°C", "bias slope", 0.01 * DEG),
+    ("3 deg/(h·K)", "bias slope", 3 * DEG / 3600),
+    ("2 deg/h/(K/min)", "bias temperature-gradient sensitivity", 2 * DEG / 3600 * 60),
+    ("10 °/h/g", "acceleration-sensitive drift", 10 * DEG / 3600 / 9.80665),
+    ("10 mg", "acceleration", 0.0980665),
+    ("10 m/s^2", "acceleration", 10.0),
+    ("1 g", "acceleration", 9.80665),
+    ("50 µg/√Hz", "velocity random walk", 50e-6 * 9.80665),
+    ("0.1 m/s/√h", "velocity random walk", 0.1 / 60),
+    ("2 kHz", "frequency", 2000.0),
+    ("10 cm", "length", 0.1),
+    (" 1e-3  rad ", "angle", 1e-3),
+    (".5 deg", "angle", 0.5 * DEG),
+    ("5. deg", "angle", 5 * DEG),
+    ("+5 deg", "angle", 5 * DEG),
+    ("1.5E2 s", "time", 150.0),
+    ("10\N{NO-BREAK SPACE}s", "time", 10.0),
+]
+
+
+@pytest.mark.parametrize(("text", "dimension", "value"), IDIOMS)
+def test_idioms_of_data_sheets_are_read_exactly(text, dimension, value):
+    assert parse(text, dimension) == pytest.approx(value, rel=4e-16, abs=0.0)
+
+
+REFUSED = [
+    ("0.1 deg/h", ARW, "angular rate"),
+    ("0.1 deg/sqrt(h)", "angular rate", "angle random walk"),
+    ("5 min", "angle", "that is a time"),
+    ("5 m", "time", "that is a length"),
+    ("10 Hz", "angular rate", "that is a frequency"),
+    ("1 rad", "scale factor", "that is an angle"),
+    ("20 K", "temperature", "degC"),
+    ("20 degC", "temperature difference", "written in K"),
+    ("20", "temperature", "unit is missing"),
+    ("20 C", "temperature", "unknown"),
+    ("-300 degC", "temperature", "absolute zero"),
+    ("1 degF/min", "temperature slope", "Fahrenheit"),
+    ("0", "time", "unit is missing"),
+    ("10000", "scale factor", "unit is missing"),
+    ("", "time", "begin with a number"),
+    ("deg/h", "angular rate", "begin with a number"),
+    ("0,1 deg", "angle", "point"),
+    ("10 000 ppm", "scale factor", "separators"),
+    ("10_000 ppm", "scale factor", "separators"),
+    ("±5 deg", "angle", "±"),
+    ("nan deg", "angle", "finite"),
+    ("inf s", "time", "finite"),
+    ("1e400 s", "time", "range"),
+    ("1e-400 s", "time", "range"),
+    ("1e99999999999 s", "time", "range"),
+    ("--5 s", "time", "begin with a number"),
+    ("5 s s", "time", "left over"),
+    ("5 deg s^-1", "angular rate", "left over"),
+    ("3 deg/h·K", "bias slope", "parentheses"),
+    ("3 deg/h*K", "bias slope", "parentheses"),
+    ("9.8 m/s2", "acceleration", "not understood"),
+    ("0.1 deg/h^1/2", ARW, "not understood"),
+    ("0.1 deg/√", ARW, "root"),
+    ("0.1 deg/sqrt h", ARW, "unknown"),
+    ("0.1 deg/√√h", ARW, "root"),
+    ("0.1 deg/√(√h)", ARW, "root of a root"),
+    ("0.1 deg/sqrt(h", ARW, "closed"),
+    ("0.1 deg/", "angle", "complete"),
+    ("0.1 deg/(h", "angular rate", "closed"),
+    ("0.1 deg)/h", "angular rate", "left over"),
+    ("0.1 Deg/h", "angular rate", "nearest: 'deg'"),
+    ("0.1 DPS", "angular rate", "nearest: 'dps'"),
+    ("0.1 dgps", "angular rate", "nearest: 'dps'"),
+    ("0.1 hz", "frequency", "nearest: 'Hz'"),
+    ("1 deg^4/s", "angular rate", "power"),
+    ("1 deg^(1/3)/s", "angular rate", "power"),
+    ("1 deg/1/s", "angular rate", "first"),
+    ("40 min 2 h", "time", "fall"),
+    ("1 h 90 min", "time", "below 60"),
+    ("1.5 h 10 min", "time", "decimals"),
+    ("1 h 30", "time", "not understood"),
+    ("2h 40m", "time", "not understood"),
+    ("1 h 1 h", "time", "fall"),
+    ("1 deg 30 min", "angle", "not understood"),
+    ("5 deg" + " " * 200 + "/s", "angular rate", "too long"),
+    ("5 " + "(" * 30 + "s" + ")" * 30, "time", "nest"),
+    ("٣ s", "time", "begin with a number"),
+    ("5 ｓ", "time", "not understood"),
+]
+
+
+@pytest.mark.parametrize(("text", "dimension", "reason"), REFUSED)
+def test_what_is_not_understood_exactly_is_refused_with_a_reason_and_an_example(text, dimension, reason):
+    with pytest.raises(UnitError) as caught:
+        parse(text, dimension)
+    message = str(caught.value)
+    assert reason in message
+    assert DIMENSIONS[dimension].example in message
+
+
+def test_an_unknown_dimension_names_the_nearest():
+    with pytest.raises(UnitError, match="nearest: 'angular rate'"):
+        parse("1 deg/s", "angle rate")
+
+
+UNITS = {
+    "angle": ["deg", "°", "arcmin", "arcsec", "rad", "mrad", "µrad", "turns"],
+    "angular rate": ["deg/s", "deg/h", "°/h", "dps", "mdps", "rad/s", "rpm"],
+    "angular acceleration": ["deg/s^2", "rad/s²"],
+    "time": ["s", "min", "h", "ms", "µs", "d"],
+    "temperature": ["degC", "°C", "degF"],
+    "temperature difference": ["K", "mK"],
+    "temperature slope": ["K/min", "°C/min", "K/s", "K/h"],
+    ARW: ["deg/sqrt(h)", "°/√h", "deg/h/sqrt(Hz)", "dps/√Hz", "rad/s/√Hz", "deg/√min"],
+    "rate random walk": ["deg/h/sqrt(h)", "rad/s/√s"],
+    "scale factor": ["ppm", "ppb", "%", "‰", "1"],
+    "scale factor slope": ["ppm/K", "%/°C", "1/K"],
+    "bias slope": ["deg/h/K", "dps/°C"],
+    "bias temperature-gradient sensitivity": ["deg/h/(K/min)", "rad/K"],
+    "acceleration": ["g", "mg", "µg", "m/s^2"],
+    "velocity random walk": ["m/s/√h", "µg/√Hz"],
+    "frequency": ["Hz", "kHz", "1/s"],
+    "length": ["m", "mm", "µm"],
+    "acceleration-sensitive drift": ["deg/h/g", "dps/g"],
+}
+PAIRS = [(dimension, unit) for dimension, known in UNITS.items() for unit in known]
+finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e250, max_value=1e250).filter(
+    lambda x: x == 0.0 or abs(x) > 1e-250
+)
+
+
+def test_every_dimension_is_in_the_table_of_round_trips_and_reads_its_own_examples():
+    assert set(UNITS) == set(DIMENSIONS)
+    for name, dimension in DIMENSIONS.items():
+        assert math.isfinite(parse(dimension.example, name))
+        assert parse(f"1 {dimension.si}", name) == 1.0
+        assert dimension_of(dimension.usual) == name
+        assert unit_of(dimension.example) in dimension.example
+
+
+@given(st.sampled_from(PAIRS), finite)
+def test_what_is_written_reads_back_as_the_very_same_float(pair, value):
+    dimension, unit = pair
+    if dimension == "temperature":
+        value = math.remainder(value, 270.0)
+    text = format_quantity(value, unit)
+    assert parse(text, dimension) == value
+    assert unit_of(text) == unit.replace("µ", "u")
+
+
+@given(st.sampled_from(PAIRS), st.decimals(-10_000, 10_000, places=3))
+def test_short_numbers_stay_short(pair, number):
+    dimension, unit = pair
+    if dimension == "temperature":
+        number = abs(number) % 200
+    value = parse(f"{number} {unit}", dimension)
+    digits = format_quantity(value, unit).split(" ")[0]
+    assert float(digits) == float(number)
+    assert len(digits) <= len(str(number))
+
+
+@given(st.integers(0, 300), st.integers(0, 59), st.integers(0, 59), st.integers(0, 99))
+def test_sexagesimal_angles_and_durations_are_exact(whole, sixtieths, seconds, hundredths):
+    exact = Fraction(whole * 3600 + sixtieths * 60 + seconds) + Fraction(hundredths, 100)
+    text = f"{whole} h {sixtieths} min {seconds}.{hundredths:02d} s"
+    assert parse(text, "time") == float(exact)
+    angle = parse(f"{whole}° {sixtieths}′ {seconds}.{hundredths:02d}″", "angle")
+    assert angle == pytest.approx(float(exact) / 3600 * DEG, rel=4e-16)
+
+
+def outcome(call, *arguments):
+    """The sentence of a refusal and a zero, or every description and the value."""
+    try:
+        return " ".join(dimension.described for dimension in DIMENSIONS.values()), call(*arguments)
+    except UnitError as error:
+        return str(error), 0.0
+
+
+symbols = st.sampled_from(
+    [*units._NAMES, "sqrt(", "√", "rt-", "^", "2", "0.5", "(", ")", "/", "·", "*", " ", "⁻¹", "²"]
+)
+noise = st.text(alphabet=string.printable + "°′″√µ·−²½⁻㎯∞", max_size=30)
+
+
+@given(st.one_of(noise, st.lists(symbols, max_size=8).map("".join)), st.sampled_from(list(DIMENSIONS)), finite)
+@example("1e999999999", "time", 1.0)
+def test_junk_is_a_quantity_or_a_unit_error_and_nothing_else(junk, dimension, number):
+    for text in (junk, f"{number} {junk}"):
+        message, value = outcome(parse, text, dimension)
+        assert DIMENSIONS[dimension].described in message
+        assert math.isfinite(value)
+        # What was understood has one meaning: written in SI it reads the same.
+        assert parse(format_quantity(value, DIMENSIONS[dimension].si), dimension) == value
+
+
+@given(st.text(max_size=40))
+def test_units_alone_raise_nothing_but_unit_errors(text):
+    for call in (dimension_of, unit_of, lambda u: to_unit(1.0, u), lambda u: convert(1.0, u, "deg")):
+        message, _ = outcome(call, text)
+        assert message
+
+
+# Names that pint shares and reads rightly: no g (gram), no mg (milligram), no ″, no √, no bare ° before a slash.
+PINT = {
+    "rad": "radian", "mrad": "mrad", "deg": "degree", "arcmin": "arcminute", "arcsec": "arcsecond", "rev": "turn",
+    "s": "s", "ms": "ms", "us": "us", "min": "minute", "h": "hour", "d": "day", "K": "kelvin", "m": "m", "mm": "mm",
+    "Hz": "Hz", "kHz": "kHz", "ppm": "ppm", "rpm": "rpm", "dps": "degree/second",
+}  # fmt: skip
+ureg = pint.UnitRegistry()
+SI = {"angle": "rad", "time": "s", "temperature": "K", "length": "m"}
+exponents = st.sampled_from([(1, "", 1.0), (2, "^2", 2.0), (-1, "^-1", -1.0), (0.5, "^0.5", 0.5), (0.5, "^(1/2)", 0.5)])
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(list(PINT)), exponents), min_size=1, max_size=2),
+    st.lists(st.tuples(st.sampled_from(list(PINT)), exponents), max_size=2),
+    st.floats(0.001, 1000.0),
+)
+def test_compound_units_agree_with_pint(top, bottom, number):
+    ours = "·".join(name + power for name, (_, power, _) in top)
+    theirs = " * ".join(f"({PINT[name]})**({exponent})" for name, (exponent, _, _) in top)
+    for name, (exponent, power, _) in bottom:
+        ours += f"/{name}{power}"
+        theirs += f" / ({PINT[name]})**({exponent})"
+    try:
+        dimension = dimension_of(ours)
+    except UnitError:
+        return
+    expected = (number * ureg(theirs)).to_base_units()
+    if dimension == "frequency" and "Hz" not in ours and ("rpm" in ours or "dps" in ours):
+        return
+    assert parse(f"{number!r} {ours}", dimension) == pytest.approx(expected.magnitude, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "silently"),
+    [("0.1 °/√h", ARW, "degree / hour"), ("10 mg", "acceleration", "milligram"), ("30″", "angle", "dimensionless")],
+)
+def test_where_a_general_library_is_silently_wrong_this_grammar_is_right(text, dimension, silently):
+    """Why there is a grammar of our own."""
+    assert str(ureg.Quantity(text).units) == silently
+    expected = {ARW: 0.1 * DEG / 60, "acceleration": 0.0980665, "angle": DEG / 120}[dimension]
+    assert parse(text, dimension) == pytest.approx(expected, rel=1e-15)
+
+
+def test_conversion_keeps_the_dimension():
+    assert convert(1.0, "deg/s", "deg/h") == 3600.0
+    assert convert(6.0, "deg/h/sqrt(Hz)", "deg/sqrt(h)") == pytest.approx(0.1, rel=1e-15)
+    assert convert(212.0, "degF", "degC") == 100.0
+    assert convert(100.0, "degC", "degF") == 212.0
+    assert to_unit(math.pi, "deg") == 180.0
+    with pytest.raises(UnitError, match="'deg' is an angle, 's' is a time"):
+        convert(1.0, "deg", "s")
+    for call in (
+        lambda: convert(math.nan, "s", "h"),
+        lambda: to_unit(math.inf, "s"),
+        lambda: format_quantity(math.nan, "s"),
+    ):
+        with pytest.raises(UnitError, match="finite"):
+            call()
+
+
+def test_the_error_is_a_value_error_that_survives_pickling():
+    error = UnitError("a sentence")
+    assert isinstance(error, ValueError)
+    assert str(pickle.loads(pickle.dumps(error))) == "a sentence"

@@ -221,6 +221,27 @@ def turned_angle(shape: str, peak_rate: Array, duration: Array, ramp: Array = 0.
     raise ValueError(f"the angle of shape {shape!r} has no formula in peak rate and duration alone")
 
 
+def repetitions(duration: float, own: float, period: float) -> tuple[int, float]:
+    """How often a cycle of `period`, of which the first `own` are its moves, is made in `duration`; and what is left.
+
+    A cycle counts when its moves still fit; the axis stands for what is left after the last one's moves.
+    """
+    rounding = 1e-9
+    room = duration * (1.0 + rounding) - own
+    if room < 0.0 or period <= 0.0:
+        return 0, duration
+    count = int(room / period + rounding) + 1
+    return count, max(0.0, duration - (count - 1) * period - own)
+
+
+def reading_times(duration: float, every: float | None) -> list[float]:
+    """Readings `every` apart that end within `duration`; a hair's breadth of rounding does not lose the last. None: none."""
+    if every is None:
+        return []
+    count = int(duration / every * (1.0 + 1e-9) + 1e-9)
+    return [min(k * every, duration) for k in range(1, count + 1)]
+
+
 # --- temperature ------------------------------------------------------------------------------------------------------
 
 

@@ -89,6 +89,11 @@ def noise_steps(timeline: Timeline, model: GyroModel) -> NoiseSteps:
         initial = initial.at[-1, -1].set(variance).at[0, -1].set(-variance).at[-1, 0].set(-variance)
         at_origin = at_origin + variance
     initial = initial.at[0, 0].set(at_origin)
+    gaps = timeline.gap_pieces.values
+    if len(gaps):
+        # A new origin: the angle state is minus what the reference says then, its white noise and its standstill's offset.
+        transition = transition.at[gaps, 0, :].set(jnp.zeros(n).at[n - 1].set(-1.0) if offset else 0.0)
+        covariance = covariance.at[gaps, 0, :].set(0.0).at[gaps, :, 0].set(0.0).at[gaps, 0, 0].set(white)
     on_the_move = jnp.where(timeline.at_rest, 0.0, timeline.end_rate() * reference.timing_error)
     return NoiseSteps(transition, covariance, observation, white + on_the_move**2, timeline.read, initial)
 

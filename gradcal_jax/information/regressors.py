@@ -62,15 +62,23 @@ def increments(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:
 def at_readings(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:
     """Regressors of the reading at the end of each piece, relative to the first reading (or to the point's own start)."""
     rows = increments(timeline, model)
-    if not timeline.rate_reference:
-        rows = jnp.cumsum(rows, axis=0)
     orders = model.reference.harmonic_orders
+    if timeline.rate_reference:
+        if orders:
+            raise ValueError("the encoder's error by angle has no meaning for the standard method: leave the harmonics out")
+        return rows
+    rows = jnp.cumsum(rows, axis=0)
     if orders:
-        angle = jnp.cumsum(timeline.turned())
-        phase = angle[:, None] * jnp.asarray(orders, dtype=rows.dtype)
-        # The reference is subtracted, hence the sign; the first reading, at angle 0, is the origin.
+        phase = jnp.cumsum(timeline.turned())[:, None] * jnp.asarray(orders, dtype=rows.dtype)[None, :]
+        # The reference is subtracted, hence the sign; the table starts at the angle 0.
         waves = jnp.stack([1.0 - jnp.cos(phase), -jnp.sin(phase)], axis=-1)
-        rows = rows.at[:, model.columns.harmonics].set(jnp.reshape(waves, (angle.shape[0], -1)))
+        rows = rows.at[:, model.columns.harmonics].set(jnp.reshape(waves, (rows.shape[0], -1)))
+    gaps = timeline.gap_pieces.values
+    if len(gaps):
+        # After a gap the origin is the reading at its end.
+        since = np.searchsorted(gaps, np.arange(timeline.piece_count), side="right") - 1
+        origin = jnp.where(since[:, None] >= 0, rows[gaps[np.maximum(since, 0)]], 0.0)
+        rows = rows - origin
     return rows
 
 
@@ -83,8 +91,8 @@ def _integrals(timeline: Timeline, of: Map, pieces: np.ndarray, nodes: int) -> t
     if temperature_breaks or rate_breaks:
         lower, upper = _smooth_panels(timeline, pieces, temperature_breaks, rate_breaks)
         width = (upper - lower)[..., None]
-        v = jnp.reshape(lower[..., None] + width * x, (len(pieces), -1))
-        weight = jnp.reshape(width * w, (len(pieces), -1))
+        v = jnp.reshape(lower[..., None] + width * jnp.asarray(x)[None, None], (len(pieces), -1))
+        weight = jnp.reshape(width * jnp.asarray(w)[None, None], (len(pieces), -1))
     else:
         v = jnp.broadcast_to(jnp.asarray(x), (len(pieces), nodes))
         weight = jnp.broadcast_to(jnp.asarray(w), (len(pieces), nodes))

@@ -15,7 +15,11 @@ from gradcal_jax import formulas
 
 
 class Pieces(NamedTuple):
-    """Smooth pieces of one move on one channel; the flags are part of the structure."""
+    """Smooth pieces of one move on one channel, in order; the flags are part of the structure.
+
+    Arrays: `duration` s, `u_start`, `u_end`, `terms` (see `plans.timeline`). Flags: a reading at the end; standing then;
+    the rate not zero throughout; the rate not constant; a gap, at whose end the angle's origin is read anew.
+    """
 
     duration: Array
     u_start: Array
@@ -25,24 +29,42 @@ class Pieces(NamedTuple):
     at_rest: np.ndarray
     moving: np.ndarray
     varying: np.ndarray
+    gap: np.ndarray
 
 
-class Steps(NamedTuple):
-    """How one smooth part of a move is divided: into `count` equal pieces, with a reading after every `stride` of them.
+_ARRAYS = 4
 
-    A stride of 0 leaves the part unread.
-    """
 
-    count: int = 1
-    stride: int = 0
+class Division(NamedTuple):
+    """How one smooth part of a move is divided: `edges` (fractions, from 0 to 1) and whether each piece ends with a reading."""
+
+    edges: tuple[float, ...]
+    read: tuple[bool, ...]
+
+
+def divide(duration: float, readings: list[float], longest: float = np.inf) -> Division:
+    """Divide a part of `duration` at its readings (times from its start), and until no piece is longer than `longest`."""
+    if duration <= 0.0:
+        return Division((0.0, 1.0), (bool(readings),))
+    stops = [float(t) / duration for t in readings]
+    ends = stops if stops and stops[-1] > 1.0 - 1e-9 else [*stops, 1.0]
+    if ends is stops:
+        ends = [*stops[:-1], 1.0]
+    edges, read = [0.0], []
+    for k, end in enumerate(ends):
+        begin = edges[-1]
+        count = max(1, int(np.ceil((end - begin) * duration / longest * (1.0 - 1e-9))))
+        edges += [begin + (end - begin) * i / count for i in range(1, count)] + [end]
+        read += [False] * (count - 1) + [k < len(stops)]
+    return Division(tuple(edges), tuple(read))
 
 
 class Move(eqx.Module):
     """A turn (any of `formulas.SHAPES`), or a rest (`shape="rest"`), of the table axis `axis`.
 
     `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's; `controls` a spline's rates over the
-    peak rate; `unevenness` of a turn by hand. `steps`: the division of each smooth part. `readings_at_rest`: how many readings a
-    standing axis gets meanwhile.
+    peak rate; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: of the same time for an
+    axis that stands meanwhile.
     """
 
     peak_rate: Float[Array, ""]
@@ -51,10 +73,10 @@ class Move(eqx.Module):
     controls: Float[Array, " c"]
     unevenness: Float[Array, ""]
     shape: str = eqx.field(static=True)
-    axis: str = eqx.field(static=True, default="x")
-    cycles: int = eqx.field(static=True, default=1)
-    steps: tuple[Steps, ...] = eqx.field(static=True, default=())
-    readings_at_rest: int = eqx.field(static=True, default=0)
+    axis: str = eqx.field(static=True)
+    cycles: int = eqx.field(static=True)
+    divisions: tuple[Division, ...] = eqx.field(static=True)
+    division_at_rest: Division = eqx.field(static=True)
 
     @property
     def angle(self) -> Float[Array, ""]:
@@ -67,22 +89,23 @@ class Move(eqx.Module):
     def pieces(self, channel: str) -> Pieces:
         """The move as the given channel sees it: its own motion, or standing while another axis moves."""
         if self.shape == "rest" or channel != self.axis:
-            return rest_pieces(self.duration, self.readings_at_rest)
+            return standing(self.duration, self.division_at_rest)
         blocks = []
         parts = self._parts()
-        for i, ((duration, coefficients, varying), (count, stride)) in enumerate(zip(parts, self.steps, strict=True)):
-            edges = jnp.linspace(0.0, 1.0, count + 1)
-            order = np.arange(1, count + 1)
+        for i, ((duration, coefficients, varying), (edges, read)) in enumerate(zip(parts, self.divisions, strict=True)):
+            count, at = len(read), jnp.asarray(edges)
+            ends_move = np.arange(count) == (count - 1 if i == len(parts) - 1 else count)
             blocks.append(
                 Pieces(
-                    jnp.full((count,), 1.0 / count) * duration,
-                    edges[:-1],
-                    edges[1:],
+                    jnp.diff(at) * duration,
+                    at[:-1],
+                    at[1:],
                     jnp.tile(coefficients * self.peak_rate, (count, 1)),
-                    (order % stride == 0) if stride else np.zeros(count, bool),
-                    (order == count) & (i == len(parts) - 1),
+                    np.array(read),
+                    ends_move,
                     np.ones(count, bool),
                     np.full(count, varying),
+                    np.zeros(count, bool),
                 )
             )
         return join(blocks)
@@ -107,19 +130,20 @@ class Move(eqx.Module):
         ]
 
 
-def rest_pieces(duration: Float[Array, ""], readings: int) -> Pieces:
-    """Standing for `duration` with that many equally spaced readings, the last at the end; 0 is one piece, unread."""
-    steps = max(readings, 1)
-    yes = np.ones(steps, bool)
+def standing(duration: Float[Array, ""], division: Division, *, gap: bool = False) -> Pieces:
+    """Standing for `duration`, divided as told; `gap`: a time whose data are not used."""
+    count, at = len(division.read), jnp.asarray(division.edges)
+    yes = np.ones(count, bool)
     return Pieces(
-        jnp.full((steps,), 1.0 / steps) * duration,
-        jnp.zeros(steps),
-        jnp.ones(steps),
-        jnp.zeros((steps, len(formulas.MOTION_TERMS))),
-        yes & (readings > 0),
+        jnp.diff(at) * duration,
+        jnp.zeros(count),
+        jnp.ones(count),
+        jnp.zeros((count, len(formulas.MOTION_TERMS))),
+        np.array(division.read),
         yes,
         ~yes,
         ~yes,
+        yes & gap,
     )
 
 
@@ -127,22 +151,20 @@ def join(blocks: list[Pieces]) -> Pieces:
     """Blocks of pieces, one after the other."""
     if len(blocks) == 1:
         return blocks[0]
-    arrays, flags = range(4), range(4, 8)
-    return Pieces(
-        *(jnp.concatenate([b[i] for b in blocks]) for i in arrays), *(np.concatenate([b[i] for b in blocks]) for i in flags)
-    )
+    fields = list(zip(*blocks, strict=True))
+    return Pieces(*(jnp.concatenate(f) for f in fields[:_ARRAYS]), *(np.concatenate(f) for f in fields[_ARRAYS:]))
 
 
-def readings_in(duration: float, every: float | None) -> int:
-    """How many readings fit at a spacing of at least `every`; they are then spaced equally. None: none."""
-    if every is None or duration <= 0.0:
-        return 0
-    return max(1, int(np.floor(duration / every * (1 + 1e-9))))
+def repeat(block: Pieces, count: int) -> Pieces:
+    """A block of pieces `count` times over."""
+    tiled = (jnp.tile(f, (count,) + (1,) * (f.ndim - 1)) for f in block[:_ARRAYS])
+    return Pieces(*tiled, *(np.tile(f, count) for f in block[_ARRAYS:]))
 
 
 def rest(duration: float, read_every: float | None = None) -> Move:
     """A rest of `duration` s, read every `read_every` s (None: unread)."""
-    return _move("rest", 0.0, duration, readings_at_rest=readings_in(float(duration), read_every))
+    division = divide(float(duration), formulas.reading_times(float(duration), read_every))
+    return _move("rest", 0.0, duration, (division,), division)
 
 
 def turn(
@@ -160,38 +182,30 @@ def turn(
     others_read_every: float | None = None,
     longest_piece: float = np.inf,
 ) -> Move:
-    """A turn from plain numbers (rad/s, s); see `Move`. `read_every` reads on the move, too; parts on which the rate varies
-    are divided until none is longer than `longest_piece` (a few of the shortest correlation time of the noise).
+    """A turn from plain numbers (rad/s, s); see `Move`.
 
-    Errors: `ValueError` for an unknown shape or ramps longer than the move.
+    `read_every` reads on the move, too, and then `read_at_end` does not matter. `longest_piece` (a few of the shortest
+    correlation time of the noise) divides the parts on which the rate varies. Errors: `ValueError` for an unknown shape or
+    ramps longer than the move.
     """
-    if 2.0 * ramp > duration * (1 + 1e-12):
+    if 2.0 * ramp > duration * (1 + 1e-9):
         raise ValueError(f"two ramps of {ramp} s do not fit into a move of {duration} s: shorten the ramp or the rate")
-    lasting = {"ramp": ramp, "flat": duration - 2.0 * ramp}
+    lasting = {"ramp": ramp, "flat": max(duration - 2.0 * ramp, 0.0)}
+    readings = formulas.reading_times(duration, read_every) or ([duration] if read_at_end else [])
+    divisions, begin = [], 0.0
     parts = formulas.shape_pieces(shape, cycles=cycles, controls=controls, unevenness=unevenness)
-    steps = []
     for i, (what, share, _) in enumerate(parts):
         part = lasting.get(what, share * duration)
-        readings = max(readings_in(part, read_every), int(read_at_end and i == len(parts) - 1))
-        apart = part / max(readings, 1)
-        within = max(1, int(np.ceil(apart / longest_piece))) if what != "flat" else 1
-        steps.append(Steps(max(readings, 1) * within, within if readings else 0))
-    return _move(
-        shape,
-        peak_rate,
-        duration,
-        ramp=ramp,
-        axis=axis,
-        cycles=cycles,
-        controls=controls,
-        unevenness=unevenness,
-        steps=tuple(steps),
-        readings_at_rest=readings_in(float(duration), others_read_every),
-    )
+        last = i == len(parts) - 1
+        inside = [t - begin for t in readings if t > begin + 1e-12 * duration and (last or t <= begin + part)]
+        divisions.append(divide(part, [min(t, part) for t in inside], np.inf if what == "flat" else longest_piece))
+        begin += part
+    others = divide(duration, formulas.reading_times(duration, others_read_every))
+    return _move(shape, peak_rate, duration, tuple(divisions), others, ramp, controls, unevenness, axis=axis, cycles=cycles)
 
 
-def _move(shape, peak_rate, duration, *, ramp=0.0, controls=(), unevenness=0.0, **structure) -> Move:
-    as_array = lambda v: jnp.asarray(v, dtype=float)  # noqa: E731
-    return Move(
-        as_array(peak_rate), as_array(duration), as_array(ramp), as_array(controls), as_array(unevenness), shape, **structure
-    )
+def _move(
+    shape, peak_rate, duration, divisions, at_rest, ramp=0.0, controls=(), unevenness=0.0, *, axis="x", cycles=1
+) -> Move:
+    numbers = (jnp.asarray(v, dtype=float) for v in (peak_rate, duration, ramp, controls, unevenness))
+    return Move(*numbers, shape=shape, axis=axis, cycles=cycles, divisions=divisions, division_at_rest=at_rest)

@@ -3,46 +3,44 @@
 A plan is data; `timeline(channel)` writes it out, differentiably in every duration, rate and slope.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from gradcal_jax.formulas import CONSTANT
-from gradcal_jax.plans.motion import Move, Pieces, join, readings_in, rest_pieces
+from gradcal_jax.formulas import CONSTANT, reading_times, repetitions
+from gradcal_jax.plans.motion import Division, Move, Pieces, divide, join, repeat, standing
 from gradcal_jax.plans.programme import Programme
 from gradcal_jax.plans.timeline import IndexArray, Timeline
 
 
-class Schedule(eqx.Module):
-    """How the moves fill the time: part of the structure, worked out once from plain numbers.
+class Stretch(NamedTuple):
+    """Neighbouring stretches `first … last − 1` of the programme whose data are used; part of a plan's structure.
 
-    `lead_readings`: readings of the standing axis in the used soak, before the motion; `whole_cycles`; `begun`: how many moves
-    of one more, cut cycle still fit; `rest_of_time`: what the axis does then, the index of the rest that is cut or −1, and
-    `tail_readings` its readings. `cuts`: (piece, stretch) where the programme changes slope inside a piece.
+    The cycle is made `cycles` times, the last time its moves alone; then the axis stands, divided as `tail` says.
     """
 
-    lead_readings: int = eqx.field(static=True)
-    whole_cycles: int = eqx.field(static=True)
-    begun: int = eqx.field(static=True)
-    rest_of_time: int = eqx.field(static=True)
-    tail_readings: int = eqx.field(static=True)
+    first: int
+    last: int
+    cycles: int
+    tail: Division | None
 
 
 class GradientPlan(eqx.Module):
-    """The chamber follows `programme`; from its stretch `first_stretch` on, `moves` repeat until it ends.
+    """The chamber follows `programme`; in each used stretch `moves`, then `after`, repeat.
 
-    `soak_used`: whether the readings of the standing axis before the motion count. The last cycle is cut: moves that no
-    longer fit are not begun, and the axis stands for the rest of the time. A plan without moves stands all the time.
+    `moves` are the axes' own; `after` are rests that complete the cycle (the time that axes outside this plan take). `cuts`:
+    for each channel the (piece, programme stretch) where the chamber changes its slope inside a piece.
     """
 
     programme: Programme
     moves: tuple[Move, ...]
-    schedule: Schedule
-    first_stretch: int = eqx.field(static=True)
-    soak_used: bool = eqx.field(static=True)
-    cuts: dict[str, tuple[tuple[int, int], ...]] = eqx.field(static=True)
+    after: tuple[Move, ...]
+    stretches: tuple[Stretch, ...] = eqx.field(static=True)
+    cuts: tuple[tuple[str, tuple[tuple[int, int], ...]], ...] = eqx.field(static=True, default=())
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -53,102 +51,103 @@ class GradientPlan(eqx.Module):
     def total_time(self) -> Float[Array, ""]:
         return self.programme.total
 
-    @property
-    def soak_time(self) -> Float[Array, ""]:
-        return jnp.sum(self.programme.durations[: self.first_stretch])
-
-    @property
-    def period(self) -> Float[Array, ""]:
-        return sum((m.duration for m in self.moves), start=jnp.zeros(()))
-
     def timeline(self, channel: str = "x", thermal_lag: Float[Array, ""] | float | None = None) -> Timeline:
-        """The plan as the sensor on `channel` sees it."""
+        """The plan as the sensor on `channel` sees it; `thermal_lag` s, of the sensor behind the chamber."""
         pieces, segment, segment_moves = self._pieces(channel)
-        begin = jnp.zeros(()) if self.soak_used else self.soak_time
+        times = self.programme.knots()[0]
+        begin = times[self.stretches[0].first]
         start = begin + jnp.concatenate([jnp.zeros(1), jnp.cumsum(pieces.duration)[:-1]])
-        cuts = self.cuts.get(channel, ())
+        cuts = dict(self.cuts).get(channel, ())
         if cuts:
-            pieces, start, segment = _cut(pieces, start, segment, cuts, self.programme.knots()[0])
+            pieces, start, segment = _cut(pieces, start, segment, cuts, times)
         trail = self.programme.trail(thermal_lag)
+        # The middle says which stretch a piece belongs to: at its start, rounding would.
         middle = jax.lax.stop_gradient(start + 0.5 * pieces.duration)
-        stretch = jnp.clip(jnp.searchsorted(trail.times, middle, side="right") - 1, 0, trail.slope.shape[0] - 1)
-        since = start - trail.times[:-1][stretch]
-        slope = trail.slope[stretch]
+        within = jnp.clip(jnp.searchsorted(trail.times, middle, side="right") - 1, 0, trail.slope.shape[0] - 1)
+        since = start - trail.times[within]
+        count = len(pieces.read)
         return Timeline(
             start=start,
             duration=pieces.duration,
             u_start=pieces.u_start,
             u_end=pieces.u_end,
             terms=pieces.terms,
-            trail=trail.trail[stretch] + slope * since,
-            slope=slope,
-            excess=trail.excess[stretch] * jnp.exp(-trail.lag_rate * since),
+            trail=trail.trail[within] + trail.slope[within] * since,
+            slope=trail.slope[within],
+            excess=trail.excess[within] * jnp.exp(-trail.lag_rate * since),
             lag_rate=trail.lag_rate,
             read=jnp.asarray(pieces.read),
             at_rest=jnp.asarray(pieces.at_rest),
             moving=jnp.asarray(pieces.moving),
-            reset=jnp.zeros(len(pieces.read), bool),
+            reset=jnp.zeros(count, bool),
             segment=jnp.asarray(segment),
             moving_pieces=IndexArray(np.flatnonzero(pieces.moving)),
             varying_pieces=IndexArray(np.flatnonzero(pieces.varying)),
+            gap_pieces=IndexArray(np.flatnonzero(pieces.gap)),
             segment_moves=segment_moves,
             axis=channel,
         )
 
     def _pieces(self, channel: str) -> tuple[Pieces, np.ndarray, tuple[int, ...]]:
-        """Lead, whole cycles (written once and tiled), the cut cycle and the tail; with the segment of each piece."""
-        s = self.schedule
-        of_moves = [m.pieces(channel) for m in self.moves]
-        blocks: list[tuple[Pieces, int]] = []
-        if self.soak_used and self.first_stretch:
-            blocks.append((rest_pieces(self.soak_time, s.lead_readings), -1))
-        if s.whole_cycles and of_moves:
-            cycle = join(of_moves)
-            sizes = [len(p.read) for p in of_moves]
-            repeated = Pieces(
-                *(jnp.tile(f, (s.whole_cycles,) + (1,) * (f.ndim - 1)) for f in cycle[:4]),
-                *(np.tile(f, s.whole_cycles) for f in cycle[4:]),
-            )
-        else:
-            repeated, sizes = None, []
-        tail_blocks = [(of_moves[i], i) for i in range(s.begun)]
-        used = s.whole_cycles * self.period + sum((m.duration for m in self.moves[: s.begun]), start=jnp.zeros(()))
-        left = self.total_time - self.soak_time - used
-        if s.rest_of_time >= -1:
-            tail_blocks.append((rest_pieces(left, s.tail_readings), s.rest_of_time))
-        joined = join([b for b, _ in blocks] + ([repeated] if repeated is not None else []) + [b for b, _ in tail_blocks])
-        segment_moves = [i for _, i in blocks] + list(range(len(self.moves))) * s.whole_cycles + [i for _, i in tail_blocks]
-        counts = [len(b.read) for b, _ in blocks] + sizes * s.whole_cycles + [len(b.read) for b, _ in tail_blocks]
-        return joined, np.repeat(np.arange(len(counts)), counts), tuple(segment_moves)
+        """All pieces, the segment of each, and each segment's move: an index into `moves + after`, or −1 for standing."""
+        times = self.programme.knots()[0]
+        own, rests = ([m.pieces(channel) for m in moves] for moves in (self.moves, self.after))
+        own_time, rest_time = (sum((m.duration for m in ms), start=jnp.zeros(())) for ms in (self.moves, self.after))
+        sizes = [len(p.read) for p in own + rests]
+        blocks: list[Pieces] = []
+        counts: list[int] = []
+        of_segment: list[int] = []
+        for k, stretch in enumerate(self.stretches):
+            begin, end = times[stretch.first], times[stretch.last]
+            if k:
+                gap = standing(begin - times[self.stretches[k - 1].last], Division((0.0, 1.0), (False,)), gap=True)
+                blocks.append(gap)
+                counts.append(1)
+                of_segment.append(-1)
+            whole = max(stretch.cycles - 1, 0)
+            if whole:
+                blocks.append(repeat(join(own + rests), whole))
+                counts += sizes * whole
+                of_segment += list(range(len(sizes))) * whole
+            if stretch.cycles:
+                blocks += own
+                counts += sizes[: len(own)]
+                of_segment += list(range(len(own)))
+            if stretch.tail is not None:
+                used = whole * (own_time + rest_time) + (own_time if stretch.cycles else 0.0)
+                blocks.append(standing(end - begin - used, stretch.tail))
+                counts.append(len(stretch.tail.read))
+                of_segment.append(-1)
+        return join(blocks), np.repeat(np.arange(len(counts)), counts), tuple(of_segment)
 
 
-def _cut(pieces: Pieces, start, segment, cuts, knot_times):
+def _cut(pieces: Pieces, start: Array, segment: np.ndarray, cuts, knot_times: Array):
     """Divide pieces at the instants where the chamber changes its slope, so that every piece is smooth."""
-    before: dict[int, list[int]] = {}
+    inside: dict[int, list[int]] = {}
     for piece, knot in cuts:
-        before.setdefault(piece, []).append(knot)
-    source, low, high = [], [], []
-    for k in range(len(pieces.read)):
-        edges = [-1, *before.get(k, []), -2]
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
-            source.append(k)
-            low.append(a)
-            high.append(b)
-    source, low, high = np.array(source), np.array(low), np.array(high)
+        inside.setdefault(piece, []).append(knot)
+    begin, end = -1, -2
+    bounds = [
+        (k, low, high)
+        for k in range(len(pieces.read))
+        for low, high in zip([begin, *inside.get(k, [])], [*inside.get(k, []), end], strict=True)
+    ]
+    source, low, high = (np.array(column) for column in zip(*bounds, strict=True))
     share = lambda knot: (knot_times[np.maximum(knot, 0)] - start[source]) / pieces.duration[source]  # noqa: E731
-    v0 = jnp.where(low == -1, 0.0, share(low))
-    v1 = jnp.where(high == -2, 1.0, share(high))
+    v0 = jnp.where(low == begin, 0.0, share(low))
+    v1 = jnp.where(high == end, 1.0, share(high))
     u0, width = pieces.u_start[source], (pieces.u_end - pieces.u_start)[source]
-    last = high == -2
+    last, moving = high == end, pieces.moving[source]
     cut = Pieces(
         pieces.duration[source] * (v1 - v0),
         u0 + width * v0,
         u0 + width * v1,
         pieces.terms[source],
         pieces.read[source] & last,
-        pieces.at_rest[source] & (last | ~pieces.moving[source]),
-        pieces.moving[source],
+        pieces.at_rest[source] & (last | ~moving),
+        moving,
         pieces.varying[source],
+        pieces.gap[source],
     )
     return cut, start[source] + pieces.duration[source] * v0, segment[source]
 
@@ -156,52 +155,37 @@ def _cut(pieces: Pieces, start, segment, cuts, knot_times):
 def gradient_plan(
     programme: Programme,
     moves: tuple[Move, ...] = (),
+    after: tuple[Move, ...] = (),
     *,
-    first_stretch: int = 0,
-    soak_used: bool = False,
+    used: tuple[tuple[int, int], ...] | None = None,
     read_every: float | None = 1.0,
 ) -> GradientPlan:
-    """Fit the moves into the programme. `read_every` s: spacing of readings while the axis stands outside the moves.
+    """Fit the moves into the used parts of a programme, as often as they go.
 
-    Errors: `ValueError` when the moves take longer than the programme leaves.
+    `used`: (first, last) of the programme's stretches, last not included; None: all. `read_every` s: spacing of the
+    readings while the axis stands for what the cycles leave; None: unread. Errors: `ValueError` when the moves fit nowhere.
     """
-    available = float(jnp.sum(programme.durations[first_stretch:]))
-    soak = float(jnp.sum(programme.durations[:first_stretch]))
-    durations = [float(m.duration) for m in moves]
-    period = sum(durations)
-    slack = 1e-9 * available
-    cycles = int((available + slack) // period) if period > 0 else 0
-    left = available - cycles * period
-    begun = 0
-    while begun < len(moves) and durations[begun] <= left + slack:
-        left -= durations[begun]
-        begun += 1
-    if moves and cycles == 0 and begun < len(moves):
-        raise ValueError(
-            f"one cycle takes {period:.6g} s but the temperature programme leaves {available:.6g} s: "
-            "shorten the cycle or slow the gradient"
-        )
-    what, tail_readings = -2, 0
-    if left > max(slack, 1e-6):
-        cut_rest = begun < len(moves) and moves[begun].shape == "rest"
-        what = begun if cut_rest else -1
-        if cut_rest:
-            readings = moves[begun].readings_at_rest
-            read_every = durations[begun] / readings if readings else None
-        tail_readings = readings_in(left, read_every)
-    schedule = Schedule(readings_in(soak, read_every) if soak_used else 0, cycles, begun, what, tail_readings)
-    plan = GradientPlan(programme, tuple(moves), schedule, first_stretch, soak_used, {})
-    times = np.asarray(programme.knots()[0])[1:-1]
-    cuts: dict[str, tuple[tuple[int, int], ...]] = {}
+    times = np.asarray(programme.knots()[0])
+    own = sum(float(m.duration) for m in moves)
+    period = own + sum(float(m.duration) for m in after)
+    stretches = []
+    for first, last in used or ((0, len(times) - 1),):
+        available = float(times[last] - times[first])
+        cycles, left = repetitions(available, own, period) if moves else (0, available)
+        tail = divide(left, reading_times(left, read_every)) if left > 1e-6 else None
+        stretches.append(Stretch(first, last, cycles, tail))
+    if moves and not any(s.cycles for s in stretches):
+        raise ValueError(f"the moves take {own:.6g} s and fit into no used part of the temperature programme: shorten them")
+    plan = GradientPlan(programme, tuple(moves), tuple(after), tuple(stretches))
+    cuts = []
     for channel in plan.channels:
         line = plan.timeline(channel)
         begin, end = np.asarray(line.start), np.asarray(line.start + line.duration)
-        found = [
-            (int(k), j + 1) for j, t in enumerate(times) for k in np.flatnonzero((begin < t - 1e-6) & (end > t + 1e-6))
-        ]
+        knots = enumerate(times[1:-1], start=1)
+        found = [(int(k), j) for j, t in knots for k in np.flatnonzero((begin < t - 1e-6) & (end > t + 1e-6))]
         if found:
-            cuts[channel] = tuple(sorted(found))
-    return GradientPlan(programme, tuple(moves), schedule, first_stretch, soak_used, cuts)
+            cuts.append((channel, tuple(sorted(found))))
+    return GradientPlan(programme, plan.moves, plan.after, plan.stretches, tuple(cuts))
 
 
 class StandardPlan(eqx.Module):
@@ -222,42 +206,42 @@ class StandardPlan(eqx.Module):
 
     @property
     def total_time(self) -> Float[Array, ""]:
-        count = self.temperatures.shape[0]
-        return count * (self.soak + self.rates.shape[0] * self.integration)
-
-    @property
-    def soak_time(self) -> Float[Array, ""]:
-        return self.temperatures.shape[0] * self.soak
+        return self.temperatures.shape[0] * (self.soak + self.rates.shape[0] * self.integration)
 
     def timeline(self, channel: str = "x", thermal_lag: Float[Array, ""] | float | None = None) -> Timeline:
-        """One piece a point. With a thermal lag the rest of each temperature's step decays through its soak and points."""
+        """One piece a point. With a thermal lag what is left of each temperature's step decays through its soak and points."""
         n_t, n_r = self.temperatures.shape[0], self.rates.shape[0]
+        count = n_t * n_r
         stay = self.soak + n_r * self.integration
         into = jnp.tile(self.soak + self.integration * jnp.arange(n_r, dtype=float), n_t)
         start = jnp.repeat(stay * jnp.arange(n_t, dtype=float), n_r) + into
-        step = jnp.concatenate([jnp.zeros(1), self.temperatures[:-1] - self.temperatures[1:]])
         lag_rate = jnp.zeros(()) if thermal_lag is None else 1.0 / jnp.asarray(thermal_lag, dtype=start.dtype)
-        excess = jnp.zeros(n_t * n_r) if thermal_lag is None else jnp.repeat(step, n_r) * jnp.exp(-lag_rate * into)
-        count = n_t * n_r
-        rates = jnp.tile(self.rates, n_t)
-        flags = jnp.ones(count, bool)
+        excess = jnp.zeros(count)
+        if thermal_lag is not None:
+            sensor, left = self.temperatures[0], []
+            for k in range(n_t):
+                left.append(sensor - self.temperatures[k])
+                sensor = self.temperatures[k] + left[k] * jnp.exp(-lag_rate * stay)
+            excess = jnp.repeat(jnp.stack(left), n_r) * jnp.exp(-lag_rate * into)
+        yes = jnp.ones(count, bool)
         return Timeline(
             start=start,
-            duration=jnp.full((count,), 1.0) * self.integration,
+            duration=jnp.ones(count) * self.integration,
             u_start=jnp.zeros(count),
             u_end=jnp.ones(count),
-            terms=rates[:, None] * jnp.asarray(CONSTANT),
+            terms=jnp.tile(self.rates, n_t)[:, None] * jnp.asarray(CONSTANT)[None, :],
             trail=jnp.repeat(self.temperatures, n_r),
             slope=jnp.zeros(count),
             excess=excess,
             lag_rate=lag_rate,
-            read=flags,
-            at_rest=~flags,
-            moving=flags,
-            reset=flags,
+            read=yes,
+            at_rest=~yes,
+            moving=yes,
+            reset=yes,
             segment=jnp.arange(count),
             moving_pieces=IndexArray(np.arange(count)),
             varying_pieces=IndexArray(()),
+            gap_pieces=IndexArray(()),
             segment_moves=(-1,) * count,
             axis=channel,
             rate_reference=True,

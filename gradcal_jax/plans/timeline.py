@@ -43,7 +43,8 @@ class Timeline(eqx.Module):
     `read`: a reading at the end of the piece; `at_rest`: the axis stands then; `moving`: the rate is not zero throughout;
     `reset`: an independent stretch begins here (standard method); `segment`: the move or soak that the piece belongs to,
     an index into `segment_moves`, whose entries index the plan's moves (−1: standing). `moving_pieces` and, of them,
-    `varying_pieces` (the rate is not constant) list indices. `rate_reference`: the reading is
+    `varying_pieces` (the rate is not constant) list indices; at the end of each of `gap_pieces`, whose data are not used, the
+    angle's origin is read anew. `rate_reference`: the reading is
     of a held rate, over its piece, not of an angle.
     """
 
@@ -63,6 +64,7 @@ class Timeline(eqx.Module):
     segment: Int[Array, " P"]
     moving_pieces: IndexArray = eqx.field(static=True)
     varying_pieces: IndexArray = eqx.field(static=True)
+    gap_pieces: IndexArray = eqx.field(static=True)
     segment_moves: tuple[int, ...] = eqx.field(static=True)
     axis: str = eqx.field(static=True, default="x")
     rate_reference: bool = eqx.field(static=True, default=False)

@@ -1,0 +1,331 @@
+"""Direct Bound: the Gauss-Markov drift that bounds what a record at rest shows, in the place of an Allan fit.
+
+Source: Z. Berman, "Inertial Sensors - A New Approach for Low Cost Calibration and Testing", section 3, eqs. 6-10.
+
+Given the angle random walk N and the data's `D_θ*(t)` (`largest_drift`), a process (σ, τ) bounds them with the margin
+k when `D_θ*(t) ≤ k D_L(t; σ, τ)` at every t, with the D_L of what the data went through, a plain mean over Δ
+(`limiting_function_of_mean`). The smallest σ for a τ is closed,
+
+    σ²(τ) = max_t [(D_θ*(t)² - κ(t)² N² (1/t + 1/Δ)) / (k² g(t, Δ, τ))]₊          κ = k in the paper
+
+and the curve σ(τ) is the edge of everything that bounds: the feasible boundary. The rule for a pair on it is ours: the
+one that bounds *most tightly over the range*, with the least mean over ln t of `ln(limit / D_θ*)`, which is nowhere
+negative on the boundary.
+
+**Why κ.** The largest of very many draws of pure random walk lies beyond k = 2.5 standard deviations too (ten hours
+hold 36 000 seconds to integrate over), and with κ = k that excess is read as drift: a sensor without any comes back
+with 14 deg/h. So the random walk is granted what its own largest draw reaches in a record of this length, where that is
+more than k. Under random walk alone D(t₀) is a stationary Gaussian process in t₀ with autocorrelation `1 - C|h|`,
+`C = (1/t² + 1/Δ² + 1/(tΔ)) / (1/t + 1/Δ)`, because its kernel jumps by 1/t, 1/t + 1/Δ and 1/Δ; the chance that its
+largest magnitude over T seconds of starts is beyond u standard deviations is (J. Pickands, "Upcrossing probabilities
+for stationary Gaussian processes", 1969; the 1 is the first start, and n starts are no more than n draws)
+
+    P ≈ 1 - exp(-2 min(1 + T C u², n) Φ(-u))
+
+and κ(t) = max(k, u(t)), with the P of each t such that a record of pure random walk stays within at every t 19 times
+out of 20. `raise_margin=False` gives the paper's κ = k.
+
+**Does the drift show at all?** A record whose D_θ* stays within κ N √(1/t + 1/Δ) at every t is one in which it does
+not: σ = 0 is the answer, with a sentence that says how large a drift could hide and from which Δ on it would show.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int
+from scipy import optimize, special
+
+from gradcal_jax.identify.largest_drift import LargestDrift, drifts
+from gradcal_jax.identify.limiting_function import (
+    drift_shape_of_mean,
+    limiting_function_of_mean,
+    random_walk_variance_of_mean,
+)
+
+# How often a record of pure random walk may be said to show a drift.
+_CHANCE_OF_FALSE_DRIFT = 0.05
+
+
+@dataclass(frozen=True)
+class DirectBound:
+    """The process that bounds one channel, and everything that bounds it. Rates in the unit of the record (rad/s)."""
+
+    drift_std: float
+    """σ of the chosen pair; zero where the random walk alone bounds."""
+    correlation_time_s: float
+    """τ of the chosen pair."""
+    angle_random_walk: float
+    """N that was assumed, rad/√s."""
+    margin: float
+    """k: the data stay within k standard deviations."""
+    averaging_time_s: float
+    """Δ."""
+    integration_time_s: Float[np.ndarray, " times"]
+    largest_drift: Float[np.ndarray, " times"]
+    """D_θ*(t)."""
+    limiting_function: Float[np.ndarray, " times"]
+    """D_L(t) of the chosen pair, one standard deviation."""
+    limit: Float[np.ndarray, " times"]
+    """√(κ² N² (1/t + 1/Δ) + k² σ² g), k D_L where κ = k: nowhere below `largest_drift`."""
+    random_walk_limit: Float[np.ndarray, " times"]
+    """κ N √(1/t + 1/Δ): what random walk alone stays within."""
+    boundary_correlation_time_s: Float[np.ndarray, " taus"]
+    boundary_drift_std: Float[np.ndarray, " taus"]
+    """The feasible boundary σ(τ): anything on or above it bounds."""
+    boundary_excess: Float[np.ndarray, " taus"]
+    """Mean over ln t of ln(limit / D_θ*): how far above the data each pair of the boundary lies on average."""
+    deciding_time_s: float
+    """The t at which the chosen pair touches the data."""
+    drift_shows: bool
+    """Whether some D_θ* is larger than random walk alone explains."""
+    hidden_drift_std: float
+    """Where no drift shows: how large a σ could hide, if its τ is √(Δ × longest t), given as `correlation_time_s`."""
+    advised_averaging_time_s: float | None
+    """Where no drift shows: the Δ from which on the hidden one would; `None` where no Δ would do for these t."""
+    messages: tuple[str, ...]
+    """Sentences for whoever uses the numbers; empty where there is nothing to warn of."""
+
+
+def smallest_bounding_variance(
+    integration_time_s: Float[ArrayLike, " times"],
+    largest_drift: Float[ArrayLike, " times"],
+    averaging_time_s: ArrayLike,
+    angle_random_walk: ArrayLike,
+    correlation_time_s: Float[ArrayLike, " taus"],
+    *,
+    margin: ArrayLike = 2.5,
+    random_walk_margin: Float[ArrayLike, " times"] | None = None,
+) -> Float[Array, " taus"]:
+    """σ²(τ) of the feasible boundary, in the square of the rates' unit; zero where random walk alone bounds.
+
+    `random_walk_margin` is κ(t); without it κ = k, the paper's. Closed, and differentiable in every argument but for
+    the change of the deciding t.
+    """
+    t, drift, tau = (jnp.asarray(x) for x in (integration_time_s, largest_drift, correlation_time_s))
+    walk = random_walk_variance_of_mean(t, averaging_time_s, angle_random_walk)
+    granted = (margin if random_walk_margin is None else jnp.asarray(random_walk_margin)) ** 2 * walk
+    shape = drift_shape_of_mean(t[:, None], averaging_time_s, tau[None, :])
+    return jnp.maximum(jnp.max(((drift**2 - granted) / margin**2)[:, None] / shape, axis=0), 0.0)
+
+
+def largest_of_random_walk(
+    integration_time_s: Float[np.ndarray, " times"],
+    averaging_time_s: float,
+    start_count: Int[np.ndarray, " times"],
+    sample_interval_s: float,
+    *,
+    exceeded_with_probability: float,
+) -> Float[np.ndarray, " times"]:
+    """The level, in standard deviations, that the largest drift of pure random walk exceeds with a given probability.
+
+    The formula stands at the module's head; it is asymptotic: good to a few per cent of the level for probabilities up
+    to a half. Where even no excess at all is more probable than asked for, zero.
+    """
+    if not 0 < exceeded_with_probability < 1:
+        raise ValueError(f"a probability lies between 0 and 1, not {exceeded_with_probability}")
+    t, delta = integration_time_s, averaging_time_s
+    crossings = (1 / t**2 + 1 / delta**2 + 1 / (t * delta)) / (1 / t + 1 / delta) * start_count * sample_interval_s
+    log_expected = float(np.log(-np.log1p(-exceeded_with_probability)))
+
+    def beyond(u: Float[np.ndarray, "#levels times"]) -> Float[np.ndarray, "levels times"]:
+        # ln Φ keeps its digits where Φ itself underflows.
+        return np.log(2.0 * np.minimum(1.0 + crossings * u**2, start_count)) + special.log_ndtr(-u) - log_expected
+
+    # Bisection on the branch that falls with u; below its crest the asymptotics mean nothing.
+    grid = np.broadcast_to(np.linspace(0.0, 3.0, 61)[:, None], (61, len(t)))
+    crest = np.argmax(beyond(grid), axis=0)
+    low, high = grid[crest, np.arange(len(t))].copy(), np.full(len(t), 100.0)
+    reached = beyond(low[None])[0] > 0
+    for _ in range(60):
+        middle = (low + high) / 2
+        above = beyond(middle[None])[0] > 0
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    return np.where(reached, (low + high) / 2, 0.0)
+
+
+def fit_direct_bound(
+    observed: LargestDrift,
+    angle_random_walk: float,
+    *,
+    channel: int = 0,
+    margin: float = 2.5,
+    raise_margin: bool = True,
+    correlation_times_s: Sequence[float] | Float[np.ndarray, " taus"] | None = None,
+) -> DirectBound:
+    """The feasible boundary of one channel and the pair on it that bounds most tightly.
+
+    **Arguments:** `observed` from `largest_drift`; `angle_random_walk` N, rad/√s (an Allan fit finds it, or the data
+    sheet says it; too large an N hides drift, too small a one calls it drift); `margin` k; `raise_margin`: whether the
+    random walk is granted what its largest draw reaches in a record of this length (see the module's head);
+    `correlation_times_s` restricts the τ's to look at; without it they run from a third of the shortest t to ten times
+    the longest, and the chosen one is refined between its neighbours.
+
+    **Raises:** `ValueError` for a channel that is not there, and for numbers that are not positive.
+    """
+    t, delta = observed.integration_time_s, observed.averaging_time_s
+    channels = observed.largest_drift.shape[1]
+    if not 0 <= channel < channels:
+        raise ValueError(f"there is no channel {channel}: the record has {channels}, counted from 0")
+    if not 0 < margin < np.inf:
+        raise ValueError(f"the margin k must be positive, not {margin}")
+    if not 0 <= angle_random_walk < np.inf:
+        raise ValueError(f"the angle random walk must be zero or more, not {angle_random_walk}")
+    largest = observed.largest_drift[:, channel]
+    if largest.min() <= 0:
+        raise ValueError("the rate does not change: a sensor that shows nothing has nothing to bound")
+    if correlation_times_s is None:
+        tau = np.geomspace(t[0] / 3, 10 * t[-1], 201)
+    else:
+        tau = np.unique(np.asarray(correlation_times_s, float))
+        if len(tau) == 0 or not (tau[0] > 0 and np.isfinite(tau[-1])):
+            raise ValueError("correlation times must be positive and finite, and at least one is needed")
+
+    starts, interval = observed.start_count[:, channel], observed.sample_interval_s
+    # Shared among the times, of which those a factor √e apart have nearly independent maxima.
+    chance = _CHANCE_OF_FALSE_DRIFT / (1.0 + 2.0 * np.log(t[-1] / t[0]))
+    level = largest_of_random_walk(t, delta, starts, interval, exceeded_with_probability=chance)
+    walk_margin = np.maximum(margin, level) if raise_margin else np.full(len(t), margin)
+    walk_limit = walk_margin * np.sqrt(np.asarray(random_walk_variance_of_mean(t, delta, angle_random_walk)))
+    weight = _log_weights(t)
+
+    def boundary(taus: Float[np.ndarray, " taus"]) -> tuple[Float[np.ndarray, " taus"], Float[np.ndarray, " taus"]]:
+        variance = np.asarray(
+            smallest_bounding_variance(
+                t, largest, delta, angle_random_walk, taus, margin=margin, random_walk_margin=walk_margin
+            )
+        )
+        shape = np.asarray(drift_shape_of_mean(t[:, None], delta, taus[None, :]))
+        limit = np.sqrt(walk_limit[:, None] ** 2 + margin**2 * variance[None, :] * shape)
+        return np.sqrt(variance), weight @ np.log(limit / largest[:, None])
+
+    std, excess = boundary(tau)
+    best = int(np.argmin(excess))
+    chosen_tau = float(tau[best])
+    inside = 0 < best < len(tau) - 1
+    shows = bool(np.any(largest > walk_limit))
+    hidden, advised = 0.0, None
+    messages: list[str] = []
+    if not shows:
+        low = largest_of_random_walk(t, delta, starts, interval, exceeded_with_probability=1.0 - chance)
+        chosen_tau = float(np.sqrt(delta * t[-1]))
+        hidden = _hidden_drift(t, largest, low, delta, angle_random_walk, chosen_tau)
+        advised = _averaging_time_that_shows(t, delta, hidden, chosen_tau, angle_random_walk)
+        messages.append(_no_drift_shows(delta, angle_random_walk, hidden, chosen_tau, advised))
+    elif correlation_times_s is None and inside:
+        found = optimize.minimize_scalar(
+            lambda log_tau: float(boundary(np.exp(np.array([log_tau])))[1][0]),
+            bounds=(np.log(tau[best - 1]), np.log(tau[best + 1])),
+            method="bounded",
+            options={"xatol": 1e-5},
+        )
+        if found.fun < excess[best]:
+            chosen_tau = float(np.exp(found.x))
+    elif correlation_times_s is None:
+        messages.append(
+            "the record does not tell the correlation time: the drift outlasts the longest integration, and only its "
+            "slope, σ²/τ, is bounded"
+            if best > 0
+            else "the record does not tell the correlation time: the drift is over within the shortest integration, "
+            "and only its density, σ²τ, is bounded"
+        )
+    chosen_std = float(boundary(np.array([chosen_tau]))[0][0])
+    drift_part = chosen_std**2 * np.asarray(drift_shape_of_mean(t, delta, chosen_tau))
+    limit = np.sqrt(walk_limit**2 + margin**2 * drift_part)
+    return DirectBound(
+        drift_std=chosen_std,
+        correlation_time_s=chosen_tau,
+        angle_random_walk=angle_random_walk,
+        margin=margin,
+        averaging_time_s=delta,
+        integration_time_s=t,
+        largest_drift=largest,
+        limiting_function=np.asarray(limiting_function_of_mean(t, chosen_std, chosen_tau, angle_random_walk, delta)),
+        limit=limit,
+        random_walk_limit=walk_limit,
+        boundary_correlation_time_s=tau,
+        boundary_drift_std=std,
+        boundary_excess=excess,
+        deciding_time_s=float(t[np.argmax(largest / limit)]),
+        drift_shows=shows,
+        hidden_drift_std=hidden,
+        advised_averaging_time_s=advised,
+        messages=tuple(messages),
+    )
+
+
+def share_beyond(
+    bound: DirectBound,
+    rate: Float[np.ndarray, " samples"],
+    sample_interval_s: float,
+    *,
+    valid: np.ndarray | None = None,
+) -> Float[np.ndarray, " times"]:
+    """The share of all starts of another record whose drift is beyond k D_L(t), for each t of the bound.
+
+    A process that bounds with the margin k leaves at most `2 Φ(-k)` beyond: 1.24 % for k = 2.5. Where the record holds
+    no start for a t, that t's share is an error: `ValueError`.
+    """
+    shares = np.empty(len(bound.integration_time_s))
+    limits = bound.margin * bound.limiting_function
+    for row, (time, limit) in enumerate(zip(bound.integration_time_s, limits, strict=True)):
+        values = drifts(rate, sample_interval_s, float(time), bound.averaging_time_s, valid=valid)
+        if len(values) == 0:
+            raise ValueError(f"no unbroken stretch of this record is long enough to integrate for {time:g} s")
+        shares[row] = np.count_nonzero(np.abs(values) > limit) / len(values)
+    return shares
+
+
+def _hidden_drift(
+    t: Float[np.ndarray, " times"],
+    largest: Float[np.ndarray, " times"],
+    level: Float[np.ndarray, " times"],
+    delta: float,
+    angle_random_walk: float,
+    tau: float,
+) -> float:
+    """The largest σ that may leave D_θ* as small as these by chance; `level` is what nearly every record exceeds."""
+    telling = level > 0  # a record too short to say anything at some t allows any drift there
+    if not telling.any():
+        return np.inf
+    walk = np.asarray(random_walk_variance_of_mean(t, delta, angle_random_walk))[telling]
+    shape = np.asarray(drift_shape_of_mean(t[telling], delta, tau))
+    possible = float(np.min(((largest[telling] / level[telling]) ** 2 - walk) / shape))
+    return float(np.sqrt(max(possible, 0.0)))
+
+
+def _no_drift_shows(delta: float, angle_random_walk: float, hidden: float, tau: float, advised: float | None) -> str:
+    sentence = (
+        f"averaged over {delta:g} s the drift does not show above the angle random walk, which alone leaves the mean "
+        f"uncertain by N/√Δ = {angle_random_walk / np.sqrt(delta):.3g} (in the unit of the rates)"
+    )
+    if not np.isfinite(hidden):
+        return sentence + "; the record is too short to say how large a drift could hide"
+    if hidden == 0:
+        return sentence + "; the random walk leaves no room for any (or was assumed too large)"
+    sentence += f"; a drift of up to {hidden:.3g} with a correlation time of {tau:.3g} s could hide"
+    if advised is None:
+        return sentence + "; no average would show it over these integration times: integrate for longer"
+    return sentence + f"; averaging over {advised:.3g} s or more would show it"
+
+
+def _averaging_time_that_shows(
+    t: Float[np.ndarray, " times"], delta: float, std: float, tau: float, angle_random_walk: float
+) -> float | None:
+    """The shortest Δ beyond the present one for which, at some t, drift gives as much variance as the random walk."""
+    if std <= 0:
+        return None
+    candidates = np.geomspace(delta, 100 * max(delta, t[-1]), 400)[1:]
+    drift = std**2 * np.asarray(drift_shape_of_mean(t[:, None], candidates[None, :], tau))
+    walk = np.asarray(random_walk_variance_of_mean(t[:, None], candidates[None, :], angle_random_walk))
+    shows = np.any(drift >= walk, axis=0)
+    return float(candidates[np.argmax(shows)]) if shows.any() else None
+
+
+def _log_weights(t: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+    """Trapezoid weights in ln t, sum one, so that the choice does not depend on how the times were spread."""
+    if len(t) == 1:
+        return np.ones(1)
+    step = np.diff(np.log(t))
+    return (np.append(step, 0.0) + np.append(0.0, step)) / (2 * step.sum())

@@ -1,0 +1,257 @@
+"""The data's side of the Direct Bound: the largest drift after an average, over every start in a record.
+
+Source: Z. Berman, "Inertial Sensors - A New Approach for Low Cost Calibration and Testing", section 3, eqs. 6-8.
+
+    θ_i            running angle, the sum of the first i rates (in samples; a constant rate drops out of everything)
+    q_i            [θ_i - θ_(i-m)]/m, mean rate over the Δ = m samples before the start i
+    D_k(i)         [θ_(i+k) - θ_i]/k - q_i, drift over the next t = k samples against that mean
+    D_θ*(t)        max_i |D_k(i)|, over every start whose two windows are whole
+
+The plain way makes four passes over the record for every t. Here the starts are taken in blocks of `_BLOCK`: the
+extremes of θ and q in each block, found once, bound what D_k can be in a block,
+
+    k D_k(i) ≤ max θ_(i+k) - [min θ_i + k min q_i]     over the block, and likewise from below,
+
+and only the blocks whose bound beats the largest value met so far are looked at sample by sample. The answer is the
+plain one (the bound is never below the value, rounding included); the work per t falls from n to about n/30, and for
+records that resist (many equal values) it is that of the plain passes, done in cache. Working memory: two arrays of
+the length of one channel.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+_BLOCK = 64
+_BLOCKS_AT_ONCE = 1024
+
+
+@dataclass(frozen=True)
+class LargestDrift:
+    """D_θ*(t) of each channel of a record; see `largest_drift`."""
+
+    integration_time_s: Float[np.ndarray, " times"]
+    """t as whole samples, s, increasing."""
+    averaging_time_s: float
+    """Δ as whole samples, s."""
+    largest_drift: Float[np.ndarray, "times channels"]
+    """D_θ*(t), in the unit of the rates (rad/s in this package)."""
+    start_index: Int[np.ndarray, "times channels"]
+    """The sample that follows the average where the largest drift began."""
+    start_count: Int[np.ndarray, "times channels"]
+    """How many starts were looked at."""
+    sample_interval_s: float
+
+
+def integration_times(
+    shortest_s: float, longest_s: float, sample_interval_s: float, *, count: int = 200
+) -> Float[np.ndarray, " times"]:
+    """At most `count` distinct whole multiples of the sample interval, evenly spread on a logarithmic scale, s."""
+    if not 0 < sample_interval_s < np.inf:
+        raise ValueError(f"the sample interval must be positive, not {sample_interval_s} s")
+    if not 0 < shortest_s <= longest_s < np.inf:
+        raise ValueError(f"integration times must run from a positive time upwards, not {shortest_s} to {longest_s} s")
+    if count < 1:
+        raise ValueError(f"at least one integration time is needed, not {count}")
+    wanted = np.geomspace(shortest_s, longest_s, count) if count > 1 else np.array([longest_s])
+    return np.unique(np.maximum(np.rint(wanted / sample_interval_s), 1.0)) * sample_interval_s
+
+
+def longest_integration_time(
+    valid: Bool[np.ndarray, " samples"], sample_interval_s: float, averaging_time_s: float
+) -> float:
+    """The longest t (s) for which some unbroken stretch still holds one start; zero or less where there is none."""
+    longest = max((stop - start for start, stop in _stretches(valid)), default=0)
+    return (longest - _whole_samples(averaging_time_s, sample_interval_s)) * sample_interval_s
+
+
+def largest_drift(
+    rate: Float[np.ndarray, " samples *channels"],
+    sample_interval_s: float,
+    integration_times_s: Float[np.ndarray, " times"],
+    averaging_time_s: float,
+    *,
+    valid: Bool[np.ndarray, "..."] | None = None,
+) -> LargestDrift:
+    """D_θ*(t) of the paper's eqs. 6-8: the largest drift over all starts, for each integration time and channel.
+
+    **Arguments:** `rate`, evenly sampled at rest, rad/s, one column a channel (one dimension: one channel);
+    `integration_times_s` t and `averaging_time_s` Δ are rounded to whole samples, and equal ones merged; `valid`, where
+    given, is false for the samples that must not be used: no window may touch one. Gaps in time are given as invalid
+    samples on the even grid.
+
+    **Raises:** `ValueError` where an integration time fits no unbroken stretch of some channel (it names the longest
+    that does), where a usable rate is not finite, or where a time is not positive.
+
+    Memory beside the record itself: 17 bytes a sample, of one channel at a time.
+    """
+    columns = rate[:, None] if rate.ndim == 1 else rate
+    if columns.ndim != 2:
+        raise ValueError(f"rates have one row a sample and one column a channel, not the shape {rate.shape}")
+    samples, channels = columns.shape
+    usable = np.ones((samples, 1), bool) if valid is None else valid[:, None] if valid.ndim == 1 else valid
+    if usable.shape[0] != samples or usable.shape[1] not in (1, channels):
+        raise ValueError(f"the mask of usable samples has the shape {usable.shape}, the rates {columns.shape}")
+    before = _whole_samples(averaging_time_s, sample_interval_s)
+    lengths = np.unique([_whole_samples(float(time), sample_interval_s) for time in integration_times_s])
+    if len(lengths) == 0:
+        raise ValueError("at least one integration time is needed")
+
+    drift = np.full((len(lengths), channels), -1.0)  # below any magnitude, so that the first start counts
+    start_index = np.zeros((len(lengths), channels), np.int64)
+    start_count = np.zeros((len(lengths), channels), np.int64)
+    for channel in range(channels):
+        mask = usable[:, channel if usable.shape[1] > 1 else 0]
+        longest = 0
+        for start, stop in _stretches(mask):
+            longest = max(longest, stop - start)
+            fitting = int(np.searchsorted(lengths, stop - start - before, side="right"))
+            if fitting == 0:
+                continue
+            stretch = _Stretch.of(columns[start:stop, channel], before, first_sample=start)
+            for row, length in enumerate(lengths[:fitting].tolist()):
+                value, index = stretch.largest(length, at_least=float(drift[row, channel]))
+                start_count[row, channel] += stop - start - before - length + 1
+                if value > drift[row, channel]:
+                    drift[row, channel], start_index[row, channel] = value, start + before + index
+        if start_count[-1, channel] == 0:
+            room = (longest - before) * sample_interval_s
+            raise ValueError(
+                f"an integration of {lengths[-1] * sample_interval_s:g} s after an average of "
+                f"{before * sample_interval_s:g} s fits no unbroken stretch of channel {channel}, whose longest is "
+                f"{longest * sample_interval_s:g} s: "
+                + (f"integrate for at most {room:g} s" if room > 0 else "average for less, or record for longer")
+            )
+    return LargestDrift(
+        lengths * sample_interval_s, before * sample_interval_s, drift, start_index, start_count, sample_interval_s
+    )
+
+
+def drifts(
+    rate: Float[np.ndarray, " samples"],
+    sample_interval_s: float,
+    integration_time_s: float,
+    averaging_time_s: float,
+    *,
+    valid: Bool[np.ndarray, " samples"] | None = None,
+) -> Float[np.ndarray, " starts"]:
+    """D(t) of every start of one channel, by the plain formula: for plots, and the share of starts beyond a bound."""
+    before = _whole_samples(averaging_time_s, sample_interval_s)
+    length = _whole_samples(integration_time_s, sample_interval_s)
+    found = [np.zeros(0)]
+    for start, stop in _stretches(np.ones(len(rate), bool) if valid is None else valid):
+        if stop - start >= before + length:
+            angle = _running_angle(rate[start:stop], first_sample=start)
+            anchor = angle[before : len(angle) - length]
+            ahead = (angle[before + length :] - anchor) / length
+            found.append(ahead - (anchor - angle[: len(anchor)]) / before)
+    return np.concatenate(found)
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """One unbroken stretch: θ and q from the first whole average on, and their extremes block by block."""
+
+    angle: Float[np.ndarray, " starts"]
+    before: Float[np.ndarray, " starts"]
+    angle_low: Float[np.ndarray, " blocks"]
+    angle_high: Float[np.ndarray, " blocks"]
+    before_low: Float[np.ndarray, " blocks"]
+    before_high: Float[np.ndarray, " blocks"]
+    pair_low: Float[np.ndarray, " blocks"]
+    pair_high: Float[np.ndarray, " blocks"]
+    rounding: float
+    """Bound on the rounding error of θ + k q, for k = 1; grows with k."""
+
+    @classmethod
+    def of(cls, rate: Float[np.ndarray, " samples"], before: int, *, first_sample: int) -> "_Stretch":
+        running = _running_angle(rate, first_sample=first_sample)
+        mean_before = running[before:] - running[:-before]
+        mean_before /= before
+        angle = running[before:]
+        edges = np.arange(0, len(angle), _BLOCK)
+        angle_low, angle_high = np.minimum.reduceat(angle, edges), np.maximum.reduceat(angle, edges)
+        before_low, before_high = np.minimum.reduceat(mean_before, edges), np.maximum.reduceat(mean_before, edges)
+        # A block shifted by k samples straddles two blocks of the fixed grid.
+        pair_low, pair_high = angle_low.copy(), angle_high.copy()
+        np.minimum(angle_low[:-1], angle_low[1:], out=pair_low[:-1])
+        np.maximum(angle_high[:-1], angle_high[1:], out=pair_high[:-1])
+        size = max(-float(angle_low.min()), float(angle_high.max()), -float(before_low.min()), float(before_high.max()))
+        rounding = 8.0 * float(np.finfo(np.float64).eps) * size
+        return cls(angle, mean_before, angle_low, angle_high, before_low, before_high, pair_low, pair_high, rounding)
+
+    def largest(self, length: int, *, at_least: float) -> tuple[float, int]:
+        """(max_i |D_k(i)|, i) for k = `length` where that is above `at_least`, otherwise `at_least` and any i."""
+        starts = len(self.angle) - length
+        blocks = starts // _BLOCK
+        ahead, anchor, mean = self.angle[length:], self.angle[:starts], self.before[:starts]
+        tail = blocks * _BLOCK
+        best, best_index = at_least * length, 0
+        if tail < starts:
+            rest = np.abs(ahead[tail:] - (anchor[tail:] + length * mean[tail:]))
+            index = int(np.argmax(rest))
+            if rest[index] > best:
+                best, best_index = float(rest[index]), tail + index
+        if blocks == 0:
+            return best / length, best_index
+
+        shift = length // _BLOCK
+        bound = self.pair_high[shift : shift + blocks] - (self.angle_low[:blocks] + length * self.before_low[:blocks])
+        below = self.angle_high[:blocks] + length * self.before_high[:blocks] - self.pair_low[shift : shift + blocks]
+        np.maximum(bound, below, out=bound)
+        bound += self.rounding * (1 + length)
+
+        ahead, anchor, mean = (x[:tail].reshape(blocks, _BLOCK) for x in (ahead, anchor, mean))
+
+        def look(rows: Int[np.ndarray, " rows"]) -> None:
+            nonlocal best, best_index
+            values = np.take(mean, rows, axis=0)
+            values *= length
+            values += anchor[rows]
+            np.subtract(ahead[rows], values, out=values)
+            np.abs(values, out=values)
+            index = int(np.argmax(values))
+            value = float(values.flat[index])
+            if value > best:
+                best, best_index = value, int(rows[index // _BLOCK]) * _BLOCK + index % _BLOCK
+
+        # The most promising blocks first: they raise the level that the others must beat.
+        look(np.argpartition(bound, -min(blocks, 16))[-min(blocks, 16) :])
+        candidates = np.flatnonzero(bound > best)
+        for first in range(0, len(candidates), _BLOCKS_AT_ONCE):
+            rows = candidates[first : first + _BLOCKS_AT_ONCE]
+            rows = rows[bound[rows] > best]
+            if len(rows):
+                look(rows)
+        return best / length, best_index
+
+
+def _running_angle(rate: Float[np.ndarray, " samples"], *, first_sample: int) -> Float[np.ndarray, " instants"]:
+    """θ, from zero; the mean rate is taken off first, which changes no drift and keeps θ small."""
+    running = np.zeros(len(rate) + 1)
+    running[1:] = rate
+    mean = running[1:].mean()
+    if not np.isfinite(mean):
+        bad = int(np.flatnonzero(~np.isfinite(running[1:]))[0]) if not np.isfinite(running).all() else 0
+        raise ValueError(f"the rate of sample {first_sample + bad} is not finite: mark such samples as not valid")
+    running[1:] -= mean
+    return np.cumsum(running, out=running)
+
+
+def _stretches(valid: Bool[np.ndarray, " samples"]) -> Iterator[tuple[int, int]]:
+    """(start, stop) of each run of usable samples."""
+    padded = np.zeros(len(valid) + 2, np.int8)
+    padded[1:-1] = valid
+    edges = np.flatnonzero(np.diff(padded))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def _whole_samples(time_s: float, sample_interval_s: float) -> int:
+    if not (0 < sample_interval_s < np.inf and 0 < time_s < np.inf):
+        raise ValueError(f"times must be positive: {time_s} s at a sample interval of {sample_interval_s} s")
+    count = round(time_s / sample_interval_s)
+    if count < 1:
+        raise ValueError(f"{time_s} s is shorter than half a sample of {sample_interval_s} s")
+    return count

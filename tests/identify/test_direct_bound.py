@@ -1,0 +1,183 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from gradcal_jax.identify.direct_bound import (
+    fit_direct_bound,
+    largest_of_random_walk,
+    share_beyond,
+    smallest_bounding_variance,
+)
+from gradcal_jax.identify.largest_drift import integration_times, largest_drift
+from gradcal_jax.identify.limiting_function import limiting_function_of_mean
+
+DEG_PER_H = np.pi / 180 / 3600
+WALK = 0.1 * np.pi / 180 / 60
+HOUR = 3600
+
+
+def at_rest(seed, hours, drift_std, correlation_time_s, walk=WALK, interval=1.0):
+    """Rates of a simulated gyro at rest, rad/s: a Gauss-Markov drift and angle random walk."""
+    rng = np.random.default_rng(seed)
+    count = round(hours * HOUR / interval)
+    keep = np.exp(-interval / correlation_time_s)
+    shocks = rng.standard_normal(count) * drift_std * np.sqrt(1 - keep**2)
+    shocks[0] = drift_std * rng.standard_normal()
+    return lfilter([1.0], [1.0, -keep], shocks) + walk / np.sqrt(interval) * rng.standard_normal(count)
+
+
+def observe(rate, averaging_time_s, longest_s=1200.0):
+    return largest_drift(rate, 1.0, integration_times(1.0, longest_s, 1.0), averaging_time_s)
+
+
+def test_the_boundary_is_closed_and_the_smallest():
+    """With the paper's margin: each pair of the boundary touches the data, and any smaller σ leaves them."""
+    t = jnp.geomspace(1.0, 1000.0, 60)
+    tau = jnp.geomspace(5.0, 5000.0, 9)
+    data = 2.5 * limiting_function_of_mean(t, 1.3, 200.0, 4.0, 30.0) * (1.0 + 0.1 * jnp.sin(7.0 * jnp.log(t)))
+    variance = smallest_bounding_variance(t, data, 30.0, 4.0, tau, margin=2.5)
+    for time, square in zip(tau, variance, strict=True):
+        limit = 2.5 * limiting_function_of_mean(t, jnp.sqrt(square), time, 4.0, 30.0)
+        assert float(jnp.max(data / limit)) == pytest.approx(1.0, rel=1e-9)
+        smaller = 2.5 * limiting_function_of_mean(t, 0.999 * jnp.sqrt(square), time, 4.0, 30.0)
+        assert float(jnp.max(data / smaller)) > 1.0
+
+
+def test_the_model_itself_comes_back():
+    """Data that are exactly k D_L lead to its σ and τ, and to no excess."""
+    t = integration_times(1.0, 3600.0, 1.0)
+    exact = 2.5 * np.asarray(limiting_function_of_mean(t, DEG_PER_H, 120.0, WALK, 60.0))
+    observed = observe(at_rest(0, 4, 0.0, 1.0), 60.0, 3600.0)
+    observed = type(observed)(**{**vars(observed), "largest_drift": exact[:, None]})
+    bound = fit_direct_bound(observed, WALK, raise_margin=False)
+    assert bound.drift_std / DEG_PER_H == pytest.approx(1.0, rel=1e-3)
+    assert bound.correlation_time_s == pytest.approx(120.0, rel=1e-3)
+    assert bound.boundary_excess.min() < 3e-3
+    assert bound.messages == ()
+
+
+def test_mixing_the_two_alignments_would_ruin_it():
+    """The reason for two limiting functions: N/√Δ of the mean, laid upon the drift, is several deg/h."""
+    t = integration_times(1.0, 1200.0, 1.0)
+    data = 2.5 * np.asarray(limiting_function_of_mean(t, DEG_PER_H, 120.0, WALK, 10.0))
+    right = smallest_bounding_variance(t, data, 10.0, WALK, np.array([120.0]))
+    wrong = smallest_bounding_variance(t, data, 1e9, WALK, np.array([120.0]))
+    assert float(jnp.sqrt(right[0])) / DEG_PER_H == pytest.approx(1.0, rel=1e-6)
+    assert float(jnp.sqrt(wrong[0])) / DEG_PER_H > 4.0
+
+
+@pytest.mark.parametrize(("drift_std", "correlation_time_s"), [(1.0, 120.0), (3.0, 120.0), (3.0, 600.0)])
+def test_the_process_found_bounds_fresh_records_of_the_same_kind(drift_std, correlation_time_s):
+    """Ten records of 40 h: at the margin k = 2.5 a Gaussian leaves 1.24 % of all starts beyond."""
+    bounds, shares, ratios = [], [], []
+    for seed in range(5):
+        rate = at_rest(seed, 40, drift_std * DEG_PER_H, correlation_time_s)
+        bound = fit_direct_bound(observe(rate, 120.0), WALK)
+        assert bound.drift_shows
+        assert np.all(bound.largest_drift <= bound.limit * (1 + 1e-9))
+        fresh = at_rest(100 + seed, 40, drift_std * DEG_PER_H, correlation_time_s)
+        shares.append(share_beyond(bound, fresh, 1.0))
+        ratios.append(np.max(observe(fresh, 120.0).largest_drift[:, 0] / bound.limit))
+        bounds.append(bound.drift_std / DEG_PER_H)
+    # 40 h hold few independent windows of 20 minutes: the allowance is for their scatter.
+    assert np.mean(shares) < 0.0124
+    assert np.max(np.mean(shares, axis=0)) < 0.016
+    assert np.median(ratios) < 1.2
+    assert np.max(ratios) < 1.5
+    at_true = smallest_bounding_variance(
+        bound.integration_time_s, bound.largest_drift, 120.0, WALK, np.array([correlation_time_s])
+    )
+    assert float(jnp.sqrt(at_true[0])) / DEG_PER_H > drift_std
+
+
+def test_the_papers_fixed_margin_reads_the_extremes_of_random_walk_as_drift():
+    """Why the margin is raised: a sensor without any drift, ten hours, k = 2.5."""
+    observed = observe(at_rest(3, 10, 0.0, 1.0), 60.0)
+    fixed = fit_direct_bound(observed, WALK, raise_margin=False)
+    raised = fit_direct_bound(observed, WALK)
+    assert fixed.drift_std / DEG_PER_H > 5.0
+    assert raised.drift_std == 0.0
+    assert not raised.drift_shows
+
+
+def test_an_average_too_short_is_said_and_the_advised_one_shows_the_drift():
+    """The paper's numbers with Δ = 10 s: N/√Δ = 1.9 deg/h hides 1 deg/h."""
+    rate = at_rest(11, 40, DEG_PER_H, 120.0)
+    hidden = fit_direct_bound(observe(rate, 10.0), WALK)
+    assert not hidden.drift_shows
+    assert hidden.drift_std == 0.0
+    assert 0.5 < hidden.hidden_drift_std / DEG_PER_H < 2.5
+    assert hidden.advised_averaging_time_s is not None
+    assert 15.0 < hidden.advised_averaging_time_s < 100.0
+    assert f"averaging over {hidden.advised_averaging_time_s:.3g} s or more would show it" in hidden.messages[0]
+    assert f"{WALK / np.sqrt(10.0):.3g}" in hidden.messages[0]
+    shown = fit_direct_bound(observe(rate, 120.0), WALK)
+    assert shown.drift_shows
+    assert 0.8 < shown.drift_std / DEG_PER_H < 3.0
+
+
+def test_levels_of_random_walk_are_exceeded_as_often_as_said():
+    rng = np.random.default_rng(5)
+    times = np.array([1.0, 8.0, 60.0, 500.0])
+    beyond = []
+    for _ in range(200):
+        observed = largest_drift(rng.standard_normal(20_000), 1.0, times, 30.0)
+        draws = observed.largest_drift[:, 0] / np.sqrt(1 / observed.integration_time_s + 1 / 30.0)
+        levels = largest_of_random_walk(times, 30.0, observed.start_count[:, 0], 1.0, exceeded_with_probability=0.2)
+        beyond.append(draws > levels)
+    # Asymptotic, and a shade too high where the windows are few samples long: 200 draws have a deviation of 0.028.
+    assert np.all(np.mean(beyond, axis=0) < 0.2 + 3 * 0.028)
+    assert np.mean(beyond) > 0.08
+
+
+def test_false_alarms_are_rare():
+    shows = [fit_direct_bound(observe(at_rest(seed, 5, 0.0, 1.0), 60.0), WALK).drift_shows for seed in range(60)]
+    assert np.mean(shows) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 60)
+
+
+def test_a_drift_beyond_the_record_is_told_by_its_slope():
+    """A rate random walk of slope q is the limit σ²/τ → q²/2 of ever longer correlation times."""
+    observed = observe(at_rest(0, 4, 0.0, 1.0), 60.0, 3600.0)
+    t = observed.integration_time_s
+    exact = 2.5 * np.asarray(limiting_function_of_mean(t, 1.0, 1e8, 1e-3, 60.0))
+    observed = type(observed)(**{**vars(observed), "largest_drift": exact[:, None]})
+    bound = fit_direct_bound(observed, 1e-3, raise_margin=False)
+    assert "σ²/τ" in bound.messages[0]
+    assert bound.correlation_time_s > 10_000.0
+    assert bound.drift_std**2 / bound.correlation_time_s == pytest.approx(1e-8, rel=0.1)
+
+
+def test_the_answer_does_not_depend_on_the_unit_of_angle():
+    observed = observe(at_rest(2, 10, 3 * DEG_PER_H, 120.0), 60.0)
+    in_deg_per_h = type(observed)(**{**vars(observed), "largest_drift": observed.largest_drift / DEG_PER_H})
+    radians, degrees = fit_direct_bound(observed, WALK), fit_direct_bound(in_deg_per_h, WALK / DEG_PER_H)
+    assert degrees.drift_std == pytest.approx(radians.drift_std / DEG_PER_H, rel=1e-6)
+    assert degrees.correlation_time_s == pytest.approx(radians.correlation_time_s, rel=1e-4)
+
+
+def test_the_boundary_is_differentiable():
+    t = jnp.geomspace(1.0, 1000.0, 20)
+    data = 2.5 * limiting_function_of_mean(t, 1.3, 200.0, 4.0, 30.0)
+    total = lambda walk: smallest_bounding_variance(t, data, 30.0, walk, jnp.array([100.0])).sum()  # noqa: E731
+    central = (total(4.0001) - total(3.9999)) / 0.0002
+    assert float(jax.grad(total)(4.0)) == pytest.approx(float(central), rel=1e-6)
+
+
+def test_wrong_arguments_get_a_sentence():
+    observed = observe(at_rest(1, 1, 0.0, 1.0), 10.0)
+    for arguments, sentence in [
+        ({"channel": 1}, "no channel 1"),
+        ({"margin": 0.0}, "margin"),
+        ({"angle_random_walk": -1.0}, "angle random walk"),
+        ({"correlation_times_s": [0.0]}, "correlation times"),
+    ]:
+        with pytest.raises(ValueError, match=sentence):
+            fit_direct_bound(observed, **{"angle_random_walk": WALK, **arguments})
+    still = largest_drift(np.ones(2000), 1.0, np.array([10.0]), 10.0)
+    with pytest.raises(ValueError, match="does not change"):
+        fit_direct_bound(still, WALK)
+    bound = fit_direct_bound(observed, WALK)
+    with pytest.raises(ValueError, match="long enough"):
+        share_beyond(bound, np.zeros(100), 1.0)

@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gradcal_jax.identify.largest_drift import drifts, integration_times, largest_drift, longest_integration_time
+
+
+def plain_largest(rate, before, length, valid):
+    """Two nested means at every start, straight from the definition."""
+    best, count = -1.0, 0
+    for start in range(before, len(rate) - length + 1):
+        if valid[start - before : start + length].all():
+            count += 1
+            value = abs(rate[start : start + length].mean() - rate[start - before : start].mean())
+            best = max(best, value)
+    return best, count
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    samples=st.integers(3, 900),
+    before=st.integers(1, 200),
+    lengths=st.lists(st.integers(1, 300), min_size=1, max_size=5),
+    kind=st.sampled_from(["white", "walk", "counts", "offset", "ramp"]),
+    holes=st.integers(0, 4),
+)
+@settings(max_examples=150, deadline=None)
+def test_equals_the_definition_over_all_starts(seed, samples, before, lengths, kind, holes):
+    rng = np.random.default_rng(seed)
+    rate = rng.standard_normal(samples)
+    rate = {
+        "white": rate,
+        "walk": np.cumsum(rate),
+        "counts": np.rint(rate),
+        "offset": 1e6 + rate,
+        "ramp": np.linspace(0.0, 3.0, samples),
+    }[kind]
+    valid = np.ones(samples, bool)
+    valid[rng.integers(0, samples, holes)] = False
+    interval = 0.25
+    expected = [plain_largest(rate, before, length, valid) for length in sorted(set(lengths))]
+    run = lambda: largest_drift(rate, interval, np.array(lengths) * interval, before * interval, valid=valid)  # noqa: E731
+    if expected[-1][1] == 0:
+        with pytest.raises(ValueError, match="fits no unbroken stretch"):
+            run()
+        return
+    found = run()
+    scale = np.abs(rate).max()
+    np.testing.assert_allclose(
+        found.largest_drift[:, 0], [value for value, _ in expected], rtol=1e-9, atol=1e-12 * scale
+    )
+    assert found.start_count[:, 0].tolist() == [count for _, count in expected]
+    for row, length in enumerate(sorted(set(lengths))):
+        start = int(found.start_index[row, 0])
+        assert valid[start - before : start + length].all()
+        there = rate[start : start + length].mean() - rate[start - before : start].mean()
+        assert abs(there) == pytest.approx(found.largest_drift[row, 0], rel=1e-9, abs=1e-12 * scale)
+
+
+def test_long_record_equals_the_difference_passes():
+    rng = np.random.default_rng(8)
+    rate = rng.standard_normal((200_000, 2)) + np.cumsum(rng.standard_normal((200_000, 2)), axis=0) * [1e-3, 0.0]
+    times = integration_times(0.5, 500.0, 0.01, count=12)
+    found = largest_drift(rate, 0.01, times, 10.0)
+    for channel in (0, 1):
+        for row, time in enumerate(found.integration_time_s):
+            values = np.abs(drifts(rate[:, channel], 0.01, float(time), 10.0))
+            assert found.largest_drift[row, channel] == pytest.approx(values.max(), rel=1e-10)
+            assert found.start_index[row, channel] == 1000 + values.argmax()
+            assert found.start_count[row, channel] == len(values)
+
+
+def test_a_constant_rate_drifts_nowhere_and_a_step_by_its_height():
+    constant = largest_drift(np.full(5000, 7.5), 1.0, np.array([1.0, 70.0, 900.0]), 30.0)
+    assert np.all(constant.largest_drift == 0.0)
+    step = np.where(np.arange(5000) < 2000, 0.0, 3.0)
+    found = largest_drift(step, 1.0, np.array([1.0, 70.0, 900.0]), 30.0)
+    np.testing.assert_allclose(found.largest_drift[:, 0], 3.0, rtol=1e-12)
+    assert found.start_index[:, 0].tolist() == [2000, 2000, 2000]
+
+
+def test_each_channel_may_have_its_own_mask():
+    rate = np.zeros((400, 2))
+    rate[150] = 100.0
+    valid = np.ones((400, 2), bool)
+    valid[150, 1] = False
+    found = largest_drift(rate, 1.0, np.array([10.0]), 20.0, valid=valid)
+    # The lone sample of 100 in a window of ten; masked, nothing is left.
+    np.testing.assert_allclose(found.largest_drift[0], [10.0, 0.0], atol=1e-12)
+    assert found.start_count[0].tolist() == [371, (150 - 29) + (249 - 29)]
+    assert longest_integration_time(valid[:, 1], 1.0, 20.0) == 229.0
+
+
+def test_integer_and_short_float_records_are_summed_in_full_precision():
+    rng = np.random.default_rng(2)
+    counts = rng.integers(-300, 300, 20_000).astype(np.float32)
+    times = np.array([1.0, 50.0, 700.0])
+    narrow = largest_drift(counts, 0.1, times, 10.0)
+    wide = largest_drift(counts.astype(np.float64), 0.1, times, 10.0)
+    np.testing.assert_array_equal(narrow.largest_drift, wide.largest_drift)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"integration_times_s": np.array([90.0])}, "integrate for at most 80 s"),
+        ({"averaging_time_s": 200.0}, "average for less"),
+        ({"sample_interval_s": 0.0}, "must be positive"),
+        ({"integration_times_s": np.array([-3.0])}, "must be positive"),
+        ({"averaging_time_s": 0.3}, "shorter than half a sample"),
+        ({"integration_times_s": np.zeros(0)}, "at least one integration time"),
+        ({"valid": np.ones(7, bool)}, "mask"),
+        ({"rate": np.where(np.arange(100) == 61, np.nan, 1.0)}, "sample 61 is not finite"),
+    ],
+)
+def test_what_cannot_be_done_is_said(arguments, sentence):
+    sound = {
+        "rate": np.arange(100.0),
+        "sample_interval_s": 1.0,
+        "integration_times_s": np.array([5.0]),
+        "averaging_time_s": 20.0,
+    }
+    with pytest.raises(ValueError, match=sentence):
+        largest_drift(**{**sound, **arguments})
+
+
+def test_integration_times_are_distinct_whole_samples():
+    times = integration_times(1.0, 1200.0, 0.5, count=200)
+    assert times[0] == 1.0
+    assert times[-1] == 1200.0
+    assert np.all(np.diff(times) >= 0.5)
+    assert np.all(times / 0.5 == np.rint(times / 0.5))
+    with pytest.raises(ValueError, match="upwards"):
+        integration_times(5.0, 1.0, 0.5)

@@ -566,7 +566,10 @@ def _written(number: Decimal, digits: int) -> str:
 
 
 def format_quantity(value: float, unit: str) -> str:
-    """The shortest text in `unit` that `parse` reads back as exactly `value` (SI; °C for absolute temperatures)."""
+    """The shortest text in `unit` that `parse` reads back as exactly `value` (SI; °C for absolute temperatures).
+
+    A Fahrenheit that cannot be exact (within some 1e-20 of 0 °C) is written in degC.
+    """
     if not math.isfinite(value):
         raise UnitError(f"{value} is not a quantity: the number must be finite")
     found = _lookup(unit)
@@ -579,4 +582,5 @@ def format_quantity(value: float, unit: str) -> str:
         text = f"{_written(number, digits)} {unit}"
         if parse(text, dimension) == value:
             return text
-    raise UnitError(f"{value} cannot be written in '{unit}'")  # pragma: no cover - 25 digits always suffice
+    # 25 digits suffice for every unit without an offset; with one, a tiny number would need hundreds.
+    return format_quantity(value, "degC")

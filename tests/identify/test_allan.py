@@ -1,0 +1,183 @@
+import allantools
+import numpy as np
+import pytest
+from allantools import ci
+
+from gradcal_jax.identify.allan import (
+    averaging_times,
+    fit_allan,
+    model_variance,
+    overlapping_allan,
+    overlapping_allan_of_angle,
+)
+
+
+def simulate(seed, samples, interval, quantisation=0.0, angle_random_walk=0.0, rate_random_walk=0.0):
+    """Rates whose integral is random walk, the integral of a random walk, and white reading noise."""
+    rng = np.random.default_rng(seed)
+    white = angle_random_walk / np.sqrt(interval) * rng.standard_normal(samples)
+    walk = np.cumsum(rate_random_walk * np.sqrt(interval) * rng.standard_normal(samples))
+    angle = np.concatenate([[0.0], np.cumsum(white + walk) * interval])
+    return np.diff(angle + quantisation * rng.standard_normal(samples + 1)) / interval
+
+
+def nbs_thousand():
+    """The 1000-point set of NIST SP 1065, section 12.4: a prime-modulus generator started at 1234567890."""
+    state, values = 1234567890, []
+    for _ in range(1000):
+        values.append(state / 2147483647)
+        state = 16807 * state % 2147483647
+    return np.array(values)
+
+
+def test_the_published_thousand_point_set():
+    allan = overlapping_allan(nbs_thousand(), 1.0, np.array([1.0, 10.0, 100.0]))
+    np.testing.assert_allclose(allan.deviation, [2.922319e-01, 9.159953e-02, 3.241343e-02], rtol=0, atol=1e-6)
+
+
+def test_the_published_ten_point_set():
+    """NBS Monograph 140, annex 8.E: nine frequencies, ten phases; values of NIST SP 1065, table 30."""
+    rates = np.array([892.0, 809.0, 823.0, 798.0, 671.0, 644.0, 883.0, 903.0, 677.0])
+    by_rate = overlapping_allan(rates, 1.0, np.array([1.0, 2.0]))
+    phase = np.concatenate([[0.0], np.cumsum(rates)])
+    by_angle = overlapping_allan_of_angle(phase, 1.0, np.array([1.0, 2.0]))
+    for allan in (by_rate, by_angle):
+        np.testing.assert_allclose(allan.deviation, [91.22945, 85.95287], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("samples", "interval", "offset"), [(1000, 1.0, 0.0), (40_000, 0.01, 1e5), (777, 3.0, -4.0)])
+def test_equals_allantools_on_random_rates(samples, interval, offset):
+    rate = offset + np.random.default_rng(samples).standard_normal(samples)
+    times = averaging_times(samples, interval)
+    allan = overlapping_allan(rate, interval, times)
+    tau, deviation, _, count = allantools.oadev(rate, rate=1 / interval, data_type="freq", taus=times)
+    np.testing.assert_allclose(allan.averaging_time_s, tau, rtol=1e-12)
+    np.testing.assert_allclose(allan.deviation, deviation, rtol=1e-9)
+    np.testing.assert_array_equal(allan.difference_count, count)
+
+
+def test_equals_allantools_on_gapped_rates():
+    """Rates cannot be integrated over a gap: each unbroken stretch by itself, weighed by its differences."""
+    rng = np.random.default_rng(6)
+    rate = np.cumsum(rng.standard_normal(5000)) * 0.1 + rng.standard_normal(5000)
+    valid = np.ones(5000, bool)
+    for start, length in ((0, 3), (411, 1), (1200, 90), (3000, 7), (4990, 10)):
+        valid[start : start + length] = False
+    holed = np.where(valid, rate, np.nan)
+    times = np.array([1.0, 4.0, 32.0, 300.0])
+    allan = overlapping_allan(holed, 1.0, times, valid=valid)
+    total, count = np.zeros(4), np.zeros(4)
+    for start, stop in ((3, 411), (412, 1200), (1290, 3000), (3007, 4990)):
+        tau, deviation, _, differences = allantools.oadev(rate[start:stop], rate=1.0, data_type="freq", taus=times)
+        rows = np.searchsorted(times, tau)
+        total[rows] += deviation**2 * differences
+        count[rows] += differences
+    np.testing.assert_allclose(allan.deviation, np.sqrt(total / count), rtol=1e-9)
+    np.testing.assert_array_equal(allan.difference_count, count)
+
+
+def test_equals_allantools_on_gapped_angles():
+    """Angles bridge a gap; the gap-resistant estimator of allantools takes the same differences."""
+    rng = np.random.default_rng(9)
+    angle = np.cumsum(rng.standard_normal(3000))
+    angle[rng.random(3000) < 0.2] = np.nan
+    angle[500:700] = np.nan
+    angle[[0, -1]] = 1.0
+    times = np.array([1.0, 3.0, 20.0, 400.0])
+    allan = overlapping_allan_of_angle(angle, 1.0, times)
+    _, deviation, _, count = allantools.gradev(angle, rate=1.0, data_type="phase", taus=times, noisetype="wf")
+    np.testing.assert_allclose(allan.deviation, deviation, rtol=1e-9)
+    np.testing.assert_array_equal(allan.difference_count, count)
+
+
+@pytest.mark.parametrize(
+    ("term", "alpha"),
+    [("quantisation", 2), ("angle_random_walk", 0), ("bias_instability", -1), ("rate_random_walk", -2)],
+)
+def test_degrees_of_freedom_are_greenhalls_in_each_pure_noise(term, alpha):
+    """Where m is large enough for Greenhall's continuous approximation; at m = 1 white rates have 2n/3 exactly."""
+    times = np.array([1.0, 100.0, 1000.0])
+    rate = simulate(3, 10_000, 1.0, 1.0, 1.0, 0.1)
+    fit = fit_allan(overlapping_allan(rate, 1.0, times), terms=(term,))
+    for row, time in enumerate(times[1:], start=1):
+        expected = ci.edf_greenhall(alpha, 2, int(time), 10_001, overlapping=True)
+        assert fit.degrees_of_freedom[row] == pytest.approx(expected, rel=0.02)
+    if term == "angle_random_walk":
+        assert fit.degrees_of_freedom[0] == pytest.approx(2 * 9_999 / 3, rel=1e-3)
+
+
+def test_coefficients_and_confidence_hold_what_they_say():
+    """A hundred records: errors as large as stated, intervals that hold the truth as often as stated."""
+    truth = {"quantisation": 0.03, "angle_random_walk": 0.5, "rate_random_walk": 0.05}
+    pulls = {term: [] for term in truth}
+    inside = []
+    for seed in range(100):
+        allan = overlapping_allan(simulate(seed, 5000, 0.1, **truth), 0.1, averaging_times(5000, 0.1, per_decade=6))
+        fit = fit_allan(allan, terms=tuple(truth))
+        for term, value in truth.items():
+            found = getattr(fit, term)
+            pulls[term].append((found.value**2 - value**2) / (2 * value * found.standard_error))
+        true = np.sqrt(model_variance(allan.averaging_time_s, 0.03, 0.5, 0.0, 0.05))
+        inside.append((fit.lower < true) & (true < fit.upper))
+    for term in ("angle_random_walk", "rate_random_walk"):
+        assert abs(np.mean(pulls[term])) < 0.45
+        assert 0.75 < np.std(pulls[term]) < 1.3
+    assert 0.62 < np.mean(inside) < 0.75
+
+
+def test_bias_instability_is_found_in_its_own_noise():
+    """1/f rates made in the frequency domain: the two-sided density of B²/(2π f) is the standard's."""
+    rng = np.random.default_rng(12)
+    samples, interval, instability = 1 << 17, 1.0, 0.7
+    frequency = np.fft.rfftfreq(2 * samples, interval)[1:]
+    density = instability**2 / (2 * np.pi * frequency)
+    amplitude = np.sqrt(density * samples / interval)
+    spectrum = np.concatenate([[0.0], amplitude * (rng.standard_normal(samples) + 1j * rng.standard_normal(samples))])
+    rate = np.fft.irfft(spectrum)[:samples] + 0.3 * rng.standard_normal(samples)
+    fit = fit_allan(overlapping_allan(rate, interval), terms=("angle_random_walk", "bias_instability"))
+    assert fit.bias_instability.value == pytest.approx(instability, rel=0.05)
+    assert fit.bias_instability.shows
+
+
+def test_what_is_not_there_is_zero_or_does_not_show():
+    fit = fit_allan(overlapping_allan(simulate(21, 50_000, 0.01, angle_random_walk=2.0), 0.01))
+    assert fit.angle_random_walk.value == pytest.approx(2.0, abs=4 * fit.angle_random_walk.standard_error)
+    assert fit.angle_random_walk.standard_error < 0.05
+    for coefficient in (fit.quantisation, fit.rate_random_walk):
+        assert not coefficient.shows
+        assert np.isfinite(coefficient.standard_error)
+
+
+def test_model_variance_is_the_standards():
+    tau = np.array([0.5, 2.0])
+    expected = 3 * 4.0 / tau**2 + 9.0 / tau + 2 * np.log(2) / np.pi * 0.25 + 0.01 * tau / 3
+    np.testing.assert_allclose(model_variance(tau, 2.0, 3.0, 0.5, 0.1), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("rate", "arguments", "sentence"),
+    [
+        (np.ones(1), {}, "two usable samples"),
+        (np.ones(9), {"averaging_times_s": np.array([50.0])}, "longer than half"),
+        (np.ones(9), {"averaging_times_s": np.array([-1.0])}, "must be positive"),
+        (np.array([1.0, np.nan, 2.0, 3.0]), {}, "sample 1 is not finite"),
+        (np.ones(9), {"valid": np.zeros(9, bool)}, "two usable samples"),
+    ],
+)
+def test_what_cannot_be_averaged_is_said(rate, arguments, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        overlapping_allan(rate, 1.0, **arguments)
+
+
+def test_what_cannot_be_fitted_is_said():
+    allan = overlapping_allan(np.random.default_rng(0).standard_normal(100), 1.0)
+    with pytest.raises(ValueError, match="terms are taken from"):
+        fit_allan(allan, terms=("drift",))
+    with pytest.raises(ValueError, match="confidence"):
+        fit_allan(allan, confidence=1.0)
+    with pytest.raises(ValueError, match="record for longer"):
+        fit_allan(overlapping_allan(np.arange(5.0), 1.0, np.array([1.0])))
+    with pytest.raises(ValueError, match="does not change"):
+        fit_allan(overlapping_allan(np.ones(100), 1.0))
+    with pytest.raises(ValueError, match="three angles"):
+        overlapping_allan_of_angle(np.array([1.0, np.nan, 2.0]), 1.0)

@@ -3,12 +3,12 @@
 import os
 import sys
 from collections.abc import Sequence
-from typing import Final, TextIO
+from typing import Any, Final
 
 from cyclopts import App, CycloptsError
 
 import gradcal_jax
-from gradcal_jax.cli import check, new, schema
+from gradcal_jax.cli import check, new, predict, schema, timeline
 from gradcal_jax.cli.console import complain, is_plain
 
 DONE: Final = 0
@@ -29,7 +29,7 @@ def build() -> App:
         version=gradcal_jax.__version__,
         help_formatter="plain" if is_plain(sys.stdout) else "default",
     )
-    for family in (new, check, schema):
+    for family in (new, check, predict, timeline, schema):
         family.register(app)
     return app
 
@@ -68,7 +68,7 @@ def _sentence(error: Exception) -> str:
     return str(error)
 
 
-def _never_fail_to_print(stream: TextIO) -> None:
+def _never_fail_to_print(stream: Any) -> None:
     """A terminal that cannot show ° or √ shows something else, not a traceback."""
     reconfigure = getattr(stream, "reconfigure", None)
     if reconfigure is not None:

@@ -3,10 +3,10 @@
 import os
 import sys
 from collections.abc import Sequence
-from typing import TextIO
+from typing import Any
 
 
-def is_plain(stream: TextIO) -> bool:
+def is_plain(stream: Any) -> bool:
     """Whether a stream gets text without any escape sequences."""
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return True

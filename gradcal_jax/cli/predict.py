@@ -1,0 +1,190 @@
+"""`gradcal predict` and `gradcal compare`: what plans leave, by requirement."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+from gradcal_jax.cli.console import columns, strong, time_text
+
+if TYPE_CHECKING:
+    from gradcal_jax.files import Prediction
+    from gradcal_jax.files.contracts import RequirementRow
+
+AS_WISHED, NOT_AS_WISHED = 0, 1
+
+Json = Annotated[bool, Parameter(name="--json", negative="")]
+Plot = Annotated[Path | None, Parameter(name="--plot")]
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(predict)
+    app.command(compare)
+
+
+def predict(
+    spec: Path,
+    /,
+    *,
+    json: Json = False,
+    plot: Plot = None,
+    monte_carlo: int | None = None,
+    seed: int = 0,
+) -> int:
+    """Say what a spec's plan will leave: the residual of every requirement, before anyone books a chamber.
+
+    The exit status is 1 where a target is missed or a requirement cannot be observed.
+
+    Parameters
+    ----------
+    spec
+        The spec file.
+    json
+        Print the prediction as gradcal-prediction/1.
+    plot
+        Draw the residual maps into this file (.png, .svg, .pdf).
+    monte_carlo
+        Simulate this many calibrations, too, and compare them with the prediction.
+    seed
+        Of the simulated calibrations.
+    """
+    from gradcal_jax.cli.precision import use_float64
+    from gradcal_jax.files import read_spec
+
+    found = read_spec(spec)
+    use_float64()
+    from gradcal_jax import assemble
+
+    prediction = assemble.predict(found, limits=not json)
+    if json:
+        print(prediction.model_dump_json(indent=2))
+    else:
+        print(text(prediction, str(spec)))
+    if monte_carlo is not None:
+        rows, tests = assemble.monte_carlo(found, monte_carlo, seed)
+        consistent = all(test.consistent for test in tests.values())
+        if not json:
+            print(_simulated(rows, tests, monte_carlo, seed))
+        if not consistent:
+            return NOT_AS_WISHED
+    if plot is not None:
+        from gradcal_jax import plots
+
+        plots.save(plots.draw_prediction(found), plot)
+        if not json:
+            print(f"wrote {plot}")
+    return AS_WISHED if all(row.verdict in (None, "met") for row in prediction.requirements) else NOT_AS_WISHED
+
+
+def compare(specs: Annotated[tuple[Path, ...], Parameter(negative="")], /, *, json: Json = False, plot: Plot = None) -> int:
+    """Put plans side by side: hours, residuals, and what each is limited by.
+
+    Parameters
+    ----------
+    specs
+        The spec files.
+    json
+        Print one prediction (gradcal-prediction/1) for each spec, as a list.
+    plot
+        Draw the plans' residuals against rate or temperature into this file.
+    """
+    if not specs:
+        raise ValueError("compare what? Name two or more spec files")
+    from gradcal_jax.cli.precision import use_float64
+    from gradcal_jax.files import read_spec
+
+    found = [(path.stem, read_spec(path)) for path in specs]
+    use_float64()
+    from gradcal_jax import assemble
+
+    predictions = [(name, assemble.predict(spec, limits=True)) for name, spec in found]
+    if json:
+        print("[" + ",\n".join(prediction.model_dump_json(indent=2) for _, prediction in predictions) + "]")
+    else:
+        print(side_by_side(predictions))
+    if plot is not None:
+        from gradcal_jax import plots
+
+        plots.save(plots.draw_comparison(found), plot)
+        if not json:
+            print(f"wrote {plot}")
+    return AS_WISHED
+
+
+def text(prediction: "Prediction", name: str) -> str:
+    """A prediction as people read it: ppm, deg/h, hours."""
+    lines = [strong(prediction.title or name), _times(prediction), ""]
+    if prediction.requirements:
+        several = len({row.axis for row in prediction.requirements}) > 1
+        head = ("requirement", "quantity", "statistic", "residual (1σ)", "target", "verdict", "limited by")
+        lines.append(columns([head, *(_row(row, several) for row in prediction.requirements)], indent=""))
+    else:
+        lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
+    lines += ["", columns(_parameters(prediction), indent="", right=(1,))]
+    lines += [f"note: {warning}" for warning in prediction.warnings]
+    return "\n".join(lines)
+
+
+def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
+    """Plans as rows, requirements below one another."""
+    rows: list[tuple[str, ...]] = [("plan", "in all", "soak", "motion", "requirement", "residual (1σ)", "limited by")]
+    for name, prediction in predictions:
+        times = (time_text(prediction.duration_s), time_text(prediction.soak_s), time_text(prediction.motion_s))
+        first = (name, *times)
+        for row in prediction.requirements or ():
+            axis = f", axis {row.axis}" if len({r.axis for r in prediction.requirements}) > 1 else ""
+            rows.append((*first, f"{row.name}{axis} ({row.statistic})", value(row), row.limited_by or ""))
+            first = ("", "", "", "")
+        if not prediction.requirements:
+            rows.append((*first, "none", "", ""))
+    return columns(rows, indent="")
+
+
+def value(row: "RequirementRow") -> str:
+    """The decisive statistic with its unit, or the words that it cannot be observed."""
+    decisive = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[row.statistic]
+    return "not observable" if decisive is None else f"{decisive:.4g} {row.unit}"
+
+
+def _times(prediction: "Prediction") -> str:
+    parts = (prediction.duration_s, prediction.soak_s, prediction.motion_s)
+    return "{} in all: soak {}, motion {}".format(*(time_text(part) for part in parts))
+
+
+def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
+    name = f"{row.name}, axis {row.axis}" if several else row.name
+    target = "" if row.target is None else f"{row.target:.4g} {row.unit}"
+    verdict = row.verdict or ""
+    return (name, row.quantity.replace("_", " "), row.statistic, value(row), target, verdict, row.limited_by or "")
+
+
+_SHOWN = {"rad/s": ("deg/h", 180.0 / 3.141592653589793 * 3600.0), "1": ("ppm", 1e6)}
+
+
+def _parameters(prediction: "Prediction") -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [("parameter", "1σ", "unit")]
+    several = len({row.axis for row in prediction.parameters}) > 1
+    for row in prediction.parameters:
+        unit, factor = _SHOWN.get(row.unit, (row.unit, 1.0))
+        name = f"{row.name}, axis {row.axis}" if several else row.name
+        rows.append((name, "not observable" if row.std is None else f"{row.std * factor:.4g}", unit))
+    return rows
+
+
+def _simulated(rows, tests, runs: int, seed: int) -> str:
+    head = ("simulated", "predicted", f"of {runs} runs")
+    table = [head]
+    several = len(tests) > 1
+    for row in rows:
+        name = f"{row.name}, axis {row.axis}" if several else row.name
+        table.append((name, f"{row.predicted:.4g} {row.unit}", f"{row.simulated:.4g} {row.unit}"))
+    lines = ["", columns(table, indent="")]
+    for axis, test in tests.items():
+        where = f" (axis {axis})" if several else ""
+        verdict = "is consistent" if test.consistent else "is NOT consistent"
+        lines.append(
+            f"the covariance of {runs} simulated runs (seed {seed}) {verdict} with the prediction{where}: "
+            f"likelihood ratio {test.statistic:.1f}, 99.9 % range {test.low:.1f} to {test.high:.1f}"
+        )
+    return "\n".join(lines)

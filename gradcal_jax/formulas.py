@@ -168,9 +168,7 @@ def _spline_spans(controls: tuple[float, ...]) -> list[tuple[float, ...]]:
 
     spans: list[tuple[float, ...]] = []
     for span in range(count):
-        f0, f1, f2, f3 = (
-            sum(w * v for w, v in zip(basis(span + k / 3, span), values, strict=True)) for k in range(4)
-        )
+        f0, f1, f2, f3 = (sum(w * v for w, v in zip(basis(span + k / 3, span), values, strict=True)) for k in range(4))
         spans.append(
             _terms(
                 one=f0,
@@ -188,7 +186,8 @@ def shape_pieces(
     """The smooth pieces of a shape for unit peak rate, as `(what, share, coefficients)`.
 
     `what` is "ramp" (lasts the ramp time), "flat" (what the two ramps leave) or "share" (that share of the whole
-    duration). For "spline" the control values are rates relative to the peak rate. Errors: `ValueError` for an unknown shape.
+    duration). For "spline" the control values are rates relative to the peak rate. Errors: `ValueError` for an
+    unknown shape.
     """
     if shape == "cosine ramps":
         return [("ramp", 1.0, _COSINE_UP), ("flat", 1.0, CONSTANT), ("ramp", 1.0, _COSINE_DOWN)]
@@ -209,7 +208,9 @@ def shape_pieces(
 
 
 def turned_angle(shape: str, peak_rate: Array, duration: Array, ramp: Array = 0.0) -> Array:
-    """Net angle of a whole move, in peak_rate's angle unit. A spline's depends on its controls: integrate its pieces."""
+    """Net angle of a whole move, in peak_rate's angle unit. A spline's depends on its controls:
+    integrate its pieces.
+    """
     if shape in RAMPED_SHAPES:
         return peak_rate * (duration - ramp)
     if shape == "half sine":
@@ -235,7 +236,9 @@ def repetitions(duration: float, own: float, period: float) -> tuple[int, float]
 
 
 def reading_times(duration: float, every: float | None) -> list[float]:
-    """Readings `every` apart that end within `duration`; a hair's breadth of rounding does not lose the last. None: none."""
+    """Readings `every` apart that end within `duration`; a hair's breadth of rounding does not lose the last. None:
+    none.
+    """
     if every is None:
         return []
     count = int(duration / every * (1.0 + 1e-9) + 1e-9)

@@ -14,9 +14,9 @@ from jaxtyping import Array, Float
 def triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
     """Upper triangular `R`, diagonal not negative, with `RᵀR = rowsᵀ rows`, by QR.
 
-    The derivative follows from `d(RᵀR) = dRᵀR + RᵀdR`: with `S = R⁻ᵀ d(rowsᵀrows) R⁻¹`, `dR = (upper(S) + ½diag(S)) R`. JAX's
-    own rule for QR divides by zero for rows that do not span the space; here such directions (a zero on R's diagonal)
-    contribute nothing, so every function of `RᵀR` that has a derivative gets it, and none gets NaN.
+    The derivative follows from `d(RᵀR) = dRᵀR + RᵀdR`: with `S = R⁻ᵀ d(rowsᵀrows) R⁻¹`, `dR = (upper(S) + ½diag(S))
+    R`. JAX's own rule for QR divides by zero for rows that do not span the space; here such directions (a zero on R's
+    diagonal) contribute nothing, so every function of `RᵀR` that has a derivative gets it, and none gets NaN.
     """
     n, p = rows.shape
     if n < p:

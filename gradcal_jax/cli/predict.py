@@ -77,7 +77,9 @@ def predict(
     return AS_WISHED if all(row.verdict in (None, "met") for row in prediction.requirements) else NOT_AS_WISHED
 
 
-def compare(specs: Annotated[tuple[Path, ...], Parameter(negative="")], /, *, json: Json = False, plot: Plot = None) -> int:
+def compare(
+    specs: Annotated[tuple[Path, ...], Parameter(negative="")], /, *, json: Json = False, plot: Plot = None
+) -> int:
     """Put plans side by side: hours, residuals, and what each is limited by.
 
     Parameters

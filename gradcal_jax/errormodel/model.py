@@ -11,6 +11,7 @@ this module names and orders:
 Everything else of eq. 1 is noise (`errormodel.noise`).
 """
 
+import itertools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -27,7 +28,8 @@ class Map(eqx.Module):
 
     `prior_std`: standard deviation of each *reported* coefficient, rad/s for B and 1 for M; `inf` is flat.
     `smoothness_std`: standard deviation of the difference of neighbouring coefficients; `inf` is none.
-    `discrepancy`: the higher polynomials that the structure leaves out, each with the standard deviation `discrepancy_std`.
+    `discrepancy`: the higher polynomials that the structure leaves out, each with the standard deviation
+    `discrepancy_std`.
     """
 
     temperature: Basis
@@ -79,7 +81,9 @@ class Map(eqx.Module):
     @property
     def constant(self) -> np.ndarray:
         """`(size,)`: engine coefficients of the map that is 1 everywhere."""
-        return self.temperature.constant if self.rate is None else np.kron(self.temperature.constant, self.rate.constant)
+        return (
+            self.temperature.constant if self.rate is None else np.kron(self.temperature.constant, self.rate.constant)
+        )
 
     def differences(self) -> np.ndarray:
         """`(q, size)`: differences of neighbouring coefficients, along temperature and along rate."""
@@ -107,12 +111,16 @@ def make_map(
     discrepancy_std = 0.0
     if discrepancy is not None:
         discrepancy_std, degree_t, degree_w = discrepancy
-        bases = [b for b in (temperature, rate) if b is not None]
-        if not all(isinstance(b, Polynomial) for b in bases):
-            raise ValueError("a model discrepancy needs polynomial bases: B-splines and bins take a smoothness prior instead")
-        beyond_t = HigherPolynomials(temperature.degree + 1, degree_t, temperature.centre, temperature.scale)  # pyright: ignore
-        if rate is not None:
-            beyond_w = HigherPolynomials(rate.degree + 1, degree_w, rate.centre, rate.scale)  # pyright: ignore
+        polynomials = [b for b in (temperature, rate) if isinstance(b, Polynomial)]
+        if len(polynomials) < (1 if rate is None else 2):
+            raise ValueError(
+                "a model discrepancy needs polynomial bases: B-splines and bins take a smoothness prior instead"
+            )
+        beyond_t, *others = [
+            HigherPolynomials(b.degree + 1, degree, b.centre, b.scale)
+            for b, degree in zip(polynomials, (degree_t, degree_w), strict=False)
+        ]
+        beyond_w = others[0] if others else None
         if beyond_t.size == 0 and (beyond_w is None or beyond_w.size == 0):
             raise ValueError("the discrepancy's degrees must exceed the model's, otherwise it describes nothing new")
     scalar = lambda v: jnp.asarray(v, dtype=float)  # noqa: E731
@@ -144,8 +152,8 @@ class Columns(NamedTuple):
 class GyroModel(eqx.Module):
     """A gyro axis with its reference: maps to calibrate, noise, and the priors of all of them.
 
-    `angle_random_walk` in rad/√s. `turn_on_std` in rad/s: where B is estimated its constant *is* this run's turn-on bias,
-    so the two priors add; where B is known the turn-on bias is noise, put among `processes` by whoever assembles.
+    `angle_random_walk` in rad/√s. `turn_on_std` in rad/s: where B is estimated its constant *is* this run's turn-on
+    bias, so the two priors add; where B is known the turn-on bias is noise, put among `processes` by whoever assembles.
     `gradient_std` in (rad/s)/(K/s), `inf` flat; `has_gradient` says whether dB/dṪ is a parameter at all.
     """
 
@@ -174,7 +182,7 @@ class GyroModel(eqx.Module):
             0 if self.scale is None else self.scale.discrepancy_size,
         ]
         ends = np.cumsum([0, *sizes]).tolist()
-        return Columns(*(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)), ends[-1])
+        return Columns(*(slice(a, b) for a, b in itertools.pairwise(ends)), ends[-1])
 
     def prior_rows(self) -> Float[Array, "q p"]:
         """Whitened rows of everything known beforehand: stacked over the data's rows they make the posterior."""

@@ -54,7 +54,9 @@ def no_processes() -> Processes:
 
 
 def gauss_markov(standard_deviation, correlation_time, *, bias_gain=1.0, rate_gain=0.0) -> Processes:
-    """First-order Gauss–Markov process, stationary: σ in rad/s (or 1, or K, as the gains say), τ in s (`inf`: a constant)."""
+    """First-order Gauss–Markov process, stationary: σ in rad/s (or 1, or K, as the gains say), τ in s (`inf`:
+    a constant).
+    """
     decay = 1.0 / jnp.asarray(correlation_time, dtype=float)
     return _process(standard_deviation, decay, standard_deviation * jnp.sqrt(2.0 * decay), bias_gain, rate_gain)
 
@@ -73,8 +75,8 @@ class Reference(eqx.Module):
     """Error budget of the reference: an angle read at standstill or on the move, or a rate that is held.
 
     Arguments, all standard deviations: `reading_noise` rad, white, each reading; `standstill_offset` rad, one draw each
-    time the table comes to rest; `timing_error` s, costs `ω·σ_t` on the move; `rate_accuracy`, relative, common to a set
-    point; `harmonic_amplitudes` rad, of each of the cosine and sine of `harmonic_orders` cycles per turn of the
+    time the table comes to rest; `timing_error` s, costs `ω·σ_t` on the move; `rate_accuracy`, relative, common to a
+    set point; `harmonic_amplitudes` rad, of each of the cosine and sine of `harmonic_orders` cycles per turn of the
     encoder's repeatable error.
     """
 
@@ -92,7 +94,11 @@ class Reference(eqx.Module):
 
 
 def angle_reference(
-    reading_noise=0.0, standstill_offset=0.0, timing_error=0.0, rate_accuracy=0.0, harmonics: dict[int, float] | None = None
+    reading_noise=0.0,
+    standstill_offset=0.0,
+    timing_error=0.0,
+    rate_accuracy=0.0,
+    harmonics: dict[int, float] | None = None,
 ) -> Reference:
     """A `Reference` from plain numbers (SI). An offset of exactly 0 gets no noise state."""
     harmonics = harmonics or {}

@@ -87,7 +87,8 @@ class SegmentRow(Section):
     """What one axis and the chamber do from `start` for `duration` (s).
 
     `shape` is "rest", "constant" or a motion shape, with the shape's own parameters: `ramp` (s), `cycles`, `controls`
-    (rates relative to `peak_rate`), `unevenness`. `peak_rate` (rad/s) and `angle` (rad) are signed; temperatures in °C.
+    (rates relative to `peak_rate`), `unevenness`. `peak_rate` (rad/s) and `angle` (rad) are signed. Temperatures
+    (°C) are the chamber's, linear from start to end, or through `temperature_bends` (time s, °C) where it changes its slope.
     `standstill_id` numbers the times that the axis stands; null while it moves.
     """
 
@@ -103,6 +104,7 @@ class SegmentRow(Section):
     unevenness: Size | None = None
     temperature_start: Finite
     temperature_end: Finite
+    temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
     standstill_id: int | None = None
 
 

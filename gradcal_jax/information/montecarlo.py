@@ -19,7 +19,9 @@ from gradcal_jax.plans import Timeline
 
 
 class Twin(NamedTuple):
-    """`errors` `(runs, p)`: estimate minus truth, in the engine's parameters; `predicted`: the posterior they should follow."""
+    """`errors` `(runs, p)`: estimate minus truth, in the engine's parameters; `predicted`:
+    the posterior they should follow.
+    """
 
     errors: np.ndarray
     predicted: Posterior
@@ -36,7 +38,9 @@ def twin(timeline: Timeline, model: GyroModel, runs: int, seed: int = 0, tile: i
     whitened = jnp.concatenate([whiten(steps, columns), prior])
     known = posterior(square_root(whitened))
     if known.hidden.shape[1]:
-        raise ValueError("the plan leaves some parameters unobservable, so no estimate of them can be compared: give them a prior")
+        raise ValueError(
+            "the plan leaves some parameters unobservable, so no estimate of them can be compared: give them a prior"
+        )
     p = model.columns.count
     rows = np.asarray(prior)
     errors = []
@@ -90,8 +94,9 @@ class WishartTest(NamedTuple):
 def wishart_test(errors: np.ndarray, predicted: Posterior, confidence: float = 0.999) -> WishartTest:
     """Likelihood-ratio test that `runs` errors of zero mean have the predicted covariance.
 
-    With the errors whitened by the prediction and S their mean square, `−2 ln Λ = runs·(tr S − ln det S − p)` is chi-square
-    with p(p+1)/2 degrees of freedom, after Bartlett's factor (Muirhead, Aspects of Multivariate Statistical Theory, 8.4).
+    With the errors whitened by the prediction and S their mean square, `−2 ln Λ = runs·(tr S − ln det S − p)` is
+    chi-square with p(p+1)/2 degrees of freedom, after Bartlett's factor (Muirhead, Aspects of Multivariate
+    Statistical Theory, 8.4).
     """
     runs, p = errors.shape
     white = np.linalg.lstsq(predicted.spread, errors.T, rcond=None)[0]

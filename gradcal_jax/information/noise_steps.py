@@ -27,7 +27,9 @@ _NODES = 16
 
 
 class NoiseSteps(NamedTuple):
-    """`N` steps of a linear-Gaussian system with `n` states and one scalar reading a step (`used`: whether there is one)."""
+    """`N` steps of a linear-Gaussian system with `n` states and one scalar reading a step (`used`:
+    whether there is one).
+    """
 
     transition: Float[Array, "N n n"]
     covariance: Float[Array, "N n n"]
@@ -40,8 +42,8 @@ class NoiseSteps(NamedTuple):
 def noise_steps(timeline: Timeline, model: GyroModel) -> NoiseSteps:
     """Steps of the noise alone, the parameters kept out of the state.
 
-    The first reading is the angle's origin: its white noise and its standstill's offset are the angle state's initial error,
-    which is the exact treatment of an unknown initial angle.
+    The first reading is the angle's origin: its white noise and its standstill's offset are the angle state's initial
+    error, which is the exact treatment of an unknown initial angle.
     """
     p, reference = model.processes, model.reference
     m, offset = p.count, 1 if reference.has_offset else 0
@@ -58,7 +60,9 @@ def noise_steps(timeline: Timeline, model: GyroModel) -> NoiseSteps:
         )
 
     transition = jnp.zeros((count, n, n)).at[:, 0, 0].set(1.0)
-    covariance = jnp.zeros((count, n, n)).at[:, 0, 0].set(model.angle_random_walk**2 * duration + jnp.sum(q_angle, axis=1))
+    covariance = (
+        jnp.zeros((count, n, n)).at[:, 0, 0].set(model.angle_random_walk**2 * duration + jnp.sum(q_angle, axis=1))
+    )
     initial = jnp.zeros((n, n))
     observation = jnp.zeros((count, n)).at[:, 0].set(1.0)
     states = np.arange(1, 1 + m)
@@ -91,7 +95,8 @@ def noise_steps(timeline: Timeline, model: GyroModel) -> NoiseSteps:
     initial = initial.at[0, 0].set(at_origin)
     gaps = timeline.gap_pieces.values
     if len(gaps):
-        # A new origin: the angle state is minus what the reference says then, its white noise and its standstill's offset.
+        # A new origin: the angle state is minus what the reference says then, its white noise and its standstill's
+        # offset.
         transition = transition.at[gaps, 0, :].set(jnp.zeros(n).at[n - 1].set(-1.0) if offset else 0.0)
         covariance = covariance.at[gaps, 0, :].set(0.0).at[gaps, :, 0].set(0.0).at[gaps, 0, 0].set(white)
     on_the_move = jnp.where(timeline.at_rest, 0.0, timeline.end_rate() * reference.timing_error)
@@ -120,7 +125,9 @@ def _phi1(x: Array) -> Array:
 
 
 def _chi(x: Array) -> Array:
-    """(2x − 3 + 4e^(−x) − e^(−2x))/(2x³), and 1/3 at 0: the closed form loses nine digits at x = 1e-3, the series none."""
+    """(2x − 3 + 4e^(−x) − e^(−2x))/(2x³), and 1/3 at 0: the closed form loses nine digits at x = 1e-3,
+    the series none.
+    """
     small = x < 0.3
     safe = jnp.where(small, 1.0, x)
     closed = (2.0 * safe - 3.0 + 4.0 * jnp.exp(-safe) - jnp.exp(-2.0 * safe)) / (2.0 * safe**3)
@@ -146,7 +153,8 @@ def _varying_drive(p: Processes, timeline: Timeline, pieces: np.ndarray) -> tupl
     rate = timeline.rate(v, pieces)[:, None, :]
     drive = p.bias_gain[None, :, None] + p.rate_gain[None, :, None] * rate
     x = p.decay[None, :, None] * duration
-    # e^(−λ(s−u)) between all nodes: also those before u, which the interpolation needs. Moves are divided to keep λD small.
+    # e^(−λ(s−u)) between all nodes: also those before u, which the interpolation needs. Moves are divided to keep λD
+    # small.
     apart = jnp.asarray(nodes)[None, :] - jnp.asarray(nodes)[:, None]
     fading = jnp.exp(-x[..., None] * apart[None, None])
     h = duration * jnp.einsum("us,kmus,kms->kmu", tails, fading, drive)

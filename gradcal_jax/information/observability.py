@@ -10,8 +10,8 @@ from gradcal_jax.information.posterior import Posterior
 def parameter_names(model: GyroModel) -> list[str]:
     """Names of the reported parameters in the model's order, nuisances last.
 
-    As in the paper for polynomials: `a{k}` multiplies the k-th power of temperature in B; `b{j}{i}` the j-th power of rate
-    and the i-th of temperature in M. Other bases count their functions: `a_bin3`, `b_spline2_1`.
+    As in the paper for polynomials: `a{k}` multiplies the k-th power of temperature in B; `b{j}{i}` the j-th power of
+    rate and the i-th of temperature in M. Other bases count their functions: `a_bin3`, `b_spline2_1`.
     """
     names: list[str] = []
     if model.bias is not None:
@@ -57,7 +57,9 @@ def unobservable_combinations(known: Posterior, model: GyroModel) -> list[str]:
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """Reduced row-echelon form with pivoting on the largest entry, so that each combination is as short as it can be."""
+    """Reduced row-echelon form with pivoting on the largest entry, so that each combination is as short as it can
+    be.
+    """
     rows = rows / np.max(np.abs(rows), axis=1, keepdims=True)
     done: list[int] = []
     for k in range(len(rows)):

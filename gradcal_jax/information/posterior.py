@@ -1,12 +1,12 @@
 """Square-root information of the parameters, and what it leaves uncertain.
 
-`rows` are whitened regressors stacked over whitened priors. Their columns are scaled to unit length before one triangular
-factor is taken, so that nothing depends on the units of the parameters:
+`rows` are whitened regressors stacked over whitened priors. Their columns are scaled to unit length before one
+triangular factor is taken, so that nothing depends on the units of the parameters:
 
     rows = A diag(scale),   AᵀA = RᵀR,   covariance C = diag(scale)⁻¹ (RᵀR)⁻¹ diag(scale)⁻¹
 
-`SquareRootInformation` is what the design differentiates; `Posterior` is what is reported, after the combinations that the
-plan cannot observe have been set apart.
+`SquareRootInformation` is what the design differentiates; `Posterior` is what is reported, after the combinations
+that the plan cannot observe have been set apart.
 """
 
 from typing import NamedTuple
@@ -43,14 +43,14 @@ class SquareRootInformation(NamedTuple):
 def information(timeline: Timeline, model: GyroModel) -> SquareRootInformation:
     """Everything that the plan's readings and the priors say of the model's parameters.
 
-    Errors: `ValueError` in single precision, which cannot carry a covariance that is reported; for a search that needs only
-    a direction, stack and factor the rows yourself (`whitened_rows`, `square_root`).
+    Errors: `ValueError` in single precision, which cannot carry a covariance that is reported; for a search that
+    needs only a direction, stack and factor the rows yourself (`whitened_rows`, `square_root`).
     """
     rows = whitened_rows(timeline, model)
     if rows.dtype != jnp.float64:
         raise ValueError(
-            "a covariance in single precision is not reported: call jax.config.update('jax_enable_x64', True) before the "
-            "first JAX array is made"
+            "a covariance in single precision is not reported: call jax.config.update('jax_enable_x64', True) before "
+            "the first JAX array is made"
         )
     return square_root(rows)
 
@@ -70,7 +70,8 @@ def square_root(rows: Float[Array, "rows p"]) -> SquareRootInformation:
 class Posterior(eqx.Module):
     """What is known after the plan: `C = spread spreadᵀ` on what can be observed, and `hidden`, what cannot.
 
-    `spread` is `(p, r)`, `hidden` `(p, k)` with `r + k = p`: directions in parameter space of which the plan says nothing.
+    `spread` is `(p, r)`, `hidden` `(p, k)` with `r + k = p`: directions in parameter space of which the plan says
+    nothing.
     """
 
     spread: np.ndarray
@@ -102,7 +103,7 @@ def posterior(info: SquareRootInformation) -> Posterior:
 
 
 def unweighted(timeline: Timeline, model: GyroModel) -> Posterior:
-    """Covariance of ordinary least squares on the *rate* errors of a standard plan, the estimator of the paper's Figure 6.
+    """Covariance of ordinary least squares on the *rate* errors of a standard plan (the paper's Figure 6).
 
     Every point's mean rate error counts alike, whatever its variance; priors are not used. Errors: `ValueError` for a
     gradient plan, whose readings are angles.

@@ -3,8 +3,8 @@
     Φ_k = ∫ ψ(T) dt  (bias),  ∫ ψ(T, ω)·ω dt  (scale factor),  ∫ Ṫ dt  (bias temperature-gradient sensitivity)
 
 Each smooth piece is integrated by Gauss–Legendre quadrature, exact to rounding for polynomial bases. Where a basis has
-breaks (bins, B-splines) the piece is divided at the instants at which the temperature or the rate crosses them, and those
-instants carry their derivative, too.
+breaks (bins, B-splines) the piece is divided at the instants at which the temperature or the rate crosses them, and
+those instants carry their derivative, too.
 """
 
 from collections.abc import Callable
@@ -41,7 +41,9 @@ def increments(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:
     rows = jnp.zeros((timeline.piece_count, columns.count))
 
     def add(rows, pieces, values, where):
-        return rows.at[pieces[:, None], np.arange(where.start, where.stop)[None, :]].set(values) if len(pieces) else rows
+        return (
+            rows.at[pieces[:, None], np.arange(where.start, where.stop)[None, :]].set(values) if len(pieces) else rows
+        )
 
     if model.scale is not None:
         scale = _integrals(timeline, model.scale, moving, _MOVING_NODES)
@@ -60,12 +62,16 @@ def increments(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:
 
 
 def at_readings(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:
-    """Regressors of the reading at the end of each piece, relative to the first reading (or to the point's own start)."""
+    """Regressors of the reading at the end of each piece, relative to the first reading (or to the point's own
+    start).
+    """
     rows = increments(timeline, model)
     orders = model.reference.harmonic_orders
     if timeline.rate_reference:
         if orders:
-            raise ValueError("the encoder's error by angle has no meaning for the standard method: leave the harmonics out")
+            raise ValueError(
+                "the encoder's error by angle has no meaning for the standard method: leave the harmonics out"
+            )
         return rows
     rows = jnp.cumsum(rows, axis=0)
     if orders:
@@ -132,7 +138,8 @@ def _crossing(
 ) -> Float[Array, "k n"]:
     """Where `variable` crosses `level` between `a` and `b`, or `b` where it does not.
 
-    Bisection finds the place and one Newton step, whose value is zero, gives it the derivative of the implicit function.
+    Bisection finds the place and one Newton step, whose value is zero, gives it the derivative of the implicit
+    function.
     """
     above_at_a = variable(a) >= level
     crosses = above_at_a != (variable(b) >= level)
@@ -150,5 +157,3 @@ def _crossing(
     usable = crosses & (slope != 0.0)
     step = (value - jax.lax.stop_gradient(value)) / jnp.where(usable, slope, 1.0)
     return jnp.where(crosses, place - jnp.where(usable, step, 0.0), b)
-
-

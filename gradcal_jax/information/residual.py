@@ -3,8 +3,8 @@
     s(T, ω)² = ψ(T, ω)ᵀ C ψ(T, ω)
 
 for the scale factor (dimensionless) and, without ω, for the bias (rad/s). With a model discrepancy `γ` (prior Γ) of
-functions χ that the calibration does not carry, the error at a point is `ψᵀ(β − β̂) + χᵀγ`; since the estimation error is
-uncorrelated with every function of the data, its variance is `ψᵀC_ββψ + 2ψᵀC_βγχ + χᵀΓχ`.
+functions χ that the calibration does not carry, the error at a point is `ψᵀ(β − β̂) + χᵀγ`; since the estimation
+error is uncorrelated with every function of the data, its variance is `ψᵀC_ββψ + 2ψᵀC_βγχ + χᵀΓχ`.
 """
 
 from typing import Literal
@@ -26,7 +26,8 @@ def contrasts(
 ) -> tuple[Float[Array, "g p"], Float[Array, " g"]]:
     """Rows `c` with `cᵀβ` the map's error at each point, and the variance there that no plan can touch, `χᵀ(Γ)χ`.
 
-    The second is the discrepancy's prior variance; `c` has entries for it, whose own variance is not to be counted twice.
+    The second is the discrepancy's prior variance; `c` has entries for it, whose own variance is not to be counted
+    twice.
     Errors: `ValueError` when the model does not estimate the quantity.
     """
     of = model.bias if quantity == "bias" else model.scale
@@ -45,8 +46,8 @@ def residual(
 ) -> np.ndarray:
     """Standard deviation of the calibrated map's error on a grid: `(n_T,), (n_ω,) -> (n_T, n_ω)`.
 
-    °C and rad/s in; dimensionless (scale factor) or rad/s (bias, whose one rate is ignored) out. `inf` where the plan cannot
-    tell.
+    °C and rad/s in; dimensionless (scale factor) or rad/s (bias, whose one rate is ignored) out. `inf` where the plan
+    cannot tell.
     """
     grid_t, grid_w = np.meshgrid(temperature, rate, indexing="ij")
     rows, beyond = contrasts(model, quantity, jnp.asarray(grid_t.ravel()), jnp.asarray(grid_w.ravel()))
@@ -63,7 +64,7 @@ def residual(
 def statistic(name: Statistic, values: np.ndarray) -> float:
     """A named statistic of a residual map `(n_T, n_ω)`.
 
-    "mean of max": mean over rate of the maximum over temperature (the paper's figure); "max", "mean", "rms": of all points.
+    "mean of max": mean over rate of the maximum over temperature (the paper's figure); the others are of all points.
     """
     if name == "mean of max":
         return float(np.mean(np.max(values, axis=0)))

@@ -1,12 +1,14 @@
 """Whitening: a Kalman filter of the noise alone, run over every column of the regressors as if it were data.
 
-With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ` the covariance of all readings) costs O(N·n²·p) with a handful of
-noise states `n`, in blocks so that neither a CPU nor a GPU walks through N small steps:
+With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ` the covariance of all readings) costs O(N·n²·p) with a
+handful of noise states `n`, in blocks so that neither a CPU nor a GPU walks through N small steps:
 
-1. **Inside blocks, all blocks side by side.** The readings are cut into `B` blocks of `K`. Each block's filter starts from
-   a *known* state `s_b`, whose effect on the readings is carried as `n` more columns. After K steps, vectorised over the
-   blocks, every block is `e = Φ̃ − Ã s_b` with unit white noise, and `s_{b+1} = X + Ψ s_b + noise(P)`.
-2. **An orthogonal basis** `U` of the few columns `Ã` (`Ã = U R`): what of `Φ̃` is orthogonal to `U` does not depend on the
+1. **Inside blocks, all blocks side by side.** The readings are cut into `B` blocks of `K`. Each block's filter starts
+from
+   a *known* state `s_b`, whose effect on the readings is carried as `n` more columns. After K steps, vectorised over
+   the blocks, every block is `e = Φ̃ − Ã s_b` with unit white noise, and `s_{b+1} = X + Ψ s_b + noise(P)`.
+2. **An orthogonal basis** `U` of the few columns `Ã` (`Ã = U R`): what of `Φ̃` is orthogonal to `U` does not depend
+on the
    start and is white as it stands; `UᵀΦ̃ = R s_b + noise` are `n` readings of the start.
 3. **Between blocks**, a short filter over the B blocks takes those n readings one scalar at a time.
 
@@ -26,14 +28,18 @@ Grid = list[list[Array]]
 
 
 class FilterState(NamedTuple):
-    """What goes from one stretch of readings to the next: predicted state of every column `(n, p)` and covariance `(n, n)`."""
+    """What goes from one stretch of readings to the next: predicted state of every column `(n,
+    p)` and covariance `(n, n)`.
+    """
 
     mean: Float[Array, "n p"]
     covariance: Float[Array, "n n"]
 
 
 def whiten(steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None) -> Float[Array, "rows p"]:
-    """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings. `block`: K, default about √N."""
+    """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings. `block`: K,
+    default about √N.
+    """
     start = FilterState(jnp.zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype), steps.initial)
     rows, _ = whiten_from(start, steps, columns, block=block)
     return rows
@@ -75,10 +81,14 @@ def whiten_from(
 
 
 def _inside_blocks(inputs: tuple[Array, ...], n: int, p: int, blocks: int) -> tuple[Array, list[Array], Grid]:
-    """Step 1: whitened columns `(K, p+n, B)`, the last n of them `Ã`; end states n × (p+n, B); their covariances n × n × (B,)."""
+    """Step 1: whitened columns `(K, p+n, B)`, the last n of them `Ã`; end states n × (p+n, B);
+    their covariances n × n × (B,).
+    """
     dtype = inputs[5].dtype
     unit = [
-        jnp.concatenate([jnp.zeros((p, blocks), dtype), *(jnp.full((1, blocks), float(i == j), dtype) for j in range(n))])
+        jnp.concatenate(
+            [jnp.zeros((p, blocks), dtype), *(jnp.full((1, blocks), float(i == j), dtype) for j in range(n))]
+        )
         for i in range(n)
     ]
     known = [[jnp.zeros(blocks, dtype) for _ in range(n)] for _ in range(n)]
@@ -109,7 +119,9 @@ def _inside_blocks(inputs: tuple[Array, ...], n: int, p: int, blocks: int) -> tu
 def _propagate(f: Grid, cov: Grid, noise: Array) -> Grid:
     """`F P Fᵀ + Q`, written out; symmetric entries are computed once."""
     n = len(f)
-    half = [[sum((f[i][k] * cov[k][j] for k in range(1, n)), start=f[i][0] * cov[0][j]) for j in range(n)] for i in range(n)]
+    half = [
+        [sum((f[i][k] * cov[k][j] for k in range(1, n)), start=f[i][0] * cov[0][j]) for j in range(n)] for i in range(n)
+    ]
     out: Grid = [[half[0][0]] * n for _ in range(n)]
     for i in range(n):
         for j in range(i, n):
@@ -185,5 +197,3 @@ def _between_blocks(
 
     (m, c), rows = jax.lax.scan(step, (state.mean, state.covariance), inputs)
     return rows, FilterState(m, c)
-
-

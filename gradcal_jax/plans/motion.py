@@ -17,8 +17,8 @@ from gradcal_jax import formulas
 class Pieces(NamedTuple):
     """Smooth pieces of one move on one channel, in order; the flags are part of the structure.
 
-    Arrays: `duration` s, `u_start`, `u_end`, `terms` (see `plans.timeline`). Flags: a reading at the end; standing then;
-    the rate not zero throughout; the rate not constant; a gap, at whose end the angle's origin is read anew.
+    Arrays: `duration` s, `u_start`, `u_end`, `terms` (see `plans.timeline`). Flags: a reading at the end; standing
+    then; the rate not zero throughout; the rate not constant; a gap, at whose end the angle's origin is read anew.
     """
 
     duration: Array
@@ -36,14 +36,18 @@ _ARRAYS = 4
 
 
 class Division(NamedTuple):
-    """How one smooth part of a move is divided: `edges` (fractions, from 0 to 1) and whether each piece ends with a reading."""
+    """How one smooth part of a move is divided: `edges` (fractions, from 0 to 1) and whether each piece ends with a
+    reading.
+    """
 
     edges: tuple[float, ...]
     read: tuple[bool, ...]
 
 
 def divide(duration: float, readings: list[float], longest: float = np.inf) -> Division:
-    """Divide a part of `duration` at its readings (times from its start), and until no piece is longer than `longest`."""
+    """Divide a part of `duration` at its readings (times from its start),
+    and until no piece is longer than `longest`.
+    """
     if duration <= 0.0:
         return Division((0.0, 1.0), (bool(readings),))
     stops = [float(t) / duration for t in readings]
@@ -62,9 +66,9 @@ def divide(duration: float, readings: list[float], longest: float = np.inf) -> D
 class Move(eqx.Module):
     """A turn (any of `formulas.SHAPES`), or a rest (`shape="rest"`), of the table axis `axis`.
 
-    `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's; `controls` a spline's rates over the
-    peak rate; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: of the same time for an
-    axis that stands meanwhile.
+    `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's; `controls` a spline's rates over
+    the peak rate; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: of the same
+    time for an axis that stands meanwhile.
     """
 
     peak_rate: Float[Array, ""]
@@ -185,8 +189,8 @@ def turn(
     """A turn from plain numbers (rad/s, s); see `Move`.
 
     `read_every` reads on the move, too, and then `read_at_end` does not matter. `longest_piece` (a few of the shortest
-    correlation time of the noise) divides the parts on which the rate varies. Errors: `ValueError` for an unknown shape or
-    ramps longer than the move.
+    correlation time of the noise) divides the parts on which the rate varies. Errors: `ValueError` for an unknown
+    shape or ramps longer than the move.
     """
     if 2.0 * ramp > duration * (1 + 1e-9):
         raise ValueError(f"two ramps of {ramp} s do not fit into a move of {duration} s: shorten the ramp or the rate")
@@ -201,7 +205,9 @@ def turn(
         divisions.append(divide(part, [min(t, part) for t in inside], np.inf if what == "flat" else longest_piece))
         begin += part
     others = divide(duration, formulas.reading_times(duration, others_read_every))
-    return _move(shape, peak_rate, duration, tuple(divisions), others, ramp, controls, unevenness, axis=axis, cycles=cycles)
+    return _move(
+        shape, peak_rate, duration, tuple(divisions), others, ramp, controls, unevenness, axis=axis, cycles=cycles
+    )
 
 
 def _move(

@@ -32,8 +32,8 @@ class Stretch(NamedTuple):
 class GradientPlan(eqx.Module):
     """The chamber follows `programme`; in each used stretch `moves`, then `after`, repeat.
 
-    `moves` are the axes' own; `after` are rests that complete the cycle (the time that axes outside this plan take). `cuts`:
-    for each channel the (piece, programme stretch) where the chamber changes its slope inside a piece.
+    `moves` are the axes' own; `after` are rests that complete the cycle (the time that axes outside this plan take).
+    `cuts`: for each channel the (piece, programme stretch) where the chamber changes its slope inside a piece.
     """
 
     programme: Programme
@@ -89,7 +89,9 @@ class GradientPlan(eqx.Module):
         )
 
     def _pieces(self, channel: str) -> tuple[Pieces, np.ndarray, tuple[int, ...]]:
-        """All pieces, the segment of each, and each segment's move: an index into `moves + after`, or −1 for standing."""
+        """All pieces, the segment of each, and each segment's move: an index into `moves + after`,
+        or −1 for standing.
+        """
         times = self.programme.knots()[0]
         own, rests = ([m.pieces(channel) for m in moves] for moves in (self.moves, self.after))
         own_time, rest_time = (sum((m.duration for m in ms), start=jnp.zeros(())) for ms in (self.moves, self.after))
@@ -163,7 +165,8 @@ def gradient_plan(
     """Fit the moves into the used parts of a programme, as often as they go.
 
     `used`: (first, last) of the programme's stretches, last not included; None: all. `read_every` s: spacing of the
-    readings while the axis stands for what the cycles leave; None: unread. Errors: `ValueError` when the moves fit nowhere.
+    readings while the axis stands for what the cycles leave; None: unread. Errors: `ValueError` when the moves fit
+    nowhere.
     """
     times = np.asarray(programme.knots()[0])
     own = sum(float(m.duration) for m in moves)
@@ -175,7 +178,9 @@ def gradient_plan(
         tail = divide(left, reading_times(left, read_every)) if left > 1e-6 else None
         stretches.append(Stretch(first, last, cycles, tail))
     if moves and not any(s.cycles for s in stretches):
-        raise ValueError(f"the moves take {own:.6g} s and fit into no used part of the temperature programme: shorten them")
+        raise ValueError(
+            f"the moves take {own:.6g} s and fit into no used part of the temperature programme: shorten them"
+        )
     plan = GradientPlan(programme, tuple(moves), tuple(after), tuple(stretches))
     cuts = []
     for channel in plan.channels:
@@ -189,10 +194,10 @@ def gradient_plan(
 
 
 class StandardPlan(eqx.Module):
-    """Stable temperatures (°C), each with a soak (s), and at each the rates (rad/s; 0 is standing) for `integration` s each.
+    """Stable temperatures (°C), each after a soak (s), with rates (rad/s; 0: standing) for `integration` s each.
 
-    Every point is an independent stretch with a noise state of its own and a reference *rate* whose error is common to the
-    point, so splitting a point into several readings would buy nothing.
+    Every point is an independent stretch with a noise state of its own and a reference *rate* whose error is common
+    to the point, so splitting a point into several readings would buy nothing.
     """
 
     temperatures: Float[Array, " t"]
@@ -209,7 +214,9 @@ class StandardPlan(eqx.Module):
         return self.temperatures.shape[0] * (self.soak + self.rates.shape[0] * self.integration)
 
     def timeline(self, channel: str = "x", thermal_lag: Float[Array, ""] | float | None = None) -> Timeline:
-        """One piece a point. With a thermal lag what is left of each temperature's step decays through its soak and points."""
+        """One piece a point. With a thermal lag what is left of each temperature's step decays through its soak and
+        points.
+        """
         n_t, n_r = self.temperatures.shape[0], self.rates.shape[0]
         count = n_t * n_r
         stay = self.soak + n_r * self.integration

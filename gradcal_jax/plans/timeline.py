@@ -40,11 +40,11 @@ class IndexArray:
 class Timeline(eqx.Module):
     """Pieces of one channel. Fields of shape `(P,)` unless said; see the module's head for the symbols.
 
-    `read`: a reading at the end of the piece; `at_rest`: the axis stands then; `moving`: the rate is not zero throughout;
-    `reset`: an independent stretch begins here (standard method); `segment`: the move or soak that the piece belongs to,
-    an index into `segment_moves`, whose entries index the plan's moves (−1: standing). `moving_pieces` and, of them,
-    `varying_pieces` (the rate is not constant) list indices; at the end of each of `gap_pieces`, whose data are not used, the
-    angle's origin is read anew. `rate_reference`: the reading is
+    `read`: a reading at the end of the piece; `at_rest`: the axis stands then; `moving`: the rate is not zero
+    throughout; `reset`: an independent stretch begins here (standard method); `segment`: the move or soak that the
+    piece belongs to, an index into `segment_moves`, whose entries index the plan's moves (−1: standing).
+    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list indices; at the end of each of
+    `gap_pieces`, whose data are not used, the angle's origin is read anew. `rate_reference`: the reading is
     of a held rate, over its piece, not of an angle.
     """
 
@@ -81,15 +81,15 @@ class Timeline(eqx.Module):
 
     def temperature(self, v: Float[Array, "k q"], pieces: np.ndarray | slice = EVERY) -> Float[Array, "k q"]:
         """Sensor temperature (°C) at fractions `v` of each piece, or of each of the `k` given ones."""
-        since, start, slope, excess = (
-            f[pieces][:, None] for f in (self.duration, self.trail, self.slope, self.excess)
-        )
+        since, start, slope, excess = (f[pieces][:, None] for f in (self.duration, self.trail, self.slope, self.excess))
         return formulas.lagged_temperature(v * since, start, slope, excess, self.lag_rate)
 
     def turned(self) -> Float[Array, " P"]:
         """Angle (rad) that each piece turns, closed form."""
         span = self.u_end - self.u_start
-        whole = jnp.einsum("pm,pm->p", formulas.motion_angle(self.u_end) - formulas.motion_angle(self.u_start), self.terms)
+        whole = jnp.einsum(
+            "pm,pm->p", formulas.motion_angle(self.u_end) - formulas.motion_angle(self.u_start), self.terms
+        )
         return whole * self.duration / jnp.where(span > 0.0, span, 1.0)
 
     def end_rate(self) -> Float[Array, " P"]:

@@ -1,0 +1,15 @@
+"""One file a family of figures. Functions take `ax=None`, label with units, return what they drew and never show it."""
+
+from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
+from gradcal_jax.plots.spec import draw_comparison, draw_prediction
+from gradcal_jax.plots.style import save, style_of
+
+__all__ = [
+    "draw_comparison",
+    "draw_map",
+    "draw_over_temperature",
+    "draw_prediction",
+    "draw_worst_over_temperature",
+    "save",
+    "style_of",
+]

@@ -1,0 +1,41 @@
+"""What is known after a spec's plan, on its requirements' boxes."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from gradcal_jax import plans
+from gradcal_jax.assemble.build import Assembled
+from gradcal_jax.errormodel import GyroModel
+from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
+from gradcal_jax.information import Posterior, SquareRootInformation, information, posterior, residual, unweighted
+
+PPM = 1e6
+DEG_PER_H = 3600.0 * 180.0 / np.pi
+DEG_PER_S = 180.0 / np.pi
+UNIT_OF = {"scale_factor": ("ppm", PPM), "bias": ("deg/h", DEG_PER_H)}
+
+
+@eqx.filter_jit
+def _information(plan: plans.Plan, model: GyroModel, channel: str, thermal_lag) -> SquareRootInformation:
+    return information(plan.timeline(channel, thermal_lag), model)
+
+
+def knowledge(built: Assembled, channel: str = "x", model: GyroModel | None = None) -> Posterior:
+    """What is known after the plan, by the estimator that the spec names. `model` replaces the assembled one."""
+    model = built.model if model is None else model
+    lag = None if built.thermal_lag is None else jnp.asarray(built.thermal_lag)
+    section = built.spec.plan
+    if isinstance(section, StandardPlanSection) and section.estimator == "least squares":
+        return unweighted(built.plan.timeline(channel, lag), model)
+    return posterior(_information(built.plan, model, channel, lag))
+
+
+def residual_map(built: Assembled, known: Posterior, requirement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Temperatures (°C), rates (deg/s) and the residual `(n_T, n_ω)` in ppm or deg/h, on a requirement's box."""
+    temperatures = np.linspace(*(float(t) for t in requirement.temperature), requirement.grid[0])
+    rates = np.zeros(1)
+    if requirement.quantity == "scale_factor":
+        rates = np.linspace(*(float(r) for r in requirement.rate), requirement.grid[1])
+    values = residual(known, built.model, requirement.quantity, temperatures, rates)
+    return temperatures, rates * DEG_PER_S, values * UNIT_OF[requirement.quantity][1]

@@ -1,0 +1,93 @@
+"""The contract gradcal-prediction/1, filled from a spec."""
+
+import numpy as np
+
+from gradcal_jax.assemble.build import Assembled, assemble
+from gradcal_jax.assemble.knowledge import UNIT_OF, knowledge, residual_map
+from gradcal_jax.assemble.shares import error_shares, limited_by
+from gradcal_jax.assemble.warnings import warnings
+from gradcal_jax.files import Prediction, Spec
+from gradcal_jax.files.contracts import ParameterRow, RequirementRow
+from gradcal_jax.information import STATISTICS, Posterior, parameter_names, statistic, to_reported
+
+
+def predict(spec: Spec, *, limits: bool = False) -> Prediction:
+    """The residual that a spec's plan leaves. `limits`: also say of each requirement what it is limited by."""
+    built = assemble(spec)
+    known = {channel: knowledge(built, channel) for channel in built.channels}
+    requirements = [
+        _requirement_row(built, known[channel], requirement, channel)
+        for requirement in spec.requirement
+        for channel in built.channels
+    ]
+    if limits:
+        shares = {channel: error_shares(built, channel) for channel in built.channels}
+        requirements = [
+            row.model_copy(update={"limited_by": limited_by(shares[row.axis].get(row.name))}) for row in requirements
+        ]
+    schedule = spec.schedule
+    parameters, covariance = _parameters(built, known)
+    return Prediction(
+        title=spec.title,
+        duration_s=schedule.duration,
+        soak_s=schedule.soak,
+        motion_s=schedule.motion,
+        requirements=tuple(requirements),
+        parameters=parameters,
+        covariance=covariance,
+        warnings=tuple(warnings(built, known)),
+    )
+
+
+def _requirement_row(built: Assembled, known: Posterior, requirement, channel: str) -> RequirementRow:
+    _, rates, values = residual_map(built, known, requirement)
+    found = {name: statistic(name, values) for name in STATISTICS}
+    if requirement.quantity == "bias":
+        del found["mean of max"]
+    found = {name: value if np.isfinite(value) else None for name, value in found.items()}
+    unit, factor = UNIT_OF[requirement.quantity]
+    target = None if requirement.target is None else float(requirement.target) * factor
+    decisive = found[requirement.statistic]
+    verdict = None
+    if decisive is None:
+        verdict = "unobservable"
+    elif target is not None:
+        verdict = "met" if decisive <= target else "missed"
+    return RequirementRow(
+        name=requirement.name,
+        quantity=requirement.quantity,
+        unit=unit,
+        axis=channel,
+        temperature_c=tuple(float(t) for t in requirement.temperature),
+        rate_dps=(float(rates[0]), float(rates[-1])) if requirement.quantity == "scale_factor" else None,
+        grid=tuple(requirement.grid),
+        statistic=requirement.statistic,
+        mean_of_max=found.get("mean of max"),
+        max=found["max"],
+        mean=found["mean"],
+        rms=found["rms"],
+        target=target,
+        verdict=verdict,
+    )
+
+
+def _parameters(built: Assembled, known: dict[str, Posterior]):
+    """Rows of the reported parameters and their covariance, axes one after the other (they are independent)."""
+    model = built.model
+    columns = model.columns
+    count = columns.gradient.stop
+    names, reported = parameter_names(model)[:count], to_reported(model)[:count]
+    unit = ["rad/s"] * (columns.bias.stop - columns.bias.start) + ["1"] * (columns.scale.stop - columns.scale.start)
+    unit += ["rad/K"] * (columns.gradient.stop - columns.gradient.start)
+    rows, size = [], len(known) * count
+    covariance: list[list[float | None]] = [[0.0] * size for _ in range(size)]
+    for k, (channel, posterior_) in enumerate(known.items()):
+        deviations = posterior_.deviations(reported)
+        block = posterior_.covariance(reported)
+        for i, deviation in enumerate(deviations):
+            std = float(deviation) if np.isfinite(deviation) else None
+            rows.append(ParameterRow(name=names[i], axis=channel, std=std, unit=unit[i]))
+            for j, other in enumerate(deviations):
+                seen = np.isfinite(deviation) and np.isfinite(other)
+                covariance[k * count + i][k * count + j] = float(block[i, j]) if seen else None
+    return tuple(rows), tuple(tuple(row) for row in covariance)

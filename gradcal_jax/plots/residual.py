@@ -1,0 +1,71 @@
+"""Residual maps over temperature and rate, and the curves drawn from them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from matplotlib.contour import QuadContourSet
+from matplotlib.lines import Line2D
+
+from gradcal_jax.plots.style import colour_map, new_axes, style_of
+
+
+class MapArtists(NamedTuple):
+    """What `draw_map` drew."""
+
+    axes: Axes
+    mesh: QuadMesh
+    contours: QuadContourSet | None
+
+
+def draw_map(
+    temperature_c: np.ndarray,
+    rate_dps: np.ndarray,
+    residual: np.ndarray,
+    unit: str,
+    *,
+    title: str = "",
+    ax: Axes | None = None,
+) -> MapArtists:
+    """Residual `(n_T, n_ω)` as colour with contour lines; points that the plan cannot observe stay blank."""
+    ax = new_axes(ax)
+    shown = np.ma.masked_invalid(residual)
+    mesh = ax.pcolormesh(rate_dps, temperature_c, shown, cmap=colour_map(), shading="nearest", rasterized=True)
+    contours = None
+    if shown.count() > 3 and float(shown.max()) > float(shown.min()):
+        contours = ax.contour(rate_dps, temperature_c, shown, levels=6, colors="white", linewidths=0.7)
+        ax.clabel(contours, fmt="%.3g", fontsize=8)
+    ax.figure.colorbar(mesh, ax=ax, label=f"residual (1σ), {unit}")
+    ax.set(xlabel="rate, deg/s", ylabel="temperature, °C", title=title)
+    return MapArtists(ax, mesh, contours)
+
+
+def draw_worst_over_temperature(
+    rate_dps: np.ndarray, residual: np.ndarray, unit: str, *, label: str = "", index: int = 0, ax: Axes | None = None
+) -> tuple[Axes, Line2D]:
+    """The maximum over temperature against rate: the curve whose mean is the paper's figure."""
+    ax = new_axes(ax)
+    worst = np.max(residual, axis=0)
+    (line,) = ax.plot(rate_dps, np.where(np.isfinite(worst), worst, np.nan), label=label, **style_of(index))
+    ax.set(xlabel="rate, deg/s", ylabel=f"largest residual over temperature (1σ), {unit}")
+    ax.set_ylim(bottom=0.0)
+    return ax, line
+
+
+def draw_over_temperature(
+    temperature_c: np.ndarray,
+    residual: np.ndarray,
+    unit: str,
+    *,
+    label: str = "",
+    index: int = 0,
+    ax: Axes | None = None,
+) -> tuple[Axes, Line2D]:
+    """A bias residual `(n_T, 1)` against temperature."""
+    ax = new_axes(ax)
+    values = residual[:, 0]
+    (line,) = ax.plot(temperature_c, np.where(np.isfinite(values), values, np.nan), label=label, **style_of(index))
+    ax.set(xlabel="temperature, °C", ylabel=f"bias residual (1σ), {unit}")
+    ax.set_ylim(bottom=0.0)
+    return ax, line

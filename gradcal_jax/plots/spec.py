@@ -1,0 +1,57 @@
+"""Pictures of a spec: what its plan leaves, and several plans side by side."""
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+
+from gradcal_jax.assemble import assemble, knowledge, residual_map
+from gradcal_jax.files import Spec
+from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
+
+_UNIT = {"scale_factor": "ppm", "bias": "deg/h"}
+
+
+def draw_prediction(spec: Spec) -> Figure:
+    """A residual map for each scale-factor requirement and a curve for each bias requirement, for every axis.
+
+    Errors: `ValueError` for a spec without requirements, which leaves nothing to draw.
+    """
+    built = assemble(spec)
+    panels = [(r, c) for r in spec.requirement for c in built.channels]
+    if not panels:
+        raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add one")
+    figure = Figure(figsize=(6.4, 4.2 * len(panels)), layout="constrained")
+    for axes, (requirement, channel) in zip(figure.subplots(len(panels), squeeze=False)[:, 0], panels, strict=True):
+        temperature, rate, values = residual_map(built, knowledge(built, channel), requirement)
+        unit = _UNIT[requirement.quantity]
+        name = requirement.name if len(built.channels) == 1 else f"{requirement.name}, axis {channel}"
+        if requirement.quantity == "scale_factor":
+            draw_map(temperature, rate, values, unit, title=name, ax=axes)
+        else:
+            draw_over_temperature(temperature, values, unit, ax=axes)
+            axes.set_title(name)
+    if spec.title:
+        figure.suptitle(spec.title)
+    return figure
+
+
+def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
+    """Plans side by side: for each requirement's name, one curve a plan. Errors: `ValueError` without requirements."""
+    names = list(dict.fromkeys((r.name, r.quantity) for _, spec in specs for r in spec.requirement))
+    if not names:
+        raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add one")
+    figure = Figure(figsize=(6.8, 4.0 * len(names)), layout="constrained")
+    all_axes = figure.subplots(len(names), squeeze=False)[:, 0]
+    for axes, (name, quantity) in zip(all_axes, names, strict=True):
+        for index, (label, spec) in enumerate(specs):
+            built = assemble(spec)
+            for requirement in (r for r in spec.requirement if (r.name, r.quantity) == (name, quantity)):
+                channel = built.channels[0]
+                temperature, rate, values = residual_map(built, knowledge(built, channel), requirement)
+                if quantity == "scale_factor":
+                    draw_worst_over_temperature(rate, values, "ppm", label=label, index=index, ax=axes)
+                else:
+                    draw_over_temperature(temperature, values, "deg/h", label=label, index=index, ax=axes)
+        axes.set_title(name)
+        axes.legend()
+    return figure

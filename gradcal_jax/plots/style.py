@@ -1,0 +1,38 @@
+"""What all figures share: sizes, colours that everyone can tell apart, and saving without a display."""
+
+from pathlib import Path
+
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+SEQUENTIAL = "viridis"
+# Okabe and Ito's palette, distinguishable with every common colour-vision deficiency.
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+LINES = ("-", "--", "-.", ":")
+
+
+def style_of(index: int) -> dict[str, str]:
+    """Colour and dash of the index-th curve: either alone tells curves apart in print."""
+    return {"color": PALETTE[index % len(PALETTE)], "linestyle": LINES[index % len(LINES)]}
+
+
+def new_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 4.2)) -> Axes:
+    """The axes given, or those of a new figure that no window system knows."""
+    return ax if ax is not None else Figure(figsize=size, layout="constrained").add_subplot()
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure; the ending of the name decides the format. Errors: `ValueError` for an ending nobody writes."""
+    ending = Path(path).suffix.lstrip(".").lower()
+    known = figure.canvas.get_supported_filetypes()
+    if ending not in known:
+        raise ValueError(f"{path}: a figure's name ends in one of {', '.join('.' + k for k in sorted(known))}")
+    if not Path(path).parent.is_dir():
+        raise ValueError(f"there is no directory {Path(path).parent}; make it first")
+    figure.savefig(path, dpi=150)
+
+
+def colour_map():
+    """The perceptually even, colour-blind-safe map of all residual pictures."""
+    return colormaps[SEQUENTIAL]

@@ -89,7 +89,7 @@ class AllanFit:
     """Confidence limits of the true deviation, from the measured one and χ² with those degrees of freedom."""
     confidence: float
     chi_squared: float
-    """Σ (V - model)²/var V. The V are correlated, so it is not χ²; many times their number says that the model is bad."""
+    """Σ (V - model)²/var V. The V are correlated: not χ², but many times their number says that the model is bad."""
 
 
 def averaging_times(samples: int, sample_interval_s: float, *, per_decade: int = 10) -> Float[np.ndarray, " times"]:

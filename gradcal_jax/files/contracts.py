@@ -88,7 +88,7 @@ class SegmentRow(Section):
 
     `shape` is "rest", "constant" or a motion shape, with the shape's own parameters: `ramp` (s), `cycles`, `controls`
     (rates relative to `peak_rate`), `unevenness`. `peak_rate` (rad/s) and `angle` (rad) are signed. Temperatures
-    (°C) are the chamber's, linear from start to end, or through `temperature_bends` (time s, °C) where it changes its slope.
+    (°C) are the chamber's, linear from start to end, or through `temperature_bends` (time s, °C).
     `standstill_id` numbers the times that the axis stands; null while it moves.
     """
 

@@ -83,12 +83,12 @@ class GradientSchedule:
     @property
     def duration(self) -> float:
         """Of the whole plan (s)."""
-        return sum(segment.duration for segment in self.segments)
+        return math.fsum(segment.duration for segment in self.segments)
 
     @property
     def soak(self) -> float:
         """Time at constant temperature (s)."""
-        return sum(segment.duration for segment in self.segments if segment.kind == "soak")
+        return math.fsum(segment.duration for segment in self.segments if segment.kind == "soak")
 
     @property
     def motion(self) -> float:

@@ -1,0 +1,111 @@
+"""Contracts and schemas: what they promise is what validates, for every preset and for hand-made examples."""
+
+import json
+import tomllib
+
+import jsonschema
+import pytest
+
+from gradcal_jax import files
+from gradcal_jax.files import Prediction, Timeline, presets
+from gradcal_jax.files.schemas import names, schema
+
+
+@pytest.mark.parametrize("name", names())
+def test_schemas_are_valid_and_closed(name):
+    found = schema(name)
+    jsonschema.Draft202012Validator.check_schema(found)
+    assert found["$id"] == f"gradcal-{name}/1"
+    assert found["additionalProperties"] is False
+    assert json.loads(json.dumps(found)) == found
+    assert schema(f"gradcal-{name}/1") == found
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_every_preset_satisfies_the_schema_of_specs_and_slips_do_not(name):
+    document = tomllib.loads(presets.text(name))
+    validator = jsonschema.Draft202012Validator(schema("spec"))
+    validator.validate(document)
+    assert validator.is_valid({**document, "sensr": {}}) is False
+    assert validator.is_valid({**document, "sensor": {"quantity": "gyro"}}) is False
+    document["plan"]["soak"] = 3
+    assert validator.is_valid(document) is False
+
+
+TIMELINE = {
+    "format": "gradcal-timeline/1",
+    "sensor": {
+        "arw": 2.9e-5,
+        "drift": [{"sigma": 4.8e-6, "tau": 120.0}],
+        "scale_factor": {
+            "temperature": {"basis": "polynomial", "degree": 3, "centre": 20.0, "scale": 50.0},
+            "rate": {"basis": "polynomial", "degree": 3, "centre": 0.0, "scale": 5.2},
+            "prior": None,
+        },
+    },
+    "segments": [
+        {
+            "axis": "x", "start": 0.0, "duration": 10.0, "shape": "rest",
+            "temperature_start": -30.0, "temperature_end": -29.9, "standstill_id": 0,
+        },
+    ],
+    "readings": [{"time": 1.0, "kind": "angle", "axis": "x", "white_std": 8.7e-4, "standstill_id": 0}],
+}  # fmt: skip
+PREDICTION = {
+    "format": "gradcal-prediction/1",
+    "duration_s": 9600.0, "soak_s": 3600.0, "motion_s": 6000.0,
+    "requirements": [
+        {
+            "name": "full range", "quantity": "scale_factor", "unit": "ppm", "axis": "x",
+            "temperature_c": [-30.0, 70.0], "rate_dps": [-300.0, 300.0], "grid": [101, 121],
+            "statistic": "mean of max", "mean_of_max": 85.0, "max": None, "mean": None, "rms": None,
+            "target": 80.0, "verdict": "missed", "limited_by": None,
+        }
+    ],
+    "parameters": [{"name": "b00", "std": None, "unit": "ppm"}],
+    "covariance": [[None]],
+    "warnings": ["b00 cannot be observed"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("model", "name", "example"), [(Timeline, "timeline", TIMELINE), (Prediction, "prediction", PREDICTION)]
+)
+def test_contracts_read_validate_and_write_json(model, name, example):
+    jsonschema.validate(example, schema(name))
+    found = model.model_validate(example)
+    written = json.loads(found.model_dump_json())
+    jsonschema.validate(written, schema(name))
+    assert model.model_validate(written) == found
+    for key in ("sensor", "requirements"):
+        if key in example:
+            with pytest.raises(ValueError, match="missing"):
+                model.model_validate({k: v for k, v in example.items() if k != key})
+
+
+def test_contracts_never_carry_nan_or_infinity():
+    for bad in (float("nan"), float("inf")):
+        broken = {**PREDICTION, "duration_s": bad}
+        with pytest.raises(ValueError, match="duration_s"):
+            Prediction.model_validate(broken)
+
+
+def test_unknown_and_planned_names_get_a_sentence():
+    with pytest.raises(ValueError, match='nearest: "timeline"'):
+        schema("timelin")
+    with pytest.raises(ValueError, match="planned"):
+        schema("recipe")
+    with pytest.raises(ValueError, match="known: spec"):
+        schema("zzzzzz")
+
+
+def test_presets_are_commented_titled_and_sound():
+    assert len(presets.names()) == 10
+    for name in presets.names():
+        text = presets.text(name)
+        assert text.startswith("# ")
+        assert text.count("#") >= 5
+        assert presets.title(name) == files.parse_spec(text).title
+        assert files.parse_spec(text).schedule.readings > 0
+    with pytest.raises(ValueError, match='nearest: "tactical-mems"'):
+        presets.text("tactical_mem")

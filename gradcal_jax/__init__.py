@@ -9,7 +9,35 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_HOME_OF_NAME: dict[str, str] = {}
+_HOME_OF_NAME: dict[str, str] = {
+    # files
+    "Spec": "files",
+    "SpecError": "files",
+    "changed": "files",
+    "parse_spec": "files",
+    "presets": "files",
+    "read_spec": "files",
+    "schema": "files",
+    "tables_of": "files",
+    "write_toml": "files",
+    # error model and plans
+    "GyroModel": "errormodel",
+    "gradient_plan": "plans",
+    "standard_plan": "plans",
+    "rest": "plans",
+    "turn": "plans",
+    "programme": "plans",
+    # prediction
+    "posterior": "information",
+    "residual": "information",
+    "predict": "assemble",
+    "monte_carlo": "assemble",
+    "timeline": "assemble",
+    "unobservable": "assemble",
+    # identification
+    "limiting_function": "identify.limiting_function",
+    "limiting_function_of_mean": "identify.limiting_function",
+}
 
 __all__ = list(_HOME_OF_NAME)
 

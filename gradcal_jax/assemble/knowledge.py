@@ -1,5 +1,7 @@
 """What is known after a spec's plan, on its requirements' boxes."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +31,29 @@ def knowledge(built: Assembled, channel: str = "x", model: GyroModel | None = No
     if isinstance(section, StandardPlanSection) and section.estimator == "least squares":
         return unweighted(built.plan.timeline(channel, lag), model)
     return posterior(_information(built.plan, model, channel, lag))
+
+
+class Survey(NamedTuple):
+    """Where a plan takes a sensor: coldest and warmest (°C), and its fastest rate (rad/s), on a grid of each piece."""
+
+    coldest: float
+    warmest: float
+    fastest: float
+
+
+@eqx.filter_jit
+def _survey(plan: plans.Plan, channel: str, thermal_lag):
+    line = plan.timeline(channel, thermal_lag)
+    moving = line.moving_pieces.values
+    grid = jnp.broadcast_to(jnp.linspace(0.0, 1.0, 33), (len(moving), 33))
+    ends = line.temperature(jnp.broadcast_to(jnp.array([0.0, 1.0]), (line.piece_count, 2)))
+    return jnp.min(ends), jnp.max(ends), jnp.max(jnp.abs(line.rate(grid, moving)), initial=0.0)
+
+
+def survey(built: Assembled, channel: str = "x") -> Survey:
+    """Where the plan takes the sensor on one axis."""
+    lag = None if built.thermal_lag is None else jnp.asarray(built.thermal_lag)
+    return Survey(*(float(v) for v in _survey(built.plan, channel, lag)))
 
 
 def residual_map(built: Assembled, known: Posterior, requirement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

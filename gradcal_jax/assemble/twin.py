@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.assemble.build import assemble
@@ -55,6 +56,6 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
 def _simulated_map(model, result: Twin, quantity: str, temperatures: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Root mean square error of the simulated maps at each point."""
     grid_t, grid_w = np.meshgrid(temperatures, rates, indexing="ij")
-    rows = np.asarray(contrasts(model, quantity, grid_t.ravel(), grid_w.ravel())[0])
+    rows = np.asarray(contrasts(model, quantity, jnp.asarray(grid_t.ravel()), jnp.asarray(grid_w.ravel()))[0])
     mean_square = result.errors.T @ result.errors / len(result.errors)
     return np.sqrt(np.einsum("gi,ij,gj->g", rows, mean_square, rows)).reshape(grid_t.shape)

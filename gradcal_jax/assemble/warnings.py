@@ -1,11 +1,7 @@
 """What a prediction should not be read without."""
 
-import jax.numpy as jnp
-import numpy as np
-
-from gradcal_jax import plans
 from gradcal_jax.assemble.build import Assembled, assemble
-from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, knowledge
+from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, knowledge, survey
 from gradcal_jax.files import Spec
 from gradcal_jax.files.schedule import GradientSchedule
 from gradcal_jax.formulas import RAMPED_SHAPES
@@ -29,10 +25,9 @@ def _unobservable(built: Assembled, channel: str, known: Posterior) -> list[str]
 def warnings(built: Assembled, known: dict[str, Posterior]) -> list[str]:
     spec, sensor = built.spec, built.spec.sensor
     found = [s for channel in built.channels for s in _unobservable(built, channel, known[channel])]
-    line = built.plan.timeline(built.channels[0], built.thermal_lag)
-    ends = np.asarray(line.temperature(jnp.broadcast_to(jnp.array([0.0, 1.0]), (line.piece_count, 2))))
-    coldest, warmest = float(ends.min()), float(ends.max())
-    fastest = max(_fastest(built.plan.timeline(c, built.thermal_lag)) for c in built.channels)
+    surveys = [survey(built, channel) for channel in built.channels]
+    coldest, warmest = min(s.coldest for s in surveys), max(s.warmest for s in surveys)
+    fastest = max(s.fastest for s in surveys)
     for requirement in spec.requirement:
         low, high = (float(t) for t in requirement.temperature)
         if low < coldest - 1e-6 or high > warmest + 1e-6:
@@ -64,12 +59,3 @@ def warnings(built: Assembled, known: dict[str, Posterior]) -> list[str]:
                 "wrong model"
             )
     return found
-
-
-def _fastest(line: plans.Timeline) -> float:
-    """Largest rate of a timeline, rad/s, on a grid of each piece."""
-    moving = line.moving_pieces.values
-    if not len(moving):
-        return 0.0
-    grid = jnp.broadcast_to(jnp.linspace(0.0, 1.0, 33), (len(moving), 33))
-    return float(jnp.max(jnp.abs(line.rate(grid, moving))))

@@ -9,6 +9,7 @@ error is uncorrelated with every function of the data, its variance is `ψᵀC_�
 
 from typing import Literal
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -41,6 +42,9 @@ def contrasts(
     return rows.at[:, beyond].set(outside), of.discrepancy_std**2 * jnp.sum(outside**2, axis=1)
 
 
+_contrasts = eqx.filter_jit(contrasts)
+
+
 def residual(
     known: Posterior, model: GyroModel, quantity: Quantity, temperature: np.ndarray, rate: np.ndarray
 ) -> np.ndarray:
@@ -50,7 +54,7 @@ def residual(
     cannot tell.
     """
     grid_t, grid_w = np.meshgrid(temperature, rate, indexing="ij")
-    rows, beyond = contrasts(model, quantity, jnp.asarray(grid_t.ravel()), jnp.asarray(grid_w.ravel()))
+    rows, beyond = _contrasts(model, quantity, jnp.asarray(grid_t.ravel()), jnp.asarray(grid_w.ravel()))
     c = np.asarray(rows)
     deviation = known.deviations(c)
     where = model.columns.bias_discrepancy if quantity == "bias" else model.columns.scale_discrepancy

@@ -55,7 +55,7 @@ def whiten_from(
     blocks = -(-count // length)
     padding = blocks * length - count
 
-    def side_by_side(x: Array, fill: Array | float) -> Array:
+    def side_by_side(x: Array, fill: Array | float | bool) -> Array:
         """`(N, …)` to `(K, …, B)`: time first for the scan, blocks last for the vector units."""
         if padding:
             x = jnp.concatenate([x, jnp.broadcast_to(jnp.asarray(fill, x.dtype), (padding, *x.shape[1:]))])

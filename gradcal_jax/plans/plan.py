@@ -3,6 +3,7 @@
 A plan is data; `timeline(channel)` writes it out, differentiably in every duration, rate and slope.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import equinox as eqx
@@ -182,12 +183,15 @@ def gradient_plan(
             f"the moves take {own:.6g} s and fit into no used part of the temperature programme: shorten them"
         )
     plan = GradientPlan(programme, tuple(moves), tuple(after), tuple(stretches))
+    inner = [j for s in stretches for j in range(s.first + 1, s.last)]
+    inner += [j for a, b in pairwise(stretches) for j in range(a.last + 1, b.first)]
     cuts = []
-    for channel in plan.channels:
+    for channel in plan.channels if inner else ():
         line = plan.timeline(channel)
         begin, end = np.asarray(line.start), np.asarray(line.start + line.duration)
-        knots = enumerate(times[1:-1], start=1)
-        found = [(int(k), j) for j, t in knots for k in np.flatnonzero((begin < t - 1e-6) & (end > t + 1e-6))]
+        found = [
+            (int(k), j) for j in inner for k in np.flatnonzero((begin < times[j] - 1e-6) & (end > times[j] + 1e-6))
+        ]
         if found:
             cuts.append((channel, tuple(sorted(found))))
     return GradientPlan(programme, plan.moves, plan.after, plan.stretches, tuple(cuts))

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 class Trail(NamedTuple):
     """Sensor temperature on each stretch: `trail + slope·t + excess·exp(−lag_rate·t)`, t from the stretch's start."""
 
-    times: Float[Array, " S+1"]
+    times: Float[Array, " knots"]
     trail: Float[Array, " S"]
     slope: Float[Array, " S"]
     excess: Float[Array, " S"]
@@ -35,7 +35,7 @@ class Programme(eqx.Module):
     def total(self) -> Float[Array, ""]:
         return jnp.sum(self.durations)
 
-    def knots(self) -> tuple[Float[Array, " S+1"], Float[Array, " S+1"]]:
+    def knots(self) -> tuple[Float[Array, " knots"], Float[Array, " knots"]]:
         """Times (s) and chamber temperatures (°C) at the ends of the stretches."""
         zero = jnp.zeros(1)
         times = jnp.concatenate([zero, jnp.cumsum(self.durations)])

@@ -3,12 +3,14 @@
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.spec import draw_comparison, draw_prediction
 from gradcal_jax.plots.style import save, style_of
+from gradcal_jax.plots.timeline import draw_temperature
 
 __all__ = [
     "draw_comparison",
     "draw_map",
     "draw_over_temperature",
     "draw_prediction",
+    "draw_temperature",
     "draw_worst_over_temperature",
     "save",
     "style_of",

@@ -8,7 +8,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.contour import QuadContourSet
 from matplotlib.lines import Line2D
 
-from gradcal_jax.plots.style import colour_map, new_axes, style_of
+from gradcal_jax.plots.style import colour_map, from_zero, new_axes, style_of
 
 
 class MapArtists(NamedTuple):
@@ -34,7 +34,7 @@ def draw_map(
     mesh = ax.pcolormesh(rate_dps, temperature_c, shown, cmap=colour_map(), shading="nearest", rasterized=True)
     contours = None
     if shown.count() > 3 and float(shown.max()) > float(shown.min()):
-        contours = ax.contour(rate_dps, temperature_c, shown, levels=6, colors="white", linewidths=0.7)
+        contours = ax.contour(rate_dps, temperature_c, shown, levels=4, colors="white", linewidths=0.7)
         ax.clabel(contours, fmt="%.3g", fontsize=8)
     ax.figure.colorbar(mesh, ax=ax, label=f"residual (1σ), {unit}")
     ax.set(xlabel="rate, deg/s", ylabel="temperature, °C", title=title)
@@ -49,7 +49,7 @@ def draw_worst_over_temperature(
     worst = np.max(residual, axis=0)
     (line,) = ax.plot(rate_dps, np.where(np.isfinite(worst), worst, np.nan), label=label, **style_of(index))
     ax.set(xlabel="rate, deg/s", ylabel=f"largest residual over temperature (1σ), {unit}")
-    ax.set_ylim(bottom=0.0)
+    from_zero(ax)
     return ax, line
 
 
@@ -67,5 +67,5 @@ def draw_over_temperature(
     values = residual[:, 0]
     (line,) = ax.plot(temperature_c, np.where(np.isfinite(values), values, np.nan), label=label, **style_of(index))
     ax.set(xlabel="temperature, °C", ylabel=f"bias residual (1σ), {unit}")
-    ax.set_ylim(bottom=0.0)
+    from_zero(ax)
     return ax, line

@@ -22,6 +22,13 @@ def new_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 4.2)) -> Axes:
     return ax if ax is not None else Figure(figsize=size, layout="constrained").add_subplot()
 
 
+def from_zero(ax: Axes) -> None:
+    """Let the y axis begin at zero and hold every curve drawn so far."""
+    ax.autoscale(enable=True, axis="y")
+    ax.autoscale_view()
+    ax.set_ylim(bottom=0.0)
+
+
 def save(figure: Figure, path: str | Path) -> None:
     """Write a figure; the ending of the name decides the format. Errors: `ValueError` for an ending nobody writes."""
     ending = Path(path).suffix.lstrip(".").lower()

@@ -15,6 +15,7 @@ import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Literal, Protocol, TextIO, runtime_checkable
 
 HEADER = "# gradcal-transcript/1"
@@ -86,6 +87,14 @@ class TextTranscript:
     def close(self) -> None:
         with self._lock:
             self._file.close()
+
+    def __enter__(self) -> "TextTranscript":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
 
 def parse(lines: Iterable[str]) -> list[Entry]:

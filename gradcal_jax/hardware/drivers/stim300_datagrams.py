@@ -202,7 +202,7 @@ class Stim300Decoder:
         )
         self._disturbed = False
         return ImuBatch(
-            host_time_s=np.full(count, host_time_s, np.float64),
+            host_time_s=np.zeros(count) + host_time_s,
             device_time_s=counts.astype(np.float64) / float(INTERNAL_RATE_HZ),
             gyro_dps=raw.astype(np.float64) * self._gyro_scale,
             acceleration_g=acceleration,

@@ -200,7 +200,7 @@ class VectorNavDecoder:
         self._last_time_s = float(times[-1])
         count = len(rows)
         return ImuBatch(
-            host_time_s=np.full(count, host_time_s),
+            host_time_s=np.zeros(count) + host_time_s,
             device_time_s=times,
             gyro_dps=np.degrees(table[:, 4:7]),
             acceleration_g=table[:, 1:4] / STANDARD_GRAVITY,

@@ -1,0 +1,242 @@
+"""Physics behind the simulated devices: a chamber with a load, and a rotary axis. NumPy only.
+
+Both are asked for their state at a time and advance themselves to it; time never goes back.
+"""
+
+import math
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class ChamberTruth:
+    """A chamber as it is. Rates in K/min, as its data sheet has them; first-order air, first-order load."""
+
+    start_c: float = 23.0
+    ambient_c: float = 23.0
+    heating_k_per_min: float = 2.9
+    cooling_k_per_min: float = 1.7
+    air_time_constant_s: float = 40.0
+    load_time_constant_s: float = 240.0
+    idle_time_constant_s: float = 2400.0
+
+
+class ChamberPlant:
+    """Air temperature follows the moving set point within the rates; the load follows the air."""
+
+    _LONGEST_STEP_S = 1.0
+
+    def __init__(self, truth: ChamberTruth, start_s: float = 0.0) -> None:
+        self.truth = truth
+        self.conditioning = False
+        self._time_s = start_s
+        self._air_c = self._load_c = truth.start_c
+        self._target_c = self._set_point_c = truth.ambient_c
+        self._gradient_k_per_s: float | None = None
+        self._history: list[tuple[float, float]] = [(start_s, truth.start_c)]
+        self._lock = threading.RLock()
+
+    def command(self, now_s: float, *, target_c: float, gradient_k_per_min: float | None = None) -> None:
+        """New target; with a gradient the set point moves there from where it is, else it jumps."""
+        with self._lock:
+            self.advance(now_s)
+            self._target_c = target_c
+            self._gradient_k_per_s = None if gradient_k_per_min is None else abs(gradient_k_per_min) / 60.0
+            if gradient_k_per_min is None:
+                self._set_point_c = target_c
+
+    def move_set_point(self, now_s: float, set_point_c: float) -> None:
+        """Where a following gradient starts."""
+        with self._lock:
+            self.advance(now_s)
+            self._set_point_c = set_point_c
+
+    def switch(self, now_s: float, conditioning: bool) -> None:
+        with self._lock:
+            self.advance(now_s)
+            self.conditioning = conditioning
+
+    def air_c(self, now_s: float) -> float:
+        with self._lock:
+            self.advance(now_s)
+            return self._air_c
+
+    def load_c(self, now_s: float) -> float:
+        with self._lock:
+            self.advance(now_s)
+            return self._load_c
+
+    def set_point_c(self, now_s: float) -> float:
+        """The set point that the controller works to now."""
+        with self._lock:
+            self.advance(now_s)
+            return self._set_point_c
+
+    def at_target(self, now_s: float) -> bool:
+        return abs(self.set_point_c(now_s) - self._target_c) < 1e-9
+
+    def load_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Temperature of the load at recent times, `(n,) -> (n,)`."""
+        with self._lock:
+            self.advance(float(times_s[-1]))
+            recent = 4
+            while recent < len(self._history) and self._history[-recent][0] > times_s[0]:
+                recent *= 2
+            history = np.array(self._history[-recent:])
+            return np.interp(times_s, history[:, 0], history[:, 1])
+
+    def advance(self, now_s: float) -> None:
+        with self._lock:
+            while self._time_s < now_s:
+                step = min(self._LONGEST_STEP_S, now_s - self._time_s)
+                self._step(step)
+                self._time_s += step
+                self._history.append((self._time_s, self._load_c))
+            if len(self._history) > 4000:
+                del self._history[:2000]
+
+    def _step(self, step: float) -> None:
+        truth = self.truth
+        if self._gradient_k_per_s is not None:
+            way = self._target_c - self._set_point_c
+            self._set_point_c += math.copysign(min(abs(way), self._gradient_k_per_s * step), way)
+        if self.conditioning:
+            change = (self._set_point_c - self._air_c) * -math.expm1(-step / truth.air_time_constant_s)
+            lowest, highest = -truth.cooling_k_per_min / 60.0 * step, truth.heating_k_per_min / 60.0 * step
+            self._air_c += min(max(change, lowest), highest)
+        else:
+            self._air_c += (truth.ambient_c - self._air_c) * -math.expm1(-step / truth.idle_time_constant_s)
+        self._load_c += (self._air_c - self._load_c) * -math.expm1(-step / truth.load_time_constant_s)
+
+
+@dataclass(frozen=True)
+class AxisTruth:
+    """A rotary axis as it is. Travel in degrees each way from zero, None: endless.
+
+    The encoder reads the true angle plus a repeatable error once a turn plus an offset drawn at every standstill plus
+    white noise.
+    """
+
+    lowest_deg: float | None = None
+    highest_deg: float | None = None
+    encoder_error_deg: float = 0.0
+    standstill_offset_deg: float = 0.0
+    reading_noise_deg: float = 0.0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class _Phase:
+    start_s: float
+    position_deg: float
+    rate_dps: float
+    acceleration_dps2: float
+
+
+class AxisPlant:
+    """Piecewise constant acceleration: what a motion controller with a trapezoid makes."""
+
+    def __init__(self, truth: AxisTruth | None = None, start_s: float = 0.0) -> None:
+        self.truth = truth or AxisTruth()
+        self._random = np.random.default_rng(self.truth.seed)
+        self._phases = [_Phase(start_s, 0.0, 0.0, 0.0)]
+        self._table: NDArray[np.float64] | None = None
+        self._offset_deg = 0.0
+        self._lock = threading.RLock()
+
+    def position(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """True angle, deg, unwrapped: `(n,) -> (n,)`."""
+        with self._lock:
+            if self._table is None:
+                # The last phases are enough: whoever asks is not further behind than the moves of a minute.
+                recent = self._phases[-60:]
+                self._table = np.array([(p.start_s, p.position_deg, p.rate_dps, p.acceleration_dps2) for p in recent])
+            table = self._table
+        row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]
+        after = np.maximum(times_s - row[:, 0], 0.0)
+        return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2
+
+    def state(self, now_s: float) -> tuple[float, float]:
+        """True angle (deg) and rate (deg/s)."""
+        with self._lock:
+            phase = next((p for p in reversed(self._phases) if p.start_s <= now_s), self._phases[0])
+        after = max(0.0, now_s - phase.start_s)
+        rate = phase.rate_dps + phase.acceleration_dps2 * after
+        return phase.position_deg + (phase.rate_dps + rate) / 2.0 * after, rate
+
+    def moving(self, now_s: float) -> bool:
+        return now_s < self._phases[-1].start_s or self._phases[-1].rate_dps != 0.0
+
+    def reading(self, now_s: float) -> float:
+        """What the encoder says, deg."""
+        position, _ = self.state(now_s)
+        truth = self.truth
+        error = truth.encoder_error_deg * math.sin(math.radians(position))
+        if not self.moving(now_s):
+            error += self._offset_deg
+        return position + error + truth.reading_noise_deg * float(self._random.standard_normal())
+
+    def set_zero(self, now_s: float, position_deg: float = 0.0) -> None:
+        """Stand still at `position_deg` from now on (homing found the reference)."""
+        with self._lock:
+            self._phases = [_Phase(now_s, position_deg, 0.0, 0.0)]
+            self._table = None
+
+    def spin(self, now_s: float, rate_dps: float, acceleration_dps2: float) -> None:
+        """Go to a constant rate and stay there; with rate 0 a controlled stop."""
+        with self._lock:
+            position, rate = self.state(now_s)
+            phases = self._change(now_s, position, rate, rate_dps, acceleration_dps2)
+            self._replace(now_s, self._within_travel(phases))
+
+    def move_to(self, now_s: float, target_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        """Trapezoid (or triangle) to an angle; what still moves is stopped first."""
+        with self._lock:
+            position, rate = self.state(now_s)
+            phases = self._change(now_s, position, rate, 0.0, acceleration_dps2)
+            start = phases[-1]
+            way = target_deg - start.position_deg
+            peak = min(rate_dps, math.sqrt(abs(way) * acceleration_dps2))
+            if peak > 0.0:
+                up, cruise = peak / acceleration_dps2, abs(way) / peak - peak / acceleration_dps2
+                sign = math.copysign(1.0, way)
+                ramp = 0.5 * peak * up * sign
+                begin = start.start_s
+                phases[-1] = _Phase(begin, start.position_deg, 0.0, sign * acceleration_dps2)
+                phases.append(_Phase(begin + up, start.position_deg + ramp, sign * peak, 0.0))
+                down = begin + up + cruise
+                phases.append(_Phase(down, target_deg - ramp, sign * peak, -sign * acceleration_dps2))
+                phases.append(_Phase(down + up, target_deg, 0.0, 0.0))
+            self._replace(now_s, self._within_travel(phases))
+
+    def coast(self, now_s: float, deceleration_dps2: float = 20.0) -> None:
+        """Without power: friction alone slows it."""
+        self.spin(now_s, 0.0, deceleration_dps2)
+
+    def _change(
+        self, now_s: float, position: float, rate: float, wanted: float, acceleration_dps2: float
+    ) -> list[_Phase]:
+        if rate == wanted:
+            return [_Phase(now_s, position, wanted, 0.0)]
+        duration = abs(wanted - rate) / acceleration_dps2
+        slope = math.copysign(acceleration_dps2, wanted - rate)
+        end = position + (rate + wanted) / 2.0 * duration
+        return [_Phase(now_s, position, rate, slope), _Phase(now_s + duration, end, wanted, 0.0)]
+
+    def _within_travel(self, phases: list[_Phase]) -> list[_Phase]:
+        """Where an endless spin would leave the travel, it ends at the limit, hard."""
+        last = phases[-1]
+        limit = self.truth.highest_deg if last.rate_dps > 0.0 else self.truth.lowest_deg
+        if last.rate_dps != 0.0 and limit is not None:
+            at = last.start_s + max(0.0, (limit - last.position_deg) / last.rate_dps)
+            return [*phases, _Phase(at, limit, 0.0, 0.0)]
+        return phases
+
+    def _replace(self, now_s: float, phases: list[_Phase]) -> None:
+        self._offset_deg = self.truth.standstill_offset_deg * float(self._random.standard_normal())
+        kept = [phase for phase in self._phases if phase.start_s < now_s][-100:]
+        self._phases = kept + phases
+        self._table = None

@@ -1,0 +1,228 @@
+"""The other end of a serial line: a pseudo-terminal (Linux, macOS) or a TCP port, with a simulated device behind it.
+
+A device is a class with `receive(data) -> replies`; one that speaks by itself has `next_emission_s()` and `emit()` too.
+The port keeps its own descriptor of the terminal's other side open, because reading a terminal that nobody has open is
+an error; it never blocks on a host that does not read, but drops bytes and counts them, as a UART does.
+
+A terminal knows no baud rate: a wrong one cannot be simulated here.
+"""
+
+import os
+import select
+import socket
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, runtime_checkable
+
+from ..clock import Clock
+from .faults import Faults
+
+if sys.platform != "win32":
+    import pty
+    import tty
+
+
+@runtime_checkable
+class Device(Protocol):
+    """A device that answers. `receive` takes bytes as they come, in any pieces, and returns whole messages."""
+
+    def receive(self, data: bytes) -> list[bytes]: ...
+
+
+@runtime_checkable
+class StreamingDevice(Protocol):
+    """A device that also speaks by itself."""
+
+    def receive(self, data: bytes) -> list[bytes]: ...
+
+    def next_emission_s(self) -> float | None:
+        """When, on the run's clock, it speaks next; None while it is silent."""
+        ...
+
+    def emit(self, now_s: float) -> list[bytes]:
+        """The messages due by `now_s`."""
+        ...
+
+
+class SimulatedPort:
+    """Serves a device at `url` from `open` to `close`. Also a context manager.
+
+    `on_socket` serves TCP on this computer (the only way on Windows); else a pseudo-terminal under a lasting name, so
+    that `unplug` and `replug` mean what they say.
+    """
+
+    def __init__(
+        self, device: Device | StreamingDevice, clock: Clock, *, faults: Faults | None = None, on_socket: bool = False
+    ) -> None:
+        self.device = device
+        self.faults = faults or Faults()
+        self.lost_bytes = 0
+        self._clock = clock
+        self._on_socket = on_socket or sys.platform == "win32"
+        self._folder = tempfile.TemporaryDirectory(prefix="gradcal-sim-")
+        self._device_lock = threading.Lock()
+        self._send_lock = threading.Lock()
+        self._stop = threading.Event()
+        self._speaks = threading.Event()
+        self._master = self._slave = -1
+        self._listener: socket.socket | None = None
+        self._connection: socket.socket | None = None
+        self._threads: list[threading.Thread] = []
+        if self._on_socket:
+            self._listener = socket.create_server(("127.0.0.1", 0))
+            self._listener.settimeout(0.05)
+            self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+        else:
+            self.url = str(Path(self._folder.name) / "port")
+            self._plug_in()
+        self._link = clock.link(self.url)
+
+    def open(self) -> "SimulatedPort":
+        loops = [self._serve] + ([self._speak] if isinstance(self.device, StreamingDevice) else [])
+        for loop in loops:
+            thread = threading.Thread(target=loop, daemon=True, name=f"simulated {type(self.device).__name__}")
+            thread.start()
+            self._threads.append(thread)
+        return self
+
+    def close(self) -> None:
+        self._stop.set()
+        self._speaks.set()
+        self._link.detach()
+        for thread in self._threads:
+            thread.join(timeout=5.0)
+        self._hang_up()
+        if self._listener is not None:
+            self._listener.close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> "SimulatedPort":
+        return self.open()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def unplug(self) -> None:
+        """The cable is out: the host's port is gone."""
+        self._link.detach()
+        self._hang_up()
+
+    def replug(self) -> None:
+        if not self._on_socket and self._master < 0:
+            self._plug_in()
+
+    def say(self, message: bytes) -> None:
+        """Something that nobody asked for: an alert, line noise."""
+        self._send(message)
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _plug_in(self) -> None:
+        master, slave = pty.openpty()
+        # A terminal that is not raw echoes and turns CR into LF.
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        name = Path(self.url)
+        name.unlink(missing_ok=True)
+        name.symlink_to(os.ttyname(slave))
+        self._master, self._slave = master, slave
+
+    def _hang_up(self) -> None:
+        with self._send_lock:
+            if self._master >= 0:
+                master, slave, self._master, self._slave = self._master, self._slave, -1, -1
+                os.close(master)
+                os.close(slave)
+            if self._connection is not None:
+                connection, self._connection = self._connection, None
+                connection.close()
+
+    def _serve(self) -> None:
+        while not self._stop.is_set():
+            try:
+                data = self._receive()
+            except OSError:
+                data = b""
+                time.sleep(0.01)
+            if not data:
+                continue
+            with self._device_lock:
+                replies = self.device.receive(data)
+            for reply in replies:
+                self._deliver(reply)
+            self._speaks.set()
+            # Handled only now: virtual time waits until the command has had its effect and its reply is out.
+            self._link.device_handled(len(data))
+
+    def _receive(self) -> bytes:
+        if self._listener is not None and self._connection is None:
+            try:
+                connection, _ = self._listener.accept()
+            except TimeoutError:
+                return b""
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with self._send_lock:
+                self._connection = connection
+        if self._connection is not None:
+            ready, _, _ = select.select([self._connection], [], [], 0.05)
+            if not ready:
+                return b""
+            data = self._connection.recv(4096)
+            if not data:
+                self._hang_up()
+            return data
+        master = self._master
+        if master < 0:
+            time.sleep(0.02)
+            return b""
+        ready, _, _ = select.select([master], [], [], 0.05)
+        return os.read(master, 4096) if ready else b""
+
+    def _speak(self) -> None:
+        device = self.device
+        assert isinstance(device, StreamingDevice)
+        with self._clock.party():
+            while not self._stop.is_set():
+                with self._device_lock:
+                    due_s = device.next_emission_s()
+                if due_s is None:
+                    with self._clock.aside():
+                        self._speaks.wait(0.5)
+                        self._speaks.clear()
+                    continue
+                self._clock.sleep_until(due_s)
+                with self._device_lock:
+                    messages = device.emit(self._clock.now())
+                if self.faults.probability or self.faults.mute or self.faults.pending:
+                    for message in messages:
+                        self._deliver(message)
+                else:
+                    self._send(b"".join(messages))
+
+    def _deliver(self, message: bytes) -> None:
+        for index, chunk in enumerate(self.faults.apply(message)):
+            if index:
+                time.sleep(0.01)
+            self._send(chunk)
+
+    def _send(self, data: bytes) -> None:
+        with self._send_lock:
+            self._link.device_wrote(len(data))
+            unsent = data
+            try:
+                while unsent and self._master >= 0:
+                    unsent = unsent[os.write(self._master, unsent) :]
+                if unsent and self._connection is not None:
+                    self._connection.sendall(unsent)
+                    unsent = b""
+            except OSError:
+                pass  # full (nobody reads) or gone: the bytes are lost, as on a line
+            if unsent:
+                self.lost_bytes += len(unsent)
+                self._link.host_read(len(unsent))

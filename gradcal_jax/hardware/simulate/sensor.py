@@ -1,0 +1,195 @@
+"""A gyro triad with hidden true parameters: the whole error model of the source, in NumPy.
+
+    measured = ω + B(T) + turn-on + Σ drifts + (M(T, ω) + residual)·ω + random walk
+
+with B and M by the shared formulas in monomials of `(T − centre)/scale` and `ω/rate scale`, the Gauss–Markov drifts
+exactly discretised, the rate the exact mean over each sample's interval, the Earth's rate by latitude and attitude, and
+a sample clock of its own. Vectors: lab frame x east, y north, z up; the table's axes outermost first, given in the lab
+frame at angle zero; `mounting` turns the innermost axis' frame into the sensor's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import formulas
+from .plants import AxisPlant, ChamberPlant
+
+EARTH_RATE_DPS = 15.041067 / 3600.0
+
+_BLOCK = 32
+
+Vectors = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SensorTruth:
+    """What the calibration is to find, and the noise it has to find it through. One row per sensor axis.
+
+    bias_dps       (3, nT)      coefficients of B, deg/s
+    scale_factor   (3, nT, nω)  coefficients of M, ratio; row index power of temperature, column power of rate
+    """
+
+    bias_dps: tuple[tuple[float, ...], ...] = ((0.0,), (0.0,), (0.0,))
+    scale_factor: tuple[tuple[tuple[float, ...], ...], ...] = (((0.0,),), ((0.0,),), ((0.0,),))
+    temperature_centre_c: float = 20.0
+    temperature_scale_k: float = 50.0
+    rate_scale_dps: float = 300.0
+    angle_random_walk_deg_sqrt_s: float = 0.0
+    drifts_dps_s: tuple[tuple[float, float], ...] = ()
+    turn_on_dps: float = 0.0
+    residual_scale_factor: tuple[float, float] | None = None
+    clock_error: float = 0.0
+    temperature_noise_c: float = 0.0
+    acceleration_noise_g: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """How the sensor sits on the table and the table in the lab."""
+
+    axes: tuple[Triple, ...] = ((0.0, 0.0, 1.0),)
+    mounting: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    latitude_deg: float = 45.0
+
+
+@dataclass(frozen=True)
+class SensorSamples:
+    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends."""
+
+    time_s: NDArray[np.float64]
+    rate_dps: NDArray[np.float64]
+    acceleration_g: NDArray[np.float64]
+    temperature_c: NDArray[np.float64]
+
+
+class SimulatedSensor:
+    """Samples one after the other; the same seed gives the same samples however many are asked for at once."""
+
+    def __init__(
+        self,
+        truth: SensorTruth,
+        mounting: Mounting,
+        chamber: ChamberPlant,
+        axes: Sequence[AxisPlant],
+        *,
+        sample_rate_hz: float,
+        seed: int,
+        start_s: float = 0.0,
+    ) -> None:
+        if len(axes) != len(mounting.axes):
+            raise ValueError(f"{len(mounting.axes)} axes are mounted and {len(axes)} given; give as many.")
+        self.truth = truth
+        self._mounting = mounting
+        self._chamber, self._axes = chamber, tuple(axes)
+        self._bias, self._scale = np.array(truth.bias_dps), np.array(truth.scale_factor)
+        self._random = np.random.default_rng(seed)
+        processes = list(truth.drifts_dps_s) + ([truth.residual_scale_factor] if truth.residual_scale_factor else [])
+        self._sigmas = np.array([sigma for sigma, _ in processes])
+        self._taus_s = np.array([tau for _, tau in processes])
+        self.restart(start_s, sample_rate_hz)
+        self._states = self._sigmas * self._random.standard_normal((3, len(processes)))
+        self.turn_on_dps = truth.turn_on_dps * self._random.standard_normal(3)
+
+    def restart(self, now_s: float, sample_rate_hz: float) -> None:
+        """From now on samples at this rate of the unit's clock, which runs fast by the clock error."""
+        self._start_s, self._taken = now_s, 0
+        self.true_period_s = 1.0 / sample_rate_hz / (1.0 + self.truth.clock_error)
+        self._decays = np.exp(-self.true_period_s / self._taus_s)
+
+    @property
+    def taken(self) -> int:
+        """Samples since the last restart."""
+        return self._taken
+
+    def next_time_s(self, ahead: int = 1) -> float:
+        """True time at which the sample `ahead` from now is complete."""
+        return self._start_s + (self._taken + ahead) * self.true_period_s
+
+    def due(self, now_s: float) -> int:
+        """How many samples are complete and not yet taken."""
+        return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self._taken)
+
+    def skip_to(self, now_s: float) -> None:
+        """Samples that nobody wants (the unit was not streaming): the drifts go on without them."""
+        count = self.due(now_s)
+        decay = self._decays**count
+        fresh = self._random.standard_normal(self._states.shape)
+        self._states = self._states * decay + self._sigmas * np.sqrt(1.0 - decay**2) * fresh
+        self._taken += count
+
+    def take(self, count: int) -> SensorSamples:
+        truth = self.truth
+        ends = self._start_s + (self._taken + np.arange(count + 1.0)) * self.true_period_s
+        self._taken += count
+        middles = (ends[1:] + ends[:-1]) / 2.0
+        rates, up = self._motion(ends, middles)
+        temperature = self._chamber.load_at(middles) if count else np.zeros(0)
+        x = (temperature - truth.temperature_centre_c) / truth.temperature_scale_k
+        draws = self._random.standard_normal((count, 7 + 3 * len(self._sigmas)))
+        noise = self._markov(draws[:, 7:].reshape(count, 3, len(self._sigmas)))
+        powers = formulas.monomials(x, self._bias.shape[1] - 1)
+        bias = powers @ self._bias.T + self.turn_on_dps + noise[..., : len(truth.drifts_dps_s)].sum(-1)
+        factor = formulas.scale_factor_map(
+            formulas.monomials(x, self._scale.shape[1] - 1)[:, None, None, :],
+            formulas.monomials(rates / truth.rate_scale_dps, self._scale.shape[2] - 1)[:, :, None, :],
+            self._scale,
+        )[..., 0]
+        if truth.residual_scale_factor:
+            factor = factor + noise[..., -1]
+        walk = truth.angle_random_walk_deg_sqrt_s / self.true_period_s**0.5 * draws[:, :3]
+        error = bias + factor * rates + walk
+        return SensorSamples(
+            ends[1:],
+            rates + error,
+            up + truth.acceleration_noise_g * draws[:, 3:6],
+            temperature + truth.temperature_noise_c * draws[:, 6],
+        )
+
+    def true_temperature_c(self, now_s: float) -> float:
+        return self._chamber.load_c(now_s)
+
+    def _markov(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+        """`(n, 3, processes)` standard normals -> states of the Gauss–Markov processes at the samples."""
+        count = draws.shape[0]
+        if not count or not self._sigmas.size:
+            return np.zeros(draws.shape)
+        # x_k = φ^k x_0 + Σ_j φ^(k−j) w_j, in blocks short enough for the little triangular matrices.
+        blocks: list[NDArray[np.float64]] = []
+        for start in range(0, count, _BLOCK):
+            kicks = self._sigmas * np.sqrt(1.0 - self._decays**2) * draws[start : start + _BLOCK]
+            size = kicks.shape[0]
+            steps: NDArray[np.int64] = np.arange(size, dtype=np.int64)
+            lag = steps[:, None] - steps
+            weights = np.where((lag >= 0)[..., None], self._decays ** np.maximum(lag, 0)[..., None], 0.0)
+            decayed = self._decays ** (steps + 1)[:, None, None] * self._states
+            blocks.append(decayed + np.einsum("kjp,jap->kap", weights, kicks))
+            self._states = blocks[-1][-1]
+        return np.concatenate(blocks)
+
+    def _motion(self, ends: NDArray[np.float64], middles: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
+        """Mean inertial rate (deg/s) and up-vector in the sensor's frame, `(n, 3)` each."""
+        latitude = np.radians(self._mounting.latitude_deg)
+        fixed = np.zeros((3, middles.size, 3))
+        earth, up, turning = fixed
+        earth[:] = EARTH_RATE_DPS * np.array([0.0, np.cos(latitude), np.sin(latitude)])
+        up[:, 2] = 1.0
+        for direction, plant in zip(self._mounting.axes, self._axes, strict=True):
+            axis = np.array(direction)
+            fixed = _rotated(fixed, axis, -np.radians(plant.position(middles)))
+            earth, up, turning = fixed
+            turning += np.diff(plant.position(ends))[:, None] / self.true_period_s * axis
+        matrix = np.array(self._mounting.mounting)
+        return (turning + earth) @ matrix.T, up @ matrix.T
+
+
+def _rotated(vectors: Vectors, axis: NDArray[np.float64], angle: NDArray[np.float64]) -> Vectors:
+    """Rodrigues' formula: `vectors` (…, n, 3) turned about the unit vector `axis` by `angle` (n,), rad."""
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    x, y, z = axis
+    crossed = vectors @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    along = (vectors @ axis)[..., None] * axis
+    return along + (vectors - along) * cosine + crossed * sine

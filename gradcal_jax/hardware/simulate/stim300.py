@@ -1,0 +1,246 @@
+"""A simulated STIM300: the peer of `drivers.stim300`, written from the data sheet's description.
+
+After power-on it sends its part number, serial number and configuration, then Normal Mode, in which the start-up bit is
+set for the first second. A special datagram *replaces* the normal one whose turn it is. Datagrams that do not fit the
+line's bit rate are lost silently, as in the real unit. Utility Mode answers with checks and status codes.
+
+Of the special datagrams only identifier, length and CRC are true to the unit, not their contents.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checksums import crc8_stim300, crc32_mpeg2
+from ..clock import Clock
+from .sensor import SensorSamples, SimulatedSensor
+
+_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
+# Identifier and bytes that the CRC counts but nobody sends, by the code of `$sd`; contents follow from the code.
+_KINDS = {
+    0: (0x90, 2, ""),
+    1: (0x91, 0, "a"),
+    2: (0x92, 0, "i"),
+    3: (0x93, 2, "ai"),
+    4: (0x94, 3, "t"),
+    5: (0xA5, 2, "at"),
+    6: (0xA6, 2, "it"),
+    7: (0xA7, 1, "ait"),
+}
+
+
+@dataclass
+class Stim300Options:
+    serial: str = "N25582405002002"
+    part: str = "84167-440100-321"
+    firmware: str = "SWD12345REV10"
+    baudrate: int = 921600
+    datagram: int = 5
+    rate_code: int = 4
+    range_g: int = 10
+    line_end: bool = False
+    burst_s: float = 0.016
+    latency_us: int = 506
+    start_up_s: float = 1.0
+
+
+class Stim300Counters:
+    """What the unit did, for tests: datagrams made, lost on a slow line, replaced by special ones."""
+
+    def __init__(self) -> None:
+        self.normal = self.overrun = self.special = 0
+
+
+class SimulatedStim300:
+    """One unit; `sensor` gives its samples. `options.burst_s` is how often bytes reach the host's driver."""
+
+    def __init__(self, sensor: SimulatedSensor, clock: Clock, options: Stim300Options | None = None) -> None:
+        self.options = options or Stim300Options()
+        self.sensor = sensor
+        self.counters = Stim300Counters()
+        self._clock = clock
+        self._buffer = b""
+        self._saves_left = 9958
+        self._registers: dict[str, str] = {}
+        self.reboot()
+
+    def reboot(self) -> None:
+        """Power on: unsaved settings are gone, the start-up datagrams come first."""
+        options = self.options
+        self._mode = "normal"
+        self._buffer = b""
+        self._registers = {
+            "id": str(options.datagram),
+            "im": str(options.rate_code),
+            "igu": "0",
+            "iau": "0",
+            "iiu": "0",
+            "igf": "4,4,4",
+            "iaf": "4,4,4",
+            "iif": "4,4,4",
+            "ig": "0",
+            "ibto": "0,0,0,0,0,0",
+        }
+        self._waiting: list[bytes] = [self._special(0xB1, 20), self._special(0xB5, 20), self._special(0xBC, 26)]
+        self._booted_s = self._clock.now()
+        self._restart()
+
+    def receive(self, data: bytes) -> list[bytes]:
+        self._buffer += data
+        replies: list[bytes] = []
+        while b"\r" in self._buffer:
+            line, _, self._buffer = self._buffer.partition(b"\r")
+            text = line.decode("latin-1").strip("\n")
+            reply = self._utility(text) if self._mode == "utility" else self._normal(text)
+            if reply:
+                replies.append(reply)
+        return replies
+
+    def next_emission_s(self) -> float | None:
+        if self._mode != "normal":
+            return None
+        ahead = max(1, round(self.options.burst_s / self.sensor.true_period_s))
+        return self.sensor.next_time_s(ahead)
+
+    def emit(self, now_s: float) -> list[bytes]:
+        if self._mode != "normal":
+            return []
+        count = self.sensor.due(now_s)
+        if not count:
+            return []
+        first = self.sensor.taken
+        return self._datagrams(first, self.sensor.take(count))
+
+    # -------------------------------------------------------------------------------------------------- Normal Mode
+
+    def _rate_hz(self) -> float:
+        return _RATES_HZ[int(self._registers["im"])]
+
+    def _restart(self) -> None:
+        self.sensor.restart(self._clock.now(), self._rate_hz())
+
+    def _datagrams(self, first: int, samples: SensorSamples) -> list[bytes]:
+        identifier, unsent, contents = _KINDS[int(self._registers["id"])]
+        count = samples.time_s.shape[0]
+        step = round(2000.0 / self._rate_hz())
+        starting = samples.time_s - self._booted_s < self.options.start_up_s
+        status = np.where(starting, 0x40, 0).astype(np.uint8)[:, None]
+        increments = self._registers["igu"] == "1"
+        gyro = samples.rate_dps / (self._rate_hz() if increments else 1.0) * 2.0 ** (21 if increments else 14)
+        parts = [np.full((count, 1), identifier, np.uint8), _int24(gyro), status | _overload(gyro)]
+        acceleration_bits = {5: 20, 10: 19, 30: 18, 80: 16}[self.options.range_g]
+        force, scale = samples.acceleration_g, 2.0**acceleration_bits
+        if self._registers["iau"] == "1":
+            force, scale = (
+                force * 9.80665 / self._rate_hz(),
+                2.0 ** {5: 23, 10: 22, 30: 21, 80: 19}[self.options.range_g],
+            )
+        if "a" in contents:
+            parts += [_int24(force * scale), status]
+        if "i" in contents:
+            parts += [_int24(samples.acceleration_g * 2.0**22), status]
+        if "t" in contents:
+            raw = np.clip(np.rint(samples.temperature_c * 256.0), -32768, 32767).astype(">i2")
+            sensors = np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(count, 6)
+            parts += [part for _ in contents for part in (sensors, status)]
+        counter = np.array([(first + 1 + i) * step % 256 for i in range(count)], np.uint8)[:, None]
+        latency = np.frombuffer(self.options.latency_us.to_bytes(2, "big"), np.uint8)
+        parts += [counter, np.tile(latency, (count, 1))]
+        bodies = np.ascontiguousarray(np.concatenate(parts, axis=1))
+        tail, end = bytes(unsent), b"\r\n" if self.options.line_end else b""
+        messages: list[bytes] = []
+        for index in range(count):
+            body = bodies[index].tobytes()
+            message = body + crc32_mpeg2(body + tail).to_bytes(4, "big") + end
+            if self._waiting:
+                self.counters.special += 1
+                messages.append(self._waiting.pop(0))
+            elif self._fits_line(first + index, len(message)):
+                self.counters.normal += 1
+                messages.append(message)
+            else:
+                self.counters.overrun += 1
+        return messages
+
+    def _fits_line(self, index: int, length: int) -> bool:
+        """Of more datagrams than the line carries, every so many is lost."""
+        share = self.options.baudrate / (10.0 * length * self._rate_hz())
+        return share >= 1.0 or int((index + 1) * share) > int(index * share)
+
+    def _special(self, identifier: int, length: int) -> bytes:
+        body = bytes([identifier]) + bytes((7 * i + identifier) % 251 for i in range(length - 5))
+        return body + crc32_mpeg2(body + bytes(-len(body) % 4)).to_bytes(4, "big")
+
+    def _normal(self, text: str) -> bytes:
+        """Commands of Normal Mode: no echo, no error."""
+        special = {"N": (0xB1, 20), "I": (0xB5, 20), "C": (0xBC, 26), "T": (0xD1, 40), "E": (0xBE, 21)}
+        if text.endswith("UTILITYMODE"):
+            self._mode = "utility"
+            return b"#UTILITYMODE,234\r"
+        if text in special:
+            self._waiting.append(self._special(*special[text]))
+        elif text == "R":
+            self.reboot()
+        return b""
+
+    # ------------------------------------------------------------------------------------------------- Utility Mode
+
+    def _utility(self, text: str) -> bytes:
+        match = re.fullmatch(r"(\$([a-z]+)(?:,(.*))?,)(\d+)", text)
+        if match is None:
+            return _reply("", 1)
+        if int(match[4]) != crc8_stim300(match[1].encode()):
+            return _reply("", 2)
+        name, parameters = match[2], match[3].split(",") if match[3] else []
+        readable = self._registers | {
+            "isn": self.options.serial,
+            "ix": self.options.part,
+            "in": "STIM300",
+            "ifw": self.options.firmware,
+            "it": f"{self.options.baudrate},1,N,1,{int(self.options.line_end)},0",
+            "irng": f"400,400,400,{self.options.range_g},{self.options.range_g},{self.options.range_g},1.7,1.7,1.7,NA",
+            "isv": str(self._saves_left),
+            "ie": "0",
+        }
+        if name in readable:
+            return _reply(name, 0, readable[name]) if not parameters else _reply(name, 4)
+        if name == "xn":
+            self._mode = "normal"
+            self._restart()
+            return _reply(name, 0)
+        if name == "save":
+            self._saves_left -= 1
+            return _reply(name, 0, str(self._saves_left))
+        limits = {"sm": 4, "sd": 7, "sgu": 3, "sau": 3, "siu": 3}
+        if name not in limits:
+            return _reply("", 3)
+        if len(parameters) != 1:
+            return _reply(name, 4)
+        if not parameters[0].isdigit() or int(parameters[0]) > limits[name]:
+            return _reply(name, 5)
+        self._registers["i" + name[1:]] = parameters[0]
+        return _reply(name, 0, parameters[0])
+
+
+def _reply(name: str, status: int, data: str = "") -> bytes:
+    body = f"#{name},{status}," + (f"{data}," if data else "")
+    return f"{body}{crc8_stim300(body.encode())}\r".encode("ascii")
+
+
+def _int24(
+    values: NDArray[np.float64],
+) -> NDArray[np.uint8]:
+    """(n, 3) numbers -> (n, 9) big-endian bytes of the nearest 24-bit integers, held at the ends of the range."""
+    whole = np.clip(np.rint(values), -(2**23), 2**23 - 1).astype(">i4")
+    return np.ascontiguousarray(whole).view(np.uint8).reshape(-1, 3, 4)[:, :, 1:].reshape(-1, 9)
+
+
+def _overload(
+    values: NDArray[np.float64],
+) -> NDArray[np.uint8]:
+    """Status bit 4 and the channel's bit where a value is beyond the 24 bits."""
+    beyond = np.abs(values) >= 2**23 - 1
+    bits = (beyond * np.array([1, 2, 4])).sum(axis=1)
+    return np.where(bits, 0x10 | bits, 0).astype(np.uint8)[:, None]

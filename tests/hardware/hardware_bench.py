@@ -1,0 +1,153 @@
+"""A bench for the tests: simulated devices behind pseudo-terminals, and the drivers that talk to them."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, weiss, zaber
+from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
+from gradcal_jax.hardware.simulate.odrive import ODriveOptions, SimulatedODrive
+from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.sensor import Mounting, SensorTruth, SimulatedSensor
+from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
+from gradcal_jax.hardware.simulate.vectornav import SimulatedVectorNav, VectorNavOptions
+from gradcal_jax.hardware.simulate.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
+from gradcal_jax.hardware.simulate.weiss import SimulatedWeiss, WeissOptions
+from gradcal_jax.hardware.simulate.zaber import SimulatedZaber, ZaberOptions
+from gradcal_jax.hardware.transport import Transport
+
+
+@contextmanager
+def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator[tuple[SimulatedPort, Transport]]:
+    with SimulatedPort(device, clock, **options) as port:
+        transport = Transport(port.url, clock=clock, baudrate=baudrate)
+        try:
+            with clock.party():
+                yield port, transport
+        finally:
+            transport.close()
+
+
+@contextmanager
+def espec_bench(
+    clock: Clock,
+    options: EspecOptions | None = None,
+    config: espec.EspecConfig | None = None,
+    truth: ChamberTruth | None = None,
+    **port_options: Any,
+) -> Iterator[tuple[espec.EspecChamber, SimulatedEspec, SimulatedPort]]:
+    device = SimulatedEspec(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
+    config = config or espec.EspecConfig(reply_timeout_s=0.3)
+    with served(device, clock, config.baudrate, **port_options) as (port, transport):
+        yield espec.EspecChamber(espec.open_exchange(transport, clock, config), config), device, port
+
+
+@contextmanager
+def weiss_bench(
+    clock: Clock,
+    options: WeissOptions | None = None,
+    config: weiss.WeissConfig | None = None,
+    truth: ChamberTruth | None = None,
+    **port_options: Any,
+) -> Iterator[tuple[weiss.WeissChamber, SimulatedWeiss, SimulatedPort]]:
+    device = SimulatedWeiss(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
+    config = config or weiss.WeissConfig(
+        reply_timeout_s=0.3, acknowledge_timeout_s=0.1, description_silence_s=0.1, product_channel="MV01"
+    )
+    with served(device, clock, config.baudrate, **port_options) as (port, transport):
+        yield weiss.WeissChamber(weiss.open_exchange(transport, clock, config), config), device, port
+
+
+@contextmanager
+def f4_bench(
+    clock: Clock,
+    options: WatlowF4Options | None = None,
+    config: watlow_f4.WatlowF4Config | None = None,
+    truth: ChamberTruth | None = None,
+    **port_options: Any,
+) -> Iterator[tuple[watlow_f4.WatlowF4Chamber, SimulatedWatlowF4, SimulatedPort]]:
+    device = SimulatedWatlowF4(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
+    config = config or watlow_f4.WatlowF4Config(
+        reply_timeout_s=0.2, conditioning_event=1, limit_input=1, product_input=2
+    )
+    with served(device, clock, config.baudrate, **port_options) as (port, transport):
+        yield watlow_f4.WatlowF4Chamber(watlow_f4.open_exchange(transport, clock, config), config), device, port
+
+
+@contextmanager
+def zaber_bench(
+    clock: Clock,
+    options: ZaberOptions | None = None,
+    config: zaber.ZaberConfig | None = None,
+    truth: AxisTruth | None = None,
+    **port_options: Any,
+) -> Iterator[tuple[zaber.ZaberAxis, SimulatedZaber, SimulatedPort]]:
+    device = SimulatedZaber([AxisPlant(truth, clock.now())], clock, options)
+    config = config or zaber.ZaberConfig(reply_timeout_s=0.2)
+    with served(device, clock, config.baudrate, **port_options) as (port, transport):
+        yield zaber.ZaberAxis(zaber.open_exchange(transport, clock, config), config), device, port
+
+
+@contextmanager
+def odrive_bench(
+    clock: Clock,
+    options: ODriveOptions | None = None,
+    config: odrive.ODriveConfig | None = None,
+    truth: AxisTruth | None = None,
+    **port_options: Any,
+) -> Iterator[tuple[odrive.ODriveAxis, SimulatedODrive, SimulatedPort]]:
+    device = SimulatedODrive([AxisPlant(truth, clock.now())], clock, options)
+    config = config or odrive.ODriveConfig(reply_timeout_s=0.2)
+    with served(device, clock, config.baudrate, **port_options) as (port, transport):
+        yield odrive.ODriveAxis(odrive.open_exchange(transport, clock, config), config), device, port
+
+
+def sensor_on_table(
+    clock: Clock,
+    truth: SensorTruth | None = None,
+    *,
+    sample_rate_hz: float = 125.0,
+    axis: AxisPlant | None = None,
+    chamber: ChamberPlant | None = None,
+    seed: int = 1,
+    mounting: Mounting | None = None,
+) -> SimulatedSensor:
+    return SimulatedSensor(
+        truth or SensorTruth(),
+        mounting or Mounting(),
+        chamber or ChamberPlant(ChamberTruth(), clock.now()),
+        [axis or AxisPlant(None, clock.now())],
+        sample_rate_hz=sample_rate_hz,
+        seed=seed,
+        start_s=clock.now(),
+    )
+
+
+@contextmanager
+def stim300_bench(
+    clock: Clock,
+    options: Stim300Options | None = None,
+    config: stim300.Stim300Config | None = None,
+    sensor: SimulatedSensor | None = None,
+    **port_options: Any,
+) -> Iterator[tuple[stim300.Stim300Stream, SimulatedStim300, SimulatedPort]]:
+    config = config or stim300.Stim300Config(reply_timeout_s=0.3)
+    device = SimulatedStim300(sensor or sensor_on_table(clock), clock, options)
+    with served(device, clock, config.baudrate, **port_options) as (port, transport):
+        yield stim300.Stim300Stream(transport, clock, config), device, port
+
+
+@contextmanager
+def vectornav_bench(
+    clock: Clock,
+    options: VectorNavOptions | None = None,
+    config: vectornav.VectorNavConfig | None = None,
+    sensor: SimulatedSensor | None = None,
+    **port_options: Any,
+) -> Iterator[tuple[vectornav.VectorNavStream, SimulatedVectorNav, SimulatedPort]]:
+    config = config or vectornav.VectorNavConfig(reply_timeout_s=0.3)
+    device = SimulatedVectorNav(sensor or sensor_on_table(clock), clock, options)
+    with served(device, clock, config.baudrate, **port_options) as (port, transport):
+        yield vectornav.VectorNavStream(transport, clock, config), device, port

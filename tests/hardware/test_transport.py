@@ -1,0 +1,200 @@
+"""The serial line: exclusive, timed, recorded; what happens when it vanishes; replayed transcripts."""
+
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from hardware_bench import espec_bench, served
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gradcal_jax.hardware import transcript
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.drivers import espec
+from gradcal_jax.hardware.errors import Disconnected, PortRefused
+from gradcal_jax.hardware.simulate.espec import SimulatedEspec
+from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.replay import ReplayedDevice
+from gradcal_jax.hardware.transport import Transport
+
+
+class Echo:
+    def receive(self, data: bytes) -> list[bytes]:
+        return [data]
+
+
+class Deaf:
+    def receive(self, data: bytes) -> list[bytes]:
+        return []
+
+
+def test_second_opener_of_a_port_is_refused_with_the_owner() -> None:
+    with (
+        SimulatedPort(Echo(), RealClock()) as port,
+        Transport(port.url, clock=RealClock()),
+        pytest.raises(PortRefused, match=r"in use by another run \(process \d+"),
+    ):
+        Transport(port.url, clock=RealClock())
+    with SimulatedPort(Echo(), RealClock()) as port:
+        for _ in range(2):
+            Transport(port.url, clock=RealClock()).close()
+
+
+def test_another_process_is_refused_and_a_killed_owner_leaves_no_lock() -> None:
+    hold = (
+        "import sys, time; from gradcal_jax.hardware.transport import Transport; "
+        "from gradcal_jax.hardware.clock import RealClock; Transport(sys.argv[1], clock=RealClock()); "
+        "print('open', flush=True); time.sleep(60)"
+    )
+    with SimulatedPort(Echo(), RealClock()) as port:
+        with subprocess.Popen([sys.executable, "-c", hold, port.url], stdout=subprocess.PIPE) as owner:
+            assert owner.stdout is not None
+            assert owner.stdout.readline() == b"open\n"
+            with pytest.raises(PortRefused, match=f"process {owner.pid}"):
+                Transport(port.url, clock=RealClock())
+            owner.kill()
+            owner.wait()
+        Transport(port.url, clock=RealClock()).close()
+
+
+def test_missing_port_is_refused_in_a_sentence() -> None:
+    with pytest.raises(PortRefused, match="cannot be opened"):
+        Transport("/dev/no-such-port", clock=RealClock())
+
+
+@pytest.mark.parametrize("on_socket", [False, True])
+def test_bytes_go_round_and_are_recorded(on_socket: bool, tmp_path: Path) -> None:
+    message = bytes(range(256))
+    with (
+        transcript.TextTranscript(tmp_path / "line.txt", "echo") as record,
+        SimulatedPort(Echo(), RealClock(), on_socket=on_socket) as port,
+        Transport(port.url, clock=RealClock(), recorder=record) as line,
+    ):
+        line.write(message)
+        heard = b""
+        while len(heard) < len(message) and (chunk := line.read(1.0)):
+            heard += chunk
+        assert heard == message
+        started = time.monotonic()
+        assert line.read(0.2) == b""
+        assert 0.15 < time.monotonic() - started < 1.0
+    entries = transcript.read(tmp_path / "line.txt")
+    assert entries[0].direction == ">"
+    assert entries[0].data == message
+    assert b"".join(entry.data for entry in entries[1:]) == message
+
+
+def test_unplugged_line_raises_disconnected_everywhere() -> None:
+    with SimulatedPort(Echo(), RealClock()) as port:
+        line = Transport(port.url, clock=RealClock())
+        threading.Timer(0.1, port.unplug).start()
+        with pytest.raises(Disconnected, match="gone"):
+            line.read(2.0)
+        with pytest.raises(Disconnected):
+            line.write(b"x" * 100)
+        line.close()
+        port.replug()
+        with Transport(port.url, clock=RealClock()) as again:
+            again.write(b"back")
+            assert again.read(1.0).startswith(b"b")
+
+
+def test_stream_that_nobody_reads_is_dropped_and_counted_not_waited_for() -> None:
+    with SimulatedPort(Echo(), RealClock()) as port, Transport(port.url, clock=RealClock()) as line:
+        port.say(b"x" * 300_000)
+        assert port.lost_bytes > 100_000
+        assert len(line.drain(0.05)) + port.lost_bytes == 300_000
+
+
+@given(st.binary(max_size=200))
+def test_transcript_text_keeps_every_byte(data: bytes) -> None:
+    text = transcript.encode(data)
+    assert text.isascii()
+    assert "\n" not in text
+    assert transcript.decode(text) == data
+
+
+def test_transcript_opens_however_it_was_torn(tmp_path: Path) -> None:
+    path = tmp_path / "torn.txt"
+    record = transcript.TextTranscript(path, "a remark")
+    for index in range(5):
+        record.record(index + 0.5, ">", f"TEMP?{index}\r\n".encode())
+        record.record(index + 0.75, "<", b"\x80\\26.4\r\n")
+    record.close()
+    whole = path.read_text()
+    entries = transcript.read(path)
+    assert len(entries) == 10
+    for length in range(len(transcript.HEADER) + 1, len(whole)):
+        torn = transcript.parse(whole[:length].splitlines(keepends=True))
+        assert torn[:-1] == entries[: max(len(torn) - 1, 0)]
+    with pytest.raises(ValueError, match="first line"):
+        transcript.parse(["hello\n"])
+    with pytest.raises(ValueError, match="Line 2"):
+        transcript.parse([transcript.HEADER + "\n", "nonsense\n", "1.0 > x\n"])
+
+
+def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
+    """Record a driver against a simulated chamber, then run the same driver against the record alone."""
+    path = tmp_path / "field.txt"
+    clock = VirtualClock()
+    config = espec.EspecConfig(reply_timeout_s=0.3)
+
+    def conversation(transport: Transport) -> tuple[object, ...]:
+        chamber = espec.EspecChamber(espec.open_exchange(transport, clock, config), config)
+        chamber.hold(40.0)
+        return chamber.identify(), chamber.limits(), chamber.read().setpoint_c
+
+    device = SimulatedEspec(ChamberPlant(ChamberTruth()), clock)
+    with (
+        transcript.TextTranscript(path) as record,
+        SimulatedPort(device, clock) as port,
+        Transport(port.url, clock=clock, recorder=record) as line,
+        clock.party(),
+    ):
+        live = conversation(line)
+    replayed = ReplayedDevice(transcript.read(path))
+    with served(replayed, clock, 9600) as (_, line):
+        assert conversation(line) == live
+    assert replayed.finished
+    assert replayed.unexpected == []
+
+
+def test_replay_names_what_the_driver_says_differently(tmp_path: Path) -> None:
+    replayed = ReplayedDevice([transcript.Entry(0.0, ">", b"TEMP?\r\n"), transcript.Entry(0.1, "<", b"20.0\r\n")])
+    assert replayed.receive(b"ROM?\r\n") == []
+    assert replayed.unexpected == [b"ROM?\r\n"]
+    assert not replayed.finished
+
+
+def test_importing_the_room_needs_no_jax() -> None:
+    names = (
+        "import sys; import gradcal_jax.hardware.drivers.stim300, gradcal_jax.hardware.simulate.stim300, "
+        "gradcal_jax.hardware.drivers.espec; print([m for m in ('jax', 'equinox', 'xarray', 'matplotlib', 'scipy') "
+        "if m in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", names], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_driver_on_a_line_that_is_no_such_device_says_what_it_heard() -> None:
+    clock = RealClock()
+    config = espec.EspecConfig(reply_timeout_s=0.1)
+    with served(Echo(), clock, 9600) as (_, line):
+        chamber = espec.EspecChamber(espec.open_exchange(line, clock, config), config)
+        with pytest.raises(Exception, match=r"TYPE\?") as caught:
+            chamber.identify()
+        assert "expected" in str(caught.value) or "no complete reply" in str(caught.value)
+    with served(Deaf(), clock, 9600) as (_, line):
+        chamber = espec.EspecChamber(espec.open_exchange(line, clock, config), config)
+        with pytest.raises(Exception, match=r"did not answer in 0.1 s.*echo back"):
+            chamber.identify()
+
+
+def test_driver_over_a_socket() -> None:
+    with espec_bench(VirtualClock(), on_socket=True) as (chamber, _, port):
+        assert port.url.startswith("socket://")
+        chamber.hold(30.0)
+        assert chamber.read().setpoint_c == 30.0

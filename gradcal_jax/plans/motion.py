@@ -17,14 +17,16 @@ from gradcal_jax import formulas
 class Pieces(NamedTuple):
     """Smooth pieces of one move on one channel, in order; the flags are part of the structure.
 
-    Arrays: `duration` s, `u_start`, `u_end`, `terms` (see `plans.timeline`). Flags: a reading at the end; standing
-    then; the rate not zero throughout; the rate not constant; a gap, at whose end the angle's origin is read anew.
+    Arrays: `duration` s, `u_start`, `u_end`, `terms`, `share` (see `plans.timeline`). Flags: a reading at the end;
+    standing then; the rate not zero throughout; the rate not constant; a gap, at whose end the angle's origin is read
+    anew.
     """
 
     duration: Array
     u_start: Array
     u_end: Array
     terms: Array
+    share: Array
     read: np.ndarray
     at_rest: np.ndarray
     moving: np.ndarray
@@ -32,7 +34,7 @@ class Pieces(NamedTuple):
     gap: np.ndarray
 
 
-_ARRAYS = 4
+_ARRAYS = 5
 
 
 class Division(NamedTuple):
@@ -68,7 +70,7 @@ class Move(eqx.Module):
 
     `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's; `controls` a spline's rates over
     the peak rate; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: of the same
-    time for an axis that stands meanwhile.
+    time for an axis that stands meanwhile, `spacing` the true spacing of its readings where it is relaxed (`standing`).
     """
 
     peak_rate: Float[Array, ""]
@@ -81,6 +83,7 @@ class Move(eqx.Module):
     cycles: int = eqx.field(static=True)
     divisions: tuple[Division, ...] = eqx.field(static=True)
     division_at_rest: Division = eqx.field(static=True)
+    spacing: Float[Array, ""] | None = None
 
     @property
     def angle(self) -> Float[Array, ""]:
@@ -93,7 +96,7 @@ class Move(eqx.Module):
     def pieces(self, channel: str) -> Pieces:
         """The move as the given channel sees it: its own motion, or standing while another axis moves."""
         if self.shape == "rest" or channel != self.axis:
-            return standing(self.duration, self.division_at_rest)
+            return standing(self.duration, self.division_at_rest, spacing=self.spacing)
         blocks = []
         parts = self._parts()
         for i, ((duration, coefficients, varying), (edges, read)) in enumerate(zip(parts, self.divisions, strict=True)):
@@ -105,6 +108,7 @@ class Move(eqx.Module):
                     at[:-1],
                     at[1:],
                     jnp.tile(coefficients * self.peak_rate, (count, 1)),
+                    jnp.ones(count),
                     np.array(read),
                     ends_move,
                     np.ones(count, bool),
@@ -134,15 +138,23 @@ class Move(eqx.Module):
         ]
 
 
-def standing(duration: Float[Array, ""], division: Division, *, gap: bool = False) -> Pieces:
-    """Standing for `duration`, divided as told; `gap`: a time whose data are not used."""
+def standing(
+    duration: Float[Array, ""], division: Division, *, spacing: Float[Array, ""] | None = None, gap: bool = False
+) -> Pieces:
+    """Standing for `duration`, divided as told; `gap`: a time whose data are not used.
+
+    `spacing`: the true spacing of readings, of which each piece's one stands for as many as fit, not a whole number:
+    the relaxation in which a design is searched.
+    """
     count, at = len(division.read), jnp.asarray(division.edges)
     yes = np.ones(count, bool)
+    lasts = jnp.diff(at) * duration
     return Pieces(
-        jnp.diff(at) * duration,
+        lasts,
         jnp.zeros(count),
         jnp.ones(count),
         jnp.zeros((count, len(formulas.MOTION_TERMS))),
+        jnp.ones(count) if spacing is None else lasts / spacing,
         np.array(division.read),
         yes,
         ~yes,

@@ -40,12 +40,12 @@ class IndexArray:
 class Timeline(eqx.Module):
     """Pieces of one channel. Fields of shape `(P,)` unless said; see the module's head for the symbols.
 
-    `read`: a reading at the end of the piece; `at_rest`: the axis stands then; `moving`: the rate is not zero
-    throughout; `reset`: an independent stretch begins here (standard method); `segment`: the move or soak that the
-    piece belongs to, an index into `segment_moves`, whose entries index the plan's moves (−1: standing).
-    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list indices; at the end of each of
-    `gap_pieces`, whose data are not used, the angle's origin is read anew. `rate_reference`: the reading is
-    of a held rate, over its piece, not of an angle.
+    `read`: a reading at the end of the piece, which stands for `share` of them; `at_rest`: the axis stands then;
+    `moving`: the rate is not zero throughout; `reset`: an independent stretch begins here (standard method);
+    `segment`: the move or soak that the piece belongs to, an index into `segment_moves`, whose entries index the
+    plan's moves (−1: standing). `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list
+    indices; at the end of each of `gap_pieces`, whose data are not used, the angle's origin is read anew.
+    `rate_reference`: the reading is of a held rate, over its piece, not of an angle.
     """
 
     start: Float[Array, " P"]
@@ -53,6 +53,7 @@ class Timeline(eqx.Module):
     u_start: Float[Array, " P"]
     u_end: Float[Array, " P"]
     terms: Float[Array, "P 10"]
+    share: Float[Array, " P"]
     trail: Float[Array, " P"]
     slope: Float[Array, " P"]
     excess: Float[Array, " P"]

@@ -100,7 +100,8 @@ def noise_steps(timeline: Timeline, model: GyroModel) -> NoiseSteps:
         transition = transition.at[gaps, 0, :].set(jnp.zeros(n).at[n - 1].set(-1.0) if offset else 0.0)
         covariance = covariance.at[gaps, 0, :].set(0.0).at[gaps, :, 0].set(0.0).at[gaps, 0, 0].set(white)
     on_the_move = jnp.where(timeline.at_rest, 0.0, timeline.end_rate() * reference.timing_error)
-    return NoiseSteps(transition, covariance, observation, white + on_the_move**2, timeline.read, initial)
+    variance = white / timeline.share + on_the_move**2
+    return NoiseSteps(transition, covariance, observation, variance, timeline.read, initial)
 
 
 def _constant_drive(

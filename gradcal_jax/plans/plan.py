@@ -34,7 +34,8 @@ class GradientPlan(eqx.Module):
     """The chamber follows `programme`; in each used stretch `moves`, then `after`, repeat.
 
     `moves` are the axes' own; `after` are rests that complete the cycle (the time that axes outside this plan take).
-    `cuts`: for each channel the (piece, programme stretch) where the chamber changes its slope inside a piece.
+    `cuts`: for each channel the (piece, programme stretch) where the chamber changes its slope inside a piece. `tail_spacing`: true
+    spacing of the readings after the last cycle, where they are relaxed (`motion.standing`).
     """
 
     programme: Programme
@@ -42,6 +43,7 @@ class GradientPlan(eqx.Module):
     after: tuple[Move, ...]
     stretches: tuple[Stretch, ...] = eqx.field(static=True)
     cuts: tuple[tuple[str, tuple[tuple[int, int], ...]], ...] = eqx.field(static=True, default=())
+    tail_spacing: Float[Array, ""] | None = None
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -73,6 +75,7 @@ class GradientPlan(eqx.Module):
             u_start=pieces.u_start,
             u_end=pieces.u_end,
             terms=pieces.terms,
+            share=pieces.share,
             trail=trail.trail[within] + trail.slope[within] * since,
             slope=trail.slope[within],
             excess=trail.excess[within] * jnp.exp(-trail.lag_rate * since),
@@ -118,7 +121,7 @@ class GradientPlan(eqx.Module):
                 of_segment += list(range(len(own)))
             if stretch.tail is not None:
                 used = whole * (own_time + rest_time) + (own_time if stretch.cycles else 0.0)
-                blocks.append(standing(end - begin - used, stretch.tail))
+                blocks.append(standing(end - begin - used, stretch.tail, spacing=self.tail_spacing))
                 counts.append(len(stretch.tail.read))
                 of_segment.append(-1)
         return join(blocks), np.repeat(np.arange(len(counts)), counts), tuple(of_segment)
@@ -146,6 +149,7 @@ def _cut(pieces: Pieces, start: Array, segment: np.ndarray, cuts, knot_times: Ar
         u0 + width * v0,
         u0 + width * v1,
         pieces.terms[source],
+        pieces.share[source],
         pieces.read[source] & last,
         pieces.at_rest[source] & (last | ~moving),
         moving,
@@ -241,6 +245,7 @@ class StandardPlan(eqx.Module):
             u_start=jnp.zeros(count),
             u_end=jnp.ones(count),
             terms=jnp.tile(self.rates, n_t)[:, None] * jnp.asarray(CONSTANT)[None, :],
+            share=jnp.ones(count),
             trail=jnp.repeat(self.temperatures, n_r),
             slope=jnp.zeros(count),
             excess=excess,

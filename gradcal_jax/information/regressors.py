@@ -17,9 +17,11 @@ from jaxtyping import Array, Float
 from gradcal_jax.errormodel import GyroModel, Map
 from gradcal_jax.plans import Timeline
 
-# A cosine ramp to the fourth power times an exponential of temperature is resolved to 1e-15 by 16 points.
+# A raised cosine to the fourth power, the steepest of a cubic M(T, ω), is resolved to 1e-12 by 16 points; a higher degree
+# in rate adds a period to it, and needs two more.
 _MOVING_NODES = 16
-# At rest only B(T) is integrated, over seconds in which the temperature hardly moves: degree 15 is exact.
+_CUBIC = 3
+# At rest only B(T) is integrated: degree 15 is exact for polynomials. A lagging sensor's exponentials need more.
 _STANDING_NODES = 8
 # A shape or a lagged temperature is monotone in each of these shares of a piece, or its turning point is no break.
 _PANELS = 8
@@ -46,11 +48,14 @@ def increments(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:
         )
 
     if model.scale is not None:
-        scale = _integrals(timeline, model.scale, moving, _MOVING_NODES)
+        scale = _integrals(
+            timeline, model.scale, moving, _MOVING_NODES + 2 * max(0, _rate_degree(model.scale) - _CUBIC)
+        )
         rows = add(rows, moving, scale[0], columns.scale)
         rows = add(rows, moving, scale[1], columns.scale_discrepancy)
     if model.bias is not None:
-        for pieces, nodes in ((moving, _MOVING_NODES), (standing, _STANDING_NODES)):
+        at_rest = _MOVING_NODES if timeline.lagged else _STANDING_NODES
+        for pieces, nodes in ((moving, _MOVING_NODES), (standing, at_rest)):
             bias = _integrals(timeline, model.bias, pieces, nodes)
             rows = add(rows, pieces, bias[0], columns.bias)
             rows = add(rows, pieces, bias[1], columns.bias_discrepancy)
@@ -59,6 +64,12 @@ def increments(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:
         temperature = timeline.temperature(ends)
         rows = rows.at[:, columns.gradient].set(temperature[:, 1:] - temperature[:, :1])
     return rows
+
+
+def _rate_degree(of: Map) -> int:
+    """Highest degree in rate of a map and of what its structure leaves out."""
+    degrees = [getattr(basis, "degree", 0) for basis in (of.rate, of.discrepancy_rate)]
+    return max(degrees)
 
 
 def at_readings(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:

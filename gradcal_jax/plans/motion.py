@@ -207,6 +207,9 @@ def turn(
     if 2.0 * ramp > duration * (1 + 1e-9):
         raise ValueError(f"two ramps of {ramp} s do not fit into a move of {duration} s: shorten the ramp or the rate")
     lasting = {"ramp": ramp, "flat": max(duration - 2.0 * ramp, 0.0)}
+    if shape == "hand":
+        # Its rate goes up and down four times, and the powers of it in M(T, ω) more often than one quadrature follows.
+        longest_piece = min(longest_piece, duration / 8)
     readings = formulas.reading_times(duration, read_every) or ([duration] if read_at_end else [])
     divisions, begin = [], 0.0
     parts = formulas.shape_pieces(shape, cycles=cycles, controls=controls, unevenness=unevenness)

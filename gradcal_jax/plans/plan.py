@@ -90,6 +90,7 @@ class GradientPlan(eqx.Module):
             gap_pieces=IndexArray(np.flatnonzero(pieces.gap)),
             segment_moves=segment_moves,
             axis=channel,
+            lagged=thermal_lag is not None,
         )
 
     def _pieces(self, channel: str) -> tuple[Pieces, np.ndarray, tuple[int, ...]]:
@@ -261,6 +262,7 @@ class StandardPlan(eqx.Module):
             segment_moves=(-1,) * count,
             axis=channel,
             rate_reference=True,
+            lagged=thermal_lag is not None,
         )
 
 

@@ -54,9 +54,12 @@ def noise_steps(timeline: Timeline, model: GyroModel) -> NoiseSteps:
     to_angle, q_angle, q_cross, q_self = _constant_drive(p, duration, timeline.end_rate())
     varying = timeline.varying_pieces.values
     if m and len(varying):
+        by_rate = (p.rate_gain != 0.0)[None, :]
         driven = _varying_drive(p, timeline, varying)
+        # A process that the rate does not drive has a constant c, whose closed form holds for any correlation time.
         to_angle, q_angle, q_cross = (
-            x.at[varying].set(y) for x, y in zip((to_angle, q_angle, q_cross), driven, strict=True)
+            x.at[varying].set(jnp.where(by_rate, y, x[varying]))
+            for x, y in zip((to_angle, q_angle, q_cross), driven, strict=True)
         )
 
     transition = jnp.zeros((count, n, n)).at[:, 0, 0].set(1.0)
@@ -153,9 +156,9 @@ def _varying_drive(p: Processes, timeline: Timeline, pieces: np.ndarray) -> tupl
     v = jnp.broadcast_to(jnp.asarray(nodes), (len(pieces), _NODES))
     rate = timeline.rate(v, pieces)[:, None, :]
     drive = p.bias_gain[None, :, None] + p.rate_gain[None, :, None] * rate
-    x = p.decay[None, :, None] * duration
-    # e^(−λ(s−u)) between all nodes: also those before u, which the interpolation needs. Moves are divided to keep λD
-    # small.
+    # Moves are divided to keep λD small, but for the processes that the rate drives only.
+    x = jnp.where(p.rate_gain != 0.0, p.decay, 0.0)[None, :, None] * duration
+    # e^(−λ(s−u)) between all nodes: also those before u, which the interpolation needs.
     apart = jnp.asarray(nodes)[None, :] - jnp.asarray(nodes)[:, None]
     fading = jnp.exp(-x[..., None] * apart[None, None])
     h = duration * jnp.einsum("us,kmus,kms->kmu", tails, fading, drive)

@@ -137,7 +137,11 @@ class HigherPolynomials(Basis):
     scale: float = eqx.field(static=True)
 
     def __call__(self, x: Float[Array, "..."]) -> Float[Array, "... size"]:
-        return formulas.legendre((x - self.centre) / self.scale, self.degree)[..., self.lowest :]
+        return self.from_zero(x)[..., self.lowest :]
+
+    def from_zero(self, x: Float[Array, "..."]) -> Float[Array, "... all"]:
+        """All Legendre polynomials in order, those of the model first; there are at least `lowest` of them."""
+        return formulas.legendre((x - self.centre) / self.scale, max(self.degree, self.lowest - 1))
 
     @property
     def size(self) -> int:

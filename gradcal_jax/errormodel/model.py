@@ -65,12 +65,14 @@ class Map(eqx.Module):
         """The functions that the structure leaves out, at temperatures (°C) and rates (rad/s)."""
         if self.discrepancy_temperature is None:
             return jnp.zeros((*temperature.shape, 0))
-        beyond_t = self.discrepancy_temperature(temperature)
+        extra_t = self.discrepancy_temperature
         if self.rate is None or self.discrepancy_rate is None:
-            return beyond_t
-        within_w, beyond_w = self.rate(rate), self.discrepancy_rate(rate)
-        all_w = jnp.concatenate([within_w, beyond_w], axis=-1)
-        return jnp.concatenate([tensor(beyond_t, all_w), tensor(self.temperature(temperature), beyond_w)], axis=-1)
+            return extra_t(temperature)
+        extra_w = self.discrepancy_rate
+        # Legendre throughout, whatever form the engine computes the structure in: the prior is on these functions.
+        all_t, all_w = extra_t.from_zero(temperature), extra_w.from_zero(rate)
+        within_t, beyond_t = all_t[..., : extra_t.lowest], all_t[..., extra_t.lowest :]
+        return jnp.concatenate([tensor(beyond_t, all_w), tensor(within_t, all_w[..., extra_w.lowest :])], axis=-1)
 
     @property
     def to_reported(self) -> np.ndarray:

@@ -1,0 +1,601 @@
+"""The zoo: scenes with every motion, noise and reference, and slow roads to their covariance that share nothing with
+the engine but the scene's numbers.
+
+A `Scene` is plain numbers (SI, °C). `core` makes the engine's plan and model of it. `reference` walks through the scene
+by itself: rates from the shapes' textbook formulas, temperatures from the lag's own solution, regressors and the
+covariance of all readings by composite Gauss–Legendre integration of the processes' *kernels* (no recursion, no state).
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.interpolate import BSpline as ScipyBSpline
+from scipy.optimize import brentq
+
+from gradcal_jax import errormodel, plans
+from gradcal_jax.errormodel import Bins, BSpline, GyroModel, Polynomial
+from gradcal_jax.information import NoiseSteps
+
+DEG = np.pi / 180.0
+DEG_PER_H = DEG / 3600.0
+Extended = np.longdouble
+
+
+@dataclass(frozen=True)
+class Act:
+    """A move in plain numbers: a rest (`shape="rest"`) or a turn; `every` reads on the way."""
+
+    shape: str
+    duration: float
+    peak: float = 0.0
+    ramp: float = 0.0
+    cycles: int = 1
+    controls: tuple[float, ...] = ()
+    unevenness: float = 0.0
+    axis: str = "x"
+    every: float | None = None
+    read_at_end: bool = True
+    others_every: float | None = None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """One process: "drift" (σ, τ), "walk" (K), "scale" (σ, τ), "both" (σ, τ with two gains), "constant" (σ, gains)."""
+
+    kind: str
+    size: float
+    tau: float = np.inf
+    bias_gain: float = 1.0
+    rate_gain: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that a gradient plan's covariance depends on."""
+
+    start: float
+    stretches: tuple[tuple[float, float], ...]
+    moves: tuple[Act, ...]
+    after: tuple[Act, ...] = ()
+    used: tuple[tuple[int, int], ...] | None = None
+    read_every: float | None = None
+    lag: float | None = None
+    channel: str = "x"
+    arw: float = 0.1 * DEG / 60.0
+    noises: tuple[Noise, ...] = ()
+    reading_noise: float = 0.05 * DEG
+    offset: float = 0.0
+    timing: float = 0.0
+    harmonics: dict[int, float] = field(default_factory=dict)
+    bias: Any = None
+    scale: tuple[Any, Any] | None = None
+    bias_prior: float = np.inf
+    scale_prior: float = np.inf
+    gradient: bool = False
+    longest_piece: float = np.inf
+
+
+CUBIC = Polynomial(3, 20.0, 50.0)
+LINEAR = Polynomial(1, 20.0, 50.0)
+RATE_CUBIC = Polynomial(3, 0.0, 300.0 * DEG)
+RATE_LINEAR = Polynomial(1, 0.0, 300.0 * DEG)
+
+
+def core(scene: Scene) -> tuple[plans.GradientPlan, GyroModel]:
+    """The engine's plan and model of a scene."""
+    programme = plans.programme(scene.start, list(scene.stretches))
+    make = lambda acts: tuple(core_move(a, scene.longest_piece) for a in acts)  # noqa: E731
+    plan = plans.gradient_plan(
+        programme, make(scene.moves), make(scene.after), used=scene.used, read_every=scene.read_every
+    )
+    return plan, core_model(scene)
+
+
+def core_move(act: Act, longest: float = np.inf) -> plans.Move:
+    if act.shape == "rest":
+        return plans.rest(act.duration, act.every)
+    return plans.turn(
+        act.shape,
+        act.peak,
+        act.duration,
+        ramp=act.ramp,
+        axis=act.axis,
+        cycles=act.cycles,
+        controls=act.controls,
+        unevenness=act.unevenness,
+        read_at_end=act.read_at_end,
+        read_every=act.every,
+        others_read_every=act.others_every,
+        longest_piece=longest,
+    )
+
+
+def core_model(scene: Scene) -> GyroModel:
+    processes = errormodel.no_processes()
+    for noise in scene.noises:
+        if noise.kind == "walk":
+            processes = processes + errormodel.rate_random_walk(noise.size)
+        elif noise.kind == "constant":
+            processes = processes + errormodel.constant(
+                noise.size, bias_gain=noise.bias_gain, rate_gain=noise.rate_gain
+            )
+        else:
+            processes = processes + errormodel.gauss_markov(
+                noise.size, noise.tau, bias_gain=noise.bias_gain, rate_gain=noise.rate_gain
+            )
+    reference = errormodel.angle_reference(scene.reading_noise, scene.offset, scene.timing, 0.0, scene.harmonics)
+    bias = None if scene.bias is None else errormodel.make_map(scene.bias, prior_std=scene.bias_prior)
+    scale = None if scene.scale is None else errormodel.make_map(*scene.scale, prior_std=scene.scale_prior)
+    return gyro_model(bias, scale, scene.arw, processes, reference, gradient=scene.gradient)
+
+
+def gyro_model(
+    bias, scale, arw, processes=None, reference=None, *, turn_on=0.0, gradient=False, gradient_prior=np.inf
+) -> GyroModel:
+    return GyroModel(
+        bias,
+        scale,
+        jnp.asarray(arw),
+        errormodel.no_processes() if processes is None else processes,
+        errormodel.angle_reference() if reference is None else reference,
+        jnp.asarray(turn_on),
+        jnp.asarray(gradient_prior),
+        has_gradient=gradient,
+        has_gradient_prior=bool(np.isfinite(gradient_prior)),
+    )
+
+
+# --- the scene, walked through by itself ------------------------------------------------------------------------------
+
+
+def textbook_rate(act: Act, t: np.ndarray) -> np.ndarray:
+    """Rate of a move `t` seconds after its start, from the shape's definition."""
+    u = t / act.duration
+    if act.shape == "rest":
+        return np.zeros_like(t)
+    if act.shape in ("cosine ramps", "linear ramps"):
+        rising = np.clip(np.minimum(t, act.duration - t) / act.ramp, 0.0, 1.0)
+        return act.peak * (rising if act.shape == "linear ramps" else 0.5 - 0.5 * np.cos(np.pi * rising))
+    if act.shape == "half sine":
+        return act.peak * np.sin(np.pi * u)
+    if act.shape == "raised cosine":
+        return act.peak * np.sin(np.pi * u) ** 2
+    if act.shape == "sinusoid":
+        return act.peak * np.sin(2.0 * np.pi * act.cycles * u)
+    if act.shape == "hand":
+        return act.peak * np.sin(np.pi * u) ** 2 * (1.0 + act.unevenness * np.sin(6.0 * np.pi * u))
+    values = np.array([0.0, *act.controls, 0.0])
+    inner = np.linspace(0.0, 1.0, len(values) - 2)
+    return act.peak * ScipyBSpline(np.r_[[0.0] * 3, inner, [1.0] * 3], values, 3)(np.clip(u, 0.0, 1.0))
+
+
+def _smooth_breaks(act: Act) -> np.ndarray:
+    """Where a move's rate is not smooth, or a fixed rule needs help (fractions of the move)."""
+    if act.shape in ("cosine ramps", "linear ramps"):
+        r = act.ramp / act.duration
+        return np.unique([r / 2, r, 1 - r, 1 - r / 2])
+    if act.shape == "spline":
+        return np.linspace(0.0, 1.0, len(act.controls))[1:-1]
+    return np.linspace(0.0, 1.0, {"sinusoid": 4 * act.cycles, "hand": 16, "rest": 1}.get(act.shape, 4) + 1)[1:-1]
+
+
+class Reading(NamedTuple):
+    time: float
+    standstill: int  # −1 on the move
+    rate: float
+    origin: int
+
+
+class Origin(NamedTuple):
+    time: float
+    standstill: int
+
+
+@dataclass
+class Walk:
+    """What happens, in order: `acts` as (start, act); `readings`, each with the origin that it counts from."""
+
+    begin: float
+    end: float
+    acts: list[tuple[float, Act]]
+    readings: list[Reading]
+    origins: list[Origin]
+
+
+def _every(duration: float, every: float | None) -> list[float]:
+    return [] if every is None else [every * k for k in range(1, int(duration / every + 1e-9) + 1)]
+
+
+def walk(scene: Scene) -> Walk:
+    """The scene's acts and readings, as the channel sees them."""
+    knots = np.cumsum([0.0, *(d for d, _ in scene.stretches)])
+    used = scene.used or ((0, len(knots) - 1),)
+    own = sum(a.duration for a in scene.moves)
+    period = own + sum(a.duration for a in scene.after)
+    found = Walk(float(knots[used[0][0]]), float(knots[used[-1][1]]), [], [], [])
+    clock, standstill = found.begin, 0
+    for number, (first, last) in enumerate(used):
+        if number:
+            found.acts.append((clock, Act("rest", float(knots[first]) - clock)))
+            clock = float(knots[first])
+        found.origins.append(Origin(clock, standstill))
+        available = float(knots[last] - knots[first])
+        cycles = int((available - own) / period + 1e-9) + 1 if scene.moves else 0
+        line = [a for k in range(cycles) for a in (*scene.moves, *(scene.after if k < cycles - 1 else ()))]
+        left = available - sum(a.duration for a in line)
+        if left > 1e-6:
+            line.append(Act("rest", left, every=scene.read_every))
+        for act in line:
+            seen = act
+            if act.shape != "rest" and act.axis != scene.channel:
+                seen = Act("rest", act.duration, every=act.others_every)
+            turning = seen.shape != "rest"
+            times = _every(seen.duration, seen.every)
+            if turning and not times and seen.read_at_end:
+                times = [seen.duration]
+            standstill += turning
+            for t in times:
+                on_the_way = turning and t < seen.duration * (1 - 1e-9)
+                rate = float(textbook_rate(seen, np.array(t))) if on_the_way else 0.0
+                found.readings.append(Reading(clock + t, -1 if on_the_way else standstill, rate, number))
+            found.acts.append((clock, seen))
+            clock += seen.duration
+    return found
+
+
+def sensor_temperature(scene: Scene, times: np.ndarray) -> np.ndarray:
+    """Temperature of the die: the chamber's, behind a first-order lag, in equilibrium at the start."""
+    knots = np.cumsum([0.0, *(d for d, _ in scene.stretches)])
+    chamber = scene.start + np.cumsum([0.0, *(d * s for d, s in scene.stretches)])
+    if scene.lag is None:
+        return np.interp(times, knots, chamber)
+    out, sensor = np.empty_like(times), chamber[0]
+    for k, (duration, slope) in enumerate(scene.stretches):
+        # The response to a ramp from rest, and the decay of what the sensor was behind at the stretch's start.
+        follow = lambda t, k=k, slope=slope, behind=sensor - chamber[k]: (
+            chamber[k] + behind * np.exp(-t / scene.lag) + slope * (t + scene.lag * np.expm1(-t / scene.lag))
+        )
+        here = (times >= knots[k]) if k else np.ones_like(times, bool)
+        out[here] = follow(times[here] - knots[k])
+        sensor = follow(duration)
+    return out
+
+
+def rate_at(found: Walk, times: np.ndarray) -> np.ndarray:
+    """Rate of the channel at any times."""
+    starts = np.array([s for s, _ in found.acts])
+    index = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, len(starts) - 1)
+    out = np.zeros_like(times)
+    for k in np.unique(index):
+        here = index == k
+        out[here] = textbook_rate(found.acts[k][1], times[here] - starts[k])
+    return out
+
+
+def reported_functions(basis: Any, x: np.ndarray) -> np.ndarray:
+    """A basis as people read it, on a new last axis: normalised monomials, B-splines (SciPy's) or indicators."""
+    if isinstance(basis, Polynomial):
+        return ((x - basis.centre) / basis.scale)[..., None] ** np.arange(basis.degree + 1)
+    if isinstance(basis, BSpline):
+        k = basis.knots
+        t = np.r_[[k[0]] * basis.degree, k, [k[-1]] * basis.degree]
+        spline = ScipyBSpline(t, np.eye(basis.size), basis.degree)
+        return spline(np.clip(x, k[0], k[-1]))
+    edges = basis.edges
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    return np.eye(len(edges) - 1)[index]
+
+
+_GAUSS = np.polynomial.legendre.leggauss(24)
+_X, _W = (_GAUSS[0] + 1.0) / 2.0, _GAUSS[1] / 2.0
+
+
+class Reference(NamedTuple):
+    """Regressors of all readings in *reported* coefficients, `(R, p)`, and the covariance of their noise, `(R, R)`."""
+
+    regressors: np.ndarray
+    covariance: np.ndarray
+
+
+def panels(scene: Scene, found: Walk) -> np.ndarray:
+    """Times between which everything is smooth and slow enough for one Gauss rule."""
+    edges = [found.begin, found.end, *(r.time for r in found.readings), *(o.time for o in found.origins)]
+    edges += list(np.cumsum([0.0, *(d for d, _ in scene.stretches)]))
+    for start, act in found.acts:
+        edges += [start, start + act.duration, *(start + act.duration * _smooth_breaks(act))]
+    edges = np.unique(np.clip(np.array(edges), found.begin, found.end))
+    edges = edges[np.r_[True, np.diff(edges) > 1e-9]]
+    longest = min([30.0, *(n.tau for n in scene.noises)])
+    fine = [np.linspace(a, b, int(np.ceil((b - a) / longest)) + 1)[:-1] for a, b in zip(edges, edges[1:], strict=False)]
+    edges = np.r_[np.concatenate(fine), edges[-1]]
+    crossings = []
+    variables = [(lambda t: sensor_temperature(scene, t), b.breaks) for b in (scene.bias,) if b is not None]
+    if scene.scale is not None:
+        variables.append((lambda t: sensor_temperature(scene, t), scene.scale[0].breaks))
+        variables.append((lambda t: rate_at(found, t), scene.scale[1].breaks))
+    for of, breaks in variables:
+        for level in breaks:
+            for a, b in zip(edges, edges[1:], strict=False):
+                grid = np.linspace(a, b, 17) if b - a > 1e-9 else np.array([a, b])
+                grid[-1] -= 1e-12 * max(1.0, abs(b))
+                above = of(grid) - level
+                for i in np.flatnonzero(above[:-1] * above[1:] < 0.0):
+                    place = brentq(
+                        lambda t, of=of, level=level: float(of(np.array([t]))[0]) - level,
+                        grid[i],
+                        grid[i + 1],
+                        xtol=1e-13,
+                        rtol=1e-15,
+                    )
+                    crossings.append(place)
+    return np.unique(np.r_[edges, crossings])
+
+
+def reference(scene: Scene) -> Reference:
+    """Everything by integration over the scene; nothing of the engine's is used but the bases' definitions."""
+    found = walk(scene)
+    edges = panels(scene, found)
+    a, width = edges[:-1], np.diff(edges)
+    times = a[:, None] + width[:, None] * _X
+    weight = width[:, None] * _W
+    rate, temperature = rate_at(found, times), sensor_temperature(scene, times)
+
+    blocks = []
+    if scene.bias is not None:
+        blocks.append(np.einsum("pq,pqa->pa", weight, reported_functions(scene.bias, temperature)))
+    if scene.scale is not None:
+        of_t, of_w = (reported_functions(b, x) for b, x in zip(scene.scale, (temperature, rate), strict=True))
+        both = np.einsum("pq,pqa,pqb->pab", weight * rate, of_t, of_w)
+        blocks.append(both.reshape(len(a), -1))
+    if scene.gradient:
+        ends = sensor_temperature(scene, edges)
+        blocks.append(np.diff(ends)[:, None])
+    increments = np.concatenate(blocks, axis=1)
+    turned = np.r_[0.0, np.cumsum(np.sum(weight * rate, axis=1))]
+
+    counts = len(found.readings)
+    upto = np.array([int(np.argmin(np.abs(edges - r.time))) for r in found.readings])
+    origin = np.array([int(np.argmin(np.abs(edges - found.origins[r.origin].time))) for r in found.readings])
+    number = np.arange(len(a))
+    within = ((number[None] >= origin[:, None]) & (number[None] < upto[:, None])).astype(Extended)
+    regressors = within @ increments.astype(Extended)
+    for order in scene.harmonics:
+        for wave in (lambda phi, order=order: -np.cos(order * phi), lambda phi, order=order: -np.sin(order * phi)):
+            regressors = np.c_[regressors, (wave(turned[upto]) - wave(turned[origin])).astype(Extended)]
+
+    motion = np.diag((scene.arw**2 * width).astype(Extended))
+    for noise in scene.noises:
+        motion = motion + _kernel_blocks(noise, found, a, width, times, weight, rate)
+    covariance = within @ motion @ within.T
+
+    readings, origins = found.readings, found.origins
+    white = np.zeros((counts, counts + len(origins)), Extended)
+    size = np.full(counts + len(origins), scene.reading_noise, Extended)
+    standing = np.zeros((counts, 1 + max([r.standstill for r in readings] + [o.standstill for o in origins])), Extended)
+    for k, r in enumerate(readings):
+        white[k, k], white[k, counts + r.origin] = 1.0, -1.0
+        size[k] = np.hypot(scene.reading_noise, scene.timing * r.rate) if r.standstill < 0 else scene.reading_noise
+        if r.standstill >= 0:
+            standing[k, r.standstill] += 1.0
+        standing[k, origins[r.origin].standstill] -= 1.0
+    covariance = covariance + (white * size**2) @ white.T + scene.offset**2 * standing @ standing.T
+    return Reference(regressors, covariance)
+
+
+def _kernel_blocks(noise: Noise, found: Walk, a, width, times, weight, rate) -> np.ndarray:
+    """`∫∫ c(s)c(s') K(s, s') ds ds'` over all pairs of panels, K the process's own covariance function."""
+    gains = (1.0, 0.0) if noise.kind == "walk" else (noise.bias_gain, noise.rate_gain)
+    c = gains[0] + gains[1] * rate
+    whole = np.sum(weight * c, axis=1)
+    if noise.kind == "constant":
+        return np.multiply.outer(whole, whole).astype(Extended) * noise.size**2
+    inner = a[:, None, None] + (times - a[:, None])[:, :, None] * _X
+    inner_weight = (times - a[:, None])[:, :, None] * _W
+    inner_c = gains[0] + gains[1] * (rate_at(found, inner) if gains[1] else np.zeros_like(inner))
+    lower = np.tril(np.ones((len(a), len(a))), -1)
+    if noise.kind == "walk":
+        since = times - found.begin
+        early = np.sum(weight * c * since, axis=1)
+        blocks = np.multiply.outer(whole, early) * lower
+        diagonal = 2.0 * np.einsum("pq,pq,pqr->p", weight, c, inner_weight * inner_c * (inner - found.begin))
+    else:
+        rate_of_decay = 1.0 / noise.tau
+        onward = np.sum(weight * c * np.exp(-rate_of_decay * (a[:, None] + width[:, None] - times)), axis=1)
+        from_start = np.sum(weight * c * np.exp(-rate_of_decay * (times - a[:, None])), axis=1)
+        apart = np.maximum(a[:, None] - (a + width)[None, :], 0.0)
+        blocks = from_start[:, None] * np.exp(-rate_of_decay * apart) * onward[None, :] * lower
+        diagonal = 2.0 * np.einsum(
+            "pq,pq,pqr->p", weight, c, inner_weight * inner_c * np.exp(-rate_of_decay * (times[:, :, None] - inner))
+        )
+    return (blocks + blocks.T + np.diag(diagonal)).astype(Extended) * noise.size**2
+
+
+# --- roads to the covariance ------------------------------------------------------------------------------------------
+
+
+def cholesky(matrix: np.ndarray) -> np.ndarray:
+    """Lower triangular factor in extended precision."""
+    work = np.array(matrix, Extended)
+    n = len(work)
+    for k in range(n):
+        if not work[k, k] > 0:
+            raise np.linalg.LinAlgError("not positive definite")
+        work[k, k] = np.sqrt(work[k, k])
+        work[k + 1 :, k] /= work[k, k]
+        work[k + 1 :, k + 1 :] -= np.multiply.outer(work[k + 1 :, k], work[k + 1 :, k])
+    return np.tril(work)
+
+
+def forward(lower: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """`L⁻¹ right` in extended precision."""
+    x = np.array(right, Extended)
+    for k in range(len(lower)):
+        x[k] = (x[k] - lower[k, :k] @ x[:k]) / lower[k, k]
+    return x
+
+
+def dense_gls(
+    regressors: np.ndarray, covariance: np.ndarray, prior: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations and covariance of dense generalised least squares; `prior`: whitened rows."""
+    scale = np.sqrt(np.diagonal(covariance))
+    rows = forward(cholesky(covariance / np.multiply.outer(scale, scale)), regressors / scale[:, None])
+    if prior is not None:
+        rows = np.concatenate([rows, prior.astype(Extended)])
+    norm = np.sqrt(np.sum(rows**2, axis=0))
+    rows = rows / norm
+    inverse = forward(cholesky(rows.T @ rows), np.eye(rows.shape[1]))
+    posterior = inverse.T @ inverse / np.multiply.outer(norm, norm)
+    return np.sqrt(np.diagonal(posterior)).astype(float), posterior.astype(float)
+
+
+def prior_rows_reported(scene: Scene, count: int) -> np.ndarray:
+    """Whitened rows of the priors on reported coefficients and of the harmonics."""
+    sizes = [0 if scene.bias is None else scene.bias.size]
+    sizes.append(0 if scene.scale is None else scene.scale[0].size * scene.scale[1].size)
+    weights = [1.0 / scene.bias_prior] * sizes[0] + [1.0 / scene.scale_prior] * sizes[1]
+    weights += [0.0] if scene.gradient else []
+    weights += [1.0 / amplitude for amplitude in scene.harmonics.values() for _ in range(2)]
+    rows = np.diag(weights)
+    assert rows.shape == (count, count)
+    return rows[np.array(weights) > 0.0]
+
+
+def augmented_kalman(steps: NoiseSteps, columns: np.ndarray, prior_covariance: np.ndarray) -> np.ndarray:
+    """The paper's filter: parameters appended to the noise's state, textbook equations. Posterior of the parameters."""
+    n, p = steps.observation.shape[1], columns.shape[1]
+    state = np.zeros((n + p, n + p))
+    state[:n, :n], state[n:, n:] = steps.initial, prior_covariance
+    for f, q, h, r, used, phi in zip(*(np.asarray(x) for x in steps[:5]), np.asarray(columns), strict=True):
+        whole = np.eye(n + p)
+        whole[:n, :n] = f
+        state = whole @ state @ whole.T
+        state[:n, :n] += q
+        if used:
+            observe = np.r_[h, phi]
+            gain = state @ observe
+            state = state - np.outer(gain, gain) / (observe @ gain + r)
+            state = 0.5 * (state + state.T)
+    return state[n:, n:]
+
+
+# --- scenes -----------------------------------------------------------------------------------------------------------
+
+_TURNS = (
+    Act("rest", 6.0, every=2.0),
+    Act("cosine ramps", 5.0, 150 * DEG, ramp=0.8),
+    Act("linear ramps", 4.0, -290 * DEG, ramp=1.5),
+    Act("half sine", 6.0, 120 * DEG, every=1.5),
+    Act("raised cosine", 7.0, -60 * DEG),
+    Act("rest", 4.0, every=2.0),
+)
+_CURVES = (
+    Act("sinusoid", 12.0, 80 * DEG, cycles=2, every=2.5),
+    Act("rest", 5.0, every=1.0),
+    Act("spline", 9.0, 200 * DEG, controls=(0.2, 0.9, 1.0, 0.4, 0.1)),
+    Act("hand", 20.0, -30 * DEG, unevenness=0.3),
+    Act("rest", 3.0, every=3.0),
+)
+
+DRIFT = Noise("drift", 1.0 * DEG_PER_H, 120.0)
+SCENES: dict[str, Scene] = {
+    # White readings, one drift, one long ramp: the paper's kind.
+    "paper-like": Scene(
+        -30.0,
+        ((400.0, 0.25),),
+        _TURNS,
+        (Act("rest", 20.0, every=2.0), Act("rest", 7.0)),
+        read_every=3.0,
+        noises=(DRIFT,),
+        scale=(LINEAR, RATE_CUBIC),
+        scale_prior=1e-2,
+    ),
+    # A drift mixture, offsets, timing error, harmonics, bias and its sensitivity to dT/dt, a lagging sensor that turns round.
+    "everything": Scene(
+        -20.0,
+        ((150.0, 0.4), (100.0, 0.0), (170.0, -0.3)),
+        _CURVES + _TURNS[1:3],
+        (Act("rest", 15.0, every=3.0),),
+        read_every=5.0,
+        lag=60.0,
+        noises=(
+            DRIFT,
+            Noise("drift", 3.0 * DEG_PER_H, 900.0),
+            Noise("walk", 0.02 * DEG_PER_H),
+            Noise("scale", 50e-6, 70.0, 0.0, 1.0),
+            Noise("both", 0.1, 200.0, 5.0 * DEG_PER_H, 15e-6),
+        ),
+        offset=0.01 * DEG,
+        timing=2e-4,
+        harmonics={1: 0.01 * DEG, 3: 0.004 * DEG},
+        bias=LINEAR,
+        scale=(LINEAR, RATE_LINEAR),
+        bias_prior=500 * DEG_PER_H,
+        scale_prior=1e-2,
+        gradient=True,
+        longest_piece=100.0,
+    ),
+    # Two used stretches with a gap, offsets, and constants drawn once.
+    "gap": Scene(
+        -10.0,
+        ((50.0, 0.0), (120.0, 0.2), (60.0, 0.0), (130.0, 0.25), (20.0, 0.0)),
+        _TURNS[:3],
+        (Act("rest", 10.0, every=2.0),),
+        used=((1, 2), (3, 4)),
+        read_every=4.0,
+        noises=(DRIFT, Noise("constant", 3.0 * DEG_PER_H), Noise("constant", 20e-6, rate_gain=1.0, bias_gain=0.0)),
+        offset=0.02 * DEG,
+        scale=(LINEAR, RATE_LINEAR),
+        scale_prior=1e-2,
+    ),
+    # Other bases: B-splines in temperature, bins in rate; bias on bins.
+    "bases": Scene(
+        0.0,
+        ((300.0, 0.15),),
+        _TURNS,
+        (Act("rest", 12.0, every=2.0),),
+        read_every=5.0,
+        noises=(DRIFT,),
+        bias=Bins((-5.0, 12.0, 30.0, 50.0)),
+        scale=(BSpline((-10.0, 20.0, 60.0), 2), Bins((-6.0, -1.0, 1.0, 6.0))),
+        bias_prior=500 * DEG_PER_H,
+        scale_prior=1e-2,
+    ),
+    # What moves on y is rest for x, read meanwhile or not.
+    "other axis": Scene(
+        10.0,
+        ((260.0, 0.2),),
+        (
+            *_TURNS[:2],
+            Act("cosine ramps", 8.0, 100 * DEG, ramp=1.0, axis="y", others_every=2.0),
+            Act("half sine", 5.0, -80 * DEG, axis="y"),
+            *_TURNS[2:4],
+        ),
+        (Act("rest", 9.0, every=3.0),),
+        read_every=3.0,
+        noises=(DRIFT, Noise("scale", 30e-6, 300.0, 0.0, 1.0)),
+        offset=0.005 * DEG,
+        scale=(LINEAR, RATE_LINEAR),
+        bias=LINEAR,
+    ),
+}
+
+
+def varied(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The same structure with other numbers: noises, rates and slopes, all by up to a factor of two."""
+    some = lambda: float(np.exp(rng.uniform(-0.7, 0.7)))  # noqa: E731
+    rate = lambda a: a if a.shape == "rest" else replace(a, peak=a.peak * float(rng.uniform(0.5, 1.0)))  # noqa: E731
+    return replace(
+        scene,
+        start=scene.start + float(rng.uniform(-3, 3)),
+        stretches=tuple((d, s * float(rng.uniform(0.8, 1.1))) for d, s in scene.stretches),
+        moves=tuple(rate(a) for a in scene.moves),
+        arw=scene.arw * some(),
+        noises=tuple(replace(n, size=n.size * some(), tau=n.tau * some()) for n in scene.noises),
+        reading_noise=scene.reading_noise * some(),
+        offset=scene.offset * some(),
+        timing=scene.timing * some(),
+        harmonics={k: v * some() for k, v in scene.harmonics.items()},
+    )

@@ -34,8 +34,8 @@ class GradientPlan(eqx.Module):
     """The chamber follows `programme`; in each used stretch `moves`, then `after`, repeat.
 
     `moves` are the axes' own; `after` are rests that complete the cycle (the time that axes outside this plan take).
-    `cuts`: for each channel the (piece, programme stretch) where the chamber changes its slope inside a piece. `tail_spacing`: true
-    spacing of the readings after the last cycle, where they are relaxed (`motion.standing`).
+    `cuts`: for each channel the (piece, programme stretch) where the chamber changes its slope inside a piece.
+    `tail_spacing`: true spacing of the readings after the last cycle, where they are relaxed (`motion.standing`).
     """
 
     programme: Programme

@@ -45,7 +45,8 @@ class Timeline(eqx.Module):
     `segment`: the move or soak that the piece belongs to, an index into `segment_moves`, whose entries index the
     plan's moves (−1: standing). `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list
     indices; at the end of each of `gap_pieces`, whose data are not used, the angle's origin is read anew.
-    `rate_reference`: the reading is of a held rate, over its piece, not of an angle. `lagged`: the sensor lags behind the chamber.
+    `rate_reference`: the reading is of a held rate, over its piece, not of an angle. `lagged`: the sensor lags behind
+    the chamber.
     """
 
     start: Float[Array, " P"]

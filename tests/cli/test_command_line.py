@@ -1,0 +1,203 @@
+"""The command line from outside: statuses, sentences, plain text, and what a start-up may not import."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from gradcal_jax.cli import main
+from gradcal_jax.cli.console import columns, time_text
+from gradcal_jax.files import presets
+
+GRADCAL = [sys.executable, "-c", "import sys; from gradcal_jax.cli import main; sys.exit(main())"]
+
+
+def gradcal(*arguments, **keywords):
+    return subprocess.run([*GRADCAL, *arguments], capture_output=True, text=True, check=False, **keywords)
+
+
+@pytest.fixture
+def spec(tmp_path):
+    path = tmp_path / "my.toml"
+    path.write_text(presets.text("paper-dynamic-gradient"), encoding="utf-8")
+    return path
+
+
+HEAVY = ("jax", "jaxlib", "equinox", "xarray", "matplotlib", "scipy", "h5netcdf", "jinja2")
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import gradcal_jax",
+        "import gradcal_jax.files",
+        "import gradcal_jax.hardware",
+        "import gradcal_jax.cli",
+        "import gradcal_jax.cli.app; gradcal_jax.cli.app.build()",
+        "from gradcal_jax.cli import main; main(['--help'])",
+        "from gradcal_jax.cli import main; main(['new', '--list'])",
+        "from gradcal_jax.cli import main; main(['schema', 'spec'])",
+        "from gradcal_jax.cli import main; main(['check', '--files-only', SPEC])",
+    ],
+)
+def test_nothing_heavy_is_imported_before_it_is_needed(code, spec):
+    """In a fresh process: import contracts do not see what an `__init__` pulls in."""
+    script = f"import sys; SPEC = {str(spec)!r}\n{code}\nprint('HEAVY', sorted(set({HEAVY!r}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "HEAVY []"
+
+
+def test_help_answers_in_under_half_a_second():
+    gradcal("--help")  # the first start writes byte code
+    # User and system time of this one process: what it costs, whoever else keeps the machine busy.
+    before = os.times()
+    wall = time.perf_counter()
+    done = gradcal("--help")
+    wall = time.perf_counter() - wall
+    after = os.times()
+    spent = (after.children_user - before.children_user) + (after.children_system - before.children_system)
+    assert done.returncode == 0
+    assert "check" in done.stdout
+    assert min(wall, spent) < 0.5
+
+
+def test_new_writes_a_spec_that_checks_and_refuses_to_overwrite(tmp_path, capsys):
+    goal = tmp_path / "my.toml"
+    assert main(["new", "rig-hand", "-o", str(goal)]) == 0
+    assert goal.read_text(encoding="utf-8") == presets.text("rig-hand")
+    assert main(["check", "--files-only", str(goal)]) == 0
+    assert main(["new", "tactical-mems", "-o", str(goal)]) == 2
+    assert goal.read_text(encoding="utf-8") == presets.text("rig-hand")
+    assert "--force" in capsys.readouterr().err
+    assert main(["new", "tactical-mems", "-o", str(goal), "--force"]) == 0
+    assert goal.read_text(encoding="utf-8") == presets.text("tactical-mems")
+
+
+def test_new_prints_and_lists(capsys):
+    assert main(["new", "paper-static-gradient", "-o", "-"]) == 0
+    assert capsys.readouterr().out == presets.text("paper-static-gradient")
+    assert main(["new", "--list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(" ")[0] for line in lines] == list(presets.names())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["new"], "--list"),
+        (["new", "rig-hand"], "-o my.toml"),
+        (["new", "rig-hnd", "-o", "-"], 'nearest: "rig-hand"'),
+        (["new", "rig-hand", "-o", "DIR"], "directory"),
+        (["new", "rig-hand", "-o", "DIR/no/such/place.toml"], "make it first"),
+        (["check"], "SPEC"),
+        (["check", "DIR"], "directory"),
+        (["check", "DIR/none.toml"], "does not exist"),
+        (["check", "a.toml", "b.toml"], "b.toml"),
+        (["check", "a.toml", "--files-onl"], "--files-only"),
+        (["chek", "a.toml"], '"check"'),
+        (["schema"], "timeline"),
+        (["schema", "spek"], 'nearest: "spec"'),
+        (["schema", "recipe"], "planned"),
+        (["--nonsense"], "--nonsense"),
+    ],
+)
+def test_slips_get_a_sentence_and_status_2(arguments, words, tmp_path, capsys):
+    assert main([argument.replace("DIR", str(tmp_path)) for argument in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert words in err
+    assert "Traceback" not in err
+
+
+def test_check_says_what_the_plan_does(spec, capsys):
+    assert main(["check", "--files-only", str(spec)]) == 0
+    out = capsys.readouterr().out
+    for words in (
+        "2 h 40 min in all: soak 1 h, temperature motion 1 h 40 min; 2 segments",
+        "cycle: 6 min, made 17 times: moves 2 min, other axes 4 min (read every 1 s)",
+        "+360 deg  up to 10 deg/s   1.662 deg/s^2",
+        "readings: 4402",
+        "the axis stands for 2 min",
+    ):
+        assert words in out
+    spec.write_text(presets.text("paper-dynamic-standard"), encoding="utf-8")
+    assert main(["check", "--files-only", str(spec)]) == 0
+    assert "9 h in all: soak 6 h, integration 3 h" in capsys.readouterr().out
+
+
+def test_check_notes_requirements_beyond_the_plan(spec, capsys):
+    spec.write_text(spec.read_text().replace('"70 degC"]\ngradient', '"60 degC"]\ngradient'), encoding="utf-8")
+    assert main(["check", "--files-only", str(spec)]) == 0
+    assert 'note: requirement "full range" goes beyond the plan\'s -30 to 60 degC' in capsys.readouterr().out
+
+
+def test_check_says_what_cannot_be_observed(spec, capsys):
+    assert main(["check", str(spec)]) == 0
+    assert "cannot be observed" not in capsys.readouterr().out
+    # One rate, one way: four powers of the rate cannot be told apart.
+    head, moves = spec.read_text().split("moves = [")
+    rest, _, turn, *_ = moves.strip().splitlines()
+    spec.write_text(f"{head}moves = [\n{rest}\n{turn}\n]\n", encoding="utf-8")
+    assert main(["check", str(spec)]) == 0
+    assert "cannot be observed: " in capsys.readouterr().out
+
+
+def test_schema_prints_json(capsys):
+    assert main(["schema", "prediction"]) == 0
+    assert json.loads(capsys.readouterr().out)["$id"] == "gradcal-prediction/1"
+    assert main(["schema", "--list"]) == 0
+    assert "spec" in capsys.readouterr().out.split()
+
+
+def test_output_is_plain_away_from_a_terminal_and_where_colour_is_unwanted(spec):
+    for environment in ({}, {"NO_COLOR": "1"}, {"TERM": "dumb"}):
+        for arguments in (["--help"], ["check", "--files-only", str(spec)], ["check", "none.toml"], ["chek"]):
+            done = gradcal(*arguments, env={**os.environ, **environment})
+            assert "\x1b" not in done.stdout + done.stderr
+
+
+def test_a_terminal_of_few_letters_gets_no_traceback(spec):
+    spec.write_text(spec.read_text().replace("Berman,", "Bérman √,"), encoding="utf-8")
+    done = gradcal("check", "--files-only", str(spec), env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "B?rman" in done.stdout
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    command = [*GRADCAL, "schema", "spec"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        complaint = process.stderr.read()
+    assert (process.returncode, complaint) == (0, b"")
+
+
+def test_an_interrupt_ends_with_130(monkeypatch, capsys):
+    def interrupted(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gradcal_jax.files.read_spec", interrupted)
+    assert main(["check", "my.toml"]) == 130
+    assert capsys.readouterr().err == "gradcal: interrupted\n"
+
+
+def test_an_unreadable_file_is_a_sentence(tmp_path, capsys):
+    missing = tmp_path / ("x" * 300 + ".toml")
+    assert main(["check", str(missing)]) == 2
+    assert "cannot be read" in capsys.readouterr().err or "does not exist" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(45.45, "45.45 s"), (120.0, "2 min"), (9600.0, "2 h 40 min"), (3601.0, "1 h 1 s"), (0.0, "0 s"), (36e4, "100 h")],
+)
+def test_times_are_said_as_people_say_them(seconds, words):
+    assert time_text(seconds) == words
+
+
+def test_columns_line_up():
+    assert columns([("a", "10"), ("bbb", "2")], indent="", right=(1,)) == "a    10\nbbb   2"
+    assert columns([]) == ""

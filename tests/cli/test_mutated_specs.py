@@ -1,0 +1,154 @@
+"""Random slips in good specs: `check` answers 0 or 2, names the key, and never shows a traceback."""
+
+import copy
+import tomllib
+
+import pytest
+import tomlkit
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gradcal_jax.cli import main
+from gradcal_jax.files import SpecError, presets, spec_of
+from gradcal_jax.files.problems import dotted
+
+GOOD = {name: tomllib.loads(presets.text(name)) for name in presets.names()}
+
+
+def leaves(value, key=()):
+    """Every key of a document, tables and lists included."""
+    found = [key] if key else []
+    if isinstance(value, dict):
+        for name, entry in value.items():
+            found += leaves(entry, (*key, name))
+    elif isinstance(value, list):
+        for i, entry in enumerate(value):
+            found += leaves(entry, (*key, i))
+    return found
+
+
+KEYS = {name: leaves(document) for name, document in GOOD.items()}
+junk = st.one_of(
+    st.text(max_size=12),
+    st.integers(-(10**30), 10**30),
+    st.floats(),
+    st.booleans(),
+    st.just([]),
+    st.just({}),
+    st.lists(st.text(max_size=4), max_size=3),
+    st.dictionaries(st.text(min_size=1, max_size=4), st.integers(-9, 9), max_size=2),
+    st.sampled_from(["nan deg", "-1 deg", "0 s", "1e300 s", "1e-300 deg", "1 K", "5 min", "-5 degC", "1 deg/s", "∞"]),
+)
+mutations = st.one_of(
+    st.just(("delete", None)),
+    st.tuples(st.just("misspell"), st.text("abcdefghijklmnopqrstuvwxyz_", min_size=1, max_size=3)),
+    st.tuples(st.just("set"), junk),
+    st.tuples(st.just("negate"), st.none()),
+    st.tuples(st.just("swap"), st.integers(0, 10_000)),
+    st.tuples(st.just("double"), st.none()),
+)
+
+
+def at(document, key):
+    for part in key:
+        document = document[part]
+    return document
+
+
+def mutate(document, key, mutation, keys):
+    """Apply one slip; returns the key that a message must name if the slip is a fault for certain, else None."""
+    kind, detail = mutation
+    try:
+        parent, last = at(document, key[:-1]), key[-1]
+        value = parent[last]
+    except (KeyError, IndexError, TypeError):  # an earlier slip took it away
+        return None
+    if kind == "delete":
+        del parent[last]
+    elif kind == "misspell" and isinstance(last, str):
+        name = last + detail
+        if name in parent:
+            return None
+        parent[name] = parent.pop(last)
+        return (*key[:-1], name)
+    elif kind == "set":
+        parent[last] = copy.deepcopy(detail)
+    elif kind == "negate" and isinstance(value, str):
+        parent[last] = value[1:] if value.startswith("-") else "-" + value
+    elif kind == "negate" and isinstance(value, int | float) and not isinstance(value, bool):
+        parent[last] = -value
+    elif kind == "swap":
+        other = keys[detail % len(keys)]
+        try:
+            parent[last] = copy.deepcopy(at(document, other))
+        except (KeyError, IndexError, TypeError):
+            return None
+    elif kind == "double" and isinstance(parent, list):
+        parent.append(copy.deepcopy(value))
+    return None
+
+
+@settings(max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(sorted(GOOD)), st.lists(st.tuples(st.integers(0, 10_000), mutations), min_size=1, max_size=3))
+def test_slips_are_named_or_harmless_and_never_a_traceback(tmp_path, capsys, name, slips):
+    document = copy.deepcopy(GOOD[name])
+    keys = KEYS[name]
+    certain = [mutate(document, keys[i % len(keys)], slip, keys) for i, slip in slips]
+    path = tmp_path / "slip.toml"
+    path.write_text(tomlkit.dumps(document), encoding="utf-8", errors="replace")
+    status = main(["check", "--files-only", str(path)])
+    out, err = capsys.readouterr()
+    assert status in (0, 2)
+    assert "Traceback" not in out + err
+    if status == 0:
+        assert err == ""
+        assert "the spec is sound" in out
+    else:
+        assert out == ""
+        assert str(path) in err
+    only = [key for key in certain if key is not None]
+    if len(slips) == 1 and only:
+        assert status == 2
+        assert dotted(only[0]) in err
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(sorted(GOOD)), st.integers(0, 10_000), st.integers(0, 4), st.text(max_size=4))
+def test_slips_of_the_typing_hand_are_a_sentence_too(tmp_path, capsys, name, place, count, typed):
+    text = presets.text(name)
+    place %= len(text)
+    path = tmp_path / "slip.toml"
+    path.write_text(text[:place] + typed + text[place + count :], encoding="utf-8", errors="replace")
+    assert main(["check", "--files-only", str(path)]) in (0, 2)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=200))
+def test_any_bytes_are_a_sentence(tmp_path, capsys, content):
+    path = tmp_path / "noise.toml"
+    path.write_bytes(content)
+    assert main(["check", "--files-only", str(path)]) == 2
+    assert str(path) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-dynamic-standard", "tactical-mems", "consumer-mems"])
+def test_every_key_of_a_preset_is_optional_or_missed(name):
+    """Deleting one key after another: either the plan still stands, or the message names the key or what needs it."""
+    refused = 0
+    for key in KEYS[name]:
+        document = copy.deepcopy(GOOD[name])
+        del at(document, key[:-1])[key[-1]]
+        tops = tops_of_problems(document)
+        assert not tops or tops & {key[0], "requirement"}
+        refused += bool(tops)
+    assert refused >= 10
+
+
+def tops_of_problems(document):
+    """The sections in which a document has problems."""
+    try:
+        spec_of(document)
+    except SpecError as error:
+        return {problem.key[0] for problem in error.problems}
+    return set()

@@ -1,0 +1,335 @@
+"""gradcal-log/1: what was recorded, as labelled arrays with units. NumPy inside, netCDF at the boundary.
+
+    unit      the sensors on one table, by serial number or name          [unit]
+    time      one clock for all of them, strictly increasing, s           [time]
+    rate      integrated or sampled angular rate, rad/s                   [unit, time, axis]
+
+A log never loses a row silently: `rows_read` is what the source held, `rows_removed` counts the rows that could not be
+kept (by reason), and `status` says of every row that was kept whether it is usable, for each unit, and if not, why.
+"""
+
+import importlib
+import json
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from enum import IntFlag
+from pathlib import Path
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax.files.problems import nearest
+
+FORMAT: Final = "gradcal-log/1"
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+Flags = NDArray[np.uint16]
+Bools = NDArray[np.bool_]
+
+
+class LogError(ValueError):
+    """A record that cannot be used; the message is a sentence that says why and what to do."""
+
+
+class Reason(IntFlag):
+    """Why a row of a unit is masked; a row may have several, and is counted under the first."""
+
+    MISSING_RATE = 1
+    SATURATED = 2
+    MARKED = 4
+    MISSING_TEMPERATURE = 8
+    FROZEN_TEMPERATURE = 16
+    LEFT_OUT = 32
+
+    @property
+    def words(self) -> str:
+        """As people say it: ``frozen temperature``."""
+        return (self.name or "").lower().replace("_", " ")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One kind of fault that was found in a record, and what was done about it."""
+
+    kind: str
+    """``gap``, ``duplicate stamp``, ``unordered stamp``, ``unreadable row``, ``missing rate``, ``saturated``, …"""
+    done: str
+    """``mask``, ``split`` or ``keep``; ``refuse`` raises instead."""
+    count: int
+    """Rows concerned; for gaps, how many gaps; 0 for faults of the record as a whole."""
+    message: str
+    """A sentence."""
+
+
+@dataclass(frozen=True)
+class EvenSeries:
+    """One axis of one unit on an even grid, as `gradcal_jax.identify` takes it."""
+
+    rate_rad_per_s: Floats
+    valid: Bools
+    sample_interval_s: float
+    temperature_c: Floats | None
+    row: Whole
+    """The row of the log behind each point; -1 where a gap stands."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A recording. Arrays are SI (°C for temperatures) and never changed in place; see the module's head for shapes."""
+
+    time_s: Floats
+    """[time]"""
+    rate_rad_per_s: Floats
+    """[unit, time, axis]"""
+    units: tuple[str, ...]
+    axes: tuple[str, ...]
+    temperature_c: Floats | None = None
+    """[unit, time]"""
+    table_axes: tuple[str, ...] = ()
+    table_angle_rad: Floats | None = None
+    """[time, table axis]; not wrapped."""
+    table_rate_rad_per_s: Floats | None = None
+    """[time, table axis]"""
+    standstill: Whole | None = None
+    """[time]; the number of the standstill a row belongs to, -1 while the table moves."""
+    host_time_s: Floats | None = None
+    """[time]; the computer's stamp of each row, where the sensor has a clock of its own."""
+    status: Flags | None = None
+    """[unit, time]; 0 where usable, otherwise `Reason`s. `None`: all usable."""
+    stretch_starts: Whole = field(default_factory=lambda: np.zeros(1, np.int64))
+    """The row at which each unbroken stretch begins; the first is 0."""
+    rows_read: int = -1
+    """What the source held; -1: exactly these rows."""
+    rows_removed: Mapping[str, int] = field(default_factory=dict[str, int])
+    findings: tuple[Finding, ...] = ()
+    simulated: bool = False
+    provenance: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def __post_init__(self) -> None:
+        rows = len(self.time_s)
+        shape = (len(self.units), rows, len(self.axes))
+        if self.time_s.ndim != 1 or rows < 2:
+            raise LogError(f"a log needs at least two rows, not {rows}")
+        if not (np.isfinite(self.time_s).all() and np.all(np.diff(self.time_s) > 0)):
+            raise LogError("the times of a log must increase from row to row")
+        if self.rate_rad_per_s.shape != shape or 0 in shape:
+            raise LogError(f"the rates have the shape {self.rate_rad_per_s.shape}, where [unit, time, axis] is {shape}")
+        expected: dict[str, tuple[NDArray[Any] | None, tuple[int, ...]]] = {
+            "temperature": (self.temperature_c, shape[:2]),
+            "table angle": (self.table_angle_rad, (rows, len(self.table_axes))),
+            "table rate": (self.table_rate_rad_per_s, (rows, len(self.table_axes))),
+            "standstill": (self.standstill, (rows,)),
+            "host time": (self.host_time_s, (rows,)),
+            "status": (self.status, shape[:2]),
+        }
+        for name, (array, wanted) in expected.items():
+            if array is not None and array.shape != wanted:
+                raise LogError(f"the {name} has the shape {array.shape} instead of {wanted}")
+        for name, labels in (("unit", self.units), ("axis", self.axes), ("table axis", self.table_axes)):
+            if len(set(labels)) != len(labels):
+                raise LogError(f"two of the log's {name} labels are the same: {', '.join(labels)}")
+        starts = self.stretch_starts
+        if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= rows:
+            raise LogError("the stretches of a log must begin at increasing rows, the first at row 0")
+        if self.rows_read < 0:
+            object.__setattr__(self, "rows_read", rows + sum(self.rows_removed.values()))
+        if self.rows_read != rows + sum(self.rows_removed.values()):
+            raise LogError(
+                f"of {self.rows_read} rows read, {rows} were kept and {sum(self.rows_removed.values())} removed"
+            )
+
+    @property
+    def duration_s(self) -> float:
+        """From the first stamp to the last, s."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def sample_interval_s(self) -> float:
+        """Mean interval within the stretches, s; the median where no stretch has two rows."""
+        interval = np.diff(self.time_s)
+        inside = np.ones(len(interval), bool)
+        inside[self.stretch_starts[1:] - 1] = False
+        return float(interval[inside].mean()) if inside.any() else float(np.median(interval))
+
+    def unit_index(self, unit: str | int) -> int:
+        """The number of a unit given by name or number. Raises `LogError`."""
+        return _index(unit, self.units, "unit")
+
+    def axis_index(self, axis: str | int) -> int:
+        """The number of an axis given by name or number. Raises `LogError`."""
+        return _index(axis, self.axes, "axis")
+
+    def usable(self, unit: str | int = 0) -> Bools:
+        """Which rows of a unit are not masked. [time]"""
+        if self.status is None:
+            return np.ones(len(self.time_s), bool)
+        return self.status[self.unit_index(unit)] == 0
+
+    def counts(self, unit: str | int = 0) -> dict[str, int]:
+        """Where every row read went: ``used``, then removed and masked rows by reason. They add up to `rows_read`."""
+        result = {"used": int(np.count_nonzero(self.usable(unit))), **self.rows_removed}
+        if self.status is not None:
+            status = self.status[self.unit_index(unit)]
+            first = status & (~status + np.uint16(1))  # the lowest bit alone
+            for reason in Reason:
+                count = int(np.count_nonzero(first == reason.value))
+                if count:
+                    result[reason.words] = result.get(reason.words, 0) + count
+        return result
+
+    def even(self, axis: str | int = 0, unit: str | int = 0) -> EvenSeries:
+        """One axis on an even grid, one invalid point standing for each gap however long: no window may span one.
+
+        The interval is the mean one; that stamps jitter about it does not matter to sums of rates.
+        """
+        unit_number, axis_number = self.unit_index(unit), self.axis_index(axis)
+        rows = len(self.time_s)
+        row = np.insert(np.arange(rows), self.stretch_starts[1:], -1)
+        there = row >= 0
+        valid = there & self.usable(unit)[row]
+        rate = np.where(there, self.rate_rad_per_s[unit_number, row, axis_number], 0.0)
+        rate[~valid] = 0.0
+        temperature = None
+        if self.temperature_c is not None:
+            temperature = np.where(there, self.temperature_c[unit_number, row], np.nan)
+        return EvenSeries(rate, valid, self.sample_interval_s, temperature, row)
+
+
+def write_log(log: Log, path: str | Path) -> None:
+    """Write a log as netCDF (HDF5), for any program that reads labelled arrays. Raises `LogError` where it cannot."""
+    xarray: Any = importlib.import_module("xarray")
+
+    def variable(dimensions: tuple[str, ...], values: NDArray[Any], unit: str, words: str) -> Any:
+        return (dimensions, values, {"units": unit, "long_name": words})
+
+    variables: dict[str, Any] = {
+        "rate": variable(("unit", "time", "axis"), log.rate_rad_per_s, "rad s-1", "angular rate of the sensor")
+    }
+    optional: tuple[tuple[str, tuple[str, ...], NDArray[Any] | None, str, str], ...] = (
+        ("temperature", ("unit", "time"), log.temperature_c, "degC", "temperature of the sensor"),
+        ("table_angle", ("time", "table_axis"), log.table_angle_rad, "rad", "angle of the table, not wrapped"),
+        ("table_rate", ("time", "table_axis"), log.table_rate_rad_per_s, "rad s-1", "rate of the table"),
+        ("standstill", ("time",), log.standstill, "1", "number of the standstill, -1 while moving"),
+        ("host_time", ("time",), log.host_time_s, "s", "stamp of the computer"),
+        ("status", ("unit", "time"), log.status, "1", "0 usable, otherwise bits: " + _bits()),
+    )
+    for name, dimensions, values, unit, words in optional:
+        if values is not None:
+            variables[name] = variable(dimensions, values, unit, words)
+    variables["stretch_start"] = variable(("stretch",), log.stretch_starts, "1", "row at which a stretch begins")
+    coordinates: dict[str, Any] = {
+        "time": ("time", log.time_s, {"units": "s", "long_name": "stamp of the sensor's clock"}),
+        "unit": ("unit", list(log.units)),
+        "axis": ("axis", list(log.axes)),
+    }
+    if log.table_axes:
+        coordinates["table_axis"] = ("table_axis", list(log.table_axes))
+    attributes = {
+        "format": FORMAT,
+        "rows_read": log.rows_read,
+        "rows_removed": json.dumps(dict(log.rows_removed)),
+        "findings": json.dumps([asdict(finding) for finding in log.findings], ensure_ascii=False),
+        "simulated": int(log.simulated),
+        "provenance": json.dumps(dict(log.provenance), ensure_ascii=False),
+    }
+    dataset = xarray.Dataset(variables, coords=coordinates, attrs=attributes)
+    try:
+        dataset.to_netcdf(path, engine="h5netcdf")
+    except OSError as error:
+        raise LogError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
+def read_log(path: str | Path) -> Log:
+    """Read a log that `write_log` wrote. Raises `LogError` for anything else, with a sentence."""
+    xarray: Any = importlib.import_module("xarray")
+    path = Path(path)
+    if not path.exists():
+        raise LogError(f"{path} does not exist")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what other programs' files lack; the sentences below say what matters
+            # Stamps are plain seconds, never calendar dates.
+            with xarray.open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
+                dataset: Any = opened.load()
+    except Exception as error:  # whatever HDF5 makes of bytes that are no netCDF
+        raise LogError(f"{path} is no netCDF file that can be read ({type(error).__name__}): import it first") from None
+    found = str(dataset.attrs.get("format"))
+    if found != FORMAT:
+        raise LogError(f'{path} has the format "{found}", where this program reads "{FORMAT}"')
+    try:
+        return _from_dataset(dataset)
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise LogError(f"{path} is not a whole log: {error}") from None
+
+
+_UNITS: Final = {
+    "time": "s",
+    "rate": "rad s-1",
+    "temperature": "degC",
+    "table_angle": "rad",
+    "table_rate": "rad s-1",
+    "host_time": "s",
+}
+
+
+def _from_dataset(dataset: Any) -> Log:
+    def array(name: str, dimensions: tuple[str, ...], kind: type[np.generic], needed: bool = False) -> Any:
+        if name not in dataset.variables:
+            if needed:
+                raise LogError(f"there is no variable '{name}'")
+            return None
+        values = dataset[name]
+        unit = str(values.attrs.get("units", "1"))
+        if unit != _UNITS.get(name, "1"):
+            raise LogError(f"'{name}' is in '{unit}', where a log holds '{_UNITS.get(name, '1')}': convert and say so")
+        if set(values.dims) != set(dimensions):
+            raise LogError(f"'{name}' runs over {values.dims} instead of {dimensions}")
+        return np.ascontiguousarray(values.transpose(*dimensions).values, dtype=kind)
+
+    def labels(name: str) -> tuple[str, ...]:
+        return tuple(str(label) for label in dataset[name].values) if name in dataset.variables else ()
+
+    def table(name: str) -> Any:
+        return json.loads(str(dataset.attrs.get(name, "null")))
+
+    return Log(
+        time_s=array("time", ("time",), np.float64, needed=True),
+        rate_rad_per_s=array("rate", ("unit", "time", "axis"), np.float64, needed=True),
+        units=labels("unit"),
+        axes=labels("axis"),
+        temperature_c=array("temperature", ("unit", "time"), np.float64),
+        table_axes=labels("table_axis"),
+        table_angle_rad=array("table_angle", ("time", "table_axis"), np.float64),
+        table_rate_rad_per_s=array("table_rate", ("time", "table_axis"), np.float64),
+        standstill=array("standstill", ("time",), np.int64),
+        host_time_s=array("host_time", ("time",), np.float64),
+        status=array("status", ("unit", "time"), np.uint16),
+        stretch_starts=array("stretch_start", ("stretch",), np.int64, needed=True),
+        rows_read=int(dataset.attrs["rows_read"]),
+        rows_removed={str(k): int(v) for k, v in cast("dict[str, Any]", table("rows_removed") or {}).items()},
+        findings=tuple(Finding(**item) for item in cast("list[dict[str, Any]]", table("findings") or [])),
+        simulated=bool(int(dataset.attrs.get("simulated", 0))),
+        provenance={str(k): str(v) for k, v in cast("dict[str, Any]", table("provenance") or {}).items()},
+    )
+
+
+def _index(label: str | int, labels: tuple[str, ...], kind: str) -> int:
+    if isinstance(label, int):
+        if 0 <= label < len(labels):
+            return label
+        raise LogError(f"there is no {kind} number {label}: the log has {len(labels)}, counted from 0")
+    if label in labels:
+        return labels.index(label)
+    close = nearest(label, labels)
+    raise LogError(
+        f"there is no {kind} '{label}' in this log; "
+        + (f"nearest: '{close}'" if close else f"it has {', '.join(labels)}")
+    )
+
+
+def _bits() -> str:
+    return ", ".join(f"{reason.value} {reason.words}" for reason in Reason)

@@ -1,0 +1,428 @@
+"""From raw columns to a log: what recordings get wrong, found, named, and dealt with by a stated policy.
+
+    fault                       found by                                                              may be
+    unreadable row              its time is no number of seconds                                      mask, refuse
+    duplicate stamp             its time is that of an earlier row                                    mask, refuse
+    unordered stamp             its time is before that of an earlier row                             mask, refuse
+    gap                         an interval that later stamps do not make up for (jitter they do)     split, refuse
+    missing rate                a rate that is no finite number                                       mask, refuse
+    saturated                   at full scale, or stuck at its own extreme three rows on end          mask, keep, refuse
+    marked                      the device's own status                                               mask, keep, refuse
+    missing temperature         a temperature that is no finite number                                mask, keep, refuse
+    frozen temperature          unchanged for long, in a record where it changes                      mask, keep, refuse
+    wrong unit                  sizes that no sensor has; a factor against the table or stated rate   keep, refuse
+    clock drift                 sample rate against the stated one, against the host, or wandering    keep, refuse
+
+*mask* takes the rows out of use and counts them, *split* makes two stretches, *keep* only reports, *refuse* raises.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax.files.log import Finding, Log, LogError, Reason
+from gradcal_jax.files.section import Section
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_FASTEST_RATE: Final = 90.0
+"""rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""
+_GAP: Final = 1.6
+"""Intervals: less is jitter."""
+_WINDOW: Final = 5
+"""Rows on either side over which stamps make up for jitter."""
+_STUCK: Final = 3
+_FROZEN_S: Final = 30.0
+_DRIFT: Final = 50e-6
+"""Clock errors smaller than this are those of any crystal."""
+_ABSURD: Final = 1e12
+"""No time (s), rate or temperature is as large: such a number was never a reading."""
+_FACTORS: Final[Mapping[str, float]] = {
+    "deg for rad (or the reverse)": 180 / np.pi,
+    "a thousandth": 1e3,
+    "per hour for per second": 3600.0,
+    "per minute for per second": 60.0,
+}
+
+
+class Policy(Section):
+    """What to do with each fault; see the module's head."""
+
+    unreadable_rows: Literal["mask", "refuse"] = "mask"
+    duplicate_stamps: Literal["mask", "refuse"] = "mask"
+    unordered_stamps: Literal["mask", "refuse"] = "mask"
+    gaps: Literal["split", "refuse"] = "split"
+    missing_rates: Literal["mask", "refuse"] = "mask"
+    saturated: Literal["mask", "keep", "refuse"] = "mask"
+    marked: Literal["mask", "keep", "refuse"] = "mask"
+    missing_temperatures: Literal["mask", "keep", "refuse"] = "mask"
+    frozen_temperatures: Literal["mask", "keep", "refuse"] = "mask"
+    wrong_units: Literal["keep", "refuse"] = "refuse"
+    clock_drift: Literal["keep", "refuse"] = "keep"
+
+
+@dataclass
+class Columns:
+    """What a source held, in SI, row by row and unchecked; shapes as in `Log`."""
+
+    rate_rad_per_s: Floats
+    units: tuple[str, ...]
+    axes: tuple[str, ...]
+    time_s: Floats | None = None
+    """`None`: evenly sampled at `sample_rate_hz`."""
+    sample_rate_hz: float | None = None
+    """The stated sample rate, where there is one."""
+    full_scale_rad_per_s: float | None = None
+    temperature_c: Floats | None = None
+    table_axes: tuple[str, ...] = ()
+    table_angle_rad: Floats | None = None
+    table_rate_rad_per_s: Floats | None = None
+    standstill: Floats | None = None
+    """As read: truth values (counted up run by run) or numbers, negative while moving."""
+    host_time_s: Floats | None = None
+    """Of any origin."""
+    marked: Bools | None = None
+    """[unit, time]; true where the device says that its output is no good."""
+    left_out: Bools | None = None
+    """[time]; rows left out on request."""
+    simulated: bool = False
+    provenance: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+def examine(columns: Columns, policy: Policy | None = None) -> Log:
+    """The log that a source's columns hold, with every fault found and dealt with as the policy says.
+
+    Rows are removed only where their stamp is of no use; all others stay, masked unit by unit. Nothing is dropped
+    uncounted: for every unit, used and masked rows and removed rows add up to the rows of the source.
+
+    **Raises:** `LogError` where the policy refuses a fault, and where fewer than two rows are left.
+    """
+    # What overflows or divides by zero among absurd numbers is absurd too, and is compared as such.
+    with np.errstate(all="ignore"):
+        return _Examination(columns, policy or Policy()).log()
+
+
+class _Examination:
+    def __init__(self, columns: Columns, policy: Policy) -> None:
+        self.raw = columns
+        self.policy = policy
+        self.findings: list[Finding] = []
+        self.removed: dict[str, int] = {}
+
+    def log(self) -> Log:
+        raw = self.raw
+        rows_read = raw.rate_rad_per_s.shape[1]
+        time, kept = self.ordered(rows_read)
+
+        def of(values: Floats | None) -> Floats | None:
+            """The kept rows of an array over [time, …]."""
+            return None if values is None else values[kept]
+
+        rate = raw.rate_rad_per_s[:, kept]
+        temperature = None if raw.temperature_c is None else raw.temperature_c[:, kept]
+        marked = None if raw.marked is None else raw.marked[:, kept]
+        table_angle, table_rate, host = of(raw.table_angle_rad), of(raw.table_rate_rad_per_s), of(raw.host_time_s)
+        starts = self.stretches(time)
+        status = np.zeros(rate.shape[:2], np.uint16)
+        if raw.left_out is not None:
+            status[:, raw.left_out[kept]] |= Reason.LEFT_OUT.value
+        self.rates(rate, status)
+        if marked is not None:
+            self.mask(status, marked, Reason.MARKED, self.policy.marked, "are marked bad by the device")
+        if temperature is not None:
+            self.temperatures(time, temperature, starts, status)
+        self.sizes(time, rate, temperature, table_angle, table_rate, status)
+        self.clock(time, starts, host)
+        return Log(
+            time_s=time,
+            rate_rad_per_s=rate,
+            units=raw.units,
+            axes=raw.axes,
+            temperature_c=temperature,
+            table_axes=raw.table_axes,
+            table_angle_rad=table_angle,
+            table_rate_rad_per_s=table_rate,
+            standstill=_numbered(of(raw.standstill)),
+            host_time_s=host,
+            status=status,
+            stretch_starts=starts,
+            rows_read=rows_read,
+            rows_removed=self.removed,
+            findings=tuple(self.findings),
+            simulated=raw.simulated,
+            provenance=dict(raw.provenance),
+        )
+
+    def found(self, kind: str, action: str, count: int, message: str) -> None:
+        """Note a fault, or raise where it is to be refused."""
+        if action == "refuse":
+            raise LogError(f"{message}; the policy refuses that")
+        self.findings.append(Finding(kind, action, count, message))
+
+    def mask(self, status: NDArray[np.uint16], where: Bools, reason: Reason, action: str, words: str) -> None:
+        count = int(np.count_nonzero(where))
+        if count == 0:
+            return
+        unit, row = np.argwhere(where)[0]
+        named = f" of unit {self.raw.units[unit]}" if len(self.raw.units) > 1 else ""
+        self.found(reason.words, action, count, f"{_rows(count)} {words}, first row {row}{named}")
+        if action == "mask":
+            status[where] |= reason.value
+
+    def ordered(self, rows: int) -> tuple[Floats, Bools]:
+        """The times that increase, and which rows of the source they are."""
+        raw = self.raw
+        if raw.time_s is None:
+            if raw.sample_rate_hz is None:
+                raise LogError("there are neither time stamps nor a sample rate: give one of them")
+            return np.arange(rows) / raw.sample_rate_hz, np.ones(rows, bool)
+        time = raw.time_s
+        readable = np.abs(time) < _ABSURD
+        earlier = np.maximum.accumulate(np.where(readable, time, -np.inf))
+        before = np.concatenate([[-np.inf], earlier[:-1]])[:rows]
+        duplicate = readable & (time == before)
+        unordered = readable & (time < before)
+        for kind, where, action, words in (
+            ("unreadable row", ~readable, self.policy.unreadable_rows, "have no readable time"),
+            ("duplicate stamp", duplicate, self.policy.duplicate_stamps, "repeat an earlier stamp"),
+            ("unordered stamp", unordered, self.policy.unordered_stamps, "are stamped before an earlier row"),
+        ):
+            count = int(np.count_nonzero(where))
+            if count:
+                self.found(kind, action, count, f"{_rows(count)} {words}, first row {int(np.argmax(where))}")
+                self.removed[kind] = count
+        kept = readable & ~duplicate & ~unordered
+        if np.count_nonzero(kept) < 2:
+            raise LogError(f"of {rows} rows only {np.count_nonzero(kept)} have a time later than the rows before them")
+        if np.count_nonzero(unordered) > rows / 2:
+            first = int(np.argmax(unordered))
+            raise LogError(f"the clock steps back at row {first}, and most rows follow: split the record there")
+        return time[kept], kept
+
+    def stretches(self, time: Floats) -> NDArray[np.int64]:
+        interval = np.diff(time)
+        usual = float(np.median(interval))
+        suspect = np.flatnonzero(interval > _GAP * usual)
+        # Late stamps are followed by early ones; after a gap nothing is made up for.
+        first = np.maximum(suspect - _WINDOW, 0)
+        last = np.minimum(suspect + 1 + _WINDOW, len(time) - 1)
+        lost = (time[last] - time[first]) / usual - (last - first)
+        gaps = suspect[lost > _GAP - 1.0]
+        if len(gaps):
+            seconds = float(np.sum(interval[gaps])) - usual * len(gaps)
+            dropped = round(seconds / usual)
+            longest = float(np.max(interval[gaps]))
+            self.found(
+                "gap",
+                self.policy.gaps,
+                len(gaps),
+                f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
+                f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept",
+            )
+        return np.concatenate([[0], gaps + 1]).astype(np.int64)
+
+    def rates(self, rate: Floats, status: NDArray[np.uint16]) -> None:
+        missing = np.any(~(np.abs(rate) < _ABSURD), axis=2)
+        self.mask(status, missing, Reason.MISSING_RATE, self.policy.missing_rates, "lack a rate")
+        full = self.raw.full_scale_rad_per_s
+        if full is not None:
+            where = np.asarray(np.any(np.abs(rate) >= full * (1 - 1e-9), axis=2))
+            words = "are at full scale"
+        else:
+            where = np.zeros(rate.shape[:2], bool)
+            for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
+                where[unit] |= _stuck_at_extreme(rate[unit, :, axis])
+            words = "are stuck at the largest or least rate of the record"
+        self.mask(status, where, Reason.SATURATED, self.policy.saturated, words)
+
+    def temperatures(
+        self, time: Floats, temperature: Floats, starts: NDArray[np.int64], status: NDArray[np.uint16]
+    ) -> None:
+        missing = ~(np.abs(temperature) < _ABSURD)
+        self.mask(status, missing, Reason.MISSING_TEMPERATURE, self.policy.missing_temperatures, "lack a temperature")
+        known = np.where(missing, np.nan, temperature)
+        frozen = np.stack([_frozen(time, values, starts) for values in known])
+        whole = [name for name, rows in zip(self.raw.units, frozen, strict=True) if rows.all()]
+        if whole:
+            self.found(
+                "constant temperature",
+                "keep",
+                0,
+                f"the temperature of {', '.join(whole)} never changes: constant, or not connected?",
+            )
+            frozen[frozen.all(axis=1)] = False
+        self.mask(
+            status,
+            frozen,
+            Reason.FROZEN_TEMPERATURE,
+            self.policy.frozen_temperatures,
+            "have a temperature that stands still while others of the record move",
+        )
+
+    def sizes(
+        self,
+        time: Floats,
+        rate: Floats,
+        temperature: Floats | None,
+        table_angle: Floats | None,
+        table_rate: Floats | None,
+        status: NDArray[np.uint16],
+    ) -> None:
+        action = self.policy.wrong_units
+        usable = status == 0
+        for unit, name in enumerate(self.raw.units):
+            rows = usable[unit]
+            if not rows.any():
+                continue
+            large = float(np.percentile(np.abs(rate[unit, rows]), 99))
+            if large > _FASTEST_RATE:
+                text = f"the rates of {name} reach {np.degrees(large):.3g} deg/s: are they stated in too large a unit?"
+                self.found("wrong unit", action, 0, text)
+            if temperature is not None:
+                known = temperature[unit, rows & np.isfinite(temperature[unit])]
+                middle = float(np.median(known)) if len(known) else 20.0
+                if not -100.0 < middle < 200.0:
+                    text = f"the temperature of {name} is about {middle:.0f} degC: is its unit K, degF, or counts?"
+                    self.found("wrong unit", action, 0, text)
+        interval = float(np.median(np.diff(time)))
+        stated = self.raw.sample_rate_hz
+        if stated is not None:
+            ratio = interval * stated
+            decimal = round(float(np.clip(np.log10(ratio), -300, 300)))
+            if decimal != 0 and abs(ratio / 10.0**decimal - 1) < 0.1:
+                text = f"stamps are {ratio:.3g} times as far apart as at the stated rate: are they in another unit?"
+                self.found("wrong unit", action, 0, text)
+        elif not 1e-6 < interval < 3600.0:
+            self.found("wrong unit", action, 0, f"stamps are {interval:.3g} s apart: are they in another unit?")
+        if table_rate is None and table_angle is not None:
+            table_rate = np.gradient(table_angle, time, axis=0)
+        if table_rate is not None:
+            self.against_table(rate, table_rate, usable, action)
+
+    def against_table(self, rate: Floats, table_rate: Floats, usable: Bools, action: str) -> None:
+        """A table axis and a sensor axis that move as one, but by a factor that is one of units."""
+        for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
+            for table_axis in range(table_rate.shape[1]):
+                reference = table_rate[:, table_axis]
+                rows = usable[unit] & np.isfinite(reference)
+                if np.count_nonzero(rows) < 10:
+                    continue
+                x, y = reference[rows] - reference[rows].mean(), rate[unit, rows, axis] - rate[unit, rows, axis].mean()
+                power = float(np.sqrt((x @ x) * (y @ y)))
+                if power == 0.0 or not np.isfinite(power) or abs(float(x @ y)) < 0.98 * power:
+                    continue
+                slope = abs(float(x @ y / (x @ x)))
+                for words, factor in _FACTORS.items():
+                    if abs(slope / factor - 1) < 0.05 or abs(slope * factor - 1) < 0.05:
+                        text = (
+                            f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} shows {slope:.4g} times the rate of "
+                            f"table axis {self.raw.table_axes[table_axis]}: a wrong unit ({words})?"
+                        )
+                        self.found("wrong unit", action, 0, text)
+
+    def clock(self, time: Floats, starts: NDArray[np.int64], host: Floats | None) -> None:
+        action = self.policy.clock_drift
+        interval = np.diff(time)
+        inside = np.ones(len(interval), bool)
+        inside[starts[1:] - 1] = False
+        stated = self.raw.sample_rate_hz
+        mean = float(interval[inside].mean()) if inside.any() else float(np.median(interval))
+        if stated is not None and self.raw.time_s is not None:
+            error = mean * stated - 1
+            if _DRIFT < abs(error) < 0.2:
+                text = f"the samples are {error * 1e6:+.0f} ppm longer than at the stated {stated:g} Hz"
+                self.found("clock drift", action, 0, text)
+        if host is not None and bool(np.all(np.abs(host) < _ABSURD)) and len(host) > 2:
+            x, y = time - time.mean(), host - host.mean()
+            slope = float(x @ y / (x @ x))
+            # Stamps of the host jitter by milliseconds: only what stands out of that is drift.
+            uncertain = float(np.std(y - slope * x) / (np.std(x) * np.sqrt(len(x))))
+            if abs(slope - 1) > _DRIFT + 3 * uncertain and slope > 0:
+                text = f"the sensor's clock runs {(1 / slope - 1) * 1e6:+.0f} ppm fast against the host's"
+                self.found("clock drift", action, 0, text)
+        wander = _wander(interval[inside])
+        if wander > _DRIFT:
+            text = f"the sample interval wanders by {wander * 1e6:.0f} ppm (rms) in the course of the record"
+            self.found("clock drift", action, 0, text)
+
+
+def _stuck_at_extreme(values: Floats) -> Bools:
+    """Rows of runs of `_STUCK` and more at the largest or the least value, where that stands far from the others."""
+    result = np.zeros(len(values), bool)
+    finite = np.isfinite(values)
+    if not finite.any():
+        return result
+    middle = float(np.median(values[finite]))
+    usual = float(np.median(np.abs(values[finite] - middle)))
+    for extreme in (float(values[finite].max()), float(values[finite].min())):
+        if abs(extreme - middle) > 20 * usual > 0:
+            for start, stop in _runs(values == extreme):
+                result[start:stop] |= stop - start >= _STUCK
+    return result
+
+
+def _frozen(time: Floats, values: Floats, starts: NDArray[np.int64]) -> Bools:
+    """Rows whose temperature does not change for far longer than is usual in this record, all if it never does."""
+    result = np.zeros(len(values), bool)
+    known = np.isfinite(values)
+    if not known.any():
+        return result
+    changes = np.ones(len(values), bool)
+    changes[1:] = (values[1:] != values[:-1]) & (known[1:] | known[:-1])
+    changes[starts] = True
+    begin = np.flatnonzero(changes)
+    end = np.append(begin[1:], len(values))
+    lasting = time[np.minimum(end, len(time) - 1)] - time[begin]
+    if np.ptp(values[known]) == 0.0:
+        return known if time[-1] - time[0] > _FROZEN_S else result
+    finite = known[begin]
+    # A coarse sensor on a slow ramp repeats itself too, but evenly so; and what was frozen comes back with a jump.
+    usual = float(np.median(lasting[finite]))
+    jump = np.abs(np.diff(values[begin]))
+    step = float(np.median(jump[np.isfinite(jump)])) if np.isfinite(jump).any() else 0.0
+    after = np.append(jump, np.inf)
+    long = finite & (lasting > max(_FROZEN_S, 10 * usual)) & ((after > 4 * step) | (lasting > 100 * usual))
+    for index in np.flatnonzero(long):
+        result[begin[index] : end[index]] = True
+    return result
+
+
+def _wander(interval: Floats, blocks: int = 50) -> float:
+    """How far block means of the interval stray from their mean, beyond what jitter explains; relative rms."""
+    size = len(interval) // blocks
+    if size < 4:
+        return 0.0
+    table = interval[: size * blocks].reshape(blocks, size)
+    means = table.mean(axis=1)
+    # Jitter of stamps cancels in a block but for its ends.
+    jitter = np.sqrt(2) * float(np.std(table - means[:, None])) / size
+    excess = float(np.var(means)) - 4 * jitter**2
+    return float(np.sqrt(max(excess, 0.0))) / float(means.mean())
+
+
+def _runs(where: Bools) -> list[tuple[int, int]]:
+    padded = np.zeros(len(where) + 2, np.int8)
+    padded[1:-1] = where
+    edges = np.flatnonzero(np.diff(padded)).reshape(-1, 2)
+    return [(start, stop) for start, stop in edges.tolist()]
+
+
+def _numbered(standstill: Floats | None) -> NDArray[np.int64] | None:
+    """Numbers of standstills: those given, or truth values counted up run by run; -1 while moving."""
+    if standstill is None:
+        return None
+    known = np.where(np.isfinite(standstill), standstill, -1.0)
+    if np.isin(known, (0.0, 1.0)).all():
+        result = np.full(len(known), -1, np.int64)
+        for number, (start, stop) in enumerate(_runs(known == 1.0)):
+            result[start:stop] = number
+        return result
+    return np.maximum(np.rint(np.clip(known, -1, 2**53)), -1).astype(np.int64)
+
+
+def _rows(count: int) -> str:
+    return "1 row" if count == 1 else f"{count} rows"

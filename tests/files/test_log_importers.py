@@ -1,0 +1,279 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from gradcal_jax.files.importers import import_log, parse_column_map, read_column_map
+from gradcal_jax.files.log import LogError
+from gradcal_jax.files.matlab_file import read_matlab
+from gradcal_jax.files.problems import SpecError
+
+HEAD = 'format = "gradcal-columns/1"\n'
+PLAIN = HEAD + 'time = { column = "t", unit = "ms" }\nrate.x = { column = "gx", unit = "deg/s" }\n'
+RNG = np.random.default_rng(0)
+RATES = RNG.standard_normal((50, 3))
+
+
+def plain(extra=""):
+    return parse_column_map(PLAIN + extra)
+
+
+def refused(text):
+    with pytest.raises(SpecError) as caught:
+        parse_column_map(text)
+    return str(caught.value)
+
+
+def test_text_tables_in_their_many_layouts(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"{10 * i},{i % 3},{20 + i / 8}" for i in range(40)]
+    path.write_text("t,gx,temp\n" + "\n".join(rows) + "\n")
+    log = import_log(path, plain('temperature = { column = "temp", unit = "degC" }\n'))
+    np.testing.assert_allclose(log.time_s, np.arange(40) * 0.01)
+    np.testing.assert_allclose(log.rate_rad_per_s[0, :, 0], np.radians(np.arange(40) % 3))
+    assert log.temperature_c[0, -1] == 20 + 39 / 8
+    assert log.counts() == {"used": 40}
+    assert log.provenance == {"source": "run.csv"}
+
+    path.write_text("\ufeffsome words\r\n# a remark\r\n# t; gx\r\n" + "\r\n".join(r.replace(",", ";") for r in rows))
+    again = import_log(path, plain('[csv]\ndelimiter = ";"\nskip = 1\n'))
+    np.testing.assert_array_equal(again.rate_rad_per_s, log.rate_rad_per_s)
+
+    path.write_text("\n\n".join(r.replace(",", "   ") for r in rows))
+    by_number = HEAD + 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
+    again = import_log(path, parse_column_map(by_number + '[csv]\ndelimiter = "whitespace"\nheader = false\n'))
+    np.testing.assert_array_equal(again.rate_rad_per_s, log.rate_rad_per_s)
+
+
+def test_torn_rows_are_counted_and_the_others_kept(tmp_path):
+    path = tmp_path / "torn.csv"
+    path.write_text('t,gx\n0,1\n10\n20,abc\n,5\n30,"2"\n# remark\n\n40,1_0\n50,3 # said later\nnan,1\n60,4,7,8\n')
+    log = import_log(path, plain())
+    # 9 rows: two without time; of the others three without rate.
+    assert log.rows_read == 9
+    assert log.counts() == {"used": 4, "unreadable row": 2, "missing rate": 3}
+    np.testing.assert_allclose(np.degrees(log.rate_rad_per_s[0, log.usable(), 0]), [1, 2, 3, 4])
+
+
+def test_scale_zero_and_units_of_counts(tmp_path):
+    path = tmp_path / "counts.npz"
+    counts = np.array([[100, 0], [-32768, 1], [32767, 1], [0, 0]], np.int16)
+    fahrenheit = np.array([32.0, 50.0, 68.0, 212.0])
+    stamps = 1_700_000_000_000_000_000 + np.array([0, 1, 2, 3]) * 10_000_000
+    np.savez(path, gyro=counts, t=stamps, flags=np.array([0, 0, 4, 0], np.uint8), f=fahrenheit)
+    log = import_log(
+        path,
+        parse_column_map(
+            HEAD + 'time = { column = "t", unit = "ns" }\nstatus = { column = "flags" }\n'
+            'temperature = { column = "f", unit = "degF" }\n'
+            'rate.x = { column = "gyro", index = 0, unit = "mdps", scale = 8.75, zero = 100 }\n'
+        ),
+    )
+    np.testing.assert_allclose(
+        np.degrees(log.rate_rad_per_s[0, :, 0]), (np.array([100, -32768, 32767, 0]) - 100) * 8.75e-3, atol=1e-12
+    )
+    np.testing.assert_allclose(log.time_s, [0, 0.01, 0.02, 0.03], rtol=1e-12)  # in spite of 1.7e18
+    np.testing.assert_allclose(log.temperature_c[0], [0, 10, 20, 100], atol=1e-12)
+    assert log.counts() == {"used": 3, "marked": 1}
+
+
+def test_matlab_and_npy_give_what_text_gives(tmp_path):
+    time = np.arange(50) * 10.0
+    savemat(tmp_path / "run.mat", {"t": time, "gyro": RATES, "gx": RATES[:, :1]})
+    np.save(tmp_path / "run.npy", np.column_stack([time, RATES]))
+    fields = np.zeros(50, [("t", "f8"), ("gx", "f4")])
+    fields["t"], fields["gx"] = time, RATES[:, 0]
+    np.save(tmp_path / "fields.npy", fields)
+    numbered = HEAD + 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
+    indexed = PLAIN.replace('"gx"', '"gyro", index = 0')
+    for name, text in (("run.mat", PLAIN), ("run.mat", indexed), ("run.npy", numbered)):
+        log = import_log(tmp_path / name, parse_column_map(text))
+        np.testing.assert_allclose(log.rate_rad_per_s[0, :, 0], np.radians(RATES[:, 0]), rtol=1e-14)
+        np.testing.assert_allclose(log.time_s, time / 1000)
+    log = import_log(tmp_path / "fields.npy", parse_column_map(PLAIN))
+    np.testing.assert_allclose(
+        log.rate_rad_per_s[0, :, 0], np.radians(RATES[:, 0].astype(np.float32).astype(float)), rtol=1e-14
+    )
+
+
+@given(seed=st.integers(0, 2**32 - 1), compressed=st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_matlab_arrays_are_those_of_scipy(tmp_path_factory, seed, compressed):
+    rng = np.random.default_rng(seed)
+    kinds = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"]
+    written = {
+        f"array_{number}": (100 * rng.random(rng.integers(0, 9, rng.integers(2, 4)))).astype(kinds[number])
+        for number in range(len(kinds))
+    }
+    path = tmp_path_factory.mktemp("matlab") / "a.mat"
+    savemat(path, {**written, "text": "words", "pair": 1j * np.ones(3), "s": {"a": 1.0}}, do_compression=compressed)
+    found = read_matlab(path)
+    assert found.keys() == written.keys()
+    for name, array in written.items():
+        assert found[name].dtype == array.dtype
+        np.testing.assert_array_equal(found[name], array.ravel() if 1 in array.shape else array)
+
+
+def test_several_sensors_on_one_table(tmp_path):
+    path = tmp_path / "many.npz"
+    angle = np.linspace(0, 720, 50)
+    np.savez(path, a=RATES, b=2 * RATES, angle=angle, rest=np.arange(50) < 9, ta=np.linspace(10, 20, 50))
+    log = import_log(
+        path,
+        parse_column_map(
+            HEAD + 'sample_rate = "200 Hz"\nstandstill = { column = "rest" }\nsimulated = true\nskip_first = 2\n'
+            'table_angle.inner = { column = "angle", unit = "deg" }\n'
+            + "".join(
+                f'[[sensor]]\nname = "SN-{name}"\n{temperature}'
+                f'rate.x = {{ column = "{name}", index = 0, unit = "rad/s" }}\n'
+                f'rate.z = {{ column = "{name}", index = 2, unit = "rad/s" }}\n'
+                for name, temperature in (("a", 'temperature = { column = "ta", unit = "degC" }\n'), ("b", ""))
+            )
+            + '[policy]\nmissing_temperatures = "keep"\n'
+        ),
+    )
+    assert log.units == ("SN-a", "SN-b")
+    assert log.axes == ("x", "z")
+    np.testing.assert_array_equal(log.rate_rad_per_s[1], 2 * RATES[:, [0, 2]])
+    assert np.isnan(log.temperature_c[1]).all()
+    np.testing.assert_allclose(log.table_angle_rad[:, 0], np.radians(angle))
+    assert log.standstill[:9].tolist() == [0] * 9
+    assert log.time_s[1] == 0.005
+    assert log.simulated
+    assert log.counts("SN-b") == {"used": 48, "left out": 2}
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "format: this key is missing"),
+        (PLAIN + "[policy]\ngaps = 'mask'", 'policy.gaps = "mask": expected "split" or "refuse"'),
+        (PLAIN.replace("deg/s", "deg"), "rate.x.unit"),
+        (PLAIN.replace('"ms"', '"m"'), "time.unit"),
+        (PLAIN + 'tempreature = { column = "a", unit = "degC" }', 'nearest: "temperature"'),
+        (HEAD + 'rate.x = { column = "gx", unit = "deg/s" }', "sample_rate"),
+        (HEAD + 'time = { column = "t", unit = "ms" }', "name at least one axis"),
+        (PLAIN + '[[sensor]]\nname = "a"\nrate.x = { column = "gx", unit = "deg/s" }', "or at the top"),
+        (PLAIN + "[csv]\ndelimiter = 'abc'", "csv.delimiter"),
+        (PLAIN.replace('unit = "deg/s"', 'unit = "deg/s", scale = 0.0'), "must not be zero"),
+    ],
+)
+def test_a_faulty_column_map_is_told_by_key(text, sentence):
+    assert sentence in refused(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "extra", "sentence"),
+    [
+        ("a.xyz", b"1", "", "the ending tells"),
+        ("a.csv", b"", "", "is empty"),
+        ("a.csv", b"t,gx\n", "", "no rows below the header"),
+        ("a.csv", b"1,2\n3,4\n", "", "no line of column names"),
+        ("a.csv", b"t,gX\n1,2\n3,4\n", "", "no column 'gx'; nearest: 'gX'"),
+        ("a.csv", b"t,gx\n1,2\n", "", "at least two"),
+        ("a.csv", b"\xff\xfe\x00t", "", "not text in UTF-8"),
+        ("a.npz", b"PK nonsense", "", "cannot be read as NumPy's .npz"),
+        ("a.npy", b"\x93NUMPY nonsense", "", "cannot be read as NumPy's .npy"),
+        ("a.mat", b"MATLAB 7.3 MAT-file", "", "-v7"),
+        ("a.mat", b"nonsense" * 40, "", "cannot be read as MATLAB"),
+        ("a.csv", b"t,gx\n1,1\n2,2\n3,4\n9,9\n10,10\n11,11\n", "[policy]\ngaps = 'refuse'\n", "refuses"),
+    ],
+)
+def test_a_faulty_file_gets_a_sentence(tmp_path, name, content, extra, sentence):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=sentence):
+        import_log(path, plain(extra))
+
+
+def test_pickles_directories_and_missing_files_are_refused(tmp_path):
+    np.savez(tmp_path / "p.npz", t=np.arange(3.0), gx=np.array([None, 1, 2], object))
+    with pytest.raises(LogError, match="without pickles"):
+        import_log(tmp_path / "p.npz", plain())
+    np.savez(tmp_path / "w.npz", t=np.arange(3.0), gx=np.array(["a", "b", "c"]))
+    with pytest.raises(LogError, match="holds no numbers"):
+        import_log(tmp_path / "w.npz", plain())
+    np.savez(tmp_path / "l.npz", t=np.arange(3.0), gx=np.arange(4.0))
+    with pytest.raises(LogError, match="3 rows, the columns before it 4"):
+        import_log(tmp_path / "l.npz", plain())
+    (tmp_path / "d.csv").mkdir()
+    with pytest.raises(LogError, match="is a directory"):
+        import_log(tmp_path / "d.csv", plain())
+    with pytest.raises(LogError, match="does not exist"):
+        import_log(tmp_path / "none.csv", plain())
+    with pytest.raises(SpecError, match="does not exist"):
+        read_column_map(tmp_path / "none.toml")
+
+
+ENDINGS = st.sampled_from([".csv", ".npz", ".npy", ".mat", ".txt"])
+STARTS = st.sampled_from(
+    [b"", b"t,gx\n", b"PK\x03\x04", b"\x93NUMPY\x01\x00", b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\x01IM"]
+)
+
+
+@given(ending=ENDINGS, start=STARTS, content=st.binary(max_size=400))
+@settings(max_examples=250, deadline=None)
+def test_arbitrary_bytes_give_a_log_or_a_sentence(tmp_path_factory, ending, start, content):
+    path = tmp_path_factory.mktemp("bytes") / f"a{ending}"
+    path.write_bytes(start + content)
+    try:
+        log = import_log(path, plain())
+    except LogError as error:
+        if not str(error):
+            raise
+        return
+    assert sum(log.counts().values()) == log.rows_read
+
+
+@given(at=st.integers(0, 2000), value=st.integers(0, 255), kind=st.sampled_from(["npz", "npy", "mat"]))
+@settings(max_examples=150, deadline=None)
+def test_sound_files_with_a_broken_byte_give_a_log_or_a_sentence(tmp_path_factory, at, value, kind):
+    path = tmp_path_factory.mktemp("broken") / f"a.{kind}"
+    time, rate = np.arange(20.0), RATES[:20, 0]
+    if kind == "mat":
+        savemat(path, {"t": time, "gx": rate})
+    elif kind == "npz":
+        np.savez_compressed(path, t=time, gx=rate)
+    else:
+        fields = np.zeros(20, [("t", "f8"), ("gx", "f8")])
+        fields["t"], fields["gx"] = time, rate
+        np.save(path, fields)
+    content = bytearray(path.read_bytes())
+    content[at % len(content)] = value  # SciPy's reader of MATLAB files ends the process on some of these
+    path.write_bytes(bytes(content))
+    try:
+        log = import_log(path, plain())
+    except LogError:
+        return
+    assert sum(log.counts().values()) == log.rows_read
+
+
+FIELDS = st.one_of(
+    st.floats().map(repr), st.sampled_from(["", "x", '"', "1e999", "1_0", " 5 ", "#", "0x1"]), st.integers().map(str)
+)
+
+
+@given(rows=st.lists(st.lists(FIELDS, max_size=4), max_size=30))
+@settings(max_examples=200, deadline=None)
+def test_every_row_of_any_text_table_is_accounted_for(tmp_path_factory, rows):
+    lines = [",".join(row) for row in rows]
+    path = tmp_path_factory.mktemp("rows") / "a.csv"
+    path.write_text("t,gx\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    try:
+        log = import_log(path, plain("[policy]\nwrong_units = 'keep'\n"))
+    except LogError:
+        return
+    expected = sum(1 for line in lines if line.split("#")[0].strip())
+    assert log.rows_read == expected
+    assert sum(log.counts().values()) == expected
+
+
+@given(text=st.text(max_size=200), tail=st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_arbitrary_maps_give_a_sentence(text, tail):
+    try:
+        parse_column_map(PLAIN + text if tail else text)
+    except SpecError:
+        return
+    assert tail

@@ -28,6 +28,7 @@ CONTENTS = (
     ((True, True, True), 0xA7, 0xF7, 0xAF),
 )
 SPECIAL_LENGTHS = {0xB1: 20, 0xB3: 22, 0xB5: 20, 0xB7: 22, 0xBC: 26, 0xBD: 28, 0xD1: 40, 0xD2: 42, 0xBE: 21, 0xBF: 23}
+START_UP = 0x40  # status bit of a cluster that is not valid yet
 _ACCELERATION_BITS = {2: 21, 5: 20, 10: 19, 30: 18, 80: 16}
 _INCREMENT_BITS = {5: 23, 10: 22, 30: 21, 80: 19}
 
@@ -73,7 +74,11 @@ def _int24(columns: NDArray[np.uint8]) -> NDArray[np.int32]:
 
 
 class Stim300Decoder:
-    """Bytes of Normal Mode -> samples. `acceleration_range_g` comes from the unit itself (`$irng`)."""
+    """Bytes of Normal Mode -> samples. `acceleration_range_g` comes from the unit itself (`$irng`).
+
+    Special datagrams between normal ones are passed over and counted; before the first lock, as after power-on, they
+    cannot be told from noise and count as `bad_bytes`.
+    """
 
     def __init__(
         self,

@@ -1,0 +1,319 @@
+"""The three chamber drivers against their simulated peers: behaviour, refusals, faults of the line, and identity.
+
+minimalmodbus, which shares nothing with this package, checks the simulated F4.
+"""
+
+import minimalmodbus
+import pytest
+import serial
+from hardware_bench import espec_bench, f4_bench, weiss_bench
+
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.drivers.espec import EspecConfig
+from gradcal_jax.hardware.drivers.watlow_f4 import WatlowF4Config
+from gradcal_jax.hardware.drivers.weiss import WeissConfig
+from gradcal_jax.hardware.errors import (
+    Disconnected,
+    FramingError,
+    HardwareError,
+    LimitExceeded,
+    NotVerified,
+    Rejected,
+    ReplyTimeout,
+)
+from gradcal_jax.hardware.roles import Chamber, ChamberSafe
+from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
+from gradcal_jax.hardware.simulate.faults import Faults
+from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
+from gradcal_jax.hardware.simulate.weiss import WeissOptions
+
+BENCHES = {"espec": espec_bench, "weiss": weiss_bench, "watlow_f4": f4_bench}
+
+
+@pytest.fixture(params=BENCHES)
+def bench(request: pytest.FixtureRequest):
+    return BENCHES[request.param]
+
+
+def test_every_chamber_holds_settles_and_goes_safe(bench) -> None:
+    clock = VirtualClock()
+    with bench(clock) as (chamber, _, port):
+        assert isinstance(chamber, Chamber)
+        assert chamber.identify().driver in BENCHES
+        limits = chamber.limits()
+        assert limits.lowest_c <= -50.0
+        assert not chamber.read().conditioning
+        chamber.hold(-30.0)
+        moving = chamber.read()
+        assert (moving.setpoint_c, moving.conditioning) == (-30.0, True)
+        assert moving.air_c > 20.0
+        clock.sleep(5400.0)
+        settled = chamber.read()
+        assert settled.air_c == pytest.approx(-30.0, abs=0.05)
+        assert settled.alarms == ()
+        for policy, air in ((ChamberSafe.HOLD, -30.0), (ChamberSafe.AMBIENT, 23.0)):
+            assert chamber.safe(policy, 23.0).verified
+            clock.sleep(7200.0)
+            assert chamber.read().air_c == pytest.approx(air, abs=0.1)
+        assert chamber.safe(ChamberSafe.STANDBY).verified
+        assert not chamber.read().conditioning
+        assert port.lost_bytes == 0
+
+
+@pytest.mark.parametrize("make", [espec_bench, weiss_bench])
+def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
+    clock = VirtualClock()
+    with make(clock) as (chamber, _, _):
+        chamber.hold(-20.0)
+        clock.sleep(5400.0)
+        assert chamber.ramp(40.0, 1.0) == pytest.approx(1.0, abs=0.01)
+        clock.sleep(600.0)
+        first = chamber.read()
+        clock.sleep(1200.0)
+        second = chamber.read()
+        rate = (second.setpoint_c - first.setpoint_c) / (second.time_s - first.time_s) * 60.0
+        assert rate == pytest.approx(1.0, abs=0.02)
+        assert (second.air_c - first.air_c) / (second.time_s - first.time_s) * 60.0 == pytest.approx(1.0, abs=0.02)
+        # A new ramp from within the old one, downwards; then a hold must not inherit the gradient.
+        assert chamber.ramp(-10.0, 0.5) == pytest.approx(0.5, abs=0.01)
+        clock.sleep(900.0)
+        assert chamber.read().setpoint_c < second.setpoint_c
+        chamber.hold(-40.0)
+        assert chamber.read().setpoint_c == -40.0
+
+
+def test_every_chamber_refuses_what_lies_outside_its_own_limits(bench) -> None:
+    with bench(VirtualClock()) as (chamber, _, _):
+        before = chamber.read().setpoint_c
+        for wrong in (chamber.limits().highest_c + 1.0, chamber.limits().lowest_c - 1.0):
+            with pytest.raises(LimitExceeded, match="outside"):
+                chamber.hold(wrong)
+        assert chamber.read().setpoint_c == before
+
+
+def test_no_chamber_is_put_off_by_a_bad_line(bench) -> None:
+    """Drops, noise, duplicates, truncated and split replies: the commands still take effect, verified."""
+    clock = VirtualClock()
+    share = 0.06
+    faults = Faults(
+        seed=4, probability={"drop": share, "truncate": share, "duplicate": share, "split": share, "noise": share}
+    )
+    with bench(clock, faults=faults) as (chamber, device, _):
+        done = 0
+        for index in range(12):
+            target = 10.0 + index
+            try:
+                chamber.hold(target)
+            except (ReplyTimeout, FramingError):
+                continue  # three questions in a row were lost: reported, never a wrong value
+            done += 1
+            assert device.plant.set_point_c(clock.now()) == target
+        assert done >= 8
+        assert sum(faults.count.values()) > 10
+
+
+def test_late_and_double_replies_are_not_taken_for_the_next_answer(bench) -> None:
+    clock = VirtualClock()
+    faults = Faults(delay_s=0.45)
+    with bench(clock, faults=faults) as (chamber, _, _):
+        chamber.identify()
+        chamber.hold(30.0)
+        limits = chamber.limits()
+        for kind in ("delay", "duplicate", "delay"):
+            faults.once(kind)
+            assert chamber.read().setpoint_c == 30.0
+            assert chamber.limits() == limits
+
+
+def test_silent_chamber_and_pulled_cable_are_told_apart(bench) -> None:
+    with bench(VirtualClock()) as (chamber, _, port):
+        chamber.identify()
+        port.faults.mute = True
+        with pytest.raises(ReplyTimeout, match="did not answer"):
+            chamber.read()
+        port.faults.mute = False
+        chamber.read()
+        port.unplug()
+        with pytest.raises(Disconnected, match="cable"):
+            chamber.read()
+
+
+def test_reboot_in_a_run_shows_in_the_reading(bench) -> None:
+    with bench(VirtualClock()) as (chamber, device, _):
+        chamber.hold(50.0)
+        assert chamber.read().conditioning
+        device.reboot()
+        assert not chamber.read().conditioning
+
+
+# --- ESPEC ------------------------------------------------------------------------------------------------------------
+
+
+def test_espec_simulator_speaks_the_golden_vectors() -> None:
+    device = SimulatedEspec(
+        ChamberPlant(ChamberTruth(start_c=26.4)), VirtualClock(), EspecOptions(high_c=140.0, low_c=-50.0)
+    )
+    assert device.receive(b"TEMP?") == []
+    assert device.receive(b"\r\n") == [b"26.4,23.0,140.0,-50.0\r\n"]
+    assert device.receive(b"TEMP, S25.0\r\n") == [b"OK:TEMP, S25.0\r\n"]
+    assert device.receive(b"TEMP, S200.0\r\nXYZ\r\n") == [b"NA:DATA OUT OF RANGE\r\n", b"NA:CMD ERR\r\n"]
+    assert device.receive(b"PRGM,PAUSE\r\n") == [b"NA:CONT NOT READY-2\r\n"]
+    assert device.receive(b"HUMI?\r\n") == [b"NA:CONT NOT READY-1\r\n"]
+    assert device.receive(b"MON?\r\n") == [b"26.4,,STANDBY,0\r\n"]
+
+
+def test_espec_alarm_address_and_old_controller() -> None:
+    clock = VirtualClock()
+    config = EspecConfig(address=3, detailed_mode=False, reply_timeout_s=0.3)
+    with espec_bench(clock, EspecOptions(address=3, knows_detail=False), config) as (chamber, device, _):
+        chamber.hold(30.0)
+        clock.sleep(3600.0)
+        assert chamber.ramp(40.0, 2.0) == 2.0
+        assert chamber.read().mode == "RUN"
+        device.raise_alarm(18)
+        reading = chamber.read()
+        assert (reading.alarms, reading.conditioning) == (("18",), False)
+
+
+def test_espec_with_its_echo_off_names_the_setting() -> None:
+    bench = espec_bench(VirtualClock(), EspecOptions(echo_off=True))
+    with bench as (chamber, _, _), pytest.raises(ReplyTimeout, match="echo back"):
+        chamber.identify()
+
+
+def test_espec_lost_acknowledgement_repeats_nothing() -> None:
+    faults = Faults()
+    with espec_bench(VirtualClock(), faults=faults) as (chamber, device, _):
+        chamber.hold(20.0)
+        device.commands.clear()
+        # Questions before the command: limits, mode; the third message is the acknowledgement.
+        faults.once("split", "split", "drop")
+        chamber.hold(31.0)
+        assert [text for text in device.commands if text.startswith("TEMP, S")] == ["TEMP, S31.0"]
+
+
+def test_chamber_that_acknowledges_and_does_nothing_is_noticed() -> None:
+    with espec_bench(VirtualClock()) as (chamber, device, _):
+        device._enter = lambda mode: None  # local mode at the panel: it says OK and stays as it is
+        with pytest.raises(NotVerified, match="read-back"):
+            chamber.hold(30.0)
+
+
+# --- Weiss ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("numbers", [14, 16, 11])
+@pytest.mark.parametrize("acknowledges", [True, False])
+def test_weiss_layouts_acknowledgements_and_options_left_alone(numbers: int, acknowledges: bool) -> None:
+    clock = VirtualClock()
+    options = WeissOptions(
+        numbers=numbers,
+        acknowledges=acknowledges,
+        joined_description=acknowledges,
+        strict=True,
+        digital="0010001" + "0" * 25,
+    )
+    with weiss_bench(clock, options) as (chamber, device, _):
+        chamber.hold(-12.3)
+        reading = chamber.read()
+        assert (reading.setpoint_c, reading.conditioning) == (-12.3, True)
+        assert device.digital == "0110001" + "0" * 25
+        assert device.nominal["CV02"] == 50.0
+        chamber.standby()
+        assert device.digital == "0010001" + "0" * 25
+        assert device.throttle_violations == 0
+
+
+def test_weiss_that_does_not_describe_itself_needs_its_layout_from_the_rig_file() -> None:
+    clock = VirtualClock()
+    options = WeissOptions(numbers=11, describes_itself=False)
+    with weiss_bench(clock, options) as (chamber, _, _), pytest.raises(ReplyTimeout, match="read_layout"):
+        chamber.identify()
+    config = WeissConfig(
+        reply_timeout_s=0.3,
+        acknowledge_timeout_s=0.1,
+        read_layout="CV01 CV01 CV02 CV02 SV01 SV02 SV03 MV01 MV02 MV03 MV04",
+        write_layout="CV01 CV02 SV01 SV02 SV03",
+        lowest_c=-40.0,
+        highest_c=100.0,
+    )
+    with weiss_bench(clock, options, config) as (chamber, _, _):
+        chamber.hold(55.0)
+        assert chamber.read().setpoint_c == 55.0
+        with pytest.raises(LimitExceeded):
+            chamber.hold(-41.0)
+
+
+def test_weiss_error_text_is_a_refusal() -> None:
+    with weiss_bench(VirtualClock()) as (chamber, device, _):
+        chamber.identify()
+        device.options.highest_c = 50.0  # the chamber now knows a narrower limit than it described
+        with pytest.raises(Rejected, match="CV01 out of range"):
+            chamber.hold(60.0)
+
+
+# --- Watlow F4 --------------------------------------------------------------------------------------------------------
+
+
+def test_simulated_f4_satisfies_an_independent_modbus_client() -> None:
+    clock = RealClock()
+    plant = ChamberPlant(ChamberTruth(start_c=25.0, ambient_c=25.0), clock.now())
+    device = SimulatedWatlowF4(plant, clock)
+    with SimulatedPort(device, clock) as port:
+        client = minimalmodbus.Instrument(serial.Serial(port.url, 9600, timeout=0.5), 1)
+        assert client.read_register(100, 1, signed=True) == 25.0
+        client.write_register(300, -40.0, 1, functioncode=6, signed=True)
+        assert device.registers[300] == -400
+        assert client.read_registers(602, 2) == [65536 - 700, 1800]
+        client.write_registers(300, [123])
+        assert client.read_register(300, 1) == 12.3
+        with pytest.raises(minimalmodbus.IllegalRequestError):
+            client.read_register(9999)
+        with pytest.raises(minimalmodbus.IllegalRequestError):
+            client.write_register(300, 200.0, 1, functioncode=6, signed=True)
+        client.serial.close()
+
+
+def test_f4_in_fahrenheit_without_standby_and_with_a_tripped_limit() -> None:
+    wrong_unit = f4_bench(VirtualClock(), WatlowF4Options(fahrenheit=True))
+    with wrong_unit as (chamber, _, _), pytest.raises(Rejected, match="Fahrenheit"):
+        chamber.identify()
+    unswitched = f4_bench(VirtualClock(), WatlowF4Options(conditioning_event=0), WatlowF4Config(reply_timeout_s=0.2))
+    with unswitched as (chamber, _, _):
+        with pytest.raises(Rejected, match="conditioning_event"):
+            chamber.safe(ChamberSafe.STANDBY)
+        with pytest.raises(Rejected, match="steps"):
+            chamber.ramp(50.0, 1.0)
+    with f4_bench(VirtualClock()) as (chamber, device, _):
+        chamber.hold(60.0)
+        device.trip_limit()
+        assert chamber.read().alarms == ("limit input 1",)
+
+
+@pytest.mark.parametrize("decimals", [0, 1, 2])
+def test_f4_scales_by_its_own_decimals(decimals: int) -> None:
+    clock = VirtualClock()
+    with f4_bench(clock, WatlowF4Options(decimals=decimals)) as (chamber, _, _):
+        chamber.hold(-40.0)
+        clock.sleep(7200.0)
+        assert chamber.read().setpoint_c == -40.0
+        assert chamber.read().air_c == pytest.approx(-40.0, abs=0.6 * 10.0**-decimals)
+
+
+def test_f4_flipped_bits_on_the_line_never_give_a_wrong_reading() -> None:
+    clock = VirtualClock()
+    faults = Faults(seed=11, probability={"flip": 0.25})
+    config = WatlowF4Config(reply_timeout_s=0.03, conditioning_event=1)
+    with f4_bench(clock, config=config, faults=faults) as (chamber, _, _):
+        read = 0
+        for _ in range(20):
+            try:
+                reading = chamber.read()
+            except HardwareError:
+                continue
+            read += 1
+            assert (reading.air_c, reading.setpoint_c) == (23.0, 23.0)
+        assert read > 5
+        assert faults.count["flip"] > 10

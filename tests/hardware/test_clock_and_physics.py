@@ -1,0 +1,251 @@
+"""Virtual time never overtakes work or bytes; the physics behind the simulated devices is what it says."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from hardware_bench import sensor_on_table, stim300_bench
+
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.drivers.imu_common import join
+from gradcal_jax.hardware.drivers.stim300 import Stim300Config
+from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, Mounting, SensorTruth
+from gradcal_jax.hardware.simulate.stim300 import Stim300Options
+
+# --- clock ------------------------------------------------------------------------------------------------------------
+
+
+def test_virtual_sleep_takes_no_time_and_wakes_in_order() -> None:
+    clock = VirtualClock()
+    order: list[tuple[float, str]] = []
+    ready = threading.Barrier(3)
+
+    def sleeper(name: str, times: list[float]) -> None:
+        with clock.party():
+            ready.wait()
+            for moment in times:
+                clock.sleep_until(moment)
+                order.append((clock.now(), name))
+
+    threads = [
+        threading.Thread(target=sleeper, args=args)
+        for args in (("a", [1.0, 100.0, 5000.0]), ("b", [2.0, 99.0, 10000.0]), ("c", [0.5, 1.5, 7200.0]))
+    ]
+    started = time.monotonic()
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert time.monotonic() - started < 2.0
+    assert [moment for moment, _ in order] == sorted([1.0, 100.0, 5000.0, 2.0, 99.0, 10000.0, 0.5, 1.5, 7200.0])
+
+
+def test_virtual_time_stands_still_while_a_party_works() -> None:
+    clock = VirtualClock()
+    other = threading.Thread(target=clock.sleep_until, args=(10.0,))
+    with clock.party():
+        other.start()
+        time.sleep(0.1)
+        assert clock.now() == 0.0
+        with clock.aside():
+            other.join()
+        assert clock.now() == 10.0
+
+
+def test_virtual_time_waits_for_bytes_on_their_way_but_not_for_ever() -> None:
+    clock = VirtualClock(patience_s=0.2)
+    line = clock.link("line")
+    line.attach()
+    line.host_wrote(5)
+    sleeper = threading.Thread(target=clock.sleep_until, args=(1.0,))
+    sleeper.start()
+    time.sleep(0.05)
+    assert clock.now() == 0.0
+    line.device_handled(5)
+    sleeper.join(timeout=1.0)
+    assert clock.now() == 1.0
+    line.device_wrote(3)  # an open port that nobody reads
+    started = time.monotonic()
+    clock.sleep_until(2.0)
+    assert 0.15 < time.monotonic() - started < 2.0
+
+
+def test_virtual_clock_keeps_the_pace_that_was_asked_for() -> None:
+    clock = VirtualClock(speed=100.0)
+    started = time.monotonic()
+    for _ in range(5):
+        clock.sleep(4.0)
+    assert 0.18 < time.monotonic() - started < 1.0
+    with pytest.raises(ValueError, match="above zero"):
+        VirtualClock(speed=0.0)
+
+
+def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = RealClock()
+    monkeypatch.setattr(time, "time", lambda: 0.0)
+    before = clock.now()
+    clock.sleep(0.05)
+    assert 0.05 <= clock.now() - before < 0.5
+
+
+# --- plants -----------------------------------------------------------------------------------------------------------
+
+
+def test_chamber_keeps_its_rates_settles_and_drifts_back() -> None:
+    truth = ChamberTruth(start_c=23.0)
+    plant = ChamberPlant(truth)
+    plant.command(0.0, target_c=-40.0)
+    plant.switch(0.0, True)
+    times = np.arange(0.0, 7200.0, 10.0)
+    air = np.array([plant.air_c(t) for t in times])
+    assert np.min(np.diff(air)) / 10.0 * 60.0 >= -truth.cooling_k_per_min - 1e-9
+    assert air[-1] == pytest.approx(-40.0, abs=1e-6)
+    plant.switch(7200.0, False)
+    after = plant.air_c(7200.0 + truth.idle_time_constant_s)
+    assert after == pytest.approx(truth.ambient_c - 63.0 * np.exp(-1.0), abs=0.01)
+
+
+def test_load_trails_a_ramp_by_its_time_constants() -> None:
+    truth = ChamberTruth(start_c=0.0, air_time_constant_s=40.0, load_time_constant_s=240.0)
+    plant = ChamberPlant(truth)
+    plant.switch(0.0, True)
+    plant.move_set_point(0.0, 0.0)
+    plant.command(0.0, target_c=60.0, gradient_k_per_min=1.0)
+    now = 3000.0
+    assert plant.set_point_c(now) == pytest.approx(50.0, abs=1e-9)
+    assert plant.set_point_c(now) - plant.air_c(now) == pytest.approx(40.0 / 60.0, rel=0.02)
+    assert plant.air_c(now) - plant.load_c(now) == pytest.approx(240.0 / 60.0, rel=0.01)
+    before, after = plant.load_at(np.array([now - 60.0, now]))
+    assert after - before == pytest.approx(1.0, rel=0.01)
+
+
+def test_trapezoid_arrives_exactly_within_rate_and_acceleration() -> None:
+    plant = AxisPlant()
+    plant.move_to(10.0, 720.0, 150.0, 300.0)
+    times = np.linspace(10.0, 20.0, 20001)
+    position = plant.position(times)
+    rate = np.diff(position) / np.diff(times)
+    assert np.max(rate) == pytest.approx(150.0, abs=1e-3)
+    assert np.max(np.abs(np.diff(rate) / np.diff(times)[1:])) < 300.0 * 1.01
+    assert plant.state(10.0 + 0.5 + 4.3 + 0.5)[0] == pytest.approx(720.0)
+    assert not plant.moving(16.0)
+    plant.spin(20.0, -90.0, 90.0)
+    assert plant.state(30.0) == (pytest.approx(720.0 - 45.0 - 90.0 * 9.0), -90.0)
+    assert plant.moving(30.0)
+
+
+def test_short_move_is_a_triangle_and_travel_ends_a_spin() -> None:
+    plant = AxisPlant(AxisTruth(lowest_deg=-180.0, highest_deg=180.0))
+    plant.move_to(0.0, 1.0, 300.0, 100.0)
+    assert plant.state(0.2)[0] == pytest.approx(1.0)
+    plant.spin(1.0, 90.0, 1000.0)
+    assert plant.state(60.0) == (180.0, 0.0)
+
+
+def test_encoder_errors_are_of_the_kind_that_was_asked_for() -> None:
+    plant = AxisPlant(AxisTruth(standstill_offset_deg=0.05, seed=3))
+    offsets = []
+    for index in range(200):
+        plant.move_to(100.0 * index, 360.0 * (index + 1), 300.0, 300.0)
+        readings = {plant.reading(100.0 * index + 50.0 + k) for k in range(3)}
+        assert len(readings) == 1  # one draw a standstill: reading again does not average it
+        offsets.append(readings.pop() - 360.0 * (index + 1))
+    assert np.std(offsets) == pytest.approx(0.05, rel=0.2)
+    once = AxisPlant(AxisTruth(encoder_error_deg=0.1))
+    once.set_zero(0.0, 90.0)
+    assert once.reading(1.0) == pytest.approx(90.1)
+
+
+# --- sensor -----------------------------------------------------------------------------------------------------------
+
+
+def test_sensor_error_is_bias_and_scale_factor_of_temperature_and_rate() -> None:
+    clock = VirtualClock()
+    truth = SensorTruth(
+        bias_dps=((0.01, 0.002, 0.0, 0.0),) * 3,
+        scale_factor=(((1e-3, 2e-4), (5e-4, 0.0)),) * 3,
+    )
+    axis = AxisPlant()
+    axis.spin(0.0, 150.0, 1e6)
+    sensor = sensor_on_table(clock, truth, axis=axis, chamber=ChamberPlant(ChamberTruth(start_c=70.0, ambient_c=70.0)))
+    sensor.take(10)
+    measured = sensor.take(100).rate_dps.mean(axis=0)
+    # x = (70 - 20)/50 = 1, y = 150/300 (the Earth's rate changes y by nothing that matters here).
+    earth = EARTH_RATE_DPS * np.sin(np.radians(45.0))
+    expected = 0.012 + (1.0 + 1e-3 + 5e-4 + 0.5 * 2e-4) * (150.0 + earth)
+    assert measured[2] == pytest.approx(expected, rel=1e-8)
+
+
+def test_sensor_sees_the_earth_and_gravity_in_its_attitude() -> None:
+    clock = VirtualClock()
+    axis = AxisPlant()
+    axis.set_zero(0.0, 90.0)
+    mounting = Mounting(axes=((1.0, 0.0, 0.0),), latitude_deg=0.0)
+    samples = sensor_on_table(clock, axis=axis, mounting=mounting).take(4)
+    # Turned by 90 degrees about east: what was up lies along the sensor's y, what was north along -z.
+    np.testing.assert_allclose(samples.acceleration_g[0], [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(samples.rate_dps[0], [0.0, 0.0, -EARTH_RATE_DPS], atol=1e-12)
+
+
+def test_sensor_noise_has_the_stated_size_and_correlation() -> None:
+    clock = VirtualClock()
+    walk = SensorTruth(angle_random_walk_deg_sqrt_s=0.1 / 60.0)
+    white = sensor_on_table(clock, walk, seed=5).take(50_000).rate_dps
+    angle = np.diff(np.cumsum(white, axis=0)[::125] / 125.0, axis=0)
+    # Axis by axis: the Earth's rate is another constant on each.
+    np.testing.assert_allclose(np.std(angle, axis=0), 0.1 / 60.0, rtol=0.12)
+    drift = SensorTruth(drifts_dps_s=((1.0 / 3600.0, 5.0),))
+    states = sensor_on_table(clock, drift, seed=6).take(250_000).rate_dps[:, 0]
+    states = states - states.mean()
+    assert np.std(states) == pytest.approx(1.0 / 3600.0, rel=0.1)
+    assert np.mean(states[625:] * states[:-625]) / np.var(states) == pytest.approx(np.exp(-1.0), abs=0.1)
+
+
+def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
+    truth = SensorTruth(
+        drifts_dps_s=((1.0, 10.0), (0.1, 100.0)),
+        residual_scale_factor=(1e-4, 60.0),
+        angle_random_walk_deg_sqrt_s=0.01,
+        turn_on_dps=0.1,
+    )
+    one, many = (sensor_on_table(VirtualClock(), truth, seed=9) for _ in range(2))
+    whole = one.take(400).rate_dps
+    parts = np.concatenate([many.take(count).rate_dps for count in (1, 2, 16, 31, 50, 300)])
+    np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12)
+
+
+# --- the whole chain --------------------------------------------------------------------------------------------------
+
+
+def test_a_turn_read_through_the_line_is_the_turn_that_was_made() -> None:
+    """Angle by STIM300 datagrams over a pseudo-terminal against the plant's true angle, with exact host stamps."""
+    clock = VirtualClock()
+    axis = AxisPlant()
+    axis.move_to(20.0, 720.0, 150.0, 300.0)
+    sensor = sensor_on_table(clock, SensorTruth(clock_error=50e-6), axis=axis)
+    options = Stim300Options(burst_s=0.064)
+    with stim300_bench(clock, options, Stim300Config(reply_timeout_s=0.3), sensor) as (unit, device, _):
+        unit.configure()
+        decoder = unit.decoder()
+        unit.start()
+        batches = []
+        started = time.monotonic()
+        while clock.now() < 60.0:
+            with clock.aside():
+                batches.append(decoder.push(*unit.read_bytes(0.5)))
+        real = time.monotonic() - started
+    samples = join(batches)
+    assert device.counters.overrun == 0
+    assert decoder.bad_bytes == 0
+    assert np.all(samples.gap_before == 0)
+    angle = float(np.sum(samples.gyro_dps[:, 2]) * sensor.true_period_s)
+    earth = EARTH_RATE_DPS * np.sin(np.radians(45.0)) * len(samples) * sensor.true_period_s
+    assert angle - earth == pytest.approx(720.0, abs=0.01)
+    # Host stamps are bursts of virtual time: they never come before the sample, and at most a burst late.
+    slope = np.polyfit(samples.device_time_s, samples.host_time_s, 1)[0]
+    assert slope == pytest.approx(1.0 / (1.0 + 50e-6), abs=20e-6)
+    late = samples.host_time_s - samples.device_time_s / (1.0 + 50e-6)
+    assert np.ptp(late) < 0.075
+    assert real < 30.0

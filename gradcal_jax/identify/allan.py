@@ -259,7 +259,9 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         error = float(np.sqrt(gain[place] @ covariance @ gain[place]))
         value = float(np.sqrt(squares[index]))
         coefficients.append(
-            Coefficient(value, error / (2 * value) if value > 0 else np.sqrt(error), bool(squares[index] > 2 * error))
+            Coefficient(
+                value, error / (2 * value) if value > 0 else float(np.sqrt(error)), bool(squares[index] > 2 * error)
+            )
         )
     return AllanFit(
         *coefficients,

@@ -1,0 +1,113 @@
+"""Bias over temperature taken off a record at rest, so that what is left is instability; with a thermal lag if it pays.
+
+A sensor in a chamber that ramps is warmed through its case: the temperature that its bias follows is a first-order lag
+behind the one that is measured,
+
+    dy/dt = (T - y)/λ,      bias = B(y),      B a polynomial in z = (y - centre)/scale
+
+Heating and cooling then part by about `2 λ dT/dt · B'`, which no function of the measured temperature can follow, and
+which a term in dT/dt follows only as long as the ramp does: at a turn-round that term jumps, and the bias does not.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import optimize, signal
+
+
+@dataclass(frozen=True)
+class ThermalBias:
+    """B(T) with its lag, as fitted by `fit_thermal_bias`."""
+
+    coefficients: Float[np.ndarray, " powers"]
+    """Of the powers of z from zero on, in the unit of the rates."""
+    centre_c: float
+    scale_k: float
+    lag_time_s: float
+    """λ; zero: the bias follows the measured temperature at once."""
+    residual_rms: float
+    """What is left of the rates that were fitted, in their unit."""
+
+    def bias(
+        self, temperature_c: Float[np.ndarray, " samples"], sample_interval_s: float
+    ) -> Float[np.ndarray, " samples"]:
+        """The bias along a record of measured temperatures (every one known), in the unit of the rates.
+
+        The record is taken to begin in equilibrium: for some λ afterwards the lag is a guess.
+        """
+        z = (lagged(temperature_c, sample_interval_s, self.lag_time_s) - self.centre_c) / self.scale_k
+        return np.polynomial.polynomial.polyval(z, self.coefficients)
+
+
+def lagged(
+    temperature_c: Float[np.ndarray, " samples"], sample_interval_s: float, lag_time_s: float
+) -> Float[np.ndarray, " samples"]:
+    """A first-order lag behind temperatures that run straight from sample to sample, in equilibrium at the first."""
+    if lag_time_s <= 0:
+        return temperature_c
+    ratio = sample_interval_s / lag_time_s
+    keep = np.exp(-ratio)
+    # The exact response to a straight line: a plain recursion would lag by half a sample.
+    share = -np.expm1(-ratio) / ratio
+    start = temperature_c[0]
+    result, _ = signal.lfilter([1 - share, share - keep], [1.0, -keep], temperature_c - start, zi=np.zeros(1))
+    return result + start
+
+
+def fit_thermal_bias(
+    rate: Float[np.ndarray, " samples"],
+    temperature_c: Float[np.ndarray, " samples"],
+    sample_interval_s: float,
+    *,
+    degree: int = 3,
+    lag_time_s: float | None = None,
+    longest_lag_s: float = 1800.0,
+    valid: Bool[np.ndarray, " samples"] | None = None,
+) -> ThermalBias:
+    """The polynomial in (lagged) temperature that fits rates at rest best, in the least-squares sense.
+
+    `lag_time_s=None` finds the lag too, between zero and `longest_lag_s` (a lag found there is one that the record does
+    not tell: drift may be passing for it); a number keeps it. Rows that are not `valid` are not fitted; temperatures
+    missing there (NaN) are bridged by straight lines.
+
+    **Raises:** `ValueError` where the rows do not determine the polynomial, or the lag is negative.
+    """
+    usable = np.ones(len(rate), bool) if valid is None else valid
+    if usable.shape != rate.shape or temperature_c.shape != rate.shape:
+        raise ValueError("rates, temperatures and the mask need one value a sample each")
+    if degree < 0:
+        raise ValueError(f"the degree of the polynomial must be zero or more, not {degree}")
+    if lag_time_s is not None and not 0 <= lag_time_s < np.inf:
+        raise ValueError(f"the lag must be zero or more, not {lag_time_s} s")
+    known = np.isfinite(temperature_c)
+    if not known[usable].all() or not np.isfinite(rate[usable]).all():
+        raise ValueError("a usable row lacks its rate or temperature: mark such rows as not valid")
+    if len(np.unique(temperature_c[usable])) <= degree:
+        raise ValueError(f"a polynomial of degree {degree} needs more than {degree} different temperatures")
+    rows = np.arange(len(rate))
+    whole = np.interp(rows, rows[known], temperature_c[known])
+    low, high = float(whole[usable].min()), float(whole[usable].max())
+    centre, scale = (low + high) / 2, max((high - low) / 2, 1e-9)
+
+    def solve(lag: float) -> tuple[Float[np.ndarray, " powers"], float]:
+        z = (lagged(whole, sample_interval_s, lag)[usable] - centre) / scale
+        # Legendre inside, for its conditioning; powers outside, for people.
+        design = np.polynomial.legendre.legvander(z, degree)
+        solution, *_ = np.linalg.lstsq(design, rate[usable])
+        left = rate[usable] - design @ solution
+        return np.polynomial.legendre.leg2poly(solution), float(np.sqrt(np.mean(left**2)))
+
+    if lag_time_s is None:
+        # The rms has one minimum in practice, but a flat one towards long lags: a grid first, then a refinement.
+        grid = np.append(0.0, np.geomspace(sample_interval_s, longest_lag_s, 40))
+        best = int(np.argmin([solve(float(lag))[1] for lag in grid]))
+        found: Any = optimize.minimize_scalar(
+            lambda lag: solve(float(lag))[1],
+            bounds=(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]),
+            method="bounded",
+        )
+        lag_time_s = float(found.x) if found.fun < solve(float(grid[best]))[1] else float(grid[best])
+    coefficients, rms = solve(lag_time_s)
+    return ThermalBias(np.atleast_1d(coefficients), centre, scale, lag_time_s, rms)

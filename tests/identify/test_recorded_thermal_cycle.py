@@ -1,0 +1,126 @@
+"""A real recording: a MEMS gyro triad at rest through one thermal cycle.
+
+Its source gives no units: read as µs and rad/s.
+
+(The source labels the rates deg/s; their white noise fits rad/s better. Nothing here depends on it but the deg/h.)
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gradcal_jax.files.importers import import_log, parse_column_map
+from gradcal_jax.identify.allan import fit_allan, overlapping_allan
+from gradcal_jax.identify.direct_bound import fit_direct_bound
+from gradcal_jax.identify.largest_drift import drifts, integration_times, largest_drift
+from gradcal_jax.identify.thermal import fit_thermal_bias
+
+FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
+RECORD = FOLDER / "tofupilot_imu_thermal_cycle.npz"
+pytestmark = pytest.mark.skipif(not RECORD.exists(), reason="the recorded data are not here: set GRADCAL_DATA")
+
+COLUMNS = """
+format      = "gradcal-columns/1"
+skip_first  = 1                                    # an outlier
+time        = { column = "timestamp_raw", unit = "us" }
+temperature = { column = "temperature_C", unit = "degC" }
+rate.x      = { column = "gyro", index = 0, unit = "rad/s" }
+rate.y      = { column = "gyro", index = 1, unit = "rad/s" }
+rate.z      = { column = "gyro", index = 2, unit = "rad/s" }
+"""
+
+
+@pytest.fixture(scope="module")
+def log():
+    return import_log(RECORD, parse_column_map(COLUMNS))
+
+
+def test_every_row_is_accounted_for_and_the_oscillators_wander_is_named(log):
+    assert log.counts() == {"used": 8399, "left out": 1}
+    assert [finding.kind for finding in log.findings] == ["clock drift"]
+    assert "wanders" in log.findings[0].message
+    assert 1 / log.sample_interval_s == pytest.approx(1.98, abs=0.005)
+    assert log.duration_s / 60 == pytest.approx(71, abs=0.5)
+
+
+@pytest.mark.parametrize(("axis", "rms"), [("x", 0.0041), ("y", 0.0009), ("z", 0.0014)])
+def test_a_polynomial_in_temperature_leaves_what_the_hysteresis_is(log, axis, rms):
+    even = log.even(axis)
+    fit = fit_thermal_bias(
+        even.rate_rad_per_s, even.temperature_c, even.sample_interval_s, degree=5, lag_time_s=0.0, valid=even.valid
+    )
+    assert fit.residual_rms == pytest.approx(rms, abs=0.0001)
+
+
+def describe(log, axis, lag_time_s):
+    """(Allan fit, Direct Bound) of an axis with B(T) removed, by a lag or without."""
+    even = log.even(axis)
+    interval = even.sample_interval_s
+    thermal = fit_thermal_bias(
+        even.rate_rad_per_s, even.temperature_c, interval, lag_time_s=lag_time_s, valid=even.valid
+    )
+    rate = even.rate_rad_per_s - thermal.bias(even.temperature_c, interval)
+    allan = fit_allan(overlapping_allan(rate, interval, valid=even.valid))
+    times = integration_times(1.0, 600.0, interval, count=60)
+    observed = largest_drift(rate, interval, times, 60.0, valid=even.valid)
+    for row, time in enumerate(times):
+        values = drifts(rate, interval, float(time), 60.0, valid=even.valid)
+        assert observed.largest_drift[row, 0] == pytest.approx(np.abs(values).max(), rel=1e-9)
+    bound = fit_direct_bound(observed, allan.angle_random_walk.value)
+    assert np.all(bound.largest_drift <= bound.limit * (1 + 1e-9))
+    return thermal, allan, bound
+
+
+@pytest.mark.parametrize(("axis", "pays"), [("x", True), ("y", False), ("z", False)])
+def test_allan_and_direct_bound_side_by_side(log, axis, pays):
+    _, allan_at_once, at_once = describe(log, axis, 0.0)
+    thermal, allan_lagging, lagging = describe(log, axis, None)
+    for allan in (allan_at_once, allan_lagging):
+        # 0.1 to 1 deg/√h, as consumer MEMS gyros have: what speaks for rad/s.
+        assert 4e-5 < allan.angle_random_walk.value < 3e-4
+        assert allan.angle_random_walk.standard_error < 0.2 * allan.angle_random_walk.value
+    assert at_once.drift_shows
+    assert lagging.drift_shows
+    # Both look at one record: the drift over ten minutes is of the Allan model's size times a maximum's few sigmas.
+    for allan, bound in ((allan_at_once, at_once), (allan_lagging, lagging)):
+        slow = np.sqrt(allan.rate_random_walk.value**2 * 600.0 / 3 * 2)
+        assert 0.3 < bound.largest_drift[-1] / slow < 6.0
+    if pays:
+        assert thermal.lag_time_s > 60.0
+        assert lagging.limit[-1] < 0.8 * at_once.limit[-1]
+    else:
+        assert lagging.limit[-1] > 0.8 * at_once.limit[-1]
+
+
+def test_over_a_narrow_range_of_temperature_less_drift_is_left(log):
+    """Per temperature range: only the rows inside it are used, and no window leaves it."""
+    even = log.even("y")
+    interval = even.sample_interval_s
+    warm = even.valid & (even.temperature_c > 30) & (even.temperature_c < 60)
+    times = integration_times(1.0, 60.0, interval, count=20)
+    everywhere = largest_drift(even.rate_rad_per_s, interval, times, 30.0, valid=even.valid)
+    inside = largest_drift(even.rate_rad_per_s, interval, times, 30.0, valid=warm)
+    assert np.all(inside.start_count < everywhere.start_count)
+    assert np.all(inside.largest_drift <= everywhere.largest_drift * (1 + 1e-9))
+    for row, start in enumerate(inside.start_index[:, 0]):
+        before, after = round(30.0 / interval), round(times[row] / interval)
+        assert warm[start - before : start + after].all()
+
+
+def test_heating_fitted_cooling_predicted(log):
+    """The gap between heating and cooling of x is what a fit of the heating alone fails by."""
+    even = log.even("x")
+    coldest = int(np.nanargmin(even.temperature_c))
+    hottest = coldest + int(np.nanargmax(even.temperature_c[coldest:]))
+    rows = np.arange(len(even.valid))
+    heating = even.valid & (rows >= coldest) & (rows < hottest)
+    cooling = even.valid & (rows >= hottest)
+    fit = fit_thermal_bias(
+        even.rate_rad_per_s, even.temperature_c, even.sample_interval_s, lag_time_s=0.0, valid=heating
+    )
+    left = even.rate_rad_per_s - fit.bias(even.temperature_c, even.sample_interval_s)
+    span = np.ptp(even.rate_rad_per_s[even.valid])
+    assert np.std(left[heating]) < 0.02 * span
+    assert np.sqrt(np.mean(left[cooling] ** 2)) > 0.1 * span

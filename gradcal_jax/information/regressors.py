@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from gradcal_jax.errormodel import GyroModel, Map
 from gradcal_jax.plans import Timeline
 
-# A raised cosine to the fourth power, the steepest of a cubic M(T, ω), is resolved to 1e-12 by 16 points; a higher degree
-# in rate adds a period to it, and needs two more.
+# A raised cosine to the fourth power, the steepest of a cubic M(T, ω), is resolved to 1e-12 by 16 points; a higher
+# degree in rate adds a period to it, and needs two more.
 _MOVING_NODES = 16
 _CUBIC = 3
 # At rest only B(T) is integrated: degree 15 is exact for polynomials. A lagging sensor's exponentials need more.

@@ -7,8 +7,10 @@ covariance of all readings by composite Gauss–Legendre integration of the proc
 """
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline as ScipyBSpline
@@ -16,7 +18,7 @@ from scipy.optimize import brentq
 
 from gradcal_jax import errormodel, plans
 from gradcal_jax.errormodel import Bins, BSpline, GyroModel, Polynomial
-from gradcal_jax.information import NoiseSteps
+from gradcal_jax.information import NoiseSteps, at_readings, noise_steps, square_root, whiten
 
 DEG = np.pi / 180.0
 DEG_PER_H = DEG / 3600.0
@@ -254,12 +256,11 @@ def sensor_temperature(scene: Scene, times: np.ndarray) -> np.ndarray:
     out, sensor = np.empty_like(times), chamber[0]
     for k, (duration, slope) in enumerate(scene.stretches):
         # The response to a ramp from rest, and the decay of what the sensor was behind at the stretch's start.
-        follow = lambda t, k=k, slope=slope, behind=sensor - chamber[k]: (
-            chamber[k] + behind * np.exp(-t / scene.lag) + slope * (t + scene.lag * np.expm1(-t / scene.lag))
-        )
         here = (times >= knots[k]) if k else np.ones_like(times, bool)
-        out[here] = follow(times[here] - knots[k])
-        sensor = follow(duration)
+        t = np.append(times[here] - knots[k], duration)
+        lagging = (sensor - chamber[k]) * np.exp(-t / scene.lag)
+        of_sensor = chamber[k] + lagging + slope * (t + scene.lag * np.expm1(-t / scene.lag))
+        out[here], sensor = of_sensor[:-1], of_sensor[-1]
     return out
 
 
@@ -308,7 +309,7 @@ def panels(scene: Scene, found: Walk) -> np.ndarray:
     edges = np.unique(np.clip(np.array(edges), found.begin, found.end))
     edges = edges[np.r_[True, np.diff(edges) > 1e-9]]
     longest = min([30.0, *(n.tau for n in scene.noises)])
-    fine = [np.linspace(a, b, int(np.ceil((b - a) / longest)) + 1)[:-1] for a, b in zip(edges, edges[1:], strict=False)]
+    fine = [np.linspace(a, b, int(np.ceil((b - a) / longest)) + 1)[:-1] for a, b in pairwise(edges)]
     edges = np.r_[np.concatenate(fine), edges[-1]]
     crossings = []
     variables = [(lambda t: sensor_temperature(scene, t), b.breaks) for b in (scene.bias,) if b is not None]
@@ -317,7 +318,7 @@ def panels(scene: Scene, found: Walk) -> np.ndarray:
         variables.append((lambda t: rate_at(found, t), scene.scale[1].breaks))
     for of, breaks in variables:
         for level in breaks:
-            for a, b in zip(edges, edges[1:], strict=False):
+            for a, b in pairwise(edges):
                 grid = np.linspace(a, b, 17) if b - a > 1e-9 else np.array([a, b])
                 grid[-1] -= 1e-12 * max(1.0, abs(b))
                 above = of(grid) - level
@@ -481,6 +482,36 @@ def augmented_kalman(steps: NoiseSteps, columns: np.ndarray, prior_covariance: n
     return state[n:, n:]
 
 
+class Engine(NamedTuple):
+    """What the engine makes of a scene."""
+
+    steps: NoiseSteps
+    columns: Any
+    prior: Any
+
+    def deviations(self, contrasts) -> np.ndarray:
+        """By whitening and one triangular factor."""
+        return np.asarray(deviations(*self, jnp.asarray(contrasts)))
+
+
+@eqx.filter_jit
+def _engine(plan, model, channel, lag) -> Engine:
+    line = plan.timeline(channel, lag)
+    return Engine(noise_steps(line, model), at_readings(line, model), model.prior_rows())
+
+
+@eqx.filter_jit
+def deviations(steps, columns, prior, contrasts, *, block=None):
+    """The engine's road, compiled once for each size of state and number of readings."""
+    return square_root(jnp.concatenate([whiten(steps, columns, block=block), prior])).deviations(contrasts)
+
+
+def engine(scene: Scene) -> Engine:
+    """Compiled once for each structure: scenes that are `varied` share it."""
+    plan, model = core(scene)
+    return _engine(plan, model, scene.channel, None if scene.lag is None else jnp.asarray(scene.lag))
+
+
 # --- scenes -----------------------------------------------------------------------------------------------------------
 
 _TURNS = (
@@ -512,7 +543,8 @@ SCENES: dict[str, Scene] = {
         scale=(LINEAR, RATE_CUBIC),
         scale_prior=1e-2,
     ),
-    # A drift mixture, offsets, timing error, harmonics, bias and its sensitivity to dT/dt, a lagging sensor that turns round.
+    # A drift mixture (one shorter than the moves), offsets, timing error, harmonics, bias and its sensitivity to dT/dt,
+    # and a lagging sensor that turns round.
     "everything": Scene(
         -20.0,
         ((150.0, 0.4), (100.0, 0.0), (170.0, -0.3)),
@@ -521,8 +553,7 @@ SCENES: dict[str, Scene] = {
         read_every=5.0,
         lag=60.0,
         noises=(
-            DRIFT,
-            Noise("drift", 3.0 * DEG_PER_H, 900.0),
+            Noise("drift", 20.0 * DEG_PER_H, 1.5),
             Noise("walk", 0.02 * DEG_PER_H),
             Noise("scale", 50e-6, 70.0, 0.0, 1.0),
             Noise("both", 0.1, 200.0, 5.0 * DEG_PER_H, 15e-6),

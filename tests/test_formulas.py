@@ -1,0 +1,99 @@
+"""Bases and motion shapes against SciPy, NumPy and their own definitions; one code for NumPy and JAX."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import Act, textbook_rate
+from numpy.polynomial import chebyshev, legendre
+from scipy.integrate import quad
+from scipy.interpolate import BSpline
+
+from gradcal_jax import formulas
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+@pytest.mark.parametrize("degree", [0, 1, 3, 7])
+def test_polynomials(xp, degree):
+    x = np.linspace(-1.2, 1.1, 23)
+    given = xp.asarray(x)
+    np.testing.assert_allclose(formulas.monomials(given, degree), np.vander(x, degree + 1, increasing=True), rtol=1e-13)
+    np.testing.assert_allclose(formulas.legendre(given, degree), legendre.legvander(x, degree), atol=1e-12)
+    np.testing.assert_allclose(formulas.chebyshev(given, degree), chebyshev.chebvander(x, degree), atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_b_splines_are_scipys_and_hold_beyond_the_ends(degree):
+    knots = (-1.0, -0.2, 0.5, 2.0)
+    x = np.linspace(-1.0, 2.0, 61)
+    t = np.r_[[knots[0]] * degree, knots, [knots[-1]] * degree]
+    wanted = BSpline.design_matrix(x, t, degree).toarray()
+    np.testing.assert_allclose(formulas.b_spline(x, knots, degree), wanted, atol=1e-14)
+    beyond = formulas.b_spline(np.array([-5.0, 9.0]), knots, degree)
+    np.testing.assert_allclose(beyond, wanted[[0, -1]], atol=1e-14)
+    np.testing.assert_allclose(wanted.sum(1), 1.0)
+
+
+def test_bins_divide_the_line():
+    values = formulas.bins(np.array([-9.0, -1.0, -0.5, 0.0, 0.9, 1.0, 1.5, 9.0]), (-1.0, 0.0, 1.0, 2.0))
+    np.testing.assert_array_equal(values.argmax(1), [0, 0, 0, 1, 1, 2, 2, 2])
+    np.testing.assert_array_equal(values.sum(1), 1.0)
+
+
+def test_the_angle_is_the_integral_of_the_rate():
+    for k in range(len(formulas.MOTION_TERMS)):
+        for end in (0.3, 1.0):
+            wanted = quad(lambda u, k=k: formulas.motion_rate(np.array(u))[k], 0.0, end, epsabs=1e-14)[0]
+            assert formulas.motion_angle(np.array(end))[k] == pytest.approx(wanted, abs=1e-13)
+
+
+ACTS = [
+    Act("cosine ramps", 5.0, 2.0, ramp=0.8),
+    Act("linear ramps", 5.0, -2.0, ramp=2.5),
+    Act("half sine", 5.0, 2.0),
+    Act("raised cosine", 5.0, 2.0),
+    Act("sinusoid", 5.0, 2.0, cycles=3),
+    Act("spline", 5.0, 2.0, controls=(0.3, 1.0, -0.2, 0.5)),
+    Act("hand", 5.0, 2.0, unevenness=0.4),
+]
+
+
+@pytest.mark.parametrize("act", ACTS, ids=lambda a: a.shape)
+def test_pieces_are_the_shape(act):
+    lasting = {"ramp": act.ramp, "flat": act.duration - 2 * act.ramp}
+    begin, angle = 0.0, 0.0
+    pieces = formulas.shape_pieces(act.shape, cycles=act.cycles, controls=act.controls, unevenness=act.unevenness)
+    for what, share, terms in pieces:
+        duration = lasting.get(what, share * act.duration)
+        u = np.linspace(0.0, 1.0, 11)
+        found = act.peak * formulas.motion_rate(u) @ np.array(terms)
+        np.testing.assert_allclose(found, textbook_rate(act, begin + u * duration), atol=1e-12)
+        angle += act.peak * duration * float(formulas.motion_angle(np.array(1.0)) @ np.array(terms))
+        begin += duration
+    assert begin == pytest.approx(act.duration)
+    points = [*np.linspace(0.0, act.duration, 13)[1:-1], act.ramp, act.duration - act.ramp]
+    wanted = quad(lambda t: float(textbook_rate(act, np.array(t))), 0, act.duration, points=points, epsabs=1e-13)[0]
+    assert angle == pytest.approx(wanted, abs=1e-11)
+    if act.shape != "spline":
+        formula = formulas.turned_angle(act.shape, np.array(act.peak), act.duration, act.ramp)
+        assert float(formula) == pytest.approx(wanted, abs=1e-11)
+
+
+def test_unknown_shapes_are_refused_by_name():
+    with pytest.raises(ValueError, match="cosine ramps"):
+        formulas.shape_pieces("cosine ramp")
+    with pytest.raises(ValueError, match="spline"):
+        formulas.turned_angle("spline", np.array(1.0), 1.0)
+
+
+def test_cycles_and_readings_survive_rounding():
+    assert formulas.repetitions(6000.0, 120.0, 360.0) == (17, pytest.approx(120.0))
+    assert formulas.repetitions(0.3, 0.1, 0.1)[0] == 3
+    assert formulas.repetitions(5.0, 6.0, 8.0) == (0, 5.0)
+    assert formulas.reading_times(0.3, 0.1) == pytest.approx([0.1, 0.2, 0.3])
+    assert formulas.reading_times(10.0, None) == []
+
+
+def test_the_scale_factor_map_is_the_sum_over_both_bases():
+    rng = np.random.default_rng(1)
+    t, w, c = rng.random((5, 3)), rng.random((5, 2)), rng.random((3, 2))
+    np.testing.assert_allclose(formulas.scale_factor_map(t, w, c), np.einsum("gi,ij,gj->g", t, c, w))

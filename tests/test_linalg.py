@@ -1,0 +1,87 @@
+"""Triangular factors: RᵀR, and derivatives that stay right where the rows do not span the space."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gradcal_jax.linalg import column_norms, solve_transposed, triangular_factor
+
+
+def rows_of(kind: str) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    full = rng.standard_normal((7, 4))
+    if kind == "dependent last":
+        full[:, 3] = full[:, 0] - 2.0 * full[:, 1]
+    elif kind == "zero column":
+        full[:, 1] = 0.0
+    elif kind == "dependent in the middle":
+        full[:, 2] = 0.5 * full[:, 0]
+    elif kind == "too few rows":
+        full = full[:2]
+    return full
+
+
+KINDS = ("full", "dependent last", "dependent in the middle", "zero column", "too few rows")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_the_factor_is_triangular_with_the_same_gram(kind, dtype):
+    rows = jnp.asarray(rows_of(kind).astype(dtype))
+    factor = np.asarray(triangular_factor(rows))
+    assert factor.dtype == dtype
+    assert np.all(np.tril(factor, -1) == 0.0)
+    assert np.all(np.diagonal(factor) >= 0.0)
+    np.testing.assert_allclose(factor.T @ factor, np.asarray(rows.T @ rows), atol=30 * np.finfo(dtype).eps)
+
+
+def smooth_function_of_the_gram(rows):
+    """Uses RᵀR and, through it, a solve with the identity added: a smooth function of the rows whatever their rank."""
+    factor = triangular_factor(rows)
+    gram = factor.T @ factor
+    return jnp.sum(jnp.sin(gram)) + jnp.linalg.slogdet(gram + jnp.eye(rows.shape[1]))[1]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_functions_of_the_gram_have_their_derivative(kind):
+    """Along tangents that keep the rows' span, for the rank is not to change."""
+    rng = np.random.default_rng(4)
+    rows = rows_of(kind)
+    direct = lambda a: jnp.sum(jnp.sin(a.T @ a)) + jnp.linalg.slogdet(a.T @ a + jnp.eye(a.shape[1]))[1]  # noqa: E731
+    span = np.linalg.pinv(rows) @ rows
+    tangent = jnp.asarray(rng.standard_normal(rows.shape) @ span)
+    primal = jnp.asarray(rows)
+    wanted = jax.jvp(direct, (primal,), (tangent,))[1]
+    found = jax.jvp(smooth_function_of_the_gram, (primal,), (tangent,))[1]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_derivative_is_nan(kind):
+    rows = jnp.asarray(rows_of(kind))
+    assert np.all(np.isfinite(jax.jacrev(triangular_factor)(rows)))
+    assert np.all(np.isfinite(jax.grad(smooth_function_of_the_gram)(rows)))
+    assert np.all(np.isfinite(jax.jacfwd(triangular_factor)(jnp.zeros_like(rows))))
+
+
+def test_the_factor_of_a_full_rank_differentiates_as_differences_do():
+    rows, tangent = rows_of("full"), np.random.default_rng(5).standard_normal((7, 4))
+    step = 1e-5
+    at = lambda s: np.asarray(triangular_factor(jnp.asarray(rows + s * step * tangent)))  # noqa: E731
+    wanted = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
+    found = jax.jvp(triangular_factor, (jnp.asarray(rows),), (jnp.asarray(tangent),))[1]
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+def test_solves_and_norms():
+    factor = triangular_factor(jnp.asarray(rows_of("full")))
+    right = jnp.asarray(np.random.default_rng(6).standard_normal((4, 3)))
+    np.testing.assert_allclose(factor.T @ solve_transposed(factor, right), right, atol=1e-12)
+    rows = jnp.asarray(rows_of("zero column"))
+    norms = column_norms(rows)
+    assert norms[1] == 1.0
+    np.testing.assert_allclose(norms[0], np.linalg.norm(rows[:, 0]), rtol=1e-15)
+    slope = jax.grad(lambda a: jnp.sum(column_norms(a)))(rows)
+    assert np.all(np.isfinite(slope))
+    assert np.all(np.asarray(slope[:, 1]) == 0.0)

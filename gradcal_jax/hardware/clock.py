@@ -109,6 +109,7 @@ class _Account:
     def __init__(self, clock: "VirtualClock") -> None:
         self._clock = clock
         self.attached = False
+        self.abandoned = False
         self.to_device = 0
         self.to_host = 0
         self.unread_since: float | None = None
@@ -120,25 +121,28 @@ class _Account:
         self._change(attached=False)
 
     def host_wrote(self, count: int) -> None:
-        self._change(to_device=count)
+        self._change(to_device=count, host_is_there=True)
 
     def device_handled(self, count: int) -> None:
         self._change(to_device=-count)
 
     def device_wrote(self, count: int) -> None:
-        self._change(to_host=count)
+        self._change(to_host=0 if self.abandoned else count)
 
     def host_read(self, count: int) -> None:
-        self._change(to_host=-count)
+        self._change(to_host=-count, host_is_there=True)
 
-    def _change(self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None) -> None:
+    def _change(
+        self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool = False
+    ) -> None:
         with self._clock.lock:
             if attached is not None:
-                self.attached, self.to_device, self.to_host = attached, 0, 0
+                self.attached, self.abandoned, self.to_device, self.to_host = attached, False, 0, 0
             elif self.attached:
                 # A line that was re-opened meets answers to bytes that it no longer counts: never below zero.
                 self.to_device = max(0, self.to_device + to_device)
                 self.to_host = max(0, self.to_host + to_host)
+                self.abandoned = self.abandoned and not host_is_there
             self.unread_since = None
             self._clock.advance_if_all_wait()
 
@@ -147,7 +151,7 @@ class VirtualClock:
     """Time that advances only when every party waits on it and every line is quiet.
 
     A thread that must hold the time while it works says so with `party()`. A line whose bytes nobody fetches for
-    `patience_s` real seconds (an open port that no driver reads) no longer holds the time until it moves again.
+    `patience_s` real seconds (an open port that no driver reads) no longer holds the time until the host uses it again.
 
     `speed` limits the pace to that many virtual seconds a real second; without it time runs as fast as it can.
     """
@@ -250,6 +254,7 @@ class VirtualClock:
                 account.unread_since = real
             elif real - account.unread_since >= self._patience_s:
                 account.to_device = account.to_host = 0
+                account.abandoned = True
 
     def _keep_pace(self) -> None:
         virtual_origin, real_origin = self._origin

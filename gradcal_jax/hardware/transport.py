@@ -79,7 +79,7 @@ class Transport:
         baudrate: int = 9600,
         bytesize: int = 8,
         parity: Parity = "N",
-        stopbits: float = 1,
+        stopbits: int = 1,
         write_timeout_s: float = 2.0,
         recorder: Recorder | None = None,
     ) -> None:

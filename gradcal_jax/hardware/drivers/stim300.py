@@ -58,6 +58,8 @@ class Stim300Config:
             raise ValueError(f"sample_rate is {self.sample_rate_hz:g} /s; the unit has 125, 250, 500, 1000, 2000.")
         if not 0 <= self.datagram < len(CONTENTS):
             raise ValueError(f"datagram is {self.datagram}; the unit has 0 to 7 (5: rate, acceleration, temperature).")
+        if self.parity not in ("N", "E", "O") or self.stopbits not in (1, 2):
+            raise ValueError("parity is 'N', 'E' or 'O' and stopbits is 1 or 2.")
         bits = 1 + 8 + (self.parity != "N") + self.stopbits
         needed = 1.1 * bits * LAYOUTS[CONTENTS[self.datagram][1]].length * self.sample_rate_hz
         if self.baudrate < needed:
@@ -179,7 +181,8 @@ class Stim300Stream:
             end = time.monotonic() + self._config.mode_timeout_s
             while (left := end - time.monotonic()) > 0.0:
                 heard = (heard + self._transport.read(min(left, 0.1)))[-4096:]
-                if re.search(rb"#UTILITYMODE,234\r", heard):
+                # A unit that a killed program left in Utility Mode calls the request invalid: `#,1,180`.
+                if re.search(rb"#UTILITYMODE,234\r|#,1,180\r", heard):
                     self._transport.drain(0.02)
                     self._in_utility = True
                     return

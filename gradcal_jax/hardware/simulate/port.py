@@ -225,4 +225,4 @@ class SimulatedPort:
                 pass  # full (nobody reads) or gone: the bytes are lost, as on a line
             if unsent:
                 self.lost_bytes += len(unsent)
-                self._link.host_read(len(unsent))
+                self._link.device_wrote(-len(unsent))

@@ -1,0 +1,172 @@
+"""`gradcal-rig/1`: which device hangs on which port, who it must be, and what it does when a run ends badly.
+
+The file names drivers and ports; what a driver's `options` mean is the driver's own affair and is read by
+`gradcal_jax.hardware.setup`, so that this room needs no serial library.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.quantity import Flag, Quantity, Temperature, Text
+from gradcal_jax.files.section import Section, refuse
+
+FORMAT: Final = "gradcal-rig/1"
+
+Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,30}$")]
+Options = dict[str, Any]
+
+
+class ChamberDevice(Section):
+    """`[chamber]`. `safe` says what it does when a run ends badly; `ambient` is where "ambient" goes.
+
+    `serial_number`, where given, must be the device's own: another chamber on the same cable is refused.
+    """
+
+    driver: Text
+    port: Text
+    safe: Literal["standby", "hold", "ambient"]
+    ambient: Temperature = Quantity(23.0, "23 degC", "temperature")
+    serial_number: Text | None = None
+    options: Options = Field(default_factory=dict)
+
+
+class AxisDevice(Section):
+    """`[[axis]]`, outermost first. `gravity_loaded` says that it moves by itself without power."""
+
+    name: Name
+    driver: Text
+    port: Text
+    safe: Literal["hold", "controlled stop", "unpower"]
+    gravity_loaded: Flag
+    serial_number: Text | None = None
+    options: Options = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _does_not_fall(self) -> "AxisDevice":
+        if self.safe == "unpower" and self.gravity_loaded:
+            refuse(
+                Problem(("safe",), 'an axis that is loaded by gravity falls without power; expected "hold"', self.safe)
+            )
+        return self
+
+
+class ImuDevice(Section):
+    """`[[imu]]`: a unit under calibration."""
+
+    name: Name
+    driver: Text
+    port: Text
+    serial_number: Text | None = None
+    options: Options = Field(default_factory=dict)
+
+
+class RigFile(Section):
+    """A whole rig file."""
+
+    format: Literal["gradcal-rig/1"]
+    title: Text | None = None
+    chamber: ChamberDevice | None = None
+    axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()
+    imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "RigFile":
+        refuse(*self._doubles(), *self._shared_ports())
+        if self.chamber is None and not self.axis and not self.imu:
+            refuse(Problem((), "there is no device in this rig; expected [chamber], [[axis]] or [[imu]]"))
+        return self
+
+    def _doubles(self) -> list[Problem]:
+        names = Counter([device.name for device in (*self.axis, *self.imu)])
+        return [
+            Problem((kind, index, "name"), "two devices have this name", device.name)
+            for kind, devices in (("axis", self.axis), ("imu", self.imu))
+            for index, device in enumerate(devices)
+            if names[device.name] > 1
+        ]
+
+    def _shared_ports(self) -> list[Problem]:
+        """Only axes of one controller share a port: they speak one protocol, by address."""
+        users = Counter([device.port for device in (*self.imu, *([self.chamber] if self.chamber else []))])
+        drivers: dict[str, set[str]] = {}
+        for axis in self.axis:
+            drivers.setdefault(axis.port, set()).add(axis.driver)
+        wrong = {port for port in (*users, *drivers) if users[port] + len(drivers.get(port, ())) > 1}
+        places = [
+            *((("chamber", "port"), device) for device in ([self.chamber] if self.chamber else [])),
+            *((("axis", index, "port"), device) for index, device in enumerate(self.axis)),
+            *((("imu", index, "port"), device) for index, device in enumerate(self.imu)),
+        ]
+        return [
+            Problem(key, "two devices use this port; only axes of one controller can share one", device.port)
+            for key, device in places
+            if device.port in wrong
+        ]
+
+
+def read_rig(path: str | Path) -> RigFile:
+    """Read a rig file. Raises `SpecError` that lists everything wrong with it, options of drivers excepted."""
+    return parse_rig(read_text(path), str(path))
+
+
+def parse_rig(text: str, source: str = "") -> RigFile:
+    """A rig from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
+    return rig_of(read_toml(text, source), source)
+
+
+def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:
+    """A rig from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
+    problem = format_problem(document, FORMAT)
+    if problem is not None and isinstance(document.get("format"), str):
+        raise SpecError([problem], source)
+    try:
+        return RigFile.model_validate(document)
+    except ValidationError as error:
+        problems = from_validation(error)
+    except SpecError as error:
+        problems = list(error.problems)
+    if problem is not None:
+        problems = [problem, *(p for p in problems if p.key != ("format",))]
+    raise SpecError(problems, source)
+
+
+TEMPLATE: Final = """\
+format = "gradcal-rig/1"
+title  = "my bench"
+
+# What hangs on which port. A port is a device path, COM3, or a URL such as socket://192.168.0.7:10001.
+# `gradcal rig check` reads everything back from the devices.
+
+[chamber]
+driver  = "espec"            # espec, weiss or watlow_f4
+port    = "/dev/ttyUSB0"
+safe    = "standby"          # when a run ends badly: standby, hold or ambient
+ambient = "23 degC"
+# [chamber.options]          # what the driver leaves open; see its documentation
+# baudrate = 19200
+
+[[axis]]                     # outermost first
+name           = "table"
+driver         = "zaber"     # zaber or odrive
+port           = "/dev/ttyUSB1"
+safe           = "hold"      # hold, controlled stop or unpower
+gravity_loaded = false       # true: it moves by itself without power
+[axis.options]
+max_rate         = "300 deg/s"
+max_acceleration = "300 deg/s^2"
+
+[[imu]]
+name   = "unit1"
+driver = "stim300"           # stim300 or vectornav
+port   = "/dev/ttyUSB2"
+# serial_number = "N25582405002002"   # refuse any other unit
+[imu.options]
+sample_rate = "125 Hz"
+"""
+"""What `gradcal rig new` writes: a commented rig to be edited."""

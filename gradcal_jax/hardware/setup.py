@@ -1,0 +1,280 @@
+"""From a rig file to open devices: drivers by name, options in units, ports shared where axes share one.
+
+A driver's options are the fields of its configuration class. A field with a unit in its name is written in the file
+without it, as text with a unit: `reply_timeout_s` is `reply_timeout = "3 s"`. Unknown names are refused with the
+nearest right spelling, all problems at once.
+"""
+
+import dataclasses
+import importlib
+import types
+import typing
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+from .. import units
+from ..files.problems import Problem, SpecError, nearest, one_of
+from ..files.rig import AxisDevice, ChamberDevice, ImuDevice, RigFile
+from .clock import Clock
+from .errors import HardwareError, WrongIdentity
+from .roles import AxisLimits, Chamber, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis
+from .transcript import Recorder
+from .transport import Transport
+
+Role = Literal["chamber", "axis", "imu"]
+Device = ChamberDevice | AxisDevice | ImuDevice
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Where a driver lives. A new one is a module beside the others and a line in `DRIVERS`."""
+
+    role: Role
+    module: str
+    device_class: str
+    config_class: str
+
+    def load(self) -> types.ModuleType:
+        return importlib.import_module(f"{__package__}.drivers.{self.module}")
+
+    def config(self) -> type[Any]:
+        return getattr(self.load(), self.config_class)
+
+
+DRIVERS: Final[Mapping[str, Driver]] = {
+    "espec": Driver("chamber", "espec", "EspecChamber", "EspecConfig"),
+    "weiss": Driver("chamber", "weiss", "WeissChamber", "WeissConfig"),
+    "watlow_f4": Driver("chamber", "watlow_f4", "WatlowF4Chamber", "WatlowF4Config"),
+    "zaber": Driver("axis", "zaber", "ZaberAxis", "ZaberConfig"),
+    "odrive": Driver("axis", "odrive", "ODriveAxis", "ODriveConfig"),
+    "stim300": Driver("imu", "stim300", "Stim300Stream", "Stim300Config"),
+    "vectornav": Driver("imu", "vectornav", "VectorNavStream", "VectorNavConfig"),
+}
+
+# Ending of a field's name -> dimension of its text, unit of its number. Longest first.
+_UNITS: Final = (
+    ("_dps2", "angular acceleration", "deg/s^2"),
+    ("_dps", "angular rate", "deg/s"),
+    ("_deg", "angle", "deg"),
+    ("_hz", "frequency", "Hz"),
+    ("_c", "temperature", "degC"),
+    ("_s", "time", "s"),
+)
+
+
+# ---------------------------------------------------------------------------------------------------------- options
+
+
+def option_names(driver: str) -> dict[str, str]:
+    """The options of a driver as the file spells them -> the fields of its configuration."""
+    return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(DRIVERS[driver].config())}
+
+
+def config_of(device: Device, role: Role, place: tuple[str | int, ...]) -> Any:
+    """The driver's configuration that a device of the rig file asks for.
+
+    Raises:
+        SpecError: no such driver, a driver of another role, unknown options, wrong values; all at once, with keys.
+    """
+    driver = DRIVERS.get(device.driver)
+    if driver is None or driver.role != role:
+        fitting = [name for name, entry in DRIVERS.items() if entry.role == role]
+        close = nearest(device.driver, fitting)
+        ending = f'; nearest: "{close}"' if close else ""
+        raise SpecError([Problem((*place, "driver"), f"expected {one_of(fitting)}{ending}", device.driver)])
+    config = driver.config()
+    names, hints = option_names(device.driver), typing.get_type_hints(config)
+    problems: list[Problem] = []
+    values: dict[str, Any] = {}
+    for name, value in device.options.items():
+        key = (*place, "options", name)
+        if name not in names:
+            close = nearest(name, names)
+            ending = f'; nearest: "{close}"' if close else f"; known here: {', '.join(names)}"
+            problems.append(Problem(key, "this key is unknown" + ending, value, "unknown"))
+            continue
+        try:
+            values[names[name]] = _value(value, names[name], hints[names[name]])
+        except ValueError as problem:
+            problems.append(Problem(key, str(problem), value))
+    if not problems:
+        try:
+            return config(**values)
+        except ValueError as problem:
+            problems.append(Problem((*place, "options"), str(problem)))
+    raise SpecError(problems)
+
+
+def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
+    """The configurations of all devices, by their place in the file. Raises `SpecError` with every problem."""
+    found: dict[tuple[str | int, ...], Any] = {}
+    problems: list[Problem] = []
+    for role, place, device in _devices(rig):
+        try:
+            found[place] = config_of(device, role, place)
+        except SpecError as error:
+            problems += error.problems
+    if problems:
+        raise SpecError(problems)
+    return found
+
+
+def _spelt(name: str) -> tuple[str, str, str]:
+    """A field's name in the file, its dimension and its unit (empty where it has none)."""
+    for ending, dimension, unit in _UNITS:
+        if name.endswith(ending):
+            return name.removesuffix(ending), dimension, unit
+    return name, "", ""
+
+
+def _value(value: object, name: str, hint: Any) -> object:
+    _, dimension, unit = _spelt(name)
+    plain = next((kind for kind in (bool, int, float, str) if kind is hint or kind in typing.get_args(hint)), str)
+    if dimension:
+        described = units.DIMENSIONS[dimension]
+        if not isinstance(value, str):
+            raise ValueError(f'expected {described.described} as text with a unit, such as "{described.example}"')
+        return units.to_unit(units.parse(value, dimension), unit)
+    if plain is float and type(value) in (int, float):
+        return float(typing.cast("float", value))
+    if type(value) is not plain:
+        words = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+        raise ValueError(f"expected {words[plain]}")
+    return value
+
+
+def _devices(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], Device]]:
+    found: list[tuple[Role, tuple[str | int, ...], Device]] = []
+    if rig.chamber is not None:
+        found.append(("chamber", ("chamber",), rig.chamber))
+    for index, axis in enumerate(rig.axis):
+        found.append(("axis", ("axis", index), axis))
+    for index, imu in enumerate(rig.imu):
+        found.append(("imu", ("imu", index), imu))
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------------ bench
+
+
+@dataclass
+class Bench:
+    """The open devices of a rig. Closing it closes every port; it does not make anything safe (see `safety`)."""
+
+    rig: RigFile
+    chamber: Chamber | None = None
+    axes: dict[str, MotionAxis] = field(default_factory=dict[str, MotionAxis])
+    imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
+    _ports: ExitStack = field(default_factory=ExitStack)
+
+    def close(self) -> None:
+        self._ports.close()
+
+    def __enter__(self) -> "Bench":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_rig(rig: RigFile, clock: Clock, recorder_of: Callable[[str], Recorder | None] | None = None) -> Bench:
+    """Open every port of a rig. `recorder_of` gives the recorder of a port, for transcripts.
+
+    Raises:
+        SpecError: options that a driver does not have.
+        PortRefused: a port that cannot be opened; those opened before are closed again.
+    """
+    configs = configs_of(rig)
+    bench = Bench(rig)
+    exchanges: dict[str, Any] = {}
+    try:
+        for role, place, device in _devices(rig):
+            config, driver = configs[place], DRIVERS[device.driver]
+            module = driver.load()
+            make = getattr(module, driver.device_class)
+            if role == "imu" or device.port not in exchanges:
+                transport = _open_port(device.port, clock, config, recorder_of)
+                bench._ports.callback(transport.close)  # pyright: ignore[reportPrivateUsage]
+            else:
+                transport = None
+            if role == "imu":
+                assert isinstance(device, ImuDevice)
+                bench.imus[device.name] = make(transport, clock, config)
+                continue
+            if transport is not None:
+                exchanges[device.port] = module.open_exchange(transport, clock, config)
+            made = make(exchanges[device.port], config)
+            if isinstance(device, AxisDevice):
+                bench.axes[device.name] = made
+            else:
+                bench.chamber = made
+    except BaseException:
+        bench.close()
+        raise
+    return bench
+
+
+def _open_port(url: str, clock: Clock, config: Any, recorder_of: Callable[[str], Recorder | None] | None) -> Transport:
+    line = {name: getattr(config, name) for name in ("baudrate", "stopbits", "parity") if hasattr(config, name)}
+    recorder = recorder_of(url) if recorder_of is not None else None
+    return Transport(url, clock=clock, recorder=recorder, **line)
+
+
+# ------------------------------------------------------------------------------------------------------------ check
+
+
+@dataclass(frozen=True)
+class DeviceReport:
+    """What a device said of itself, or the sentence that says why it did not."""
+
+    name: str
+    driver: str
+    port: str
+    identity: Identity | None = None
+    limits: ChamberLimits | AxisLimits | ImuSettings | None = None
+    problem: str = ""
+
+    @property
+    def good(self) -> bool:
+        return not self.problem
+
+
+def check_rig(bench: Bench) -> list[DeviceReport]:
+    """Ask every device who it is and what it accepts; compare serial numbers with the rig file. Nothing moves."""
+    rig = bench.rig
+    reports: list[DeviceReport] = []
+    if bench.chamber is not None and rig.chamber is not None:
+        reports.append(_report("chamber", rig.chamber, bench.chamber.identify, bench.chamber.limits))
+    for entry in rig.axis:
+        axis = bench.axes[entry.name]
+        reports.append(_report(entry.name, entry, axis.identify, axis.limits))
+    for entry in rig.imu:
+        imu = bench.imus[entry.name]
+        reports.append(_report(entry.name, entry, imu.identify, imu.configure))
+    return reports
+
+
+def _report(
+    name: str,
+    entry: Device,
+    identify: Callable[[], Identity],
+    limits: Callable[[], ChamberLimits | AxisLimits | ImuSettings],
+) -> DeviceReport:
+    identity = None
+    try:
+        identity = identify()
+        require_identity(name, entry, identity)
+        return DeviceReport(name, entry.driver, entry.port, identity, limits())
+    except HardwareError as problem:
+        return DeviceReport(name, entry.driver, entry.port, identity, problem=str(problem))
+
+
+def require_identity(name: str, entry: Device, identity: Identity) -> None:
+    """Raises `WrongIdentity` when the rig file names another serial number than the device."""
+    if entry.serial_number is not None and entry.serial_number != identity.serial_number:
+        raise WrongIdentity(
+            f"{name} at {entry.port} is number {identity.serial_number or '(it tells none)'}, and the rig file says "
+            f"{entry.serial_number}. Connect the right device or correct the rig file."
+        )

@@ -1,0 +1,158 @@
+"""The rig file: everything wrong at once; from its options to open, checked devices."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from hardware_bench import sensor_on_table
+
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.rig import TEMPLATE, parse_rig, read_rig
+from gradcal_jax.hardware.clock import VirtualClock
+from gradcal_jax.hardware.drivers.espec import EspecConfig
+from gradcal_jax.hardware.drivers.stim300 import Stim300Config
+from gradcal_jax.hardware.drivers.zaber import ZaberConfig
+from gradcal_jax.hardware.errors import PortRefused
+from gradcal_jax.hardware.setup import DRIVERS, check_rig, configs_of, open_rig, option_names
+from gradcal_jax.hardware.simulate.espec import SimulatedEspec
+from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300
+from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
+from gradcal_jax.hardware.transcript import Direction
+
+
+def test_template_is_a_rig_and_its_options_reach_the_drivers() -> None:
+    rig = parse_rig(TEMPLATE)
+    configs = configs_of(rig)
+    assert configs["chamber",] == EspecConfig()
+    assert configs["axis", 0] == ZaberConfig(max_rate_dps=300.0, max_acceleration_dps2=300.0)
+    assert configs["imu", 0] == Stim300Config(sample_rate_hz=125.0)
+
+
+def test_every_option_of_every_driver_can_be_written() -> None:
+    for name, driver in DRIVERS.items():
+        names = option_names(name)
+        assert set(names.values()) == {field.name for field in dataclasses.fields(driver.config())}
+        assert len(names) == len(set(names.values()))
+        assert not [spelt for spelt in names if spelt.endswith(("_s", "_c", "_dps", "_deg", "_hz"))]
+
+
+def test_everything_wrong_with_a_rig_is_said_at_once() -> None:
+    text = """
+format = "gradcal-rig/1"
+[chamber]
+driver = "espek"
+port = "/dev/a"
+safe = "standby"
+[[axis]]
+name = "table"
+driver = "zaber"
+port = "/dev/b"
+safe = "hold"
+gravity_loaded = false
+[axis.options]
+max_rat = "300 deg/s"
+max_acceleration = 300
+zero = "3 s"
+device = "one"
+[[imu]]
+name = "unit"
+driver = "stim300"
+port = "/dev/c"
+[imu.options]
+sample_rate = "130 Hz"
+"""
+    with pytest.raises(SpecError) as caught:
+        configs_of(parse_rig(text))
+    message = str(caught.value)
+    for fragment in (
+        'chamber.driver = "espek"',
+        'nearest: "espec"',
+        "axis[0].options.max_rat",
+        'nearest: "max_rate"',
+        "axis[0].options.max_acceleration = 300: expected an angular acceleration as text with a unit",
+        "axis[0].options.zero",
+        'axis[0].options.device = "one": expected a whole number',
+        "imu[0].options: sample_rate is 130 /s",
+    ):
+        assert fragment in message
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (('safe           = "hold"', 'safe           = "drop"'), "axis[0].safe"),
+        (("gravity_loaded = false       # true: it moves by itself without power\n", ""), "axis[0].gravity_loaded"),
+        (("/dev/ttyUSB2", "/dev/ttyUSB0"), "two devices use this port"),
+        (('name   = "unit1"', 'name   = "table"'), "two devices have this name"),
+        (("gradcal-rig/1", "gradcal-spec/1"), 'expected "gradcal-rig/1"'),
+        (('safe    = "standby"', 'saff    = "standby"'), 'nearest: "safe"'),
+    ],
+)
+def test_a_wrong_rig_is_refused_with_its_key(change: tuple[str, str], expected: str) -> None:
+    assert change[0] in TEMPLATE
+    with pytest.raises(SpecError, match=expected.replace("[", r"\[")):
+        parse_rig(TEMPLATE.replace(*change))
+
+
+def test_a_gravity_loaded_axis_is_never_unpowered() -> None:
+    text = TEMPLATE.replace('safe           = "hold" ', 'safe           = "unpower" ')
+    parse_rig(text)
+    with pytest.raises(SpecError, match="falls without power"):
+        parse_rig(text.replace("gravity_loaded = false", "gravity_loaded = true"))
+    with pytest.raises(SpecError, match="no device"):
+        parse_rig('format = "gradcal-rig/1"')
+
+
+class Remember:
+    def __init__(self) -> None:
+        self.data = b""
+
+    def record(self, time_s: float, direction: Direction, data: bytes) -> None:
+        self.data += data
+
+
+def test_a_rig_is_opened_checked_and_closed(tmp_path: Path) -> None:
+    clock = VirtualClock()
+    plants = [AxisPlant(), AxisPlant()]
+    with (
+        SimulatedPort(SimulatedEspec(ChamberPlant(ChamberTruth()), clock), clock) as chamber,
+        SimulatedPort(SimulatedZaber(plants, clock), clock) as stages,
+        SimulatedPort(SimulatedStim300(sensor_on_table(clock), clock), clock) as imu,
+    ):
+        path = tmp_path / "rig.toml"
+        text = TEMPLATE.replace("/dev/ttyUSB0", chamber.url).replace("/dev/ttyUSB1", stages.url)
+        text = text.replace("/dev/ttyUSB2", imu.url).replace("# serial_number", "serial_number")
+        text += f"""
+[[axis]]
+name = "inner"
+driver = "zaber"
+port = "{stages.url}"
+safe = "hold"
+gravity_loaded = false
+[axis.options]
+device = 2
+"""
+        path.write_text(text)
+        rig = read_rig(path)
+        records: dict[str, Remember] = {}
+        with open_rig(rig, clock, lambda url: records.setdefault(url, Remember())) as bench, clock.party():
+            reports = check_rig(bench)
+            assert [report.problem for report in reports] == ["", "", "", ""]
+            assert [report.name for report in reports] == ["chamber", "table", "inner", "unit1"]
+            assert reports[1].identity.serial_number != reports[2].identity.serial_number
+            bench.axes["inner"].home()
+            bench.axes["inner"].move_to(30.0, 50.0, 100.0)
+            clock.sleep(5.0)
+            assert plants[1].state(clock.now())[0] == pytest.approx(30.0, abs=0.001)
+            assert plants[0].state(clock.now())[0] == 0.0
+            with pytest.raises(PortRefused, match="in use"):
+                open_rig(rig, clock)
+        assert b"TEMP?" in records[chamber.url].data
+        # Another unit on the cable is noticed; the rest of the rig is still reported.
+        other = parse_rig(text.replace("N25582405002002", "N999"))
+        with open_rig(other, clock) as bench, clock.party():
+            problems = [report.problem for report in check_rig(bench)]
+        assert problems[:3] == ["", "", ""]
+        assert "N999" in problems[3]

@@ -1,0 +1,100 @@
+"""Making a rig safe: every device in a thread of its own, with its own deadline, retried, verified by read-back.
+
+A device that hangs keeps nobody waiting but itself. What safe means is written in the rig file; what was done and what
+the device said afterwards is the outcome, also when it failed. Axes are told first, then the chamber, then the units.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from .clock import Clock
+from .errors import HardwareError
+from .roles import AxisSafe, ChamberSafe, SafeReport
+from .setup import Bench
+
+
+@dataclass(frozen=True)
+class SafeOutcome:
+    """What became of one device. `evidence` is the read-back, or the last problem; `took_s` real seconds."""
+
+    name: str
+    action: str
+    verified: bool
+    evidence: str
+    tries: int
+    took_s: float
+
+
+@dataclass
+class _Attempt:
+    """Filled by its thread, read by the one that waits: a hanging thread leaves what it knew so far."""
+
+    name: str
+    action: str
+    verified: bool = False
+    evidence: str = "has not answered yet"
+    tries: int = 0
+    began_s: float = 0.0
+    took_s: float | None = None
+
+
+def make_safe(bench: Bench, clock: Clock, *, deadline_s: float = 60.0, retry_pause_s: float = 0.2) -> list[SafeOutcome]:
+    """Bring every device of the bench to the state that its rig file calls safe.
+
+    Returns after all devices are verified, or after `deadline_s` real seconds: then those that are not say why. Never
+    raises for what a device does.
+    """
+    attempts: list[tuple[_Attempt, threading.Thread]] = []
+
+    def begin(name: str, action: str, act: Callable[[], SafeReport]) -> None:
+        attempt = _Attempt(name, action, began_s=time.monotonic())
+        arguments = (attempt, act, clock, attempt.began_s + deadline_s, retry_pause_s)
+        thread = threading.Thread(target=_try, args=arguments, daemon=True, name=f"making {name} safe")
+        attempts.append((attempt, thread))
+        thread.start()
+
+    for entry in bench.rig.axis:
+        axis, wanted = bench.axes[entry.name], AxisSafe(entry.safe)
+        begin(entry.name, entry.safe, lambda axis=axis, wanted=wanted: axis.safe(wanted))
+    if bench.chamber is not None and bench.rig.chamber is not None:
+        chamber, how = bench.chamber, bench.rig.chamber
+        begin("chamber", how.safe, lambda: chamber.safe(ChamberSafe(how.safe), float(how.ambient)))
+    for entry in bench.rig.imu:
+        begin(entry.name, "left streaming", bench.imus[entry.name].safe)
+    with clock.aside():
+        for attempt, thread in attempts:
+            thread.join(max(0.0, attempt.began_s + deadline_s - time.monotonic()))
+    return [
+        SafeOutcome(
+            attempt.name,
+            attempt.action,
+            attempt.verified,
+            attempt.evidence,
+            attempt.tries,
+            attempt.took_s if attempt.took_s is not None else time.monotonic() - attempt.began_s,
+        )
+        for attempt, _ in attempts
+    ]
+
+
+def _try(
+    attempt: _Attempt, act: Callable[[], SafeReport], clock: Clock, deadline_s: float, retry_pause_s: float
+) -> None:
+    with clock.party():
+        while True:
+            attempt.tries += 1
+            try:
+                report = act()
+                attempt.evidence = report.evidence
+                attempt.verified = report.verified
+            except HardwareError as problem:
+                attempt.evidence = str(problem)
+            except Exception as problem:
+                # Whatever a driver stumbles over must not keep it from being tried again.
+                attempt.evidence = f"{type(problem).__name__}: {problem}"
+            if attempt.verified or time.monotonic() >= deadline_s:
+                attempt.took_s = time.monotonic() - attempt.began_s
+                return
+            time.sleep(retry_pause_s)

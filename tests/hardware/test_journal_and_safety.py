@@ -1,0 +1,288 @@
+"""The journal opens after anything; a rig is made safe whatever one device does; clocks are compared."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hardware_bench import sensor_on_table
+
+from gradcal_jax.files.rig import TEMPLATE, parse_rig
+from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
+from gradcal_jax.hardware.clockmap import fit_clock
+from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.journal import (
+    Chunk,
+    Event,
+    Journal,
+    JournalFull,
+    free_space_bytes,
+    parse_journal,
+    read_journal,
+)
+from gradcal_jax.hardware.safety import make_safe
+from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.simulate.espec import SimulatedEspec
+from gradcal_jax.hardware.simulate.odrive import SimulatedODrive
+from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
+
+# --- journal ----------------------------------------------------------------------------------------------------------
+
+
+def write_some(path: Path) -> list[Event | Chunk]:
+    with Journal(path) as journal:
+        journal.event(0.0, "start", recipe="abc", note="ünïcode")
+        for index in range(6):
+            journal.bytes_of("unit1", index + 0.25, bytes([0xA7, 0x4A, index]) * 9, received=True)
+            journal.recorder("chamber").record(index + 0.5, ">", b"TEMP?\r\n")
+        journal.event(9.0, "step", number=3, temperature_c=-30.0)
+    return read_journal(path).records
+
+
+def test_journal_gives_back_what_was_written(tmp_path: Path) -> None:
+    records = write_some(tmp_path / "j")
+    contents = read_journal(tmp_path / "j")
+    assert contents.damaged_bytes == 0
+    assert [event.name for event in contents.events] == ["start", "line", "line", "step"]
+    assert contents.events[0].data == {"recipe": "abc", "note": "ünïcode"}
+    assert [chunk.data[2] for chunk in contents.chunks("unit1")] == list(range(6))
+    assert [chunk.time_s for chunk in contents.chunks("chamber", received=False)] == [i + 0.5 for i in range(6)]
+    assert len(records) == 4 + 12
+
+
+def test_journal_cut_at_every_byte_opens_with_every_whole_record(tmp_path: Path) -> None:
+    records = write_some(tmp_path / "j")
+    data = (tmp_path / "j").read_bytes()
+    seen = 0
+    for length in range(len(data) + 1):
+        contents = parse_journal(data[:length])
+        assert contents.records == records[: len(contents.records)]
+        assert len(contents.records) >= seen
+        seen = len(contents.records)
+    assert seen == len(records)
+
+
+def test_journal_goes_on_behind_a_torn_record_and_loses_only_that(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    records = write_some(path)
+    data = path.read_bytes()
+    for cut in range(len(data) - 40, len(data)):
+        path.write_bytes(data[:cut])
+        whole = len(parse_journal(data[:cut]).records)
+        with Journal(path) as journal:
+            journal.event(20.0, "resume")
+            journal.bytes_of("unit1", 21.0, b"more", received=True)
+        contents = read_journal(path)
+        assert contents.records[:whole] == records[:whole]
+        assert contents.events[-2].name == "resume"
+        assert [chunk.data for chunk in contents.chunks("unit1")][-1] == b"more"
+        assert path.read_bytes()[:cut] == data[:cut]
+
+
+def test_journal_with_any_flipped_bit_loses_one_record_at_most(tmp_path: Path) -> None:
+    records = write_some(tmp_path / "j")
+    data = (tmp_path / "j").read_bytes()
+    generator = np.random.default_rng(0)
+    for place in generator.integers(0, len(data), 300):
+        bad = bytearray(data)
+        bad[place] ^= 1 << int(generator.integers(8))
+        contents = parse_journal(bytes(bad))
+        # A lost note of a line's name renames its chunks; their bytes and times stay.
+        kept = [(type(r), r.time_s, getattr(r, "data", None)) for r in contents.records]
+        whole = [(type(r), r.time_s, getattr(r, "data", None)) for r in records]
+        assert len(kept) == len(whole) - 1
+        assert all(entry in whole for entry in kept)
+        assert contents.damaged_bytes > 0
+
+
+def test_journal_of_a_killed_process_has_every_acknowledged_event(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    program = (
+        "import sys, pathlib; from gradcal_jax.hardware.journal import Journal\n"
+        "journal = Journal(pathlib.Path(sys.argv[1]))\n"
+        "for i in range(10**9):\n"
+        "    journal.bytes_of('unit', float(i), b'x' * 500, received=True)\n"
+        "    if i % 20 == 0:\n"
+        "        journal.event(float(i), 'step', number=i); print(i, flush=True)\n"
+    )
+    for attempt in range(3):
+        with subprocess.Popen([sys.executable, "-c", program, str(path)], stdout=subprocess.PIPE) as child:
+            assert child.stdout is not None
+            acknowledged = [int(child.stdout.readline()) for _ in range(5 + attempt)][-1]
+            child.send_signal(signal.SIGKILL)
+            child.wait()
+        contents = read_journal(path)
+        assert acknowledged in [event.data.get("number") for event in contents.events if event.name == "step"]
+        chunks = list(contents.chunks("unit"))
+        assert (
+            sum(chunk.time_s == float(i) for i in range(acknowledged + 1) for chunk in chunks[-10_000:]) > acknowledged
+        )
+        path.unlink()
+
+
+def test_full_disk_is_a_sentence_and_what_was_written_stays(tmp_path: Path) -> None:
+    program = (
+        "import resource, sys, pathlib; from gradcal_jax.hardware.journal import Journal, JournalFull\n"
+        "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
+        "journal = Journal(pathlib.Path(sys.argv[1])); journal.event(0.0, 'start')\n"
+        "try:\n"
+        "    while True: journal.bytes_of('unit', 1.0, b'x' * 5000, received=True)\n"
+        "except JournalFull as problem: print(problem)\n"
+        "try: journal.event(2.0, 'late')\n"
+        "except JournalFull: print('again')\n"
+        "journal.close()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "j")], capture_output=True, text=True, check=True
+    )
+    assert "the disk is full" in done.stdout
+    assert "resumed" in done.stdout
+    assert done.stdout.endswith("again\n")
+    contents = read_journal(tmp_path / "j")
+    assert contents.events[0].name == "start"
+    assert len(list(contents.chunks("unit"))) == 19
+    assert free_space_bytes(tmp_path) > 0
+
+
+def test_many_threads_write_whole_records(tmp_path: Path) -> None:
+    with Journal(tmp_path / "j", sync_every_s=0.01) as journal:
+
+        def write(line: str) -> None:
+            for index in range(300):
+                journal.bytes_of(line, float(index), f"{line}{index}".encode() * 20, received=True)
+
+        threads = [threading.Thread(target=write, args=(f"unit{k}",)) for k in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    contents = read_journal(tmp_path / "j")
+    assert contents.damaged_bytes == 0
+    for k in range(4):
+        assert [c.data for c in contents.chunks(f"unit{k}")] == [f"unit{k}{i}".encode() * 20 for i in range(300)]
+    with pytest.raises(HardwareError, match="cannot be read"):
+        read_journal(tmp_path / "missing")
+    closed = Journal(tmp_path / "closed")
+    closed.close()
+    with pytest.raises(JournalFull, match="closed"):
+        closed.event(0.0, "late")
+
+
+# --- safety -----------------------------------------------------------------------------------------------------------
+
+
+class Rig:
+    """A simulated rig under the template's rig file, with an ODrive as its table."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.chamber = SimulatedEspec(ChamberPlant(ChamberTruth(), clock.now()), clock)
+        self.table = SimulatedODrive([AxisPlant(None, clock.now())], clock)
+        imu = SimulatedStim300(sensor_on_table(clock), clock, Stim300Options(rate_code=0, burst_s=0.128))
+        self.ports = [SimulatedPort(device, clock) for device in (self.chamber, self.table, imu)]
+        text = TEMPLATE.replace('"zaber" ', '"odrive" ')
+        for index, port in enumerate(self.ports):
+            text = text.replace(f"/dev/ttyUSB{index}", port.open().url)
+        self.rig = parse_rig(text)
+
+    def __enter__(self) -> "Rig":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for port in self.ports:
+            port.close()
+
+
+def test_abort_at_random_instants_leaves_everything_verified_safe() -> None:
+    generator = np.random.default_rng(12)
+    clock = VirtualClock()
+    with Rig(clock) as rig, open_rig(rig.rig, clock) as bench, clock.party():
+        assert bench.chamber is not None
+        axis = bench.axes["table"]
+        for _ in range(8):
+            bench.chamber.hold(float(generator.uniform(-30.0, 60.0)))
+            axis.spin(float(generator.uniform(-200.0, 200.0)), 200.0)
+            axis.arm_watchdog()
+            clock.sleep(float(generator.uniform(0.01, 0.9)))
+            outcomes = make_safe(bench, clock, deadline_s=10.0)
+            assert [outcome.name for outcome in outcomes] == ["table", "chamber", "unit1"]
+            assert all(outcome.verified for outcome in outcomes), outcomes
+            assert rig.table.axes[0].plant.state(clock.now())[1] == 0.0
+            assert rig.chamber.mode == "STANDBY"
+            assert not rig.chamber.plant.conditioning
+
+
+def test_a_device_that_never_answers_keeps_nobody_else_waiting() -> None:
+    clock = RealClock()
+    with Rig(clock) as rig, open_rig(rig.rig, clock) as bench:
+        bench.axes["table"].spin(30.0, 300.0)
+        rig.ports[0].faults.mute = True
+        began = time.monotonic()
+        outcomes = {outcome.name: outcome for outcome in make_safe(bench, clock, deadline_s=4.0)}
+        assert time.monotonic() - began < 6.0
+        assert outcomes["table"].verified
+        assert outcomes["table"].took_s < 3.0
+        assert not outcomes["chamber"].verified
+        assert rig.table.axes[0].plant.state(clock.now())[1] == 0.0
+
+
+def test_a_bad_line_is_tried_again_until_the_device_is_safe() -> None:
+    clock = VirtualClock()
+    with Rig(clock) as rig, open_rig(rig.rig, clock) as bench, clock.party():
+        assert bench.chamber is not None
+        bench.chamber.hold(40.0)
+        bench.axes["table"].spin(100.0, 300.0)
+        rig.ports[1].faults.once(*["drop"] * 8)
+        outcomes = {outcome.name: outcome for outcome in make_safe(bench, clock, deadline_s=20.0)}
+        assert outcomes["table"].verified
+        assert outcomes["table"].tries > 1
+        assert rig.table.axes[0].plant.state(clock.now())[1] == 0.0
+
+
+# --- clocks -----------------------------------------------------------------------------------------------------------
+
+
+def test_clock_map_finds_the_rate_through_late_arrivals() -> None:
+    generator = np.random.default_rng(4)
+    device = np.arange(0.0, 3600.0, 0.064)
+    true_rate = 1.0 - 37e-6
+    late = generator.exponential(0.001, device.size) + np.where(generator.random(device.size) < 0.02, 0.2, 0.0)
+    host = 12345.0 + true_rate * device + late
+    fitted = fit_clock(device, host)
+    assert fitted.rate_error == pytest.approx(-37e-6, abs=1e-7)
+    assert abs(fitted.rate - true_rate) < 5.0 * fitted.rate_std
+    assert fitted.late > 0.01 * device.size
+    assert fitted.residual_rms_s < 0.002
+    np.testing.assert_allclose(
+        fitted.host_time_s(device) - (host - late), fitted.host_time_s(device)[0] - 12345.0, atol=1e-3
+    )
+
+
+def test_clock_map_uses_the_last_sample_of_a_chunk_and_needs_three() -> None:
+    device = np.arange(160) * 0.008
+    host = 5.0 + np.repeat(device[15::16], 16)
+    fitted = fit_clock(device, host)
+    assert fitted.rate == pytest.approx(1.0, abs=1e-12)
+    assert fitted.offset_s == pytest.approx(5.0, abs=1e-12)
+    with pytest.raises(ValueError, match="three arrivals"):
+        fit_clock(device[:32], host[:32])
+
+
+def test_wall_clock_has_no_say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The wall clock jumps by a year in mid-run: times in the journal and device time-outs do not notice."""
+    clock = RealClock()
+    with Rig(clock) as rig, open_rig(rig.rig, clock) as bench, Journal(tmp_path / "j") as journal:
+        assert bench.chamber is not None
+        journal.event(clock.now(), "before", setpoint=bench.chamber.read().setpoint_c)
+        monkeypatch.setattr(time, "time", lambda: 4e9)
+        journal.event(clock.now(), "after", setpoint=bench.chamber.read().setpoint_c)
+    before, after = read_journal(tmp_path / "j").events
+    assert 0.0 < after.time_s - before.time_s < 10.0
+    assert os.path.getsize(tmp_path / "j") > 0

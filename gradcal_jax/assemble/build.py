@@ -1,6 +1,6 @@
 """A spec in the core's terms: its error model and its plan."""
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +9,7 @@ from gradcal_jax import errormodel, plans
 from gradcal_jax.errormodel import GyroModel, Map, Processes
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
-from gradcal_jax.files.moves import ResolvedMove
+from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import Bias, ScaleFactor, Sensor
 
@@ -27,9 +27,9 @@ class Assembled(NamedTuple):
     sources: dict[str, tuple[int, ...]]
 
     @property
-    def channels(self) -> tuple[str, ...]:
+    def channels(self) -> tuple[Axis, ...]:
         """Sensor axes whose calibration the plan is for."""
-        return self.plan.channels
+        return cast("tuple[Axis, ...]", self.plan.channels)
 
 
 def assemble(spec: Spec) -> Assembled:

@@ -1,6 +1,6 @@
 """What is known after a spec's plan, on its requirements' boxes."""
 
-from typing import NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,12 +10,16 @@ from gradcal_jax import plans
 from gradcal_jax.assemble.build import Assembled
 from gradcal_jax.errormodel import GyroModel
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
+from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import Posterior, SquareRootInformation, information, posterior, residual, unweighted
 
 PPM = 1e6
 DEG_PER_H = 3600.0 * 180.0 / np.pi
 DEG_PER_S = 180.0 / np.pi
-UNIT_OF = {"scale_factor": ("ppm", PPM), "bias": ("deg/h", DEG_PER_H)}
+UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h"], float]]] = {
+    "scale_factor": ("ppm", PPM),
+    "bias": ("deg/h", DEG_PER_H),
+}
 
 
 @eqx.filter_jit
@@ -56,11 +60,15 @@ def survey(built: Assembled, channel: str = "x") -> Survey:
     return Survey(*(float(v) for v in _survey(built.plan, channel, lag)))
 
 
-def residual_map(built: Assembled, known: Posterior, requirement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def residual_map(
+    built: Assembled, known: Posterior, requirement: Requirement
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Temperatures (°C), rates (deg/s) and the residual `(n_T, n_ω)` in ppm or deg/h, on a requirement's box."""
-    temperatures = np.linspace(*(float(t) for t in requirement.temperature), requirement.grid[0])
+    cold, warm = requirement.temperature
+    temperatures = np.linspace(float(cold), float(warm), requirement.grid[0])
     rates = np.zeros(1)
     if requirement.quantity == "scale_factor":
-        rates = np.linspace(*(float(r) for r in requirement.rate), requirement.grid[1])
+        slow, fast = requirement.rate
+        rates = np.linspace(float(slow), float(fast), requirement.grid[1])
     values = residual(known, built.model, requirement.quantity, temperatures, rates)
     return temperatures, rates * DEG_PER_S, values * UNIT_OF[requirement.quantity][1]

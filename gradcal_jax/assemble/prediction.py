@@ -8,13 +8,15 @@ from gradcal_jax.assemble.shares import error_shares, limited_by
 from gradcal_jax.assemble.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.contracts import ParameterRow, RequirementRow
+from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import STATISTICS, Posterior, parameter_names, statistic, to_reported
 
 
 def predict(spec: Spec, *, limits: bool = False) -> Prediction:
     """The residual that a spec's plan leaves. `limits`: also say of each requirement what it is limited by."""
     built = assemble(spec)
-    known = {channel: knowledge(built, channel) for channel in built.channels}
+    known: dict[Axis, Posterior] = {channel: knowledge(built, channel) for channel in built.channels}
     requirements = [
         _requirement_row(built, known[channel], requirement, channel)
         for requirement in spec.requirement
@@ -39,7 +41,7 @@ def predict(spec: Spec, *, limits: bool = False) -> Prediction:
     )
 
 
-def _requirement_row(built: Assembled, known: Posterior, requirement, channel: str) -> RequirementRow:
+def _requirement_row(built: Assembled, known: Posterior, requirement: Requirement, channel: Axis) -> RequirementRow:
     _, rates, values = residual_map(built, known, requirement)
     found = {name: statistic(name, values) for name in STATISTICS}
     if requirement.quantity == "bias":
@@ -58,7 +60,7 @@ def _requirement_row(built: Assembled, known: Posterior, requirement, channel: s
         quantity=requirement.quantity,
         unit=unit,
         axis=channel,
-        temperature_c=tuple(float(t) for t in requirement.temperature),
+        temperature_c=(float(requirement.temperature[0]), float(requirement.temperature[1])),
         rate_dps=(float(rates[0]), float(rates[-1])) if requirement.quantity == "scale_factor" else None,
         grid=tuple(requirement.grid),
         statistic=requirement.statistic,
@@ -71,7 +73,7 @@ def _requirement_row(built: Assembled, known: Posterior, requirement, channel: s
     )
 
 
-def _parameters(built: Assembled, known: dict[str, Posterior]):
+def _parameters(built: Assembled, known: dict[Axis, Posterior]):
     """Rows of the reported parameters and their covariance, axes one after the other (they are independent)."""
     model = built.model
     columns = model.columns

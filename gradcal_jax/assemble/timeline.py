@@ -20,6 +20,7 @@ from gradcal_jax.files.contracts import (
     SensorRow,
     TemperatureErrorRow,
 )
+from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.sensor import Bias, ScaleFactor, ScaleFactorDiscrepancy
 
 
@@ -46,7 +47,7 @@ def timeline(spec: Spec) -> Timeline:
 
 
 def _gradient_rows(
-    built: Assembled, plan: plans.GradientPlan, channel: str
+    built: Assembled, plan: plans.GradientPlan, channel: Axis
 ) -> tuple[list[SegmentRow], list[ReadingRow]]:
     line = plan.timeline(channel)
     times, chamber = (np.asarray(x) for x in plan.programme.knots())
@@ -136,7 +137,7 @@ def _standard_rows(built: Assembled, plan: plans.StandardPlan) -> tuple[list[Seg
     readings: list[ReadingRow] = []
     clock, point = 0.0, 0
     for temperature in np.asarray(plan.temperatures):
-        at = {"temperature_start": float(temperature), "temperature_end": float(temperature)}
+        at: dict = {"temperature_start": float(temperature), "temperature_end": float(temperature)}
         segments.append(SegmentRow(axis="x", start=clock, duration=soak, shape="rest", **at))
         clock += soak
         for rate in np.asarray(plan.rates):

@@ -1,12 +1,13 @@
 """The Monte Carlo twin of a spec: simulated calibrations beside the prediction."""
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.assemble.build import assemble
 from gradcal_jax.assemble.knowledge import DEG_PER_S, UNIT_OF, residual_map
+from gradcal_jax.errormodel import GyroModel
 from gradcal_jax.files import Spec
 from gradcal_jax.information import Twin, WishartTest, contrasts, statistic, twin, wishart_test
 
@@ -53,7 +54,13 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
     return rows, tests
 
 
-def _simulated_map(model, result: Twin, quantity: str, temperatures: np.ndarray, rates: np.ndarray) -> np.ndarray:
+def _simulated_map(
+    model: GyroModel,
+    result: Twin,
+    quantity: Literal["bias", "scale_factor"],
+    temperatures: np.ndarray,
+    rates: np.ndarray,
+) -> np.ndarray:
     """Root mean square error of the simulated maps at each point."""
     grid_t, grid_w = np.meshgrid(temperatures, rates, indexing="ij")
     rows = np.asarray(contrasts(model, quantity, jnp.asarray(grid_t.ravel()), jnp.asarray(grid_w.ravel()))[0])

@@ -3,6 +3,7 @@
 from gradcal_jax.assemble.build import Assembled, assemble
 from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, knowledge, survey
 from gradcal_jax.files import Spec
+from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.schedule import GradientSchedule
 from gradcal_jax.formulas import RAMPED_SHAPES
 from gradcal_jax.information import Posterior, unobservable_combinations
@@ -22,7 +23,7 @@ def _unobservable(built: Assembled, channel: str, known: Posterior) -> list[str]
     ]
 
 
-def warnings(built: Assembled, known: dict[str, Posterior]) -> list[str]:
+def warnings(built: Assembled, known: dict[Axis, Posterior]) -> list[str]:
     spec, sensor = built.spec, built.spec.sensor
     found = [s for channel in built.channels for s in _unobservable(built, channel, known[channel])]
     surveys = [survey(built, channel) for channel in built.channels]

@@ -175,8 +175,7 @@ def _parameters(prediction: "Prediction") -> list[tuple[str, ...]]:
 
 
 def _simulated(rows, tests, runs: int, seed: int) -> str:
-    head = ("simulated", "predicted", f"of {runs} runs")
-    table = [head]
+    table: list[tuple[str, ...]] = [("simulated", "predicted", f"of {runs} runs")]
     several = len(tests) > 1
     for row in rows:
         name = f"{row.name}, axis {row.axis}" if several else row.name

@@ -73,7 +73,9 @@ def _as_csv(written: "Timeline", rows: str) -> None:
 
 def _table(written: "Timeline", rows: str) -> str:
     if rows == "segments":
-        table = [("start", "axis", "what", "lasts", "angle, deg", "peak, deg/s", "chamber, degC")]
+        table: list[tuple[str, ...]] = [
+            ("start", "axis", "what", "lasts", "angle, deg", "peak, deg/s", "chamber, degC")
+        ]
         for s in written.segments:
             chamber = f"{s.temperature_start:.2f} -> {s.temperature_end:.2f}"
             turns = (f"{math.degrees(s.angle):+.4g}", f"{math.degrees(s.peak_rate):+.4g}") if s.peak_rate else ("", "")

@@ -12,7 +12,7 @@ Everything else of eq. 1 is noise (`errormodel.noise`).
 """
 
 import itertools
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -139,7 +139,8 @@ def make_map(
     )
 
 
-class Columns(NamedTuple):
+@dataclass(frozen=True)
+class Columns:
     """Where each group stands in the parameter vector."""
 
     bias: slice
@@ -184,7 +185,7 @@ class GyroModel(eqx.Module):
             0 if self.scale is None else self.scale.discrepancy_size,
         ]
         ends = np.cumsum([0, *sizes]).tolist()
-        return Columns(*(slice(a, b) for a, b in itertools.pairwise(ends)), ends[-1])
+        return Columns(*(slice(a, b) for a, b in itertools.pairwise(ends)), count=ends[-1])
 
     def prior_rows(self) -> Float[Array, "q p"]:
         """Whitened rows of everything known beforehand: stacked over the data's rows they make the posterior."""

@@ -168,13 +168,14 @@ def join(blocks: list[Pieces]) -> Pieces:
     if len(blocks) == 1:
         return blocks[0]
     fields = list(zip(*blocks, strict=True))
-    return Pieces(*(jnp.concatenate(f) for f in fields[:_ARRAYS]), *(np.concatenate(f) for f in fields[_ARRAYS:]))
+    arrays = [jnp.concatenate(f) for f in fields[:_ARRAYS]]
+    return Pieces._make([*arrays, *(np.concatenate(f) for f in fields[_ARRAYS:])])
 
 
 def repeat(block: Pieces, count: int) -> Pieces:
     """A block of pieces `count` times over."""
-    tiled = (jnp.tile(f, (count,) + (1,) * (f.ndim - 1)) for f in block[:_ARRAYS])
-    return Pieces(*tiled, *(np.tile(f, count) for f in block[_ARRAYS:]))
+    arrays = [jnp.tile(f, (count,) + (1,) * (f.ndim - 1)) for f in block[:_ARRAYS]]
+    return Pieces._make([*arrays, *(np.tile(f, count) for f in block[_ARRAYS:])])
 
 
 def rest(duration: float, read_every: float | None = None) -> Move:

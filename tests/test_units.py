@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import pint
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax import units
@@ -214,6 +214,7 @@ def test_every_dimension_is_in_the_table_of_round_trips_and_reads_its_own_exampl
         assert unit_of(dimension.example) in dimension.example
 
 
+@settings(deadline=None)
 @given(st.sampled_from(PAIRS), finite)
 @example(("temperature", "degF"), 2.7e-109)
 def test_what_is_written_reads_back_as_the_very_same_float(pair, value):
@@ -225,6 +226,7 @@ def test_what_is_written_reads_back_as_the_very_same_float(pair, value):
     assert unit_of(text) == unit.replace("µ", "u") or (unit == "degF" and abs(value) < 1e-9)
 
 
+@settings(deadline=None)
 @given(st.sampled_from(PAIRS), st.decimals(-10_000, 10_000, places=3))
 def test_short_numbers_stay_short(pair, number):
     dimension, unit = pair
@@ -236,6 +238,7 @@ def test_short_numbers_stay_short(pair, number):
     assert len(digits) <= len(str(number))
 
 
+@settings(deadline=None)
 @given(st.integers(0, 300), st.integers(0, 59), st.integers(0, 59), st.integers(0, 99))
 def test_sexagesimal_angles_and_durations_are_exact(whole, sixtieths, seconds, hundredths):
     exact = Fraction(whole * 3600 + sixtieths * 60 + seconds) + Fraction(hundredths, 100)
@@ -259,6 +262,7 @@ symbols = st.sampled_from(
 noise = st.text(alphabet=string.printable + "°′″√µ·−²½⁻㎯∞", max_size=30)
 
 
+@settings(deadline=None)
 @given(st.one_of(noise, st.lists(symbols, max_size=8).map("".join)), st.sampled_from(list(DIMENSIONS)), finite)
 @example("1e999999999", "time", 1.0)
 def test_junk_is_a_quantity_or_a_unit_error_and_nothing_else(junk, dimension, number):
@@ -270,6 +274,7 @@ def test_junk_is_a_quantity_or_a_unit_error_and_nothing_else(junk, dimension, nu
         assert parse(format_quantity(value, DIMENSIONS[dimension].si), dimension) == value
 
 
+@settings(deadline=None)
 @given(st.text(max_size=40))
 def test_units_alone_raise_nothing_but_unit_errors(text):
     for call in (dimension_of, unit_of, lambda u: to_unit(1.0, u), lambda u: convert(1.0, u, "deg")):
@@ -288,6 +293,7 @@ SI = {"angle": "rad", "time": "s", "temperature": "K", "length": "m"}
 exponents = st.sampled_from([(1, "", 1.0), (2, "^2", 2.0), (-1, "^-1", -1.0), (0.5, "^0.5", 0.5), (0.5, "^(1/2)", 0.5)])
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.tuples(st.sampled_from(list(PINT)), exponents), min_size=1, max_size=2),
     st.lists(st.tuples(st.sampled_from(list(PINT)), exponents), max_size=2),

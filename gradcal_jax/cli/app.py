@@ -27,6 +27,7 @@ def build() -> App:
         name="gradcal",
         help=_HELP,
         version=gradcal_jax.__version__,
+        help_format="plaintext",  # a Markdown reader would cost a quarter of the start-up
         help_formatter="plain" if is_plain(sys.stdout) else "default",
     )
     for family in (new, check, predict, timeline, schema):
@@ -41,7 +42,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     try:
         app = build()
         tokens = sys.argv[1:] if arguments is None else list(arguments)
-        command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
+        command, bound, _ = app.parse_args(tokens, console=_wide(tokens), exit_on_error=False, print_error=False)
         status = command(*bound.args, **bound.kwargs)
         sys.stdout.flush()
         return status if isinstance(status, int) else DONE
@@ -60,6 +61,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
             raise
         complain(_sentence(error))
         return WRONG_INPUT
+
+
+def _wide(tokens: Sequence[str]) -> Any:
+    """Away from a terminal, help is not folded at 80 columns; the console for that is made only where help is asked."""
+    if not is_plain(sys.stdout) or not (set(tokens) & {"--help", "-h"} or not tokens):
+        return None
+    from rich.console import Console
+
+    return Console(width=120, no_color=True, soft_wrap=True)
 
 
 def _sentence(error: Exception) -> str:

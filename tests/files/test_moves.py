@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax import formulas
@@ -84,6 +84,7 @@ def test_the_papers_rounded_turns_are_accepted_with_the_angle_exact(rate, durati
 ramped = st.sampled_from(["cosine ramps", "linear ramps"])
 
 
+@settings(deadline=None)
 @given(ramped, st.floats(5, 5000), st.floats(1, 300), st.floats(0.05, 0.98))
 def test_any_three_keys_of_a_ramped_turn_give_the_fourth(shape, angle, peak, share):
     ramp = share * angle / peak  # at most the angle over the peak rate: then the ramps meet
@@ -103,6 +104,7 @@ def test_any_three_keys_of_a_ramped_turn_give_the_fourth(shape, angle, peak, sha
     assert resolve(shape=shape, **texts).angle == pytest.approx(angle * DEG, rel=1e-12)
 
 
+@settings(deadline=None)
 @given(ramped, st.floats(5, 5000), st.floats(1, 300))
 def test_with_two_keys_the_ramps_use_the_tables_acceleration_in_full(shape, angle, peak):
     steepness = {"cosine ramps": math.pi / 2, "linear ramps": 1.0}[shape]
@@ -160,6 +162,7 @@ def test_rests_count_their_readings_without_losing_one_to_rounding():
     assert reading_count(0.99, 1.0) == 0
 
 
+@settings(deadline=None)
 @given(st.integers(1, 100_000), st.floats(1e-3, 1e3))
 def test_a_whole_number_of_spacings_counts_whole(count, spacing):
     assert reading_count(count * spacing, spacing) == count

@@ -4,7 +4,7 @@ import pickle
 import tomllib
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax import files
@@ -38,6 +38,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):
     assert goal.read_bytes() == b"new\n"
 
 
+@settings(deadline=None)
 @given(st.floats(0.001, 0.1))
 def test_a_changed_number_takes_the_unit_that_stood_there_and_is_exact(slope):
     spec = files.changed(PAPER, {"plan.gradient": slope / 3.1})
@@ -86,6 +87,7 @@ def test_impossible_changes_are_refused_by_key(changes, key):
     assert key in {problem.dotted for problem in caught.value.problems}
 
 
+@settings(deadline=None)
 @given(st.text(max_size=20))
 def test_split_key_takes_keys_and_refuses_the_rest(text):
     try:

@@ -101,6 +101,8 @@ def at_readings(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:
 
 def _integrals(timeline: Timeline, of: Map, pieces: np.ndarray, nodes: int) -> tuple[Array, Array]:
     """Integrals over pieces of a map's functions and of those that its structure leaves out."""
+    if not len(pieces):
+        return jnp.zeros((0, of.size)), jnp.zeros((0, of.discrepancy_size))
     duration = timeline.duration[pieces]
     x, w = quadrature(nodes)
     temperature_breaks = of.temperature.breaks

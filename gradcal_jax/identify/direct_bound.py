@@ -29,9 +29,10 @@ out of 20. `raise_margin=False` gives the paper's κ = k.
 not: σ = 0 is the answer, with a sentence that says how large a drift could hide and from which Δ on it would show.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
@@ -153,6 +154,7 @@ def fit_direct_bound(
     margin: float = 2.5,
     raise_margin: bool = True,
     correlation_times_s: Sequence[float] | Float[np.ndarray, " taus"] | None = None,
+    rate_in_words: Callable[[float], str] = "{:.3g} in the unit of the rates".format,
 ) -> DirectBound:
     """The feasible boundary of one channel and the pair on it that bounds most tightly.
 
@@ -160,7 +162,8 @@ def fit_direct_bound(
     sheet says it; too large an N hides drift, too small a one calls it drift); `margin` k; `raise_margin`: whether the
     random walk is granted what its largest draw reaches in a record of this length (see the module's head);
     `correlation_times_s` restricts the τ's to look at; without it they run from a third of the shortest t to ten times
-    the longest, and the chosen one is refined between its neighbours.
+    the longest, and the chosen one is refined between its neighbours; `rate_in_words` writes a rate for the messages
+    (the core knows no units but SI).
 
     **Raises:** `ValueError` for a channel that is not there, and for numbers that are not positive.
     """
@@ -191,14 +194,8 @@ def fit_direct_bound(
     weight = _log_weights(t)
 
     def boundary(taus: Float[np.ndarray, " taus"]) -> tuple[Float[np.ndarray, " taus"], Float[np.ndarray, " taus"]]:
-        variance = np.asarray(
-            smallest_bounding_variance(
-                t, largest, delta, angle_random_walk, taus, margin=margin, random_walk_margin=walk_margin
-            )
-        )
-        shape = np.asarray(drift_shape_of_mean(t[:, None], delta, taus[None, :]))
-        limit = np.sqrt(walk_limit[:, None] ** 2 + margin**2 * variance[None, :] * shape)
-        return np.sqrt(variance), weight @ np.log(limit / largest[:, None])
+        variance, excess = _boundary(t, largest, delta, angle_random_walk, taus, margin, walk_margin, weight)
+        return np.sqrt(np.asarray(variance)), np.asarray(excess)
 
     std, excess = boundary(tau)
     best = int(np.argmin(excess))
@@ -212,7 +209,8 @@ def fit_direct_bound(
         chosen_tau = float(np.sqrt(delta * t[-1]))
         hidden = _hidden_drift(t, largest, low, delta, angle_random_walk, chosen_tau)
         advised = _averaging_time_that_shows(t, delta, hidden, chosen_tau, angle_random_walk)
-        messages.append(_no_drift_shows(delta, angle_random_walk, hidden, chosen_tau, advised))
+        mean_error = rate_in_words(angle_random_walk / float(np.sqrt(delta)))
+        messages.append(_no_drift_shows(delta, mean_error, hidden, rate_in_words(hidden), chosen_tau, advised))
     elif correlation_times_s is None and inside:
         found = optimize.minimize_scalar(
             lambda log_tau: float(boundary(np.exp(np.array([log_tau])))[1][0]),
@@ -295,19 +293,41 @@ def _hidden_drift(
     return float(np.sqrt(max(possible, 0.0)))
 
 
-def _no_drift_shows(delta: float, angle_random_walk: float, hidden: float, tau: float, advised: float | None) -> str:
+def _no_drift_shows(
+    delta: float, mean_error: str, hidden: float, hidden_words: str, tau: float, advised: float | None
+) -> str:
     sentence = (
         f"averaged over {delta:g} s the drift does not show above the angle random walk, which alone leaves the mean "
-        f"uncertain by N/√Δ = {angle_random_walk / np.sqrt(delta):.3g} (in the unit of the rates)"
+        f"uncertain by N/√Δ = {mean_error}"
     )
     if not np.isfinite(hidden):
         return sentence + "; the record is too short to say how large a drift could hide"
     if hidden == 0:
         return sentence + "; the random walk leaves no room for any (or was assumed too large)"
-    sentence += f"; a drift of up to {hidden:.3g} with a correlation time of {tau:.3g} s could hide"
+    sentence += f"; a drift of up to {hidden_words} with a correlation time of {tau:.3g} s could hide"
     if advised is None:
         return sentence + "; no average would show it over these integration times: integrate for longer"
     return sentence + f"; averaging over {advised:.3g} s or more would show it"
+
+
+@jax.jit
+def _boundary(
+    t: Float[Array, " times"],
+    largest: Float[Array, " times"],
+    delta: ArrayLike,
+    angle_random_walk: ArrayLike,
+    taus: Float[Array, " taus"],
+    margin: ArrayLike,
+    walk_margin: Float[Array, " times"],
+    weight: Float[Array, " times"],
+) -> tuple[Float[Array, " taus"], Float[Array, " taus"]]:
+    """(σ², mean excess) of the pairs on the boundary."""
+    variance = smallest_bounding_variance(
+        t, largest, delta, angle_random_walk, taus, margin=margin, random_walk_margin=walk_margin
+    )
+    walk = walk_margin**2 * random_walk_variance_of_mean(t, delta, angle_random_walk)
+    drift = margin**2 * variance[None, :] * drift_shape_of_mean(t[:, None], delta, taus[None, :])
+    return variance, weight @ (0.5 * jnp.log(walk[:, None] + drift) - jnp.log(largest)[:, None])
 
 
 def _averaging_time_that_shows(

@@ -203,29 +203,32 @@ class _Stretch:
         np.maximum(bound, below, out=bound)
         bound += self.rounding * (1 + length)
 
-        ahead, anchor, mean = (x[:tail].reshape(blocks, _BLOCK) for x in (ahead, anchor, mean))
-
-        def look(rows: Int[np.ndarray, " rows"]) -> None:
-            nonlocal best, best_index
-            values = np.take(mean, rows, axis=0)
-            values *= length
-            values += anchor[rows]
-            np.subtract(ahead[rows], values, out=values)
-            np.abs(values, out=values)
-            index = int(np.argmax(values))
-            value = float(values.flat[index])
-            if value > best:
-                best, best_index = value, int(rows[index // _BLOCK]) * _BLOCK + index % _BLOCK
-
         # The most promising blocks first: they raise the level that the others must beat.
-        look(np.argpartition(bound, -min(blocks, 16))[-min(blocks, 16) :])
+        first = min(blocks, 16)
+        best, best_index = self._look(length, blocks, np.argpartition(bound, -first)[-first:], best, best_index)
         candidates = np.flatnonzero(bound > best)
         for first in range(0, len(candidates), _BLOCKS_AT_ONCE):
             rows = candidates[first : first + _BLOCKS_AT_ONCE]
             rows = rows[bound[rows] > best]
             if len(rows):
-                look(rows)
+                best, best_index = self._look(length, blocks, rows, best, best_index)
         return best / length, best_index
+
+    def _look(
+        self, length: int, blocks: int, rows: Int[np.ndarray, " rows"], best: float, best_index: int
+    ) -> tuple[float, int]:
+        """The larger of `best` and k |D_k| in some blocks, sample by sample, with where it stands."""
+        whole = blocks * _BLOCK
+        values = self.before[:whole].reshape(blocks, _BLOCK)[rows]
+        values *= length
+        values += self.angle[:whole].reshape(blocks, _BLOCK)[rows]
+        np.subtract(self.angle[length : length + whole].reshape(blocks, _BLOCK)[rows], values, out=values)
+        np.abs(values, out=values)
+        index = int(np.argmax(values))
+        value = float(values.flat[index])
+        if value <= best:
+            return best, best_index
+        return value, int(rows[index // _BLOCK]) * _BLOCK + index % _BLOCK
 
 
 def _running_angle(rate: Float[np.ndarray, " samples"], *, first_sample: int) -> Float[np.ndarray, " instants"]:

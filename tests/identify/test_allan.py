@@ -107,11 +107,11 @@ def test_degrees_of_freedom_are_greenhalls_in_each_pure_noise(term, alpha):
 
 
 def test_coefficients_and_confidence_hold_what_they_say():
-    """A hundred records: errors as large as stated, intervals that hold the truth as often as stated."""
+    """Sixty records: errors as large as stated, intervals that hold the truth as often as stated."""
     truth = {"quantisation": 0.03, "angle_random_walk": 0.5, "rate_random_walk": 0.05}
     pulls = {term: [] for term in truth}
     inside = []
-    for seed in range(100):
+    for seed in range(60):
         allan = overlapping_allan(simulate(seed, 5000, 0.1, **truth), 0.1, averaging_times(5000, 0.1, per_decade=6))
         fit = fit_allan(allan, terms=tuple(truth))
         for term, value in truth.items():
@@ -120,8 +120,8 @@ def test_coefficients_and_confidence_hold_what_they_say():
         true = np.sqrt(model_variance(allan.averaging_time_s, 0.03, 0.5, 0.0, 0.05))
         inside.append((fit.lower < true) & (true < fit.upper))
     for term in ("angle_random_walk", "rate_random_walk"):
-        assert abs(np.mean(pulls[term])) < 0.45
-        assert 0.75 < np.std(pulls[term]) < 1.3
+        assert abs(np.mean(pulls[term])) < 0.5
+        assert 0.72 < np.std(pulls[term]) < 1.35
     assert 0.62 < np.mean(inside) < 0.75
 
 

@@ -70,7 +70,7 @@ def test_mixing_the_two_alignments_would_ruin_it():
 
 @pytest.mark.parametrize(("drift_std", "correlation_time_s"), [(1.0, 120.0), (3.0, 120.0), (3.0, 600.0)])
 def test_the_process_found_bounds_fresh_records_of_the_same_kind(drift_std, correlation_time_s):
-    """Five records of 40 h, each bounding another one: at the margin k = 2.5 a Gaussian leaves 1.24 % of all starts beyond."""
+    """Five records of 40 h, each bounding another: with k = 2.5 a Gaussian leaves 1.24 % of all starts beyond."""
     bounds, shares, ratios = [], [], []
     for seed in range(5):
         rate = at_rest(seed, 40, drift_std * DEG_PER_H, correlation_time_s)
@@ -113,6 +113,10 @@ def test_an_average_too_short_is_said_and_the_advised_one_shows_the_drift():
     assert 15.0 < hidden.advised_averaging_time_s < 100.0
     assert f"averaging over {hidden.advised_averaging_time_s:.3g} s or more would show it" in hidden.messages[0]
     assert f"{WALK / np.sqrt(10.0):.3g}" in hidden.messages[0]
+    in_deg_per_h = fit_direct_bound(
+        observe(rate, 10.0), WALK, rate_in_words=lambda rate: f"{rate / DEG_PER_H:.1f} deg/h"
+    )
+    assert "N/√Δ = 1.9 deg/h" in in_deg_per_h.messages[0]
     shown = fit_direct_bound(observe(rate, 120.0), WALK)
     assert shown.drift_shows
     assert 0.8 < shown.drift_std / DEG_PER_H < 3.0

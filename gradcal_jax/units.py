@@ -536,7 +536,14 @@ def to_unit(value: float, unit: str) -> float:
     """An SI value as a number of `unit`: ``to_unit(math.pi, "deg") == 180.0``."""
     if not math.isfinite(value):
         raise UnitError(f"{value} cannot be given in '{unit}': the number must be finite")
-    return float(_in_unit(value, _lookup(unit))) + 0.0
+    return _representable(_in_unit(value, _lookup(unit)), value, unit)
+
+
+def _representable(number: Decimal, value: float, unit: str) -> float:
+    try:
+        return _finite(number)
+    except _Refusal:
+        raise UnitError(f"{value} is out of range in '{unit}'") from None
 
 
 def convert(value: float, from_unit: str, to: str) -> float:
@@ -549,7 +556,7 @@ def convert(value: float, from_unit: str, to: str) -> float:
     with localcontext(_PRECISE):
         number = Decimal(value) - 32 if source.bare in _FAHRENHEIT else Decimal(value)
         quotient = number * source.factor / target.factor
-        return float(quotient + 32 if target.bare in _FAHRENHEIT else quotient) + 0.0
+        return _representable(quotient + 32 if target.bare in _FAHRENHEIT else quotient, value, to)
 
 
 def _written(number: Decimal, digits: int) -> str:

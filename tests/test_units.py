@@ -332,6 +332,8 @@ def test_conversion_keeps_the_dimension():
     assert convert(212.0, "degF", "degC") == 100.0
     assert convert(100.0, "degC", "degF") == 212.0
     assert to_unit(math.pi, "deg") == 180.0
+    with pytest.raises(UnitError, match="out of range"):
+        convert(1e308, "rad", "arcsec")
     with pytest.raises(UnitError, match="'deg' is an angle, 's' is a time"):
         convert(1.0, "deg", "s")
     for call in (

@@ -18,7 +18,7 @@ def schema(
     Parameters
     ----------
     name
-        Its name: spec, timeline, prediction.
+        Its name; see --list.
     listing
         List the names.
     """

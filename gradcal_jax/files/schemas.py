@@ -8,12 +8,17 @@ from pydantic.json_schema import GenerateJsonSchema
 from gradcal_jax.files.contracts import Prediction, Timeline
 from gradcal_jax.files.problems import nearest
 from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
 
-# `rig` joins from its own module; see `schema`.
-_MODELS: Final[Mapping[str, type[Section]]] = {"spec": Spec, "timeline": Timeline, "prediction": Prediction}
-_PLANNED: Final = ("recipe", "rig", "log", "calibration", "sweep", "catalogue")
+_MODELS: Final[Mapping[str, type[Section]]] = {
+    "spec": Spec,
+    "rig": RigFile,
+    "timeline": Timeline,
+    "prediction": Prediction,
+}
+_PLANNED: Final = ("recipe", "log", "calibration", "sweep", "catalogue")
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -30,7 +35,7 @@ def names() -> tuple[str, ...]:
 
 
 def schema(name: str) -> dict[str, Any]:
-    """The JSON Schema of a file or contract: "spec", "timeline", "prediction". Raises `ValueError` for other names."""
+    """The JSON Schema of a file or contract: such as "spec". Raises `ValueError` for other names."""
     plain = name.removeprefix("gradcal-").removesuffix("/1")
     if plain in _MODELS:
         body = _MODELS[plain].model_json_schema(mode="validation", schema_generator=_WithTexts)

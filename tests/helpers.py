@@ -18,7 +18,16 @@ from scipy.optimize import brentq
 
 from gradcal_jax import errormodel, plans
 from gradcal_jax.errormodel import Bins, BSpline, GyroModel, Polynomial
-from gradcal_jax.information import NoiseSteps, at_readings, noise_steps, square_root, whiten
+from gradcal_jax.information import (
+    NoiseSteps,
+    Posterior,
+    at_readings,
+    information,
+    noise_steps,
+    posterior,
+    square_root,
+    whiten,
+)
 
 DEG = np.pi / 180.0
 DEG_PER_H = DEG / 3600.0
@@ -498,6 +507,16 @@ class Engine(NamedTuple):
 def _engine(plan, model, channel, lag) -> Engine:
     line = plan.timeline(channel, lag)
     return Engine(noise_steps(line, model), at_readings(line, model), model.prior_rows())
+
+
+@eqx.filter_jit
+def _information(plan, model, channel, lag):
+    return information(plan.timeline(channel, lag), model)
+
+
+def knowledge(plan, model: GyroModel, channel: str = "x", lag: float | None = None) -> Posterior:
+    """The posterior of a plan, compiled once for each structure."""
+    return posterior(_information(plan, model, channel, None if lag is None else jnp.asarray(lag)))
 
 
 @eqx.filter_jit

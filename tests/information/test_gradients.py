@@ -1,0 +1,140 @@
+"""Gradients of smooth criteria with respect to every continuous quantity, against differences; at the bounds, too."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import DEG, SCENES, core
+from jax.flatten_util import ravel_pytree
+
+from gradcal_jax.information import at_readings, contrasts, noise_steps, square_root, whiten
+
+_STEP = 2e-3
+
+
+def criteria(plan, model, lag, channel):
+    """Mean residual variance, log-determinant and one deviation, in units that make all of them of order one."""
+    line = plan.timeline(channel, lag)
+    rows = jnp.concatenate([whiten(noise_steps(line, model), at_readings(line, model)), model.prior_rows()])
+    info = square_root(rows)
+    t, w = (g.ravel() for g in jnp.meshgrid(jnp.linspace(0.0, 40.0, 4), jnp.linspace(-4.0, 4.0, 5)))
+    residual = info.deviations(contrasts(model, "scale_factor", t, w)[0])
+    log_det = jnp.sum(jnp.log(jnp.diagonal(info.factor) * info.scale))
+    return jnp.stack([1e8 * jnp.mean(residual**2), log_det, 1e4 * info.deviations(jnp.eye(rows.shape[1])[:1])[0]])
+
+
+def in_relative_coordinates(scene, sizes=None):
+    """`f(x)` with every continuous number `θ = θ₀(1 + x)`, or `θ₀ + size·x` where θ₀ is 0; and the names of them."""
+    plan, model = core(scene)
+    lag = None if scene.lag is None else jnp.asarray(scene.lag)
+    everything = (plan, model, lag)
+    is_number = lambda x: eqx.is_inexact_array(x) and bool(np.all(np.isfinite(x)))  # noqa: E731
+    numbers, fixed = eqx.partition(everything, is_number)
+    start, unravel = ravel_pytree(numbers)
+    names = [
+        jax.tree_util.keystr(path) + (f"[{i}]" if np.ndim(leaf) else "")
+        for path, leaf in jax.tree_util.tree_flatten_with_path(numbers)[0]
+        for i in range(np.size(leaf))
+    ]
+    size = jnp.where(start == 0.0, 0.0, start)
+    for k, name in enumerate(names):
+        for part, value in (sizes or {}).items():
+            if part in name and float(start[k]) == 0.0:
+                size = size.at[k].set(value)
+
+    @jax.jit
+    def f(x):
+        made, lagging = (tree := eqx.combine(unravel(start + size * x), fixed))[:2], tree[2]
+        return criteria(*made, lagging, scene.channel)
+
+    return f, names, np.asarray(size)
+
+
+def differences(f, count, chosen, one_sided=()):
+    """Fourth-order central differences; for the one-sided, as accurate forward ones."""
+    columns = []
+    for k in chosen:
+        at = lambda s, k=k: np.asarray(f(jnp.zeros(count).at[k].set(s * _STEP)))  # noqa: E731
+        if k in one_sided:
+            weights = {0: -25 / 12, 1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
+        else:
+            weights = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
+        columns.append(sum(w * at(s) for s, w in weights.items()) / _STEP)
+    return np.stack(columns, axis=1)
+
+
+def check(scene, sizes=None, one_sided=(), only=None):
+    f, names, size = in_relative_coordinates(scene, sizes)
+    count = len(names)
+    chosen = [k for k in range(count) if size[k] != 0.0 and (only is None or any(o in names[k] for o in only))]
+    edge = [k for k in chosen if any(o in names[k] for o in one_sided)]
+    gradient = np.asarray(jax.jit(jax.jacrev(f))(jnp.zeros(count)))
+    assert np.all(np.isfinite(gradient))
+    wanted = differences(f, count, chosen, edge)
+    norm = np.linalg.norm(gradient, axis=1, keepdims=True)
+    error = np.abs(gradient[:, chosen] - wanted) / norm
+    worst = np.unravel_index(np.argmax(error), error.shape)
+    assert error[worst] < 1e-6, f"criterion {worst[0]}, {names[chosen[worst[1]]]}: {error[worst]:.2g}"
+    return dict(zip(names, gradient.T, strict=True))
+
+
+def test_every_continuous_quantity():
+    gradient = check(SCENES["everything"])
+    for part in ("duration", "peak_rate", "ramp", "controls", "unevenness", "slopes", "decay", "diffusion", "[2]"):
+        assert any(part in name and np.any(g != 0.0) for name, g in gradient.items()), part
+    for part in ("angle_random_walk", "reading_noise", "offset", "timing", "harmonic", "prior_std", "initial_std"):
+        assert any(part in name and np.any(g != 0.0) for name, g in gradient.items()), part
+
+
+def test_at_the_bounds():
+    """Ramps that meet in the middle, an offset and a timing error of zero, a drift that never decays."""
+    scene = SCENES["gap"]
+    halves = tuple(replace(a, ramp=a.duration / 2) if a.ramp else a for a in scene.moves)
+    _bound_check(replace(scene, moves=halves))
+
+
+def _bound_check(scene):
+    f, names, size = in_relative_coordinates(
+        replace(scene, timing=0.0), {"timing_error": 1e-3, "standstill_offset": 0.01 * DEG, ".decay": 1e-3}
+    )
+    count = len(names)
+    gradient = np.asarray(jax.jit(jax.jacrev(f))(jnp.zeros(count)))
+    assert np.all(np.isfinite(gradient))
+    chosen = [k for k, n in enumerate(names) if size[k] != 0.0 and any(p in n for p in ("decay", "timing", "offset"))]
+    assert len(chosen) >= 3
+    wanted = differences(f, count, chosen, [k for k in chosen if "decay" in names[k] or "timing" in names[k]])
+    assert np.max(np.abs(gradient[:, chosen] - wanted) / np.linalg.norm(gradient, axis=1, keepdims=True)) < 1e-6
+    # The ramps' own derivative: inward only, since two ramps cannot be longer than the move.
+    ramps = [k for k, n in enumerate(names) if n.endswith(".ramp") and size[k] != 0.0]
+    inward = jnp.zeros(count).at[jnp.asarray(ramps)].set(-1.0)
+    at = lambda s: np.asarray(f(inward * s * _STEP))  # noqa: E731
+    slope = (-25 / 12 * at(0) + 4 * at(1) - 3 * at(2) + 4 / 3 * at(3) - at(4) / 4) / _STEP
+    found = gradient @ np.asarray(inward)
+    assert np.max(np.abs(found - slope) / np.linalg.norm(gradient, axis=1)) < 1e-6
+
+
+def test_an_offset_of_zero_that_has_its_state():
+    """The state's covariance is then singular; the criteria depend on the offset's square, so their derivative is 0."""
+    scene = SCENES["gap"]
+    plan, model = core(scene)
+    zero = eqx.tree_at(lambda m: m.reference.standstill_offset, model, jnp.zeros(()))
+
+    @jax.jit
+    def f(offset):
+        changed = eqx.tree_at(lambda m: m.reference.standstill_offset, zero, offset)
+        return criteria(plan, changed, None, scene.channel)
+
+    value, slope = f(jnp.zeros(())), jax.jacrev(f)(jnp.zeros(()))
+    plain = core(replace(scene, offset=0.0))
+    np.testing.assert_allclose(value, criteria(*plain, None, scene.channel), rtol=1e-11)
+    np.testing.assert_allclose(slope, 0.0, atol=1e-9)
+    assert np.all(f(jnp.asarray(0.01 * DEG))[0] > value[0])
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", ["paper-like", "gap", "bases", "other axis"])
+def test_the_other_scenes(name):
+    check(SCENES[name])

@@ -1,0 +1,224 @@
+"""Priors, unweighted least squares, the residual with a discrepancy, and what cannot be observed."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import (
+    DEG_PER_H,
+    DRIFT,
+    SCENES,
+    Act,
+    Polynomial,
+    Scene,
+    core,
+    deviations,
+    engine,
+    gyro_model,
+    knowledge,
+)
+
+from gradcal_jax import errormodel, plans
+from gradcal_jax.errormodel import Bins, BSpline, make_map
+from gradcal_jax.information import (
+    at_readings,
+    information,
+    noise_steps,
+    posterior,
+    residual,
+    square_root,
+    statistic,
+    unobservable_combinations,
+    unweighted,
+    whiten,
+)
+
+LINEAR = Polynomial(1, 20.0, 50.0)
+
+
+def test_the_turn_on_biass_prior_is_a_rank_one_update():
+    for internal in ("legendre", "chebyshev"):
+        basis = Polynomial(3, 20.0, 50.0, internal)
+        model = gyro_model(make_map(basis, prior_std=2e-3), None, 1e-5, turn_on=5e-3)
+        rows = np.asarray(model.prior_rows())
+        reported = basis.to_reported
+        constant = np.eye(4)[0]
+        wanted = np.linalg.inv(2e-3**2 * np.eye(4) + 5e-3**2 * np.outer(constant, constant))
+        np.testing.assert_allclose(rows.T @ rows, reported.T @ wanted @ reported, rtol=1e-11, atol=1e-6)
+    spline = make_map(BSpline((-30.0, 0.0, 70.0), 2), prior_std=2e-3)
+    rows = np.asarray(gyro_model(spline, None, 1e-5, turn_on=5e-3).prior_rows())
+    wanted = np.linalg.inv(2e-3**2 * np.eye(4) + 5e-3**2 * np.ones((4, 4)))
+    np.testing.assert_allclose(rows.T @ rows, wanted, rtol=1e-10)
+
+
+def test_smoothness_priors_join_neighbours():
+    bins = make_map(Bins((0.0, 1.0, 2.0, 3.0)), Bins((-1.0, 0.0, 1.0)), smoothness_std=0.5)
+    rows = np.asarray(gyro_model(None, bins, 1e-5).prior_rows())
+    assert rows.shape == (2 * 2 + 3 * 1, 6)
+    np.testing.assert_array_equal(rows.sum(1), 0.0)
+    value = np.array([[1.0, 4.0], [2.0, 2.0], [5.0, -1.0]])
+    wanted = (np.sum(np.diff(value, axis=0) ** 2) + np.sum(np.diff(value, axis=1) ** 2)) / 0.25
+    assert np.sum((rows @ value.ravel()) ** 2) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("basis", [Bins((-60.0, 0.0, 40.0, 60.0)), BSpline((-60.0, 0.0, 40.0, 60.0), 2)])
+def test_smoothness_reaches_where_the_plan_does_not(basis):
+    """The ramp ends at 10 °C: without smoothness the warm coefficients are unknown, with it they lean on the others."""
+    scene = Scene(-30.0, ((160.0, 0.25),), (), read_every=5.0, noises=(DRIFT,), bias=basis)
+    plan, _ = core(scene)
+    drift = errormodel.gauss_markov(DRIFT.size, DRIFT.tau)
+    reference = errormodel.angle_reference(scene.reading_noise)
+    free, smooth = (
+        gyro_model(make_map(basis, smoothness_std=s), None, scene.arw, drift, reference)
+        for s in (np.inf, 5 * DEG_PER_H)
+    )
+    blind = knowledge(plan, free)
+    warm = np.array([55.0])
+    assert unobservable_combinations(blind, free)
+    assert np.isinf(residual(blind, free, "bias", warm, np.zeros(1)))
+    seeing = knowledge(plan, smooth)
+    assert unobservable_combinations(seeing, smooth) == []
+    cold_and_warm = residual(seeing, smooth, "bias", np.array([-20.0, 55.0]), np.zeros(1))[:, 0]
+    assert np.all(np.isfinite(cold_and_warm))
+    assert cold_and_warm[1] > cold_and_warm[0] + 3 * DEG_PER_H
+
+
+def test_unweighted_least_squares_by_hand():
+    plan = plans.standard_plan([-20.0, 10.0, 50.0], 100.0, 60.0, [-3.0, -1.0, 2.0, 4.0])
+    scale = make_map(LINEAR, Polynomial(2, 0.0, 5.0))
+    drift = errormodel.gauss_markov(2e-5, 100.0) + errormodel.gauss_markov(1e-4, 50.0, bias_gain=0.0, rate_gain=1.0)
+    model = gyro_model(None, scale, 3e-5, drift, errormodel.angle_reference(rate_accuracy=1e-4))
+    t, w = (g.ravel() for g in np.meshgrid([-20.0, 10.0, 50.0], [-3.0, -1.0, 2.0, 4.0], indexing="ij"))
+    x = (t - 20.0) / 50.0
+    rows = np.stack([x**i * (w / 5.0) ** j * w for i in range(2) for j in range(3)], axis=1)
+    mean = lambda sigma, tau: 2 * sigma**2 * (tau / 60 - (tau / 60) ** 2 * (1 - np.exp(-60 / tau)))  # noqa: E731
+    variance = 3e-5**2 / 60 + mean(2e-5, 100.0) + w**2 * mean(1e-4, 50.0) + (1e-4 * w) ** 2
+    reported = np.kron(LINEAR.to_reported, scale.rate.to_reported)
+    line = plan.timeline("x")
+    inverse = np.linalg.pinv(rows)
+    wanted = np.sqrt(np.diagonal(inverse @ np.diag(variance) @ inverse.T))
+    np.testing.assert_allclose(unweighted(line, model).deviations(reported), wanted, rtol=1e-10)
+    # The best linear estimator weighs the points; it cannot do worse in any parameter.
+    best = np.sqrt(np.diagonal(np.linalg.inv(rows.T @ (rows / variance[:, None]))))
+    found = knowledge(plan, model).deviations(reported)
+    np.testing.assert_allclose(found, best, rtol=1e-10)
+    assert np.all(found <= wanted)
+
+
+def test_unweighted_least_squares_is_for_rates():
+    plan, model = core(SCENES["gap"])
+    with pytest.raises(ValueError, match="standard method"):
+        unweighted(plan.timeline("x"), model)
+
+
+def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():
+    """Against the estimator's gain written out: `error = ψᵀ(β − β̂) + χᵀγ` with γ estimated and then thrown away."""
+    scene = Scene(
+        -30.0, ((200.0, 0.4),), (Act("half sine", 8.0, 4.0), Act("half sine", 6.0, -3.0), Act("rest", 4.0)),
+        noises=(DRIFT,), read_every=5.0,
+    )  # fmt: skip
+    plan = plans.gradient_plan(
+        plans.programme(-30.0, [(200.0, 0.4)]),
+        (plans.turn("half sine", 4.0, 8.0), plans.turn("half sine", -3.0, 6.0), plans.rest(4.0, 2.0)),
+    )
+    scale = make_map(LINEAR, Polynomial(1, 0.0, 5.0), prior_std=1e-2, discrepancy=(1e-4, 2, 3))
+    reference = errormodel.angle_reference(scene.reading_noise)
+    model = gyro_model(None, scale, scene.arw, errormodel.gauss_markov(DRIFT.size, DRIFT.tau), reference)
+    line = plan.timeline("x")
+    steps, columns, prior = noise_steps(line, model), at_readings(line, model), np.asarray(model.prior_rows())
+    known = posterior(square_root(jnp.concatenate([whiten(steps, columns), jnp.asarray(prior)])))
+    temperatures, rates = np.array([-10.0, 60.0]), np.array([-4.5, 1.0])
+    found = residual(known, model, "scale_factor", temperatures, rates).ravel()
+    data = np.asarray(whiten(steps, columns))
+    rows = np.concatenate([data, prior])
+    size = np.linalg.norm(rows, axis=0)
+    gain = np.linalg.lstsq(rows / size, np.eye(len(rows)), rcond=None)[0] / size[:, None]
+    c, g = model.columns.scale, model.columns.scale_discrepancy
+    truth = np.linalg.inv(prior)  # columns: one standard deviation of each independent prior direction
+    t, w = (jnp.asarray(x.ravel()) for x in np.meshgrid(temperatures, rates, indexing="ij"))
+    psi, chi = np.asarray(scale.values(t, w)), np.asarray(scale.discrepancy_values(t, w))
+    # The error as a linear function of the independent unit draws: the truth's and the readings' noise. The prior's
+    # pseudo-data are zero, so only the data rows respond to the truth.
+    of_truth = gain[:, : len(data)] @ data @ truth
+    error_truth = psi @ (truth[c] - of_truth[c]) + chi @ truth[g]
+    error_noise = psi @ gain[c][:, : len(data)]
+    wanted = np.sqrt(np.sum(error_truth**2, axis=1) + np.sum(error_noise**2, axis=1))
+    np.testing.assert_allclose(found, wanted, rtol=1e-8)
+    plain = gyro_model(
+        None, make_map(LINEAR, Polynomial(1, 0.0, 5.0), prior_std=1e-2), scene.arw, model.processes, reference
+    )
+    without = residual(knowledge(plan, plain), plain, "scale_factor", temperatures, rates).ravel()
+    assert np.all(found > without)
+
+
+@pytest.mark.parametrize(
+    ("acts", "names"),
+    [
+        # Turns of one kind see one sum of the powers of rate: b00 + k·b10, k = ∫ω²/∫ω over the scale of 5 rad/s.
+        ((Act("cosine ramps", 20.0, 2.0, ramp=1.0),), ["- 0.395·b00 + b10", "- 0.395·b01 + b11"]),
+        # Two kinds see everything.
+        ((Act("cosine ramps", 20.0, 2.0, ramp=1.0), Act("cosine ramps", 9.0, -4.0, ramp=1.0)), []),
+        # Rest alone sees no scale factor at all.
+        ((Act("rest", 20.0, every=4.0),), ["b00", "b10", "b01", "b11"]),
+    ],
+)
+def test_what_cannot_be_observed_is_named(acts, names):
+    scene = Scene(-30.0, ((200.0, 0.4),), acts, noises=(DRIFT,), scale=(LINEAR, Polynomial(1, 0.0, 5.0)))
+    plan, model = core(scene)
+    known = knowledge(plan, model)
+    found = unobservable_combinations(known, model)
+    assert sorted(found) == sorted(names)
+    values = residual(known, model, "scale_factor", np.array([20.0]), np.array([1.0]))
+    assert not np.any(np.isnan(values))
+    assert np.all(np.isinf(values)) == bool(names)
+
+
+def test_a_combination_is_written_out():
+    """At constant temperature nothing tells a0 from a1: the sensor stands at x = (35 − 20)/50 = 0.3."""
+    scene = Scene(35.0, ((100.0, 0.0),), (), read_every=10.0, bias=LINEAR)
+    plan, model = core(scene)
+    known = knowledge(plan, model)
+    assert unobservable_combinations(known, model) == ["- 0.3·a0 + a1"]
+    there, elsewhere = (float(residual(known, model, "bias", np.array([t]), np.zeros(1))[0, 0]) for t in (35.0, 60.0))
+    assert np.isfinite(there)
+    assert there > 0.0
+    assert np.isinf(elsewhere)
+
+
+@pytest.mark.filterwarnings("ignore:Explicitly requested dtype")
+def test_single_precision_is_refused_with_the_remedy():
+    made = engine(SCENES["paper-like"])
+    assert np.all(np.isfinite(deviations(*made, jnp.eye(8))))
+    import jax
+
+    plan, model = core(SCENES["paper-like"])
+    with jax.enable_x64(False), pytest.raises(ValueError, match="jax_enable_x64"):
+        information(*jax.tree.map(_single, (plan.timeline("x"), model)))
+
+
+def _single(x):
+    return x.astype(np.float32) if hasattr(x, "dtype") and x.dtype == np.float64 else x
+
+
+def test_statistics_of_a_map():
+    values = np.array([[1.0, 2.0], [3.0, 0.0]])
+    assert statistic("mean of max", values) == 2.5
+    assert statistic("max", values) == 3.0
+    assert statistic("mean", values) == 1.5
+    assert statistic("rms", values) == pytest.approx(np.sqrt(3.5))
+
+
+def test_another_axis_is_rest():
+    """The channel that stands sees as many readings as it is given, no motion, and no scale factor."""
+    scene = SCENES["other axis"]
+    plan, model = core(scene)
+    assert plan.channels == ("x", "y")
+    for channel in plan.channels:
+        line = plan.timeline(channel)
+        mine = sum(a.peak * 0 + 1 for a in scene.moves if a.axis == channel and a.shape != "rest")
+        moved = {int(line.segment_moves[s]) for s in np.asarray(line.segment)[np.asarray(line.moving)]}
+        assert len(moved) == mine
+        assert float(line.start[-1] + line.duration[-1]) == pytest.approx(260.0)
+        turning = np.asarray(line.moving)
+        assert np.all(np.asarray(line.turned())[~turning] == 0.0)
+        stands = np.asarray(at_readings(line, model))[:, model.columns.scale]
+        assert np.any(stands != 0.0)

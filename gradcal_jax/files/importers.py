@@ -26,12 +26,12 @@ Several sensors on one table: `[[sensor]]` tables with `name`, `rate`, `temperat
 at the top. Times count from the first row.
 """
 
+import array
 import csv
-import io
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, TextIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -351,27 +351,25 @@ def _read_text_table(path: Path, columns: ColumnMap) -> _Table:
     layout = columns.csv
     delimiter = _DELIMITERS.get(layout.delimiter, layout.delimiter)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise LogError(f"is not text in UTF-8 (byte {error.start}): is it another kind of file?") from None
+        with path.open(encoding="utf-8-sig") as lines:
+            for _ in range(layout.skip):
+                lines.readline()
+            header = _header(lines, layout, delimiter) if layout.header else []
+            used = sorted({_place(source, header, layout.header) for source in _sources(columns)})
+            start = lines.tell()
+            values = _quick(lines, delimiter, layout.comment, used)
+            if values is None:
+                lines.seek(start)
+                values = _patient(lines, delimiter, layout.comment, used)
+    except UnicodeDecodeError:
+        raise LogError("is not text in UTF-8: is it another kind of file?") from None
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}") from None
-    lines = io.StringIO(text, newline=None)
-    for _ in range(layout.skip):
-        lines.readline()
-    header = _header(lines, layout, delimiter) if layout.header else []
-    places = [_place(source, header, layout.header) for source in _sources(columns)]
-    used = sorted(set(places))
-    start = lines.tell()
-    values = _quick(lines, delimiter, layout.comment, used)
-    if values is None:
-        lines.seek(start)
-        values = _patient(lines, delimiter, layout.comment, used)
     by_place = {place: values[:, number] for number, place in enumerate(used)}
     return _Table(lambda source: by_place[_place(source, header, layout.header)])
 
 
-def _header(lines: io.StringIO, layout: TextTable, delimiter: str | None) -> list[str]:
+def _header(lines: TextIO, layout: TextTable, delimiter: str | None) -> list[str]:
     """The names, with `lines` left at the first row of numbers; a header may itself be commented out."""
     remark = ""
     while True:
@@ -419,7 +417,7 @@ def _place(source: Source, header: list[str], named: bool) -> int:
     return header.index(source.column)
 
 
-def _quick(lines: io.StringIO, delimiter: str | None, comment: str, used: list[int]) -> Floats | None:
+def _quick(lines: TextIO, delimiter: str | None, comment: str, used: list[int]) -> Floats | None:
     """All rows at once, by NumPy's compiled reader, where every row is whole; otherwise None."""
     try:
         with warnings.catch_warnings():
@@ -429,17 +427,17 @@ def _quick(lines: io.StringIO, delimiter: str | None, comment: str, used: list[i
         return None
 
 
-def _patient(lines: io.StringIO, delimiter: str | None, comment: str, used: list[int]) -> Floats:
+def _patient(lines: TextIO, delimiter: str | None, comment: str, used: list[int]) -> Floats:
     """Row by row: what is missing or no number becomes NaN, and is counted and named later on."""
-    rows: list[list[float]] = []
+    numbers = array.array("d")
     for line in lines:
         plain = line.split(comment, 1)[0].strip()
         if plain:
             fields = _split(plain, delimiter)
-            rows.append([_number(fields[place]) if place < len(fields) else np.nan for place in used])
-    if not rows:
+            numbers.extend(_number(fields[place]) if place < len(fields) else np.nan for place in used)
+    if not numbers:
         raise LogError("there are no rows below the header")
-    return np.array(rows, np.float64)
+    return np.frombuffer(numbers, np.float64).reshape(-1, len(used))
 
 
 def _number(text: str) -> float:
@@ -466,16 +464,16 @@ def _read_npy(path: Path, columns: ColumnMap) -> _Table:
         with path.open("rb") as file:
             return np.asarray(np.load(file, allow_pickle=False))
 
-    array = _loaded(load, "NumPy's .npy (without pickles)")
-    if array.dtype.names is not None:
-        return _of_arrays({name: array[name] for name in array.dtype.names})
-    if array.ndim != 2:
+    values = _loaded(load, "NumPy's .npy (without pickles)")
+    if values.dtype.names is not None:
+        return _of_arrays({name: values[name] for name in values.dtype.names})
+    if values.ndim != 2:
         raise LogError("the array needs one row a sample and one column a quantity")
 
     def find(source: Source) -> Array:
-        if not isinstance(source.column, int) or source.index is not None or source.column >= array.shape[1]:
-            raise LogError(f"there is no {source.words()}: columns are numbered 0 to {array.shape[1] - 1}")
-        return array[:, source.column]
+        if not isinstance(source.column, int) or source.index is not None or source.column >= values.shape[1]:
+            raise LogError(f"there is no {source.words()}: columns are numbered 0 to {values.shape[1] - 1}")
+        return values[:, source.column]
 
     return _Table(find)
 
@@ -509,12 +507,14 @@ def _of_arrays(arrays: Mapping[str, Array]) -> _Table:
                 f"there is no {source.words()}; "
                 + (f"nearest: '{close}'" if close else f"there are: {_listed(arrays)}")
             )
-        array = arrays[name]
-        if array.ndim == 1 and source.index is None:
-            return array
-        if array.ndim == 2 and source.index is not None and source.index < array.shape[1]:
-            return array[:, source.index]
-        raise LogError(f"{source.words()}: the array has the shape {array.shape}; give the index of one of its columns")
+        values = arrays[name]
+        if values.ndim == 1 and source.index is None:
+            return values
+        if values.ndim == 2 and source.index is not None and source.index < values.shape[1]:
+            return values[:, source.index]
+        raise LogError(
+            f"{source.words()}: the array has the shape {values.shape}; give the index of one of its columns"
+        )
 
     return _Table(find)
 

@@ -1,0 +1,51 @@
+"""What the rooms at the bench import, seen in a process of their own: contracts on imports do not see an `__init__`."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"jax", "jaxlib", "equinox", "optimistix", "lineax", "xarray", "pandas", "matplotlib", "scipy"}
+
+EVERY_MODULE = """
+import importlib, json, pkgutil, sys
+names = [{room!r}]
+room = importlib.import_module({room!r})
+for found in pkgutil.walk_packages(getattr(room, "__path__", []), {room!r} + "."):
+    importlib.import_module(found.name)
+    names.append(found.name)
+print(json.dumps([names, sorted({{name.split(".")[0] for name in sys.modules}})]))
+"""
+
+
+def in_a_fresh_process(script):
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize(
+    ("room", "least"),
+    [("gradcal_jax.hardware", 20), ("gradcal_jax.files", 15), ("gradcal_jax.cli", 7), ("gradcal_jax.units", 1)],
+)
+def test_every_module_of_a_room_at_the_bench_loads_without_jax(room, least):
+    names, loaded = in_a_fresh_process(EVERY_MODULE.format(room=room))
+    assert len(names) >= least
+    assert not HEAVY & set(loaded)
+
+
+def test_the_formulas_load_without_any_array_library():
+    _, loaded = in_a_fresh_process(EVERY_MODULE.format(room="gradcal_jax.formulas"))
+    assert not (HEAVY | {"numpy"}) & set(loaded)
+
+
+def test_the_public_names_load_on_first_use_and_all_exist():
+    script = """
+import json, sys
+import gradcal_jax
+before = "jax" in sys.modules
+missing = [name for name in gradcal_jax.__all__ if not callable(getattr(gradcal_jax, name, None)) and name != "presets"]
+print(json.dumps([before, missing, "jax" in sys.modules]))
+"""
+    assert in_a_fresh_process(script) == [False, [], True]

@@ -132,7 +132,7 @@ class _Examination:
             status[:, raw.left_out[kept]] |= Reason.LEFT_OUT.value
         self.rates(rate, status)
         if marked is not None:
-            self.mask(status, marked, Reason.MARKED, self.policy.marked, "are marked bad by the device")
+            self.mask(status, marked, Reason.MARKED, self.policy.marked, "marked bad by the device")
         if temperature is not None:
             self.temperatures(time, temperature, starts, status)
         self.sizes(time, rate, temperature, table_angle, table_rate, status)
@@ -187,9 +187,9 @@ class _Examination:
         duplicate = readable & (time == before)
         unordered = readable & (time < before)
         for kind, where, action, words in (
-            ("unreadable row", ~readable, self.policy.unreadable_rows, "have no readable time"),
-            ("duplicate stamp", duplicate, self.policy.duplicate_stamps, "repeat an earlier stamp"),
-            ("unordered stamp", unordered, self.policy.unordered_stamps, "are stamped before an earlier row"),
+            ("unreadable row", ~readable, self.policy.unreadable_rows, "without a readable time"),
+            ("duplicate stamp", duplicate, self.policy.duplicate_stamps, "with the stamp of an earlier row"),
+            ("unordered stamp", unordered, self.policy.unordered_stamps, "stamped before an earlier row"),
         ):
             count = int(np.count_nonzero(where))
             if count:
@@ -227,23 +227,25 @@ class _Examination:
 
     def rates(self, rate: Floats, status: NDArray[np.uint16]) -> None:
         missing = np.any(~(np.abs(rate) < _ABSURD), axis=2)
-        self.mask(status, missing, Reason.MISSING_RATE, self.policy.missing_rates, "lack a rate")
+        self.mask(status, missing, Reason.MISSING_RATE, self.policy.missing_rates, "without a rate")
         full = self.raw.full_scale_rad_per_s
         if full is not None:
             where = np.asarray(np.any(np.abs(rate) >= full * (1 - 1e-9), axis=2))
-            words = "are at full scale"
+            words = "at full scale"
         else:
             where = np.zeros(rate.shape[:2], bool)
             for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
                 where[unit] |= _stuck_at_extreme(rate[unit, :, axis])
-            words = "are stuck at the largest or least rate of the record"
+            words = "stuck at the largest or least rate of the record"
         self.mask(status, where, Reason.SATURATED, self.policy.saturated, words)
 
     def temperatures(
         self, time: Floats, temperature: Floats, starts: NDArray[np.int64], status: NDArray[np.uint16]
     ) -> None:
         missing = ~(np.abs(temperature) < _ABSURD)
-        self.mask(status, missing, Reason.MISSING_TEMPERATURE, self.policy.missing_temperatures, "lack a temperature")
+        self.mask(
+            status, missing, Reason.MISSING_TEMPERATURE, self.policy.missing_temperatures, "without a temperature"
+        )
         known = np.where(missing, np.nan, temperature)
         frozen = np.stack([_frozen(time, values, starts) for values in known])
         whole = [name for name, rows in zip(self.raw.units, frozen, strict=True) if rows.all()]
@@ -260,7 +262,7 @@ class _Examination:
             frozen,
             Reason.FROZEN_TEMPERATURE,
             self.policy.frozen_temperatures,
-            "have a temperature that stands still while others of the record move",
+            "with a temperature that stands still while others of the record move",
         )
 
     def sizes(

@@ -140,7 +140,7 @@ def test_stamps_that_repeat_or_step_back_or_are_none_are_removed_and_counted():
     time[10], time[50], time[70] = time[9], time[20], np.nan
     log = examine(columns(quiet(100), time))
     assert log.counts() == {"used": 97, "unreadable row": 1, "duplicate stamp": 1, "unordered stamp": 1}
-    assert kinds(log)["duplicate stamp"].message == "1 row repeat an earlier stamp, first row 10"
+    assert kinds(log)["duplicate stamp"].message == "1 row with the stamp of an earlier row, first row 10"
     for fault in ("unreadable_rows", "duplicate_stamps", "unordered_stamps"):
         with pytest.raises(LogError, match="the policy refuses that"):
             examine(columns(quiet(100), time), Policy(**{fault: "refuse"}))

@@ -1,6 +1,10 @@
 """What the README says is so: commands and options exist, and its numbers are what the program says."""
 
+import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -60,16 +64,26 @@ def test_files_and_pictures_that_the_readme_names_are_here():
         assert (ROOT / name).stat().st_size < 300_000
 
 
-@pytest.mark.parametrize("row", rows(section("A worked example: which table is good enough?")), ids=lambda row: row[0])
-def test_the_worked_example_is_what_the_program_says(row):
-    name, scale_factor, limits, bias = row
-    found = gj.predict(gj.parse_spec(gj.presets.text(name)), limits=name == "rig-30arcsec")
-    said = {
-        r.name: f"{r.mean_of_max if r.quantity == 'scale_factor' else r.mean:.4g} {r.unit}" for r in found.requirements
+def test_the_worked_example_is_what_the_program_says(tmp_path):
+    """The README's own line, run by a shell in a process of its own, with JSON in the place of the picture."""
+    text = section("A worked example: which table is good enough?")
+    (line,) = re.findall(r"^ {4}(gradcal compare .+) --plot \S+$", text, flags=re.M)
+    environment = os.environ | {
+        "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+        "XDG_CACHE_HOME": str(tmp_path),
     }
-    assert said == {"scale factor": scale_factor, "bias": bias}
-    if name == "rig-30arcsec":
-        assert found.requirements[0].limited_by == limits
+    command = ["bash", "-c", f"{line} --json"]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    told = rows(text)
+    found = json.loads(done.stdout)
+    assert len(told) == len(found) == 3
+    for (name, scale_factor, limits, bias), prediction in zip(told, found, strict=True):
+        by_name = {row["name"]: row for row in prediction["requirements"]}
+        assert prediction["title"] == gj.presets.title(name)
+        assert f"{by_name['scale factor']['mean_of_max']:.4g} ppm" == scale_factor
+        assert by_name["scale factor"]["limited_by"] == limits
+        assert f"{by_name['bias']['mean']:.4g} deg/h" == bias
 
 
 def test_the_known_answers_are_those_of_the_table():

@@ -525,10 +525,14 @@ def deviations(steps, columns, prior, contrasts, *, block=None):
     return square_root(jnp.concatenate([whiten(steps, columns, block=block), prior])).deviations(contrasts)
 
 
+def engine_of(plan, model: GyroModel, channel: str = "x", lag: float | None = None) -> Engine:
+    """Compiled once for each structure."""
+    return _engine(plan, model, channel, None if lag is None else jnp.asarray(lag))
+
+
 def engine(scene: Scene) -> Engine:
     """Compiled once for each structure: scenes that are `varied` share it."""
-    plan, model = core(scene)
-    return _engine(plan, model, scene.channel, None if scene.lag is None else jnp.asarray(scene.lag))
+    return engine_of(*core(scene), scene.channel, scene.lag)
 
 
 # --- scenes -----------------------------------------------------------------------------------------------------------

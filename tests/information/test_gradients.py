@@ -12,7 +12,8 @@ from jax.flatten_util import ravel_pytree
 
 from gradcal_jax.information import at_readings, contrasts, noise_steps, square_root, whiten
 
-_STEP = 2e-3
+# A harmonic's phase is some thousand degrees, so that relative steps must be small for the differences to converge.
+_STEP = 2e-4
 
 
 def criteria(plan, model, lag, channel):
@@ -66,12 +67,18 @@ def differences(f, count, chosen, one_sided=()):
     return np.stack(columns, axis=1)
 
 
+def gradients(f, count):
+    """Of each criterion; one compilation for all."""
+    of_one = jax.jit(jax.grad(lambda x, w: f(x) @ w))
+    return np.stack([of_one(jnp.zeros(count), w) for w in jnp.eye(3)])
+
+
 def check(scene, sizes=None, one_sided=(), only=None):
     f, names, size = in_relative_coordinates(scene, sizes)
     count = len(names)
     chosen = [k for k in range(count) if size[k] != 0.0 and (only is None or any(o in names[k] for o in only))]
     edge = [k for k in chosen if any(o in names[k] for o in one_sided)]
-    gradient = np.asarray(jax.jit(jax.jacrev(f))(jnp.zeros(count)))
+    gradient = gradients(f, count)
     assert np.all(np.isfinite(gradient))
     wanted = differences(f, count, chosen, edge)
     norm = np.linalg.norm(gradient, axis=1, keepdims=True)
@@ -82,7 +89,9 @@ def check(scene, sizes=None, one_sided=(), only=None):
 
 
 def test_every_continuous_quantity():
-    gradient = check(SCENES["everything"])
+    everything = SCENES["everything"]
+    two = [n for n in everything.noises if n.kind in ("drift", "scale")]
+    gradient = check(replace(everything, noises=tuple(two)))
     for part in ("duration", "peak_rate", "ramp", "controls", "unevenness", "slopes", "decay", "diffusion", "[2]"):
         assert any(part in name and np.any(g != 0.0) for name, g in gradient.items()), part
     for part in ("angle_random_walk", "reading_noise", "offset", "timing", "harmonic", "prior_std", "initial_std"):
@@ -101,7 +110,7 @@ def _bound_check(scene):
         replace(scene, timing=0.0), {"timing_error": 1e-3, "standstill_offset": 0.01 * DEG, ".decay": 1e-3}
     )
     count = len(names)
-    gradient = np.asarray(jax.jit(jax.jacrev(f))(jnp.zeros(count)))
+    gradient = gradients(f, count)
     assert np.all(np.isfinite(gradient))
     chosen = [k for k, n in enumerate(names) if size[k] != 0.0 and any(p in n for p in ("decay", "timing", "offset"))]
     assert len(chosen) >= 3
@@ -127,14 +136,15 @@ def test_an_offset_of_zero_that_has_its_state():
         changed = eqx.tree_at(lambda m: m.reference.standstill_offset, zero, offset)
         return criteria(plan, changed, None, scene.channel)
 
-    value, slope = f(jnp.zeros(())), jax.jacrev(f)(jnp.zeros(()))
+    value, slope = f(jnp.zeros(())), jax.jit(jax.jacfwd(f))(jnp.zeros(()))
     plain = core(replace(scene, offset=0.0))
-    np.testing.assert_allclose(value, criteria(*plain, None, scene.channel), rtol=1e-11)
+    alone = eqx.filter_jit(criteria)(*plain, None, scene.channel)
+    np.testing.assert_allclose(value, alone, rtol=1e-11)
     np.testing.assert_allclose(slope, 0.0, atol=1e-9)
     assert np.all(f(jnp.asarray(0.01 * DEG))[0] > value[0])
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("name", ["paper-like", "gap", "bases", "other axis"])
-def test_the_other_scenes(name):
+@pytest.mark.parametrize("name", SCENES)
+def test_all_scenes(name):
     check(SCENES[name])

@@ -6,7 +6,7 @@ from itertools import pairwise
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import DEG, Act, Noise, Polynomial, Scene, core, textbook_rate
+from helpers import DEG, Act, Noise, Polynomial, Scene, core, engine_of, textbook_rate
 from scipy.integrate import solve_ivp
 
 from gradcal_jax.information import noise_steps
@@ -48,7 +48,7 @@ def test_one_move_against_the_covariance_equation(act):
     """`Ṗ = AP + PAᵀ + D` and `Ḟ = AF` from 0 and 1, for angle and process, integrated by an adaptive solver."""
     scene = Scene(0.0, ((act.duration, 0.1),), (act,), arw=0.2, noises=NOISES, scale=(Polynomial(0, 0.0, 1.0),) * 2)
     plan, model = core(scene)
-    steps = noise_steps(plan.timeline("x"), model)
+    steps = engine_of(plan, model).steps
     n = 1 + len(NOISES)
     onward, spread = np.eye(n), np.zeros((n, n))
     for f, q in zip(np.asarray(steps.transition), np.asarray(steps.covariance), strict=True):
@@ -81,7 +81,7 @@ def test_one_move_against_the_covariance_equation(act):
         if k in (2, 6):
             alone_plan, alone_model = core(noise_only)
             total = np.zeros((2, 2))
-            made = noise_steps(alone_plan.timeline("x"), alone_model)
+            made = engine_of(alone_plan, alone_model).steps
             for f, q in zip(np.asarray(made.transition), np.asarray(made.covariance), strict=True):
                 total = f @ total @ f.T + q
             assert total[0, 0] == pytest.approx(y[2], rel=1e-9)

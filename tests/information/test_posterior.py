@@ -1,5 +1,10 @@
 """Priors, unweighted least squares, the residual with a discrepancy, and what cannot be observed."""
 
+import os
+import subprocess
+import sys
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,8 +16,7 @@ from helpers import (
     Polynomial,
     Scene,
     core,
-    deviations,
-    engine,
+    engine_of,
     gyro_model,
     knowledge,
 )
@@ -21,11 +25,7 @@ from gradcal_jax import errormodel, plans
 from gradcal_jax.errormodel import Bins, BSpline, make_map
 from gradcal_jax.information import (
     at_readings,
-    information,
-    noise_steps,
-    posterior,
     residual,
-    square_root,
     statistic,
     unobservable_combinations,
     unweighted,
@@ -123,12 +123,11 @@ def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():
     scale = make_map(LINEAR, Polynomial(1, 0.0, 5.0), prior_std=1e-2, discrepancy=(1e-4, 2, 3))
     reference = errormodel.angle_reference(scene.reading_noise)
     model = gyro_model(None, scale, scene.arw, errormodel.gauss_markov(DRIFT.size, DRIFT.tau), reference)
-    line = plan.timeline("x")
-    steps, columns, prior = noise_steps(line, model), at_readings(line, model), np.asarray(model.prior_rows())
-    known = posterior(square_root(jnp.concatenate([whiten(steps, columns), jnp.asarray(prior)])))
+    made = engine_of(plan, model)
+    data, prior = np.asarray(jax.jit(whiten)(made.steps, made.columns)), np.asarray(made.prior)
+    known = knowledge(plan, model)
     temperatures, rates = np.array([-10.0, 60.0]), np.array([-4.5, 1.0])
     found = residual(known, model, "scale_factor", temperatures, rates).ravel()
-    data = np.asarray(whiten(steps, columns))
     rows = np.concatenate([data, prior])
     size = np.linalg.norm(rows, axis=0)
     gain = np.linalg.lstsq(rows / size, np.eye(len(rows)), rcond=None)[0] / size[:, None]
@@ -184,19 +183,29 @@ def test_a_combination_is_written_out():
     assert np.isinf(elsewhere)
 
 
-@pytest.mark.filterwarnings("ignore:Explicitly requested dtype")
+IN_SINGLE_PRECISION = """
+import jax.numpy as jnp
+from gradcal_jax import errormodel, information, plans
+plan = plans.gradient_plan(plans.programme(0.0, [(20.0, 0.1)]), read_every=5.0)
+bias = errormodel.make_map(errormodel.Polynomial(0, 0.0, 1.0))
+none = errormodel.no_processes()
+angle = errormodel.angle_reference(1e-3)
+model = errormodel.GyroModel(bias, None, jnp.asarray(1e-5), none, angle, jnp.zeros(()), jnp.zeros(()))
+try:
+    information.information(plan.timeline("x"), model)
+except ValueError as error:
+    print(error)
+"""
+
+
 def test_single_precision_is_refused_with_the_remedy():
-    made = engine(SCENES["paper-like"])
-    assert np.all(np.isfinite(deviations(*made, jnp.eye(8))))
-    import jax
-
-    plan, model = core(SCENES["paper-like"])
-    with jax.enable_x64(False), pytest.raises(ValueError, match="jax_enable_x64"):
-        information(*jax.tree.map(_single, (plan.timeline("x"), model)))
-
-
-def _single(x):
-    return x.astype(np.float32) if hasattr(x, "dtype") and x.dtype == np.float64 else x
+    """In a process of its own, where JAX is as it comes."""
+    quiet = {**os.environ, "JAX_ENABLE_X64": "0"}
+    ran = subprocess.run(
+        [sys.executable, "-c", IN_SINGLE_PRECISION], capture_output=True, text=True, env=quiet, check=True
+    )
+    assert "single precision" in ran.stdout
+    assert "jax_enable_x64" in ran.stdout
 
 
 def test_statistics_of_a_map():

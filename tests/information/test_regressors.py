@@ -13,6 +13,7 @@ from helpers import (
     Polynomial,
     Scene,
     core,
+    engine_of,
     panels,
     rate_at,
     reported_functions,
@@ -67,11 +68,10 @@ def by_quad(scene: Scene) -> np.ndarray:
 
 def compare(scene: Scene, tolerance: float = 1e-12) -> None:
     plan, model = core(scene)
-    line = plan.timeline("x", scene.lag)
-    found = np.asarray(at_readings(line, model))[-1] @ np.linalg.inv(to_reported(model))
+    found = np.asarray(engine_of(plan, model, lag=scene.lag).columns)[-1] @ np.linalg.inv(to_reported(model))
     wanted = by_quad(scene)
     # The scale of a column: the same integral of absolute values is at most its time times its largest rate.
-    size = np.ones_like(wanted) * float(line.start[-1] + line.duration[-1])
+    size = np.full_like(wanted, sum(duration for duration, _ in scene.stretches))
     size[scene.bias.size :] *= max(abs(a.peak) for a in scene.moves)
     np.testing.assert_allclose(found / size, wanted / size, rtol=0, atol=tolerance)
 

@@ -1,0 +1,96 @@
+"""Any real vector is a plan that the rig executes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from gradcal_jax.design import Coordinates, Cycle, Element, Limits
+from gradcal_jax.formulas import RAMPED_SHAPES
+
+DEG = np.pi / 180.0
+LIMITS = Limits(300 * DEG, 300 * DEG, np.inf, 2.0 / 60.0)
+ELEMENTS = (
+    Element("cosine ramps", 2.0),
+    Element("rest", 1.0),
+    Element("linear ramps", 2.0),
+    Element("half sine", 2.0, 1),
+    Element("rest", 1.0, 1),
+    Element("raised cosine", 2.0, 1),
+)
+FREE = frozenset({"duration", "rest", "peak_rate", "ramp", "gradient"})
+
+
+def coordinates(limits: Limits = LIMITS, **changes) -> Coordinates:
+    n = len(ELEMENTS)
+    nominal = Cycle(jnp.full(n, 20.0), jnp.zeros(n), jnp.zeros(n), jnp.full(10, 10.0))
+    given = {
+        "own_time": 60.0,
+        "other_time": 120.0,
+        "others_read": True,
+        "motion_time": 3600.0,
+        "cycles": 10,
+        "temperature_start": -30.0,
+        "temperature_end": 70.0,
+        "read_every": 1.0,
+        "free": FREE,
+    }
+    return Coordinates(ELEMENTS, limits, nominal=nominal, **(given | changes))
+
+
+UNLIMITED, LIMITED = coordinates(), coordinates(LIMITS._replace(travel=400 * DEG))
+STEEPNESS = {"cosine ramps": np.pi / 2, "linear ramps": 1.0, "half sine": np.pi, "raised cosine": np.pi}
+
+
+@pytest.mark.parametrize("limited", [False, True])
+def test_any_vector_is_executed_by_the_rig(limited):
+    coordinates_ = LIMITED if limited else UNLIMITED
+    decode = jax.jit(lambda z: coordinates_.cycle(z))
+
+    @settings(max_examples=100, deadline=None)
+    @given(z=arrays(float, UNLIMITED.size, elements=st.floats(-1e6, 1e6)))
+    def executed(z):
+        check(decode(jnp.asarray(z)), limited)
+
+    executed()
+
+
+def check(cycle: Cycle, limited: bool) -> None:
+    durations, peaks, ramps, steps = (np.asarray(f) for f in cycle)
+    assert all(np.isfinite(f).all() for f in (durations, peaks, ramps, steps))
+    for group in (0, 1):
+        own = [d for d, e in zip(durations, ELEMENTS, strict=True) if e.group == group]
+        assert sum(own) == pytest.approx(60.0, rel=1e-12)
+    for d, a, r, e in zip(durations, peaks, ramps, ELEMENTS, strict=True):
+        assert d >= e.least * (1 - 1e-12)
+        if e.shape == "rest":
+            continue
+        assert abs(a) <= LIMITS.max_rate * (1 + 1e-12)
+        time = r if e.shape in RAMPED_SHAPES else d
+        assert STEEPNESS[e.shape] * abs(a) <= LIMITS.max_acceleration * time * (1 + 1e-9)
+        assert 2 * r <= d * (1 + 1e-12) or e.shape not in RAMPED_SHAPES
+    assert np.sum(steps) == pytest.approx(100.0, rel=1e-9)
+    assert np.max(np.abs(steps)) <= LIMITS.max_slope * 360.0 * (1 + 1e-9)
+    if limited:
+        moves = (LIMITED.plan(cycle).moves[i] for i in (0, 2, 4, 6))
+        turned = np.cumsum([float(m.angle) for m in moves])
+        assert np.max(np.abs(turned)) <= 400 * DEG * (1 + 1e-9)
+        assert abs(turned[-1]) <= 1e-9 * max(1.0, np.max(np.abs(turned)))
+
+
+def test_a_decoded_plan_fills_the_motion_time_exactly():
+    z = jnp.asarray(np.random.default_rng(1).standard_normal(UNLIMITED.size))
+    line = UNLIMITED.plan(UNLIMITED.cycle(z)).timeline()
+    assert float(line.start[-1] + line.duration[-1]) == pytest.approx(3600.0, rel=1e-12)
+    ends = line.temperature(jnp.broadcast_to(jnp.array([0.0, 1.0]), (line.piece_count, 2)))
+    assert (float(ends[0, 0]), float(ends[-1, 1])) == pytest.approx((-30.0, 70.0), abs=1e-9)
+
+
+def test_what_excludes_each_other_is_said():
+    with pytest.raises(ValueError, match="the moves need at least 5 s but the axis has 4 s"):
+        coordinates(own_time=4.0)
+    with pytest.raises(ValueError, match=r"the ramp needs 1\.667 K/min but the chamber manages 1 K/min"):
+        coordinates(LIMITS._replace(max_slope=1.0 / 60.0))

@@ -1,0 +1,137 @@
+"""Criteria, the proven limit, and the search, on plans small enough to know."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gradcal_jax.design import (
+    Coordinates,
+    Cycle,
+    Element,
+    Found,
+    Limits,
+    Progress,
+    criterion,
+    least_noise_density,
+    limit,
+    search,
+)
+from gradcal_jax.errormodel import GyroModel, Polynomial, angle_reference, gauss_markov, make_map
+from gradcal_jax.information import information, posterior, residual, square_root, statistic, whitened_rows
+
+DEG = np.pi / 180.0
+WALK = 0.1 * DEG / 60.0
+MAX = 300 * DEG
+
+
+def model(degree_t: int, degree_w: int) -> GyroModel:
+    scale = make_map(Polynomial(degree_t, 20.0, 50.0), Polynomial(degree_w, 0.0, MAX))
+    drift, zero = gauss_markov(DEG / 3600.0, 120.0), jnp.zeros(())
+    return GyroModel(None, scale, jnp.asarray(WALK), drift, angle_reference(0.05 * DEG), zero, jnp.asarray(np.inf))
+
+
+def small_plan(turns: int) -> Coordinates:
+    elements = tuple(Element("rest" if i % 2 else "cosine ramps", 2.0) for i in range(2 * turns - 1))
+    n = len(elements)
+    nominal = Cycle(jnp.full(n, 120.0 / n), jnp.zeros(n), jnp.zeros(n), jnp.full(4, 25.0))
+    return Coordinates(
+        elements,
+        Limits(MAX, 300 * DEG),
+        own_time=120.0,
+        other_time=240.0,
+        others_read=True,
+        motion_time=1440.0,
+        cycles=4,
+        temperature_start=-30.0,
+        temperature_end=70.0,
+        read_every=1.0,
+        free=frozenset({"duration", "rest", "peak_rate", "ramp"}),
+        nominal=nominal,
+    )
+
+
+TEMPERATURES, RATES = np.linspace(-30, 70, 11), np.linspace(-MAX, MAX, 13)
+LINEAR = model(1, 1)
+CRITERION = criterion(LINEAR, "scale_factor", TEMPERATURES, RATES, "mean of max")
+PLAN = small_plan(2)
+
+
+@eqx.filter_jit
+def rows_of(z):
+    return square_root(whitened_rows(PLAN.plan(PLAN.cycle(z)).timeline(), LINEAR))
+
+
+def objective(z, sharpness):
+    return CRITERION(rows_of(z), sharpness) * 1e6
+
+
+POINT = jnp.asarray(np.random.default_rng(3).standard_normal(PLAN.size))
+
+
+def test_the_exact_criterion_is_the_reported_statistic_and_the_smooth_one_lies_just_above():
+    known = posterior(information(PLAN.plan(PLAN.cycle(POINT)).timeline(), LINEAR))
+    reported = statistic("mean of max", residual(known, LINEAR, "scale_factor", TEMPERATURES, RATES)) * 1e6
+    exact = float(objective(POINT, None))
+    assert exact == pytest.approx(reported, rel=1e-10)
+    for sharpness in (10.0, 100.0, 1000.0):
+        smooth = float(objective(POINT, jnp.asarray(sharpness)))
+        assert exact <= smooth <= exact * len(TEMPERATURES) ** (1.0 / sharpness) * (1 + 1e-12)
+
+
+def test_the_gradient_is_the_difference():
+    sharpness = jnp.asarray(50.0)
+    value = jax.jit(lambda z: jnp.log(objective(z, sharpness)))
+    gradient = np.asarray(jax.jit(jax.grad(value))(POINT))
+    step = 1e-5
+    eye = np.eye(PLAN.size)
+    difference = np.array([float(value(POINT + step * e) - value(POINT - step * e)) / (2 * step) for e in eye])
+    assert np.max(np.abs(gradient - difference)) < 1e-6 * np.linalg.norm(gradient)
+
+
+def test_the_limit_meets_a_known_optimum():
+    """M = b0 + b1·x, x = ω/ω_max: all the time at x = ±1 is best, and leaves √2·N/(ω_max·√time) at the ends."""
+    constant_in_t = model(0, 1)
+    worst = criterion(constant_in_t, "scale_factor", np.array([20.0]), np.linspace(-MAX, MAX, 21), "max")
+    found = limit(
+        worst,
+        constant_in_t,
+        motion_time=1000.0,
+        temperatures=np.array([20.0]),
+        fixed_programme=True,
+        max_rate=MAX,
+        noise_density=WALK**2,
+    )
+    known = np.sqrt(2.0) * WALK / (MAX * np.sqrt(1000.0))
+    assert found.certified <= known * (1 + 1e-12)
+    assert found.certified == pytest.approx(known, rel=1e-3)
+    assert found.reached == pytest.approx(known, rel=1e-3)
+
+
+def test_drift_and_readings_only_raise_the_limit():
+    density = least_noise_density(LINEAR, 1.0)
+    assert density > WALK**2
+    quiet = eqx.tree_at(lambda m: m.reference.reading_noise, LINEAR, jnp.zeros(()))
+    assert least_noise_density(quiet, 1.0) == pytest.approx(WALK**2, rel=1e-3)
+
+
+def test_the_search_improves_and_never_beats_the_limit():
+    reports = list(search(objective, PLAN.size, starts=3, seed=0, steps=80, chunk=20))
+    progress, found = reports[:-1], reports[-1]
+    assert isinstance(found, Found)
+    assert all(isinstance(p, Progress) for p in progress)
+    assert found.value <= progress[-1].best <= progress[0].first
+    assert found.value == pytest.approx(float(objective(jnp.asarray(found.point), None)), rel=1e-12)
+    assert found.converged, found.sentence
+    proven = limit(
+        CRITERION,
+        LINEAR,
+        motion_time=4 * 120.0,
+        temperatures=np.linspace(-30, 70, 41),
+        fixed_programme=True,
+        max_rate=MAX,
+        noise_density=least_noise_density(LINEAR, 1.0),
+    )
+    assert proven.certified <= proven.reached * (1 + 1e-12)
+    assert proven.certified * 1e6 <= found.value

@@ -7,7 +7,8 @@ silent; questions are repeated, commands are not (their driver reads back instea
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import TypeVar
 
 from .clock import Clock
@@ -50,8 +51,20 @@ class Exchange:
         self._settle_s = settle_s
         self._tries = tries
         self._next_request_s = -float("inf")
-        self.lock = threading.RLock()
+        self._lock = threading.RLock()
         self.disturbances = 0
+
+    @contextmanager
+    def alone(self) -> Generator[None, None, None]:
+        """While inside, no other thread speaks on this line. Waiting for it does not hold virtual time: whoever is
+        speaking may have to wait on the clock."""
+        if not self._lock.acquire(blocking=False):
+            with self.clock.aside():
+                self._lock.acquire()
+        try:
+            yield
+        finally:
+            self._lock.release()
 
     def ask(
         self,
@@ -68,7 +81,7 @@ class Exchange:
         With `repeat` (questions only) those and a time-out are tried again. `pause_after_s` replaces the usual
         interval to the next request.
         """
-        with self.lock:
+        with self.alone():
             tries = self._tries if repeat else 1
             for attempt in range(1, tries + 1):
                 try:
@@ -82,7 +95,7 @@ class Exchange:
 
     def tell(self, request: bytes, *, pause_after_s: float | None = None) -> None:
         """Send something that has no reply."""
-        with self.lock:
+        with self.alone():
             self._send(request, pause_after_s)
 
     def _send(self, request: bytes, pause_after_s: float | None) -> None:

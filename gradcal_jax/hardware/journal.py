@@ -8,7 +8,8 @@ A file of records, little-endian:
     1 byte   number of the line           4 bytes  CRC-32 of everything from the kind to the payload's end
 
 Nothing is ever rewritten. A record that a crash has torn fails its CRC; the next run appends behind it, and the reader
-goes on at the next record that fits. Events reach the disk before `event` returns, bytes at least once a second.
+goes on at the next record that fits. Events reach the disk before `event` returns (unless it is told not to wait),
+everything else at least once a second.
 """
 
 import errno
@@ -94,12 +95,13 @@ class Journal:
         self._syncer = threading.Thread(target=self._sync_regularly, args=(sync_every_s,), daemon=True, name="journal")
         self._syncer.start()
 
-    def event(self, time_s: float, name: str, **data: Any) -> None:
-        """Write an event and wait until the disk has it. Raises `JournalFull`."""
+    def event(self, time_s: float, name: str, /, *, at_once: bool = True, **data: Any) -> None:
+        """Write an event; with `at_once` wait until the disk has it. Raises `JournalFull`."""
         payload = json.dumps({"event": name, **data}, separators=(",", ":"), allow_nan=False).encode()
         with self._lock:
             self._append(_EVENT, 0, time_s, payload)
-            self._sync()
+            if at_once:
+                self._sync()
 
     def bytes_of(self, line: str, time_s: float, data: bytes, *, received: bool) -> None:
         """Write bytes of a line; they are on the disk within `sync_every_s`. Raises `JournalFull`."""

@@ -97,4 +97,5 @@ def _try(
             if attempt.verified or time.monotonic() >= deadline_s:
                 attempt.took_s = time.monotonic() - attempt.began_s
                 return
-            time.sleep(retry_pause_s)
+            with clock.aside():
+                time.sleep(retry_pause_s)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, weiss, zaber
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
@@ -151,3 +152,27 @@ def vectornav_bench(
     device = SimulatedVectorNav(sensor or sensor_on_table(clock), clock, options)
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
         yield vectornav.VectorNavStream(transport, clock, config), device, port
+
+
+class Rig:
+    """A simulated rig under the template's rig file, with an ODrive as its table."""
+
+    def __init__(self, clock: Clock, truth: SensorTruth | None = None) -> None:
+        plant = ChamberPlant(ChamberTruth(start_c=24.8, load_time_constant_s=60.0), clock.now())
+        axis = AxisPlant(None, clock.now())
+        self.chamber = SimulatedEspec(plant, clock)
+        self.table = SimulatedODrive([axis], clock)
+        self.sensor = sensor_on_table(clock, truth, axis=axis, chamber=plant)
+        self.imu = SimulatedStim300(self.sensor, clock, Stim300Options(rate_code=0, burst_s=0.128))
+        self.ports = [SimulatedPort(device, clock) for device in (self.chamber, self.table, self.imu)]
+        text = TEMPLATE.replace('"zaber" ', '"odrive" ')
+        for index, port in enumerate(self.ports):
+            text = text.replace(f"/dev/ttyUSB{index}", port.open().url)
+        self.rig = parse_rig(text)
+
+    def __enter__(self) -> "Rig":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for port in self.ports:
+            port.close()

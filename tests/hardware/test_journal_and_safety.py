@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware_bench import sensor_on_table
+from hardware_bench import Rig
 
-from gradcal_jax.files.rig import TEMPLATE, parse_rig
-from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.clockmap import fit_clock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import (
@@ -27,11 +26,6 @@ from gradcal_jax.hardware.journal import (
 )
 from gradcal_jax.hardware.safety import make_safe
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.espec import SimulatedEspec
-from gradcal_jax.hardware.simulate.odrive import SimulatedODrive
-from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
 
 # --- journal ----------------------------------------------------------------------------------------------------------
 
@@ -177,27 +171,6 @@ def test_many_threads_write_whole_records(tmp_path: Path) -> None:
 
 
 # --- safety -----------------------------------------------------------------------------------------------------------
-
-
-class Rig:
-    """A simulated rig under the template's rig file, with an ODrive as its table."""
-
-    def __init__(self, clock: Clock) -> None:
-        self.chamber = SimulatedEspec(ChamberPlant(ChamberTruth(), clock.now()), clock)
-        self.table = SimulatedODrive([AxisPlant(None, clock.now())], clock)
-        imu = SimulatedStim300(sensor_on_table(clock), clock, Stim300Options(rate_code=0, burst_s=0.128))
-        self.ports = [SimulatedPort(device, clock) for device in (self.chamber, self.table, imu)]
-        text = TEMPLATE.replace('"zaber" ', '"odrive" ')
-        for index, port in enumerate(self.ports):
-            text = text.replace(f"/dev/ttyUSB{index}", port.open().url)
-        self.rig = parse_rig(text)
-
-    def __enter__(self) -> "Rig":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for port in self.ports:
-            port.close()
 
 
 def test_abort_at_random_instants_leaves_everything_verified_safe() -> None:

@@ -163,7 +163,7 @@ class ODriveAxis:
         self._spinning = False
 
     def identify(self) -> Identity:
-        with self._exchange.lock:
+        with self._exchange.alone():
             self._exchange.tell(request("i"))
             lines = self._exchange.transport.read(self._config.reply_timeout_s)
             lines += self._exchange.transport.drain(self._config.reply_timeout_s)

@@ -8,8 +8,8 @@ The counter counts internal samples (2000 /s) modulo 256: at 125 samples/s it wr
 are lost in a disturbed stretch are reckoned with the host's clock.
 
 Unverified on real hardware: that a unit already in Utility Mode answers the request with status 1; the codes of the
-output units (`rate_unit_code`, `increment_unit_code`); which field of `$it` tells the line end (`line_end_field`); rates
-other than those of a standard line on USB adapters.
+output units (`rate_unit_code`, `increment_unit_code`); which field of `$it` tells the line end (`line_end_field`);
+rates other than those of a standard line on USB adapters.
 """
 
 import re

@@ -280,7 +280,7 @@ class WeissChamber:
                 channel = config.temperature_channel or names[0][0]
                 self._known = Layout(tuple(names[0]), tuple(names[1]), channel, config.lowest_c, config.highest_c, {})
             else:
-                with self._exchange.lock:
+                with self._exchange.alone():
                     self._exchange.tell(self._request("?"))
                     # There is no end mark: the first byte has the reply's time, then silence ends the text.
                     heard = self._exchange.transport.read(config.reply_timeout_s)

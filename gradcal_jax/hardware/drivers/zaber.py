@@ -244,6 +244,9 @@ class ZaberAxis:
         self._ask("stop")
         self._until_idle(self._config.stop_timeout_s, "stopping")
 
+    def arm_watchdog(self) -> None:
+        """These stages have no watchdog."""
+
     def heartbeat(self) -> None:
         """These stages have no watchdog."""
 
@@ -266,7 +269,7 @@ class ZaberAxis:
         config = self._config
         number = self._config.axis if axis is None else axis
 
-        with self._exchange.lock:
+        with self._exchange.alone():
             self._message_id = message_id = (self._message_id + 1) % 100
 
             def parse(frame: bytes) -> Reply:

@@ -1,0 +1,536 @@
+"""Executes a track on a bench: one clock, everything journalled, safe at the end whatever ends it.
+
+States and the ways between them are in `WAYS`; each change is an event of the journal. Requests (pause, stop, abort)
+may come from any thread or signal handler and are noticed within a quarter of a second of the run's clock. A run that
+was paused in the middle of a step does that step again from its beginning, and the journal marks the seam.
+
+Besides the thread that executes there is one that reads the chamber, one that feeds the watchdogs of axes, and one for
+each unit that carries its bytes to the disk: no device's slowness delays a move or lets a watchdog expire.
+
+Not here yet: resuming after a crash, and the guard process that makes a rig safe when this process is killed.
+"""
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import Enum
+from types import FrameType
+from typing import Any, Literal
+
+from .clock import Clock
+from .errors import Disconnected, HardwareError, LimitExceeded
+from .interlocks import Interlocks, Situation, standard_rules
+from .journal import Journal, JournalFull, free_space_bytes
+from .roles import AxisReading, ChamberReading, MotionAxis
+from .safety import SafeOutcome, make_safe
+from .setup import Bench, require_identity
+from .track import Stable, Step, Track, beyond_limits
+
+
+class State(Enum):
+    IDLE = "idle"
+    RUNNING = "running"
+    PAUSING = "pausing"
+    PAUSED = "paused"
+    STOPPING = "stopping"
+    ABORTING = "aborting"
+    SAFE = "safe"
+    FAILED = "failed"
+
+
+WAYS: Mapping[State, frozenset[State]] = {
+    State.IDLE: frozenset({State.RUNNING, State.ABORTING}),
+    State.RUNNING: frozenset({State.PAUSING, State.STOPPING, State.ABORTING}),
+    State.PAUSING: frozenset({State.RUNNING, State.PAUSED, State.STOPPING, State.ABORTING}),
+    State.PAUSED: frozenset({State.RUNNING, State.STOPPING, State.ABORTING}),
+    State.STOPPING: frozenset({State.SAFE, State.FAILED}),
+    State.ABORTING: frozenset({State.SAFE, State.FAILED}),
+    State.SAFE: frozenset(),
+    State.FAILED: frozenset(),
+}
+
+Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
+_SLICE_S = 0.25
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """How a run ended: "success", "stopped" (asked for) or "aborted", why, and what became of every device."""
+
+    exit_status: Literal["success", "stopped", "aborted"]
+    reason: str
+    outcomes: tuple[SafeOutcome, ...]
+    steps_done: int
+
+    @property
+    def verified_safe(self) -> bool:
+        return all(outcome.verified for outcome in self.outcomes)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """For whoever shows it: handed to `on_progress` once a chamber reading, never waited for."""
+
+    state: State
+    step: str
+    steps_done: int
+    steps: int
+    step_left_s: float | None
+    track_left_s: float
+    chamber: ChamberReading | None
+    axes: Mapping[str, AxisReading]
+
+
+class _Interrupted(Exception):
+    """A pause in the middle of a step."""
+
+
+class _Ended(Exception):
+    """Stop or abort."""
+
+    def __init__(self, status: Literal["stopped", "aborted"], reason: str) -> None:
+        Exception.__init__(self, reason)
+        self.status: Literal["stopped", "aborted"] = status
+
+
+@dataclass
+class _Due:
+    """When each recurring duty is next to be done."""
+
+    axes_s: float = 0.0
+    soft_ramp_s: float = 0.0
+
+
+@dataclass
+class Runner:
+    """One run. `run` returns only after everything was made safe, and raises nothing for what devices do."""
+
+    track: Track
+    bench: Bench
+    journal: Journal
+    clock: Clock
+    interlocks: Interlocks = field(default_factory=standard_rules)
+    on_progress: Callable[[Progress], None] | None = None
+    chamber_every_s: float = 5.0
+    safe_deadline_s: float = 60.0
+    wait_when_paused: bool = True
+
+    def __post_init__(self) -> None:
+        self.state = State.IDLE
+        self._requests: list[Request] = []
+        self._reasons: list[str] = []
+        self._due = _Due()
+        self._chamber: ChamberReading | None = None
+        self._before: ChamberReading | None = None
+        self._axes: dict[str, AxisReading] = {}
+        self._imu_heard_s: dict[str, float] = {}
+        self._problem: str = ""
+        self._working = threading.Event()
+        self._shown_s = -float("inf")
+        self._steps_done = 0
+        self._settled = False
+
+    # ------------------------------------------------------------------------------------------------- from outside
+
+    def request(self, what: Request, reason: str = "asked for") -> None:
+        """Ask for a change; safe in a signal handler."""
+        self._reasons.append(reason)
+        self._requests.append(what)
+
+    def dry_run(self) -> list[str]:
+        """Compare the track with the limits that the devices report now. Empty: it may start. Nothing moves."""
+        chamber = self.bench.chamber.limits() if self.bench.chamber is not None else None
+        return beyond_limits(self.track, chamber, {name: axis.limits() for name, axis in self.bench.axes.items()})
+
+    def run(self) -> RunResult:
+        """Check, execute, make safe."""
+        helpers: list[threading.Thread] = []
+        status: Literal["success", "stopped", "aborted"] = "success"
+        reason = ""
+        with self.clock.party():
+            try:
+                self._prepare()
+                self._working.set()
+                self._start_helpers(helpers)
+                self._enter(State.RUNNING)
+                self._execute()
+            except _Ended as end:
+                status, reason = end.status, str(end)
+            except HardwareError as problem:
+                status, reason = "aborted", str(problem)
+            except KeyboardInterrupt:
+                status, reason = "aborted", "interrupted from the keyboard"
+            except Exception as problem:
+                status, reason = "aborted", f"{type(problem).__name__}: {problem}"
+            outcomes = self._end(status, reason)
+            self._working.clear()
+            with self.clock.aside():
+                for helper in helpers:
+                    helper.join(timeout=5.0)
+            good = all(outcome.verified for outcome in outcomes)
+            self._event("end", quietly=True, exit_status=status, reason=reason, verified_safe=good)
+        return RunResult(status, reason, outcomes, self._steps_done)
+
+    # -------------------------------------------------------------------------------------------------------- start
+
+    def _prepare(self) -> None:
+        rig = self.bench.rig
+        for entry in rig.axis:
+            identity = self.bench.axes[entry.name].identify()
+            require_identity(entry.name, entry, identity)
+            self._event("identity", device=entry.name, **_plain(identity))
+        if self.bench.chamber is not None and rig.chamber is not None:
+            identity = self.bench.chamber.identify()
+            require_identity("chamber", rig.chamber, identity)
+            self._event("identity", device="chamber", **_plain(identity))
+        for entry in rig.imu:
+            unit = self.bench.imus[entry.name]
+            identity = unit.identify()
+            require_identity(entry.name, entry, identity)
+            self._event("identity", device=entry.name, **_plain(identity))
+            self._event("configuration", device=entry.name, **_plain(unit.configure()))
+        if problems := self.dry_run():
+            raise LimitExceeded("The run was not started. " + " ".join(problems))
+        moved = {move.axis for step in self.track.steps for move in step.moves}
+        for name in sorted(moved):
+            self._event("homing", axis=name)
+            self.bench.axes[name].home()
+
+    def _start_helpers(self, helpers: list[threading.Thread]) -> None:
+        def start(work: Callable[..., None], *arguments: Any) -> None:
+            thread = threading.Thread(target=work, args=arguments, daemon=True, name=work.__name__.strip("_"))
+            helpers.append(thread)
+            thread.start()
+
+        guarded = [axis for axis in self.bench.axes.values() if axis.limits().hardware_watchdog]
+        for axis in guarded:
+            axis.arm_watchdog()
+        if guarded:
+            start(self._feed_watchdogs, guarded)
+        if self.bench.chamber is not None:
+            self._chamber = self.bench.chamber.read()
+            start(self._watch_chamber)
+        for name in self.bench.imus:
+            self.bench.imus[name].start()
+            self._imu_heard_s[name] = self.clock.now()
+            start(self._carry_bytes, name)
+
+    def _feed_watchdogs(self, axes: list[MotionAxis]) -> None:
+        with self.clock.party():
+            while self._working.is_set():
+                try:
+                    for axis in axes:
+                        axis.heartbeat()
+                except HardwareError as problem:
+                    self._problem = f"A watchdog could not be fed: {problem}"
+                    return
+                self.clock.sleep(_SLICE_S)
+
+    def _watch_chamber(self) -> None:
+        assert self.bench.chamber is not None
+        failures = 0
+        with self.clock.party():
+            while self._working.is_set():
+                self.clock.sleep(self.chamber_every_s)
+                try:
+                    reading = self.bench.chamber.read()
+                    self._before, self._chamber, failures = self._chamber, reading, 0
+                    self._event("chamber", at_once=False, **_plain(reading))
+                except HardwareError as problem:
+                    failures += 1
+                    self._event("chamber not read", quietly=True, problem=str(problem))
+                    if failures == 3 or isinstance(problem, (Disconnected, JournalFull)):
+                        self._problem = f"The chamber cannot be read: {problem}"
+                        return
+
+    def _carry_bytes(self, name: str) -> None:
+        """Raw bytes to the journal, nothing else: decoding may lag, the disk may not."""
+        unit = self.bench.imus[name]
+        while self._working.is_set():
+            try:
+                data, time_s = unit.read_bytes(0.2)
+                if data:
+                    self.journal.bytes_of(name, time_s, data, received=True)
+                    self._imu_heard_s[name] = time_s
+            except HardwareError as problem:
+                self._problem = f"{name}: {problem}"
+                return
+
+    # ------------------------------------------------------------------------------------------------------ execute
+
+    def _execute(self) -> None:
+        while self._steps_done < len(self.track.steps):
+            step = self.track.steps[self._steps_done]
+            try:
+                self._run_step(step)
+            except _Interrupted:
+                self._wait_paused()
+                self._event("seam", step=step.name, why="the step begins again after a pause")
+                continue
+            self._steps_done += 1
+            self._event("step done", step=step.name, number=self._steps_done - 1)
+            if self.state is State.PAUSING and self._steps_done < len(self.track.steps):
+                self._wait_paused()
+
+    def _run_step(self, step: Step) -> None:
+        self._event("step", step=step.name, number=self._steps_done)
+        self._settled = False
+        ramp = self._set_course(step)
+        if step.ready is not None:
+            self._await(step, step.ready)
+        begin = self.clock.now()
+        self._settled = step.ready is not None
+        self._event("step begins", step=step.name)
+        self._due.axes_s = begin
+        end, moves = begin + step.duration_s, list(step.moves)
+        while True:
+            while moves and begin + moves[0].start_s <= self.clock.now():
+                self._move(step, moves.pop(0))
+            if ramp is not None:
+                self._step_set_point(ramp)
+            self._duties(step, end)
+            if self.clock.now() >= end and not moves:
+                break
+            next_move = begin + moves[0].start_s if moves else end
+            self.clock.sleep_until(min(next_move, self._due.axes_s, self.clock.now() + _SLICE_S))
+        for name in {move.axis for move in step.moves}:
+            self._settle(name)
+
+    def _set_course(self, step: Step) -> tuple[float, float, float, float] | None:
+        """Tell the chamber; returns (start time, start, target, K/s) where the runner makes the ramp itself."""
+        chamber = self.bench.chamber
+        if chamber is None or step.temperature_c is None:
+            return None
+        if step.ramp_k_per_min is None:
+            chamber.hold(step.temperature_c)
+            self._event("chamber told", hold_c=step.temperature_c)
+            return None
+        if chamber.limits().hardware_ramp:
+            rate = chamber.ramp(step.temperature_c, step.ramp_k_per_min)
+            self._event(
+                "chamber told", ramp_to_c=step.temperature_c, k_per_min=rate, asked_k_per_min=step.ramp_k_per_min
+            )
+            return None
+        start = chamber.read().setpoint_c
+        way = step.temperature_c - start
+        slope = (step.ramp_k_per_min if way >= 0.0 else -step.ramp_k_per_min) / 60.0
+        self._event(
+            "chamber told", ramp_to_c=step.temperature_c, k_per_min=step.ramp_k_per_min, by="steps of the runner"
+        )
+        self._due.soft_ramp_s = self.clock.now()
+        return self.clock.now(), start, step.temperature_c, slope
+
+    def _step_set_point(self, ramp: tuple[float, float, float, float]) -> None:
+        """A ramp by steps of the controller's resolution, at least five seconds apart."""
+        began, start, target, slope = ramp
+        now = self.clock.now()
+        if self.bench.chamber is None or now < self._due.soft_ramp_s or slope == 0.0:
+            return
+        reached = start + slope * (now - began)
+        reached = min(reached, target) if slope > 0.0 else max(reached, target)
+        self.bench.chamber.hold(reached)
+        self._due.soft_ramp_s = float("inf") if reached == target else now + 5.0
+
+    def _await(self, step: Step, ready: Stable) -> None:
+        assert step.temperature_c is not None
+        began = self.clock.now()
+        inside: list[tuple[float, float]] = []
+        while True:
+            self._duties(step, None)
+            reading = self._chamber
+            if reading is not None and reading.time_s >= began and (not inside or reading.time_s > inside[-1][0]):
+                value = reading.product_c if reading.product_c is not None else reading.air_c
+                if abs(value - step.temperature_c) > ready.band_k:
+                    inside.clear()
+                else:
+                    inside.append((reading.time_s, value))
+                    while max(v for _, v in inside) - min(v for _, v in inside) > ready.band_k:
+                        inside.pop(0)
+                    if inside[-1][0] - inside[0][0] >= ready.for_s:
+                        self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
+                        return
+            if self.clock.now() - began > ready.timeout_s:
+                raise HardwareError(
+                    f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of "
+                    f"{step.temperature_c:g} degC after {ready.timeout_s:g} s. Look at the chamber, or give it longer."
+                )
+            self.clock.sleep(_SLICE_S)
+
+    def _move(self, step: Step, move: Any) -> None:
+        axis = self.bench.axes[move.axis]
+        if move.kind == "go":
+            axis.move_to(move.position_deg, move.rate_dps, move.acceleration_dps2)
+        elif move.kind == "spin":
+            axis.spin(move.rate_dps, move.acceleration_dps2)
+        else:
+            axis.stop()
+        self._event("move", step=step.name, **_plain(move))
+
+    def _settle(self, name: str) -> None:
+        """A step ends with its axes standing: what still moves is waited for, what spins is stopped."""
+        end = self.clock.now() + 120.0
+        while (reading := self.bench.axes[name].read()).moving:
+            if self.clock.now() > end:
+                self.bench.axes[name].stop()
+            self._duties(None, None)
+            self.clock.sleep(0.05)
+        self._record_axis(name, reading)
+
+    # ------------------------------------------------------------------------------------------------------- duties
+
+    def _duties(self, step: Step | None, end_s: float | None) -> None:
+        """Whatever recurs: requests, readings, interlocks."""
+        self._obey_requests()
+        now = self.clock.now()
+        if step is not None and now >= self._due.axes_s:
+            self._due.axes_s += step.read_every_s * max(1, round((now - self._due.axes_s) / step.read_every_s))
+            for name, axis in self.bench.axes.items():
+                self._record_axis(name, axis.read())
+        if now - self._shown_s >= self.chamber_every_s:
+            self._shown_s = now
+            self._show(step, end_s)
+        if self._problem:
+            raise HardwareError(self._problem)
+        ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
+        free = free_space_bytes(self.journal.path.parent)
+        situation = Situation(now, self._chamber, self._before, self._axes, ages, free, self._settled)
+        tripped = self.interlocks.check(situation)
+        if tripped is not None:
+            rule, text = tripped
+            self._event("interlock", rule=rule.name, action=rule.action, text=text)
+            if rule.action == "abort" or not self.wait_when_paused:
+                raise _Ended("aborted", f"Interlock '{rule.name}': {text}.")
+            self.interlocks.forget()
+            self._stop_axes()
+            self._enter(State.PAUSING)
+            raise _Interrupted
+
+    def _obey_requests(self) -> None:
+        while self._requests:
+            what, reason = self._requests.pop(0), self._reasons.pop(0)
+            self._event("request", what=what, reason=reason)
+            if what in ("stop", "abort"):
+                raise _Ended("stopped" if what == "stop" else "aborted", reason)
+            if what in ("soft pause", "pause") and self.state is State.RUNNING:
+                self._enter(State.PAUSING)
+            if what == "resume" and self.state is State.PAUSING:
+                self._enter(State.RUNNING)
+            if what == "pause":
+                self._stop_axes()
+                raise _Interrupted
+
+    def _wait_paused(self) -> None:
+        self._enter(State.PAUSED)
+        while True:
+            if self._requests and self._requests[0] == "resume":
+                self._requests.pop(0)
+                self._event("request", what="resume", reason=self._reasons.pop(0))
+                break
+            if self._requests and self._requests[0] in ("soft pause", "pause"):
+                self._requests.pop(0)
+                self._reasons.pop(0)
+            self._obey_requests()
+            if self._problem:
+                raise HardwareError(self._problem)
+            self.clock.sleep(_SLICE_S)
+        self.interlocks.forget()
+        self._enter(State.RUNNING)
+
+    def _stop_axes(self) -> None:
+        for axis in self.bench.axes.values():
+            axis.stop()
+
+    def _record_axis(self, name: str, reading: AxisReading) -> None:
+        self._axes[name] = reading
+        self._event("angle", at_once=False, axis=name, **_plain(reading))
+
+    def _show(self, step: Step | None, end_s: float | None) -> None:
+        if self.on_progress is None:
+            return
+        left = max(0.0, end_s - self.clock.now()) if end_s is not None else None
+        after = sum(s.duration_s for s in self.track.steps[self._steps_done + 1 :])
+        current = left if left is not None else (step.duration_s if step is not None else 0.0)
+        name = self.track.steps[min(self._steps_done, len(self.track.steps) - 1)].name
+        self.on_progress(
+            Progress(
+                self.state,
+                name,
+                self._steps_done,
+                len(self.track.steps),
+                left,
+                current + after,
+                self._chamber,
+                self._axes,
+            )
+        )
+
+    # ---------------------------------------------------------------------------------------------------------- end
+
+    def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
+        """Make safe, and say so in the journal if it can still be written."""
+        self._enter(State.ABORTING if status == "aborted" else State.STOPPING, quietly=True)
+        self._event("ending", quietly=True, exit_status=status, reason=reason)
+        outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s))
+        for outcome in outcomes:
+            self._event("made safe", quietly=True, **_plain(outcome))
+        good = all(outcome.verified for outcome in outcomes)
+        self._enter(State.SAFE if good else State.FAILED, quietly=True)
+        return outcomes
+
+    def _enter(self, state: State, *, quietly: bool = False) -> None:
+        if state not in WAYS[self.state] and not (self.state is State.IDLE and state is State.STOPPING):
+            raise AssertionError(f"There is no way from {self.state.value} to {state.value}.")
+        self.state = state
+        self._event("state", quietly=quietly, state=state.value)
+
+    def _event(self, name: str, /, *, quietly: bool = False, **data: Any) -> None:
+        try:
+            self.journal.event(self.clock.now(), name, **data)
+        except JournalFull:
+            if not quietly:
+                raise
+
+
+def _plain(value: Any) -> dict[str, Any]:
+    """A record of this room as JSON has it: tuples as lists, infinities and NaN as null."""
+
+    def plain(item: Any) -> Any:
+        if isinstance(item, float):
+            return item if item - item == 0.0 else None
+        if isinstance(item, Mapping):
+            return {str(k): plain(v) for k, v in item.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        return [plain(v) for v in item] if isinstance(item, tuple) else item  # pyright: ignore[reportUnknownVariableType]
+
+    return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__ if name != "name"} | (
+        {"device": value.name} if "name" in value.__dataclass_fields__ else {}
+    )
+
+
+@contextmanager
+def signals_to(runner: Runner) -> Generator[None, None, None]:
+    """Ctrl-C once: pause after this step; again within ten seconds: abort. SIGTERM and SIGHUP abort.
+
+    Only in the main thread, as Python has it.
+    """
+    last = [-float("inf")]
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        again = time.monotonic() - last[0] < 10.0
+        last[0] = time.monotonic()
+        runner.request("abort" if again else "soft pause", "Ctrl-C")
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        runner.request("abort", signal.Signals(number).name)
+
+    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: terminate}
+    if hasattr(signal, "SIGHUP"):
+        handlers[signal.SIGHUP] = terminate
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,135 @@
+"""What the runner executes: steps of temperature, each with its moves. Plain data.
+
+A step is what a run resumes by: it sets the chamber's course, waits until its condition holds (or its time-out ends the
+run), and then its own time begins, by which its moves start and it ends.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from .roles import AxisLimits, ChamberLimits
+
+
+@dataclass(frozen=True)
+class Stable:
+    """The temperature (the load's where the chamber tells it, else the air's) stays within `band_k` of the step's and
+    changes by at most `band_k` peak to peak, for `for_s`; not later than `timeout_s` after the step began."""
+
+    band_k: float
+    for_s: float
+    timeout_s: float
+
+
+@dataclass(frozen=True)
+class Move:
+    """One command to one axis, `start_s` after the step's own time began.
+
+    "go" moves to the absolute `position_deg`; "spin" turns at the signed `rate_dps`; "stop" ends a spin.
+    """
+
+    start_s: float
+    axis: str
+    kind: Literal["go", "spin", "stop"]
+    position_deg: float = 0.0
+    rate_dps: float = 0.0
+    acceleration_dps2: float = 0.0
+
+    @property
+    def duration_s(self) -> float:
+        """Of a spin its run-up; of a go nothing that is known without the position before it."""
+        return abs(self.rate_dps) / self.acceleration_dps2 if self.acceleration_dps2 > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """`temperature_c` None leaves the chamber alone; `ramp_k_per_min` None goes there as fast as it can.
+
+    `read_every_s` is how often the angles of all axes are read (at rest and on the move) and recorded.
+    """
+
+    name: str
+    duration_s: float
+    temperature_c: float | None = None
+    ramp_k_per_min: float | None = None
+    ready: Stable | None = None
+    moves: tuple[Move, ...] = ()
+    read_every_s: float = 1.0
+
+
+@dataclass(frozen=True)
+class Track:
+    """The whole run. Errors: ValueError for times that cannot be."""
+
+    steps: tuple[Step, ...]
+
+    def __post_init__(self) -> None:
+        if not self.steps:
+            raise ValueError("A track needs at least one step.")
+        for step in self.steps:
+            starts = [move.start_s for move in step.moves]
+            if not (step.duration_s >= 0.0 and step.read_every_s > 0.0) or starts != sorted(starts):
+                raise ValueError(f"Step {step.name!r}: durations are not negative and moves stand in order of time.")
+            if starts and not (starts[0] >= 0.0 and starts[-1] <= step.duration_s):
+                raise ValueError(f"Step {step.name!r}: every move starts within the step's {step.duration_s:g} s.")
+            if step.ready is not None and step.temperature_c is None:
+                raise ValueError(f"Step {step.name!r} waits for a temperature and sets none.")
+            if step.ramp_k_per_min is not None and not step.ramp_k_per_min > 0.0:
+                raise ValueError(f"Step {step.name!r}: a ramp's rate is above zero; its sign follows from its target.")
+
+    @property
+    def duration_s(self) -> float:
+        """The steps' own time; what they wait for their conditions comes on top."""
+        return sum(step.duration_s for step in self.steps)
+
+
+def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
+    """The dry run: every sentence names a step and what the devices do not accept. Empty: the run may start."""
+    found: list[str] = []
+    for step in track.steps:
+        where = f"Step {step.name!r}"
+        if step.temperature_c is not None:
+            if chamber is None:
+                found.append(f"{where} sets a temperature and the rig has no chamber.")
+            else:
+                found += [f"{where} {text}" for text in _beyond_chamber(step, chamber)]
+        for move in step.moves:
+            limits = axes.get(move.axis)
+            if limits is None:
+                found.append(f"{where} moves axis {move.axis!r}, which the rig does not have ({', '.join(axes)}).")
+            else:
+                found += [f"{where}, axis {move.axis!r}, {text}" for text in _beyond_axis(move, limits)]
+    return list(dict.fromkeys(found))
+
+
+def _beyond_chamber(step: Step, limits: ChamberLimits) -> list[str]:
+    assert step.temperature_c is not None
+    found: list[str] = []
+    if not limits.lowest_c <= step.temperature_c <= limits.highest_c:
+        found.append(
+            f"sets {step.temperature_c:g} degC; the chamber accepts {limits.lowest_c:g} to {limits.highest_c:g}."
+        )
+    slowest, fastest = limits.slowest_ramp_k_per_min, limits.fastest_ramp_k_per_min
+    if step.ramp_k_per_min is not None and limits.hardware_ramp and not slowest <= step.ramp_k_per_min <= fastest:
+        found.append(f"ramps at {step.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
+    return found
+
+
+def _beyond_axis(move: Move, limits: AxisLimits) -> list[str]:
+    if move.kind == "stop":
+        return []
+    found: list[str] = []
+    if not 0.0 < abs(move.rate_dps) <= limits.max_rate_dps:
+        found.append(f"turns at {abs(move.rate_dps):g} deg/s; it accepts up to {limits.max_rate_dps:g}.")
+    if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2:
+        found.append(
+            f"accelerates at {move.acceleration_dps2:g} deg/s²; it accepts up to {limits.max_acceleration_dps2:g}."
+        )
+    lowest = -math.inf if limits.lowest_deg is None else limits.lowest_deg
+    highest = math.inf if limits.highest_deg is None else limits.highest_deg
+    if move.kind == "go" and not lowest <= move.position_deg <= highest:
+        found.append(f"goes to {move.position_deg:g} deg; its travel is {lowest:g} to {highest:g} deg.")
+    if move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
+        found.append("spins, and its travel is limited.")
+    return found

@@ -1,0 +1,308 @@
+"""Whole runs on the simulated lab (chamber, table, unit on three pseudo-terminals, virtual clock)."""
+
+import dataclasses
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hardware_bench import Rig
+
+from gradcal_jax.hardware.clock import VirtualClock
+from gradcal_jax.hardware.clockmap import fit_clock
+from gradcal_jax.hardware.drivers.imu_common import join
+from gradcal_jax.hardware.interlocks import Limits, standard_rules
+from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
+from gradcal_jax.hardware.roles import ChamberLimits
+from gradcal_jax.hardware.runner import WAYS, Progress, Runner, State, signals_to
+from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, SensorTruth
+from gradcal_jax.hardware.track import Move, Stable, Step, Track, beyond_limits
+
+TURN = Move(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
+BACK = Move(12.0, "table", "go", position_deg=0.0, rate_dps=60.0, acceleration_dps2=240.0)
+SPIN = Move(20.0, "table", "spin", rate_dps=-90.0, acceleration_dps2=180.0)
+STOP = Move(26.0, "table", "stop")
+TRACK = Track(
+    (
+        Step("soak", 5.0, temperature_c=25.0, ready=Stable(0.3, 20.0, 3600.0)),
+        Step("ramp", 35.0, temperature_c=26.0, ramp_k_per_min=1.0, moves=(TURN, BACK, SPIN, STOP)),
+    )
+)
+
+
+@contextmanager
+def lab(folder: Path, truth: SensorTruth | None = None) -> Iterator[tuple[Rig, Runner]]:
+    clock = VirtualClock()
+    with Rig(clock, truth) as rig, open_rig(rig.rig, clock) as bench, Journal(folder / "journal") as journal:
+        yield rig, Runner(TRACK, bench, journal, clock, safe_deadline_s=10.0)
+
+
+def names(contents: JournalContents) -> list[str]:
+    return [event.name for event in contents.events]
+
+
+def states(contents: JournalContents) -> list[str]:
+    return [event.data["state"] for event in contents.events if event.name == "state"]
+
+
+def when_step_begins(runner: Runner, number: int, act) -> None:
+    """Call `act` from within the run once a step has begun (on the progress call, which the run makes itself)."""
+    done: list[bool] = []
+
+    def look(progress: Progress) -> None:
+        if not done and progress.steps_done == number and progress.step_left_s is not None:
+            done.append(True)
+            act()
+
+    runner.on_progress = look
+
+
+def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path: Path) -> None:
+    began = time.monotonic()
+    with lab(tmp_path, SensorTruth(clock_error=80e-6, scale_factor=(((1e-3,),),) * 3)) as (rig, runner):
+        shown: list[Progress] = []
+        runner.on_progress = shown.append
+        result = runner.run()
+        assert (result.exit_status, result.reason, result.steps_done) == ("success", "", 2)
+        assert result.verified_safe
+        assert rig.chamber.mode == "STANDBY"
+        assert rig.table.axes[0].plant.state(runner.clock.now())[1] == 0.0
+        assert shown[-1].step == "ramp"
+        decoder = runner.bench.imus["unit1"].decoder()
+    assert time.monotonic() - began < 60.0
+    contents = read_journal(tmp_path / "journal")
+    assert contents.damaged_bytes == 0
+    assert states(contents) == ["running", "stopping", "safe"]
+    assert contents.events[-1].data["exit_status"] == "success"
+    by_name: dict[str, list[Event]] = {}
+    for event in contents.events:
+        by_name.setdefault(event.name, []).append(event)
+    assert [event.data["device"] for event in by_name["identity"]] == ["table", "chamber", "unit1"]
+    # The moves began when the track says, after the temperature had become stable.
+    ramp = next(event for event in by_name["step begins"] if event.data["step"] == "ramp")
+    assert [event.time_s - ramp.time_s for event in by_name["move"]] == pytest.approx([2.0, 12.0, 20.0, 26.0], abs=0.6)
+    assert by_name["stable"][0].data["waited_s"] > 20.0
+    air = [event.data["air_c"] for event in by_name["chamber"]]
+    assert 25.1 < max(air) < 26.0
+    # What the unit measured between two standstills is the angle between the encoder's readings, but for its error.
+    samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in contents.chunks("unit1")])
+    assert np.all(samples.gap_before[1:] == 0)
+    clock_map = fit_clock(samples.device_time_s, samples.host_time_s)
+    assert clock_map.rate_error == pytest.approx(-80e-6, abs=3e-5)
+    host = clock_map.host_time_s(samples.device_time_s)
+    standing = [e for e in by_name["angle"] if not e.data["moving"]]
+    start = [e for e in standing if e.time_s < ramp.time_s + 2.0][-1]
+    end = next(e for e in standing if e.data["position_deg"] > 359.0)
+    inside = (host > start.time_s) & (host <= end.time_s)
+    rate = samples.gyro_dps[inside, 2] - EARTH_RATE_DPS * np.sin(np.radians(45.0))
+    turned = float(rate.sum()) / 125.0
+    # 1000 ppm of scale factor on top of 360 degrees; the unit's own second is 80 ppm short.
+    assert turned == pytest.approx(360.0 * (1.0 + 1e-3) * (1.0 + 80e-6), abs=0.005)
+
+
+def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path: Path) -> None:
+    wrong = Move(1.0, "table", "spin", rate_dps=1000.0, acceleration_dps2=100.0)
+    track = Track(
+        (
+            Step("hot", 10.0, temperature_c=190.0),
+            Step("fast", 10.0, moves=(wrong, Move(2.0, "tilt", "stop"))),
+        )
+    )
+    with lab(tmp_path) as (rig, runner):
+        runner.track = track
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        for words in ("'hot' sets 190 degC", "turns at 1000 deg/s", "'tilt', which the rig does not have"):
+            assert words in result.reason
+        assert result.verified_safe
+        assert rig.table.axes[0].plant.state(0.0)[1] == 0.0
+        assert rig.chamber.commands.count("MODE,CONSTANT") == 0
+    assert "move" not in names(read_journal(tmp_path / "journal"))
+
+
+def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
+    from gradcal_jax.hardware.roles import AxisLimits
+
+    axis = AxisLimits(100.0, 100.0, -180.0, 180.0, 0.001, False)
+    chamber = ChamberLimits(-40.0, 85.0, 0.1, True, 0.1, 3.0)
+    good = Move(0.0, "a", "go", position_deg=170.0, rate_dps=50.0, acceleration_dps2=50.0)
+    track = Track((Step("one", 5.0, temperature_c=20.0, ramp_k_per_min=1.0, moves=(good,)),))
+    assert beyond_limits(track, chamber, {"a": axis}) == []
+    far = dataclasses.replace(good, position_deg=200.0)
+    spin = dataclasses.replace(good, kind="spin")
+    steep = Track((Step("one", 5.0, temperature_c=20.0, ramp_k_per_min=5.0, moves=(far, spin)),))
+    found = " ".join(beyond_limits(steep, chamber, {"a": axis}))
+    assert "ramps at 5 K/min" in found
+    assert "its travel is -180 to 180" in found
+    assert "spins, and its travel is limited" in found
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        (Step("a", 1.0, moves=(Move(2.0, "x", "stop"),)), "within the step"),
+        (Step("a", -1.0), "not negative"),
+        (Step("a", 1.0, ready=Stable(1.0, 1.0, 1.0)), "sets none"),
+        (Step("a", 1.0, temperature_c=1.0, ramp_k_per_min=-1.0), "above zero"),
+    ],
+)
+def test_impossible_tracks_are_refused(step: Step, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        Track((step,))
+
+
+@pytest.mark.evidence
+def test_soft_pause_waits_for_the_end_of_the_step_and_goes_on(tmp_path: Path) -> None:
+    with lab(tmp_path) as (_, runner):
+
+        def pause() -> None:
+            runner.request("soft pause")
+            threading.Thread(target=resume_later, daemon=True).start()
+
+        def resume_later() -> None:
+            while runner.state is not State.PAUSED:
+                runner.clock.sleep(1.0)
+            runner.request("resume")
+
+        when_step_begins(runner, 0, pause)
+        result = runner.run()
+        assert (result.exit_status, result.steps_done) == ("success", 2)
+    contents = read_journal(tmp_path / "journal")
+    assert "seam" not in names(contents)
+    assert states(contents) == ["running", "pausing", "paused", "running", "stopping", "safe"]
+    assert [e.data["step"] for e in contents.events if e.name == "step"] == ["soak", "ramp"]
+
+
+def test_pause_now_stops_the_table_and_does_the_step_again(tmp_path: Path) -> None:
+    with lab(tmp_path) as (rig, runner):
+        rates: list[float] = []
+
+        def pause() -> None:
+            runner.request("pause")
+            threading.Thread(target=resume_later, daemon=True).start()
+
+        def resume_later() -> None:
+            runner.clock.sleep(10.0)
+            rates.append(rig.table.axes[0].plant.state(runner.clock.now())[1])
+            assert runner.state is State.PAUSED
+            runner.request("resume")
+
+        when_step_begins(runner, 1, pause)
+        result = runner.run()
+        assert (result.exit_status, result.steps_done) == ("success", 2)
+        assert rates == [0.0]
+        assert rig.table.axes[0].error == 0  # the watchdog was fed while the run stood still
+    contents = read_journal(tmp_path / "journal")
+    assert states(contents) == ["running", "pausing", "paused", "running", "stopping", "safe"]
+    assert [e.data["step"] for e in contents.events if e.name == "step"] == ["soak", "ramp", "ramp"]
+    assert names(contents).count("seam") == 1
+
+
+@pytest.mark.parametrize("what", ["stop", "abort"])
+def test_stop_and_abort_end_safe(tmp_path: Path, what) -> None:
+    with lab(tmp_path) as (rig, runner):
+        when_step_begins(runner, 1, lambda: runner.request(what, "the operator said so"))
+        result = runner.run()
+        assert result.exit_status == {"stop": "stopped", "abort": "aborted"}[what]
+        assert result.reason == "the operator said so"
+        assert result.verified_safe
+        assert rig.table.axes[0].plant.state(runner.clock.now())[1] == 0.0
+        assert rig.chamber.mode == "STANDBY"
+    assert read_journal(tmp_path / "journal").events[-1].data["verified_safe"] is True
+
+
+@pytest.mark.evidence
+def test_chamber_alarm_fault_and_pulled_cables_abort_and_the_rest_is_made_safe(tmp_path: Path) -> None:
+    cases = {
+        "alarm": (lambda rig: rig.chamber.raise_alarm(18), "chamber reports alarm 18"),
+        "fault": (lambda rig: rig.table.fault(0x4000), "emergency stop"),
+        "unit": (lambda rig: rig.ports[2].unplug(), "unit1: The port"),
+        "chamber": (lambda rig: rig.ports[0].unplug(), "The chamber cannot be read"),
+    }
+    for name, (harm, words) in cases.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        with lab(folder) as (rig, runner):
+            runner.safe_deadline_s = 3.0
+            when_step_begins(runner, 1, lambda harm=harm, rig=rig: harm(rig))
+            result = runner.run()
+            assert result.exit_status == "aborted", name
+            assert words in result.reason, name
+            assert {o.name for o in result.outcomes if not o.verified} == ({"chamber"} if name == "chamber" else set())
+            assert rig.table.axes[0].plant.state(runner.clock.now())[1] == 0.0
+        assert read_journal(folder / "journal").events[-1].name == "end"
+
+
+@pytest.mark.evidence
+def test_silent_unit_pauses_the_run_until_it_is_resumed(tmp_path: Path) -> None:
+    with lab(tmp_path) as (rig, runner):
+
+        def silence() -> None:
+            rig.ports[2].faults.mute = True
+            threading.Thread(target=mend, daemon=True).start()
+
+        def mend() -> None:
+            while runner.state is not State.PAUSED:
+                runner.clock.sleep(1.0)
+            rig.ports[2].faults.mute = False
+            runner.clock.sleep(5.0)
+            runner.request("resume")
+
+        when_step_begins(runner, 1, silence)
+        result = runner.run()
+        assert (result.exit_status, result.steps_done) == ("success", 2)
+    tripped = [e.data for e in read_journal(tmp_path / "journal").events if e.name == "interlock"]
+    assert [t["rule"] for t in tripped] == ["stale unit"]
+    assert "unit1" in tripped[0]["text"]
+
+
+@pytest.mark.evidence
+def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path: Path) -> None:
+    with lab(tmp_path) as (_, runner):
+        runner.track = Track((Step("soak", 10.0, temperature_c=120.0, ready=Stable(0.2, 60.0, 300.0)),))
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        assert "not stable within 0.2 K of 120 degC after 300 s" in result.reason
+        assert result.verified_safe
+
+
+def test_full_disk_pauses_before_it_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with lab(tmp_path) as (_, runner):
+        runner.interlocks = standard_rules(Limits(free_bytes=1 << 60))
+        runner.wait_when_paused = False
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        assert "MB are free" in result.reason
+
+
+@pytest.mark.evidence
+def test_signals_pause_first_and_abort_second(tmp_path: Path) -> None:
+    with lab(tmp_path) as (_, runner), signals_to(runner):
+
+        def interrupt_twice() -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGINT)
+
+        when_step_begins(runner, 0, interrupt_twice)
+        result = runner.run()
+        assert (result.exit_status, result.reason) == ("aborted", "Ctrl-C")
+        assert result.verified_safe
+    requests = [e.data["what"] for e in read_journal(tmp_path / "journal").events if e.name == "request"]
+    assert requests == ["soft pause", "abort"]
+    with lab(tmp_path) as (_, runner), signals_to(runner):
+        when_step_begins(runner, 1, lambda: os.kill(os.getpid(), signal.SIGTERM))
+        assert runner.run().reason == "SIGTERM"
+
+
+def test_every_state_can_end_safe() -> None:
+    for state in State:
+        reachable = {state}
+        for _ in State:
+            reachable |= {after for before in reachable for after in WAYS[before]}
+        assert State.SAFE in reachable or state in (State.SAFE, State.FAILED)

@@ -190,7 +190,7 @@ class Coordinates(eqx.Module):
     def _within_travel(self, cycle: Cycle) -> Cycle:
         if not np.isfinite(self.limits.travel) or not len(self._turns):
             return cycle
-        angles = jnp.stack([self._angle(cycle, i) for i in self._turns])
+        angles = jnp.stack([self._angle(cycle, int(i)) for i in self._turns])
         there, back = jnp.sum(jnp.maximum(angles, 0.0)), jnp.sum(jnp.maximum(-angles, 0.0))
         share = lambda a, b: jnp.minimum(1.0, b / jnp.where(a > 0.0, a, 1.0))  # noqa: E731
         factor = jnp.where(angles > 0.0, share(there, back), share(back, there))

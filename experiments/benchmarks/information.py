@@ -3,9 +3,9 @@
     python experiments/benchmarks/information.py [--quick] [--json FILE] [--only CASE …]
 
 Cases: `small` (6000 readings × 16 parameters, Φ given: G and the gradient of log det G in Φ and in every duration),
-`large` (600 000 × 64, Φ generated in tiles) and `predict` (the paper's dynamic gradient plan as a whole). Rounds go through
-all methods in turn, so that a disturbance of the machine falls on all of them. Peers: `pip install "gradcal_jax[peers]"`;
-what is not installed is left out, with the reason.
+`large` (600 000 × 64, Φ generated in tiles) and `predict` (the paper's dynamic gradient plan as a whole). Rounds go
+through all methods in turn, so that a disturbance of the machine falls on all of them. Peers:
+`pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
 """
 
 import argparse
@@ -35,14 +35,15 @@ class Worker:
     def __init__(self, cores: int):
         environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
         if cores == 1:
-            environment |= {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+            environment |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         command = [sys.executable, str(HERE / "peers" / "worker.py"), str(cores)]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
 
     def ask(self, **request) -> dict:
-        assert self._process.stdin is not None and self._process.stdout is not None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
         try:
             print(json.dumps(request), file=self._process.stdin, flush=True)
             answer = self._process.stdout.readline()
@@ -136,10 +137,12 @@ def small_table(found: dict, wrong: dict, cores: int, count: int, parameters: in
             runs = entry["gradient runs"]
             rows[method]["gradient"] = (least * runs, middle * runs, spread)
     ours = rows["ours"]
+    threads = "one thread" if cores == 1 else "threads as each library likes, 2 cores"
     lines = [
-        f"### {count} readings × {parameters} parameters, {'one thread' if cores == 1 else 'threads as each library likes, 2 cores'}",
+        f"### {count} readings × {parameters} parameters, {threads}",
         "",
-        "| method | forward ms: least / median (spread) | × ours | value + gradient ms: least / median (spread) | × ours "
+        "| method | forward ms: least / median (spread) | × ours "
+        "| value + gradient ms: least / median (spread) | × ours "
         "| error of G, rad / deg | error of the gradient, rad / deg |",
         "|---|---|---|---|---|---|---|",
     ]
@@ -147,9 +150,14 @@ def small_table(found: dict, wrong: dict, cores: int, count: int, parameters: in
     def times(entry, task, star=""):
         least, middle, spread = entry[task]
         ratio = middle / ours[task][1]
-        text = lambda v: f"{v * 1e3:.3g}" if v < 100 else f"{v * 1e3:.1e}"
-        return f"{text(least)} / {text(middle)} ({spread:.0%}){star} | {ratio:.2g}" if ratio < 100 else (
-            f"{text(least)} / {text(middle)} ({spread:.0%}){star} | {ratio:.0f}"
+
+        def text(v: float) -> str:
+            return f"{v * 1e3:.3g}" if v < 100 else f"{v * 1e3:.1e}"
+
+        return (
+            f"{text(least)} / {text(middle)} ({spread:.0%}){star} | {ratio:.2g}"
+            if ratio < 100
+            else (f"{text(least)} / {text(middle)} ({spread:.0%}){star} | {ratio:.0f}")
         )
 
     def error(method, what):
@@ -159,7 +167,8 @@ def small_table(found: dict, wrong: dict, cores: int, count: int, parameters: in
     for method, entry in rows.items():
         star = " *" if found[method]["gradient runs"] else ""
         lines.append(
-            f"| {METHODS[method]} ({found[method]['version']}) | {times(entry, 'forward')} | {times(entry, 'gradient', star)} "
+            f"| {METHODS[method]} ({found[method]['version']}) "
+            f"| {times(entry, 'forward')} | {times(entry, 'gradient', star)} "
             f"| {error(method, 'information')} | {error(method, 'slopes')} |"
         )
     lines.append(f"| dense generalised least squares, float64 | – | – | – | – | {error('dense', 'information')} | – |")
@@ -181,7 +190,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small sizes and few rounds: does it run at all?")
     parser.add_argument("--json", metavar="FILE", help="all single times, for other programs")
-    parser.add_argument("--only", nargs="+", choices=("small", "large", "predict"), default=("small", "large", "predict"))
+    parser.add_argument(
+        "--only", nargs="+", choices=("small", "large", "predict"), default=("small", "large", "predict")
+    )
     parser.add_argument("--write", metavar="FILE", help="the table in Markdown, besides the screen")
     asked = parser.parse_args()
     count, parameters, rounds = (600, 8, 2) if asked.quick else (6000, 16, 12)
@@ -190,8 +201,8 @@ def main() -> None:
         "# Benchmark of the information matrix",
         "",
         f"{datetime.now(UTC):%Y-%m-%d}, {os.cpu_count()} cores of {processor()}, Python {platform.python_version()}; "
-        f"`{command}`. Every method in a process of its own, rounds interleaved; the spread is the interquartile range. "
-        "Ratios are of medians within this run.",
+        f"`{command}`. Every method in a process of its own, rounds interleaved; the spread is the interquartile "
+        "range. Ratios are of medians within this run.",
         "",
     ]
     record: dict = {"command": command, "processor": processor()}
@@ -216,15 +227,17 @@ def main() -> None:
 
 
 SMALL_NOTES = [
-    "* Errors are against the textbook recursion in 80-bit precision: of G, the largest entry's as a share of √(GᵢᵢGⱼⱼ); of the "
-    "gradient, its slopes in three random directions against central differences in the same precision, as a share of the largest.",
+    "* Errors are against the textbook recursion in 80-bit precision: of G, the largest entry's as a share of "
+    "√(GᵢᵢGⱼⱼ); of the gradient, its slopes in three random directions against central differences in the same "
+    "precision, as a share of the largest.",
     "* The floor whitens nothing: it is the product ΦᵀΦ of given rows, log det and the gradient in Φ.",
-    "* celerite2's *kernels* are sums of stationary exponentials and cannot say this model. Its low-level solver can, with one "
-    "decay of zero and factors that depend on time; that is what is timed (C++ driver forward, its JAX operations for the gradient).",
-    "* dynamax adds an absolute 1e-9 to the innovation's variance, which in radians is not small: hence its error, and hence the "
-    "difference between rad and deg.",
-    "* FilterPy has no gradient; the starred figure is its forward time × the N·p + N + 1 runs that one-sided differences take "
-    "(extrapolated, not run).",
+    "* celerite2's *kernels* are sums of stationary exponentials and cannot say this model. Its low-level solver can, "
+    "with one decay of zero and factors that depend on time; that is what is timed (C++ driver forward, its JAX "
+    "operations for the gradient).",
+    "* dynamax adds an absolute 1e-9 to the innovation's variance, which in radians is not small: hence its error, and "
+    "hence the difference between rad and deg.",
+    "* FilterPy has no gradient; the starred figure is its forward time × the N·p + N + 1 runs that one-sided "
+    "differences take (extrapolated, not run).",
 ]
 
 
@@ -243,9 +256,14 @@ def large(record: dict, quick: bool) -> list[str]:
         answer = worker.ask(do="stream", method="large", what=method, count=count, parameters=parameters)
         worker.close()
         record["large"][method] = answer
-        lines.append(f"| {METHODS[method]} | {', '.join(f'{s:.3g}' for s in answer['seconds'])} | {answer['megabytes']:.0f} |")
+        lines.append(
+            f"| {METHODS[method]} | {', '.join(f'{s:.3g}' for s in answer['seconds'])} | {answer['megabytes']:.0f} |"
+        )
     ratio = min(record["large"]["ours"]["seconds"]) / min(record["large"]["floor"]["seconds"])
-    lines += ["", f"Ours takes {ratio:.2g} times the floor, which generates the same tiles and multiplies them as they are."]
+    lines += [
+        "",
+        f"Ours takes {ratio:.2g} times the floor, which generates the same tiles and multiplies them as they are.",
+    ]
     return lines
 
 

@@ -147,8 +147,8 @@ NOT_FOLLOWING = """## Where the paper's figures do not follow from its text
 * **The static gain is chamber time, not accuracy.** 100 minutes hold about 25 independent samples of a 120 s Markov
   process: 0.2 deg/h for a *constant* bias, twice that for a cubic. The gradient method needs 2 h 40 min against 9 h; it
   does not halve the residual.
-* **Figure 6, standard**, is the figure of *unweighted* least squares on the rate error. The best linear estimator of the
-  same data leaves a fifth less, so part of the gradient method's lead in the figure is the estimator's.
+* **Figure 6, standard**, is the figure of *unweighted* least squares on the rate error. The best linear estimator of
+  the same data leaves a fifth less, so part of the gradient method's lead in the figure is the estimator's.
 * **Figure 6, gradient**, is met within about 10 % only by a reading in which the axis is read while it waits for the
   others, and in which 0.05° is white in every reading. As one draw per standstill the same plan leaves a quarter more.
 * **Figures 3–5 and equations 6–7 do not belong together**: the equations subtract a plain mean over Δ, whose own random

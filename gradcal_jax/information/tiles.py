@@ -27,8 +27,8 @@ def information_in_tiles(
 ) -> tuple[Float[Array, "p p"], FilterState]:
     """`Φᵀ V⁻¹ Φ` ("product") or the upper triangular R with `RᵀR` equal to it ("triangle") over `count` tiles.
 
-    `tile(i)` makes the steps and the regressors of tile i, all of one size: pad the last with steps that are not `used`.
-    `initial`: covariance of the noise before the first step. The product is quicker and squares the condition number; the
+    `tile(i)` makes the steps and the regressors of tile i, of one size: pad the last with steps that are not `used`.
+    `initial`: covariance of the noise before the first step. The product is quicker and squares the condition; the
     triangle, by a QR update a tile, does not. Also returned: the state after the last reading. Errors: `ValueError` for
     fewer than one tile.
     """

@@ -1,4 +1,4 @@
-"""The benchmark at a size of nothing: every installed peer finds the information matrix and the gradient that we find."""
+"""The benchmark at a size of nothing: every installed peer finds the information and the gradient that we find."""
 
 import importlib.util
 import json
@@ -52,7 +52,7 @@ def test_agrees_with_the_recursion_in_extended_precision(method, problem):
     package = PACKAGES[method]
     if package and importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed: pip install 'gradcal_jax[peers]'")
-    # dynamax adds an absolute 1e-9 to the innovation's variance: in rad² that is a thousandth of the reading noise, so in deg.
+    # dynamax adds an absolute 1e-9 to the innovation's variance: a thousandth of the reading noise in rad², so in deg.
     unit, allowed = ("deg", 1e-5) if method == "dynamax_augmented" else ("rad", 1e-11)
     found = ask(method, unit)
     case = problem.make_problem(40, 3, unit)

@@ -1,1 +1,1 @@
-"""One module a method; each has `build(problem)`, which returns `{task: function of nothing that does all the work}`."""
+"""One module a method; each has `build(problem)`: `{task: function of nothing that does all the work}`."""

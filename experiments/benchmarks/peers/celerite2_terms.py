@@ -3,7 +3,8 @@
 Its kernels are sums of stationary exponentials and cannot say "random walk" or "integrated drift". Its solver can: with
 decays (0, 1/τ) the factors U, V may be any functions of time, and for s < t
 
-    Cov(θ_t, θ_s) = Var θ_s + τ Cov(θ_s, x_s)·(1 − e^(−(t−s)/τ)) = 1·(Var θ_s + τ Cov(θ_s, x_s)) + e^(−(t−s)/τ)·(−τ Cov(θ_s, x_s)).
+    Cov(θ_t, θ_s) = Var θ_s + τ Cov(θ_s, x_s)·(1 − e^(−(t−s)/τ))
+                  = 1·(Var θ_s + τ Cov(θ_s, x_s)) + e^(−(t−s)/τ)·(−τ Cov(θ_s, x_s)).
 
 So the low-level calls are used, not a kernel. Forward by the C++ driver, gradient by the package's JAX operations.
 """
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from celerite2 import driver
 from celerite2.jax import ops
+
 from peers.jax_tasks import jax_tasks
 from peers.problem import Problem, covariance
 

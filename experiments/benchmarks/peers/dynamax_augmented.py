@@ -5,6 +5,7 @@ import importlib.metadata
 import jax.numpy as jnp
 from dynamax.linear_gaussian_ssm import lgssm_filter
 from dynamax.linear_gaussian_ssm.inference import make_lgssm_params
+
 from peers.jax_tasks import jax_tasks
 from peers.problem import Problem, state_space
 
@@ -18,7 +19,9 @@ def build(problem: Problem) -> dict:
         transition = jnp.tile(jnp.eye(size), (count, 1, 1)).at[:, 0, 1].set(to_angle).at[:, 1, 1].set(kept)
         noise = jnp.zeros((count, size, size)).at[:, 0, 0].set(q_angle).at[:, 1, 1].set(q_drift)
         noise = noise.at[:, 0, 1].set(q_cross).at[:, 1, 0].set(q_cross)
-        before = jnp.diag(jnp.concatenate([jnp.array([problem.reading_std**2, problem.drift_std**2]), 1.0 / problem.prior]))
+        before = jnp.diag(
+            jnp.concatenate([jnp.array([problem.reading_std**2, problem.drift_std**2]), 1.0 / problem.prior])
+        )
         observed = jnp.concatenate([jnp.ones((count, 1)), jnp.zeros((count, 1)), columns], axis=1)[:, None, :]
         params = make_lgssm_params(
             jnp.zeros(size),

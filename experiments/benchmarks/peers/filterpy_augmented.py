@@ -7,6 +7,7 @@ import importlib.metadata
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+
 from peers.problem import Problem, state_space
 
 

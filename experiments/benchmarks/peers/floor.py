@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+
 from peers.jax_tasks import jax_tasks
 from peers.problem import Problem
 

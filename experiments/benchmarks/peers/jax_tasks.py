@@ -1,10 +1,11 @@
-"""What all methods in JAX have in common: compile `information(columns, durations)` and its gradient, and wait for them."""
+"""What all methods in JAX have in common: compile `information(columns, durations)` and its gradient, wait for them."""
 
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
 from peers.problem import Problem
 
 jax.config.update("jax_enable_x64", True)

@@ -7,11 +7,11 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from gradcal_jax.information.tiles import information_in_tiles
 from peers.jax_tasks import log_det
 from peers.ours import noise_steps
 from peers.problem import make_problem
-
-from gradcal_jax.information.tiles import information_in_tiles
 
 _ROWS = 4000
 

@@ -2,17 +2,20 @@
 
 import jax
 import jax.numpy as jnp
-from peers.jax_tasks import jax_tasks
-from peers.problem import Problem, state_space
 
 from gradcal_jax.information import NoiseSteps, whiten
+from peers.jax_tasks import jax_tasks
+from peers.problem import Problem, state_space
 
 
 def noise_steps(problem: Problem, durations) -> NoiseSteps:
     """The noise of a plain list of durations (s), as `gradcal_jax.information.noise_steps` makes it of a timeline."""
     to_angle, kept, q_angle, q_cross, q_drift = state_space(problem, durations, jnp)
     zero, one = jnp.zeros_like(durations), jnp.ones_like(durations)
-    square = lambda a, b, c, d: jnp.stack([jnp.stack([a, b], -1), jnp.stack([c, d], -1)], -2)
+
+    def square(a, b, c, d):
+        return jnp.stack([jnp.stack([a, b], -1), jnp.stack([c, d], -1)], -2)
+
     return NoiseSteps(
         square(one, to_angle, zero, kept),
         square(q_angle, q_cross, q_cross, q_drift),

@@ -1,7 +1,8 @@
 """The problem that every method solves, and its answer by two roads that share no code with any of them.
 
-Readings of an angle at irregular times; noise: angle random walk N, one Gauss–Markov drift (σ, τ) integrated to the angle,
-white noise of each reading, an initial angle error and a stationary drift. Φ is given, dense and smooth. Wanted is
+Readings of an angle at irregular times; noise: angle random walk N, one Gauss–Markov drift (σ, τ) integrated to the
+angle, white noise of each reading, an initial angle error and a stationary drift. Φ is given, dense and
+smooth. Wanted is
 
     G = ΦᵀV⁻¹Φ + diag(prior)   (forward)   and   f = log det G with its gradient in Φ and in all N durations.
 
@@ -57,12 +58,12 @@ def smooth_columns(time, span, parameters: int, rng: np.random.Generator) -> np.
 
 
 def state_space(problem: Problem, durations, xp):
-    """`F_θx, F_xx, Q_θθ, Q_θx, Q_xx` of each step, over NumPy (any precision) or JAX; closed forms, series where they cancel."""
+    """`F_θx, F_xx, Q_θθ, Q_θx, Q_xx` of each step, over NumPy (any precision) or JAX; series where forms cancel."""
     tau = problem.correlation_time
     x = durations / tau
     faded = -xp.expm1(-x)
     power = 2 * problem.drift_std**2 / tau
-    # (2x − 3 + 4e^(−x) − e^(−2x))/2 = x³/3 − x⁴/4 + …: twelve terms reach 1e-19 for x below 0.1, where all durations are.
+    # (2x − 3 + 4e^(−x) − e^(−2x))/2 = x³/3 − x⁴/4 + …: twelve terms reach 1e-19 for x below 0.1, as all are.
     cubic, term = xp.zeros_like(x), x**3 / 6
     for k in range(12):
         cubic = cubic + term * (2.0 ** (k + 2) - 2.0) * (-1.0) ** k
@@ -77,7 +78,7 @@ def covariance(problem: Problem, durations, xp):
     x = time / tau
     faded = -xp.expm1(-x)
     spread = problem.reading_std**2 + problem.angle_random_walk**2 * time
-    # The drift starts stationary, so this is 2σ²τ²(t/τ − 1 + e^(−t/τ)), which loses four digits at the first reading only.
+    # The drift starts stationary, so this is 2σ²τ²(t/τ − 1 + e^(−t/τ)), which loses four digits at the first reading.
     return spread + 2 * problem.drift_std**2 * tau**2 * (x - faded), problem.drift_std**2 * tau * faded
 
 
@@ -115,7 +116,11 @@ def exact_information(problem: Problem, durations=None, columns=None) -> np.ndar
     white = np.empty_like(columns)
     for k in range(len(durations)):
         f, g = to_angle[k], kept[k]
-        p00, p01, p11 = p00 + 2 * f * p01 + f * f * p11 + q_angle[k], g * (p01 + f * p11) + q_cross[k], g * g * p11 + q_drift[k]
+        p00, p01, p11 = (
+            p00 + 2 * f * p01 + f * f * p11 + q_angle[k],
+            g * (p01 + f * p11) + q_cross[k],
+            g * g * p11 + q_drift[k],
+        )
         angle, drift = angle + f * drift, g * drift
         spread = p00 + read
         white[k] = (columns[k] - angle) / np.sqrt(spread)
@@ -144,13 +149,14 @@ def directions(problem: Problem) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def exact_slopes(problem: Problem) -> np.ndarray:
-    """Derivatives of `log det G` in the three directions, by central differences of fourth order in extended precision."""
+    """Derivatives of `log det G` in the three directions, by fourth-order central differences in extended precision."""
     step = np.longdouble(2e-5)
     slopes = []
     for some, many in directions(problem):
-        value = lambda s, some=some, many=many: exact_log_det(
-            exact_information(problem, problem.durations + s * some, problem.columns + s * many)
-        )
+
+        def value(s, some=some, many=many):
+            return exact_log_det(exact_information(problem, problem.durations + s * some, problem.columns + s * many))
+
         slopes.append((8 * (value(step) - value(-step)) - (value(2 * step) - value(-2 * step))) / (12 * step))
     return np.array(slopes)
 

@@ -6,9 +6,10 @@ covariance at reading j). `cholesky()` and `solve()` do the rest.
 
 import jax.numpy as jnp
 import tinygp
+from tinygp.solvers.quasisep.core import DiagQSM, StrictLowerTriQSM, SymmQSM
+
 from peers.jax_tasks import jax_tasks
 from peers.problem import Problem, covariance, state_space
-from tinygp.solvers.quasisep.core import DiagQSM, StrictLowerTriQSM, SymmQSM
 
 
 def build(problem: Problem) -> dict:

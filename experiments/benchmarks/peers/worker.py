@@ -1,8 +1,8 @@
 """One method in a process of its own, which answers a line of JSON with a line of JSON.
 
-    {"do": "open", "method", "count", "parameters", "unit"} -> {"version"}
-    {"do": "time", "task", "repeats"}                       -> {"seconds": [...]}
-    {"do": "check"}                                         -> {"information", "slopes"}
+{"do": "open", "method", "count", "parameters", "unit"} -> {"version"}
+{"do": "time", "task", "repeats"}                       -> {"seconds": [...]}
+{"do": "check"}                                         -> {"information", "slopes"}
 """
 
 import importlib
@@ -50,6 +50,7 @@ def _timed(task) -> float:
 
 def _checked(problem, tasks) -> dict:
     import numpy as np
+
     from peers.problem import slopes_of
 
     reply = {"information": np.asarray(tasks["forward"]()).tolist(), "slopes": None}

@@ -24,7 +24,6 @@ from helpers import (
 from gradcal_jax import errormodel, plans
 from gradcal_jax.errormodel import Bins, BSpline, make_map
 from gradcal_jax.information import (
-    at_readings,
     residual,
     statistic,
     unobservable_combinations,
@@ -229,5 +228,7 @@ def test_another_axis_is_rest():
         assert float(line.start[-1] + line.duration[-1]) == pytest.approx(260.0)
         turning = np.asarray(line.moving)
         assert np.all(np.asarray(line.turned())[~turning] == 0.0)
-        stands = np.asarray(at_readings(line, model))[:, model.columns.scale]
-        assert np.any(stands != 0.0)
+        seen = np.asarray(engine_of(plan, model, channel).columns)[:, model.columns.scale]
+        assert np.any(seen != 0.0)
+        before_it_moves = np.cumsum(turning) == 0
+        assert np.all(seen[before_it_moves] == 0.0)

@@ -1,6 +1,4 @@
-"""The contract gradcal-timeline/1, filled from a spec: every segment and reading,
-and the sensor's model beside them.
-"""
+"""The contract gradcal-timeline/1, filled from a spec: segments, readings and the sensor's model."""
 
 import numpy as np
 

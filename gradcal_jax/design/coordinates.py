@@ -60,9 +60,7 @@ class Limits(NamedTuple):
 
 
 class Cycle(NamedTuple):
-    """A decoded cycle: durations (s), signed peak rates (rad/s) and ramp times (s) of its elements;
-    steps of temperature (K).
-    """
+    """A decoded cycle: durations (s), signed peak rates (rad/s), ramp times (s) of its elements; temperature steps (K)."""
 
     durations: Float[Array, " k"]
     peak_rates: Float[Array, " k"]

@@ -19,9 +19,7 @@ Objective = Callable[[Array, Array | None], Array]
 
 
 class Progress(NamedTuple):
-    """How far a search is: the exact objective of the best start before and now,
-    and how many steps are done of how many.
-    """
+    """How far a search is: the best start's exact objective before and now, and how many steps are done of how many."""
 
     first: float
     best: float
@@ -31,9 +29,7 @@ class Progress(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The best point, its exact objective, and what the starts ended at;
-    `sentence` says whether and why it converged.
-    """
+    """The best point, its exact objective, what the starts ended at, and a sentence that says whether it converged."""
 
     point: np.ndarray
     value: float

@@ -45,9 +45,7 @@ class Basis(eqx.Module):
 
 
 class Polynomial(Basis):
-    """Polynomials of degree `degree` in `(x − centre)/scale`; reported as monomials of that variable (paper,
-    eqs. 4, 11).
-    """
+    """Polynomials up to `degree` in `(x − centre)/scale`; reported as its monomials (paper, eqs. 4, 11)."""
 
     degree: int = eqx.field(static=True)
     centre: float = eqx.field(static=True)

@@ -129,9 +129,7 @@ def _phi1(x: Array) -> Array:
 
 
 def _chi(x: Array) -> Array:
-    """(2x − 3 + 4e^(−x) − e^(−2x))/(2x³), and 1/3 at 0: the closed form loses nine digits at x = 1e-3,
-    the series none.
-    """
+    """(2x − 3 + 4e^(−x) − e^(−2x))/(2x³), and 1/3 at 0, by its series where the closed form loses digits."""
     small = x < 0.3
     safe = jnp.where(small, 1.0, x)
     closed = (2.0 * safe - 3.0 + 4.0 * jnp.exp(-safe) - jnp.exp(-2.0 * safe)) / (2.0 * safe**3)

@@ -57,9 +57,7 @@ def unobservable_combinations(known: Posterior, model: GyroModel) -> list[str]:
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """Reduced row-echelon form with pivoting on the largest entry, so that each combination is as short as it can
-    be.
-    """
+    """Reduced row-echelon form, pivoting on the largest entry: each combination becomes as short as it can be."""
     rows = rows / np.max(np.abs(rows), axis=1, keepdims=True)
     done: list[int] = []
     for k in range(len(rows)):

@@ -73,9 +73,7 @@ def _rate_degree(of: Map) -> int:
 
 
 def at_readings(timeline: Timeline, model: GyroModel) -> Float[Array, "P p"]:
-    """Regressors of the reading at the end of each piece, relative to the first reading (or to the point's own
-    start).
-    """
+    """Regressors of the reading at the end of each piece, relative to the first reading or the point's own start."""
     rows = increments(timeline, model)
     orders = model.reference.harmonic_orders
     if timeline.rate_reference:

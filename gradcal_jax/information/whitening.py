@@ -4,12 +4,10 @@ With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ` the covariance of
 handful of noise states `n`, in blocks so that neither a CPU nor a GPU walks through N small steps:
 
 1. **Inside blocks, all blocks side by side.** The readings are cut into `B` blocks of `K`. Each block's filter starts
-from
-   a *known* state `s_b`, whose effect on the readings is carried as `n` more columns. After K steps, vectorised over
+   from a *known* state `s_b`, whose effect on the readings is carried as `n` more columns. After K steps, vectorised over
    the blocks, every block is `e = Φ̃ − Ã s_b` with unit white noise, and `s_{b+1} = X + Ψ s_b + noise(P)`.
-2. **An orthogonal basis** `U` of the few columns `Ã` (`Ã = U R`): what of `Φ̃` is orthogonal to `U` does not depend
-on the
-   start and is white as it stands; `UᵀΦ̃ = R s_b + noise` are `n` readings of the start.
+2. **An orthogonal basis** `U` of the few columns `Ã` (`Ã = U R`): what of `Φ̃` is orthogonal to `U` does not depend on
+   the start and is white as it stands; `UᵀΦ̃ = R s_b + noise` are `n` readings of the start.
 3. **Between blocks**, a short filter over the B blocks takes those n readings one scalar at a time.
 
 The rows of 2 and 3 together satisfy `rowsᵀ rows = Φᵀ (LLᵀ)⁻¹ Φ` exactly. The block filter is exact algebra: no steady
@@ -28,17 +26,16 @@ Grid = list[list[Array]]
 
 
 class FilterState(NamedTuple):
-    """What goes from one stretch of readings to the next: predicted state of every column `(n,
-    p)` and covariance `(n, n)`.
-    """
+    """What goes from one stretch of readings to the next: every column's predicted state, and its covariance."""
 
     mean: Float[Array, "n p"]
     covariance: Float[Array, "n n"]
 
 
 def whiten(steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None) -> Float[Array, "rows p"]:
-    """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings. `block`: K,
-    default about √N.
+    """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings.
+
+    `block`: K, by default about √N. Shapes and the algorithm are in the module's head.
     """
     start = FilterState(jnp.zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype), steps.initial)
     rows, _ = whiten_from(start, steps, columns, block=block)
@@ -81,9 +78,7 @@ def whiten_from(
 
 
 def _inside_blocks(inputs: tuple[Array, ...], n: int, p: int, blocks: int) -> tuple[Array, list[Array], Grid]:
-    """Step 1: whitened columns `(K, p+n, B)`, the last n of them `Ã`; end states n × (p+n, B);
-    their covariances n × n × (B,).
-    """
+    """Step 1: whitened columns `(K, p+n, B)`, the last n `Ã`; end states n × (p+n, B), covariances n × n × (B,)."""
     dtype = inputs[5].dtype
     unit = [
         jnp.concatenate(

@@ -38,18 +38,14 @@ _ARRAYS = 5
 
 
 class Division(NamedTuple):
-    """How one smooth part of a move is divided: `edges` (fractions, from 0 to 1) and whether each piece ends with a
-    reading.
-    """
+    """How a smooth part of a move is divided: `edges` (fractions, 0 to 1), and which pieces end with a reading."""
 
     edges: tuple[float, ...]
     read: tuple[bool, ...]
 
 
 def divide(duration: float, readings: list[float], longest: float = np.inf) -> Division:
-    """Divide a part of `duration` at its readings (times from its start),
-    and until no piece is longer than `longest`.
-    """
+    """Divide a part of `duration` at its readings (from its start), until no piece is longer than `longest`."""
     if duration <= 0.0:
         return Division((0.0, 1.0), (bool(readings),))
     stops = [float(t) / duration for t in readings]

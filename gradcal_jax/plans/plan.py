@@ -94,9 +94,7 @@ class GradientPlan(eqx.Module):
         )
 
     def _pieces(self, channel: str) -> tuple[Pieces, np.ndarray, tuple[int, ...]]:
-        """All pieces, the segment of each, and each segment's move: an index into `moves + after`,
-        or −1 for standing.
-        """
+        """All pieces, the segment of each, and each segment's move: an index into `moves + after`, −1 for standing."""
         times = self.programme.knots()[0]
         own, rests = ([m.pieces(channel) for m in moves] for moves in (self.moves, self.after))
         own_time, rest_time = (sum((m.duration for m in ms), start=jnp.zeros(())) for ms in (self.moves, self.after))
@@ -223,9 +221,7 @@ class StandardPlan(eqx.Module):
         return self.temperatures.shape[0] * (self.soak + self.rates.shape[0] * self.integration)
 
     def timeline(self, channel: str = "x", thermal_lag: Float[Array, ""] | float | None = None) -> Timeline:
-        """One piece a point. With a thermal lag what is left of each temperature's step decays through its soak and
-        points.
-        """
+        """One piece a point. With a thermal lag, each temperature's step decays through its soak and points."""
         n_t, n_r = self.temperatures.shape[0], self.rates.shape[0]
         count = n_t * n_r
         stay = self.soak + n_r * self.integration

@@ -60,7 +60,7 @@ class Limits(NamedTuple):
 
 
 class Cycle(NamedTuple):
-    """A decoded cycle: durations (s), signed peak rates (rad/s), ramp times (s) of its elements; temperature steps (K)."""
+    """A decoded cycle: durations (s), signed peak rates (rad/s), ramp times (s) of its moves; temperature steps (K)."""
 
     durations: Float[Array, " k"]
     peak_rates: Float[Array, " k"]

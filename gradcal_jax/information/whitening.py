@@ -4,8 +4,8 @@ With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ` the covariance of
 handful of noise states `n`, in blocks so that neither a CPU nor a GPU walks through N small steps:
 
 1. **Inside blocks, all blocks side by side.** The readings are cut into `B` blocks of `K`. Each block's filter starts
-   from a *known* state `s_b`, whose effect on the readings is carried as `n` more columns. After K steps, side by side for
-   all blocks, every block is `e = Φ̃ − Ã s_b` with unit white noise, and `s_{b+1} = X + Ψ s_b + noise(P)`.
+   from a *known* state `s_b`, whose effect on the readings is carried as `n` more columns. After K steps, taken for all
+   blocks at once, every block is `e = Φ̃ − Ã s_b` with unit white noise, and `s_{b+1} = X + Ψ s_b + noise(P)`.
 2. **An orthogonal basis** `U` of the few columns `Ã` (`Ã = U R`): what of `Φ̃` is orthogonal to `U` does not depend on
    the start and is white as it stands; `UᵀΦ̃ = R s_b + noise` are `n` readings of the start.
 3. **Between blocks**, a short filter over the B blocks takes those n readings one scalar at a time.

@@ -1,19 +1,20 @@
 """Whitening: a Kalman filter of the noise alone, run over every column of the regressors as if it were data.
 
-With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ` the covariance of all readings) costs O(N·n²·p) with a
-handful of noise states `n`, in blocks so that neither a CPU nor a GPU walks through N small steps:
+With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ` the covariance of all readings) costs O(N·n²·p) with a handful
+of noise states `n`. The readings are cut into `B` blocks of `K`, so that nothing walks through N small steps:
 
-1. **Inside blocks, all blocks side by side.** The readings are cut into `B` blocks of `K`. Each block's filter starts
-   from a *known* state `s_b`, whose effect on the readings is carried as `n` more columns. After K steps, taken for all
-   blocks at once, every block is `e = Φ̃ − Ã s_b` with unit white noise, and `s_{b+1} = X + Ψ s_b + noise(P)`.
-2. **An orthogonal basis** `U` of the few columns `Ã` (`Ã = U R`): what of `Φ̃` is orthogonal to `U` does not depend on
-   the start and is white as it stands; `UᵀΦ̃ = R s_b + noise` are `n` readings of the start.
-3. **Between blocks**, a short filter over the B blocks takes those n readings one scalar at a time.
+1. **Covariances first**, without data. From a *known* state at its start every block finds, all blocks side by side,
+   what it does to a covariance: `P → Ψ (P⁻¹ + TᵀT)⁻¹ Ψᵀ + P₀`. A short recursion over the blocks gives that at
+   every start, and a second pass through the blocks the gains at every reading: the exact ones, not the steady ones.
+2. **Then the data**, for which the filter is a linear recurrence `x⁺ = A x + g y` with known coefficients: every block
+   from zero, a short recurrence over the blocks, and the response to the starts added. The rows are `w (y − c x)`.
 
-The rows of 2 and 3 together satisfy `rowsᵀ rows = Φᵀ (LLᵀ)⁻¹ Φ` exactly. The block filter is exact algebra: no steady
-state, no approximation, any timing.
+Nothing is approximated and any timing is allowed. Both recursions carry their own derivative. That of the covariances
+is `dP⁺ = A dP Aᵀ + …`, that of the data `dx⁺ = A dx + …`: linear recurrences with the same A, solved in the same
+blocks, so neither the blocks nor step 1's factors are ever differentiated.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -26,16 +27,16 @@ Grid = list[list[Array]]
 
 
 class FilterState(NamedTuple):
-    """What goes from one stretch of readings to the next: every column's predicted state, and its covariance."""
+    """What goes from one stretch of readings to the next: every column's state, and the covariance of all."""
 
     mean: Float[Array, "n p"]
     covariance: Float[Array, "n n"]
 
 
-def whiten(steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None) -> Float[Array, "rows p"]:
+def whiten(steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None) -> Float[Array, "N p"]:
     """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings.
 
-    `block`: K, by default about √N. Shapes and the algorithm are in the module's head.
+    The row of a reading that is not used is zero. `block`: K, by default about √N.
     """
     start = FilterState(jnp.zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype), steps.initial)
     rows, _ = whiten_from(start, steps, columns, block=block)
@@ -44,106 +45,165 @@ def whiten(steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None
 
 def whiten_from(
     state: FilterState, steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None
-) -> tuple[Float[Array, "rows p"], FilterState]:
+) -> tuple[Float[Array, "N p"], FilterState]:
     """As `whiten`, from a given state and returning the next: long logs go through in tiles."""
     count, p = columns.shape
     n = steps.observation.shape[1]
-    length = block or max(1, round(1.2 * count**0.5))
+    length = block or max(1, round(count**0.5))
     blocks = -(-count // length)
-    padding = blocks * length - count
 
-    def side_by_side(x: Array, fill: Array | float | bool) -> Array:
-        """`(N, …)` to `(K, …, B)`: time first for the scan, blocks last for the vector units."""
-        if padding:
-            x = jnp.concatenate([x, jnp.broadcast_to(jnp.asarray(fill, x.dtype), (padding, *x.shape[1:]))])
-        return jnp.moveaxis(jnp.reshape(x, (blocks, length, *x.shape[1:])), 0, -1)
+    def side_by_side(x: Array, fill: float | bool) -> Array:
+        """`(N, …)` to `(K, B, …)`: time first for the recursions."""
+        if padding := blocks * length - count:
+            x = jnp.concatenate([x, jnp.full((padding, *x.shape[1:]), fill, x.dtype)])
+        return jnp.swapaxes(jnp.reshape(x, (blocks, length, *x.shape[1:])), 0, 1)
 
-    inputs = (
-        side_by_side(steps.transition, jnp.eye(n, dtype=columns.dtype)),
-        side_by_side(steps.covariance, 0.0),
-        side_by_side(steps.observation, 0.0),
+    transition, covariance, observation = steps.transition, steps.covariance, steps.observation
+    system = _System(
+        [[side_by_side(transition[:, i, j], float(i == j)) for j in range(n)] for i in range(n)],
+        [side_by_side(covariance[:, i, j], 0.0) for i, j in _upper(n)],
+        [side_by_side(observation[:, i], 0.0) for i in range(n)],
         side_by_side(steps.reading_variance, 1.0),
         side_by_side(steps.used, False),
-        side_by_side(columns, 0.0),
     )
-    inner, end_mean, end_covariance = _inside_blocks(inputs, n, p, blocks)
-    data, starts = inner[:, :p], inner[:, p:]
-    basis, triangle = _orthogonal_basis(starts)
-    projected = [jnp.sum(data * u[:, None], axis=0) for u in basis]
-    for u, z in zip(basis, projected, strict=True):
-        data = data - u[:, None] * z[None]
-    between, state = _between_blocks(state, triangle, jnp.stack(projected), end_mean, end_covariance, p)
-    rows = jnp.reshape(jnp.moveaxis(data, -1, 0), (-1, p))
-    return jnp.concatenate([rows, jnp.reshape(between, (-1, p))]), state
+    data = side_by_side(columns, 0.0)
+    before, end = _covariances(system, [state.covariance[i, j] for i, j in _upper(n)])
+    closed, gain, seen, per_std = _gains(system, before)
+    drive = [g[..., None] * data for g in gain]
+    states, mean = _recurrence(closed, drive, [state.mean[i] for i in range(n)])
+    rows = per_std[..., None] * (data - _total(c[..., None] * x for c, x in zip(seen, states, strict=True)))
+    rows = jnp.reshape(jnp.swapaxes(rows, 0, 1), (-1, p))[:count]
+    return rows, FilterState(jnp.stack(mean), jnp.stack([jnp.stack(line) for line in _full(end, n)]))
 
 
-def _inside_blocks(inputs: tuple[Array, ...], n: int, p: int, blocks: int) -> tuple[Array, list[Array], Grid]:
-    """Step 1: whitened columns `(K, p+n, B)`, the last n `Ã`; end states n × (p+n, B), covariances n × n × (B,)."""
-    dtype = inputs[5].dtype
-    unit = [
-        jnp.concatenate(
-            [jnp.zeros((p, blocks), dtype), *(jnp.full((1, blocks), float(i == j), dtype) for j in range(n))]
-        )
-        for i in range(n)
-    ]
-    known = [[jnp.zeros(blocks, dtype) for _ in range(n)] for _ in range(n)]
+class _System(NamedTuple):
+    """The steps, entry by entry, each `(K, B)`; of the symmetric covariance the upper triangle, line by line."""
 
-    def step(carry, now):
-        mean, cov = carry
-        transition, noise, observe, variance, used, column = now
-        f = [[transition[i, j] for j in range(n)] for i in range(n)]
-        mean = [sum((f[i][j][None] * mean[j] for j in range(1, n)), start=f[i][0][None] * mean[0]) for i in range(n)]
-        cov = _propagate(f, cov, noise)
-        h = [observe[i] for i in range(n)]
-        gain, spread = _gain(cov, h, variance)
-        weight = jnp.where(used & (spread > 0.0), 1.0, 0.0)
-        per_std = weight * jax.lax.rsqrt(jnp.where(weight > 0.0, spread, 1.0))
-        seen = sum((h[j][None] * mean[j] for j in range(1, n)), start=h[0][None] * mean[0])
-        column = jnp.concatenate([column, jnp.zeros((n, blocks), dtype)])
-        row = per_std[None] * (column - seen)
-        gain = [g * per_std for g in gain]
-        mean = [mean[i] + gain[i][None] * row for i in range(n)]
-        cov = [[cov[i][j] - gain[i] * gain[j] for j in range(n)] for i in range(n)]
-        return (mean, cov), row
-
-    (mean, cov), rows = jax.lax.scan(step, (unit, known), inputs)
-    # The start's columns carry the response of the *prediction*; as regressors of the readings their sign is opposite.
-    return rows.at[:, p:].multiply(-1.0), mean, cov
+    transition: Grid
+    noise: list[Array]
+    observation: list[Array]
+    variance: Array
+    used: Array
 
 
-def _propagate(f: Grid, cov: Grid, noise: Array) -> Grid:
-    """`F P Fᵀ + Q`, written out; symmetric entries are computed once."""
-    n = len(f)
-    half = [
-        [sum((f[i][k] * cov[k][j] for k in range(1, n)), start=f[i][0] * cov[0][j]) for j in range(n)] for i in range(n)
-    ]
-    out: Grid = [[half[0][0]] * n for _ in range(n)]
-    for i in range(n):
-        for j in range(i, n):
-            value = sum((half[i][k] * f[j][k] for k in range(1, n)), start=half[i][0] * f[j][0]) + noise[i, j]
-            out[i][j] = out[j][i] = value
-    return out
+# --- small matrices, written out: their entries are whole arrays ------------------------------------------------------
 
 
-def _gain(cov: Grid, h: list[Array], variance: Array) -> tuple[list[Array], Array]:
-    """`P Hᵀ` and `H P Hᵀ + R`."""
+def _upper(n: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(n) for j in range(i, n)]
+
+
+def _full(packed: list[Array], n: int) -> Grid:
+    at = {pair: k for k, pair in enumerate(_upper(n))}
+    return [[packed[at[min(i, j), max(i, j)]] for j in range(n)] for i in range(n)]
+
+
+def _total(terms) -> Array:
+    first, *others = terms
+    return sum(others, start=first)
+
+
+def _times(a: Grid, b: Grid) -> Grid:
+    inner = range(len(b))
+    return [[_total(a[i][k] * b[k][j] for k in inner) for j in range(len(b[0]))] for i in range(len(a))]
+
+
+def _congruence(a: Grid, packed: list[Array]) -> list[Array]:
+    """Upper triangle of `A S Aᵀ`."""
+    n = len(a)
+    half = _times(a, _full(packed, n))
+    return [_total(half[i][k] * a[j][k] for k in range(n)) for i, j in _upper(n)]
+
+
+def _seen(h: list[Array], a: Grid) -> list[Array]:
+    """`H A`."""
+    return [_total(h[i] * a[i][j] for i in range(len(h))) for j in range(len(a[0]))]
+
+
+def _innovation(packed: list[Array], h: list[Array], variance: Array | float, used: Array | bool = True):
+    """`P Hᵀ` and the reciprocal of `H P Hᵀ + R`; zero where there is no reading, or one that is known beforehand."""
     n = len(h)
-    gain = [sum((cov[i][j] * h[j] for j in range(1, n)), start=cov[i][0] * h[0]) for i in range(n)]
-    return gain, sum((h[i] * gain[i] for i in range(1, n)), start=h[0] * gain[0]) + variance
+    cross = _seen(h, _full(packed, n))
+    spread = _total(h[i] * cross[i] for i in range(n)) + variance
+    useful = used & (spread > 0.0)
+    return cross, jnp.where(useful, 1.0, 0.0) / jnp.where(useful, spread, 1.0)
 
 
-def _orthogonal_basis(starts: Float[Array, "K n B"]) -> tuple[list[Array], Grid]:
-    """Step 2: Gram–Schmidt, twice, over each block's few start columns: `n × (K, B)`, and R with `Ã = U R`.
+def _updated(packed: list[Array], cross: list[Array], reciprocal: Array) -> list[Array]:
+    """`P − P Hᵀ (H P Hᵀ + R)⁻¹ H P`."""
+    scaled = [c * reciprocal for c in cross]
+    return [value - scaled[i] * cross[j] for value, (i, j) in zip(packed, _upper(len(cross)), strict=True)]
 
-    A column that depends on the ones before (a state that the block does not see) gets the direction 0.
+
+def _identity(like: Array, n: int) -> Grid:
+    return [[jnp.full_like(like, float(i == j)) for j in range(n)] for i in range(n)]
+
+
+# --- covariances ------------------------------------------------------------------------------------------------------
+
+
+def _step(system: _System, packed: list[Array]) -> list[Array]:
+    """Covariance after a step, from the one before: on single steps and on whole arrays of them."""
+    predicted = [a + b for a, b in zip(_congruence(system.transition, packed), system.noise, strict=True)]
+    cross, reciprocal = _innovation(predicted, system.observation, system.variance, system.used)
+    return _updated(predicted, cross, reciprocal)
+
+
+@jax.custom_jvp
+def _covariances(system: _System, start: list[Array]) -> tuple[list[Array], list[Array]]:
+    """Upper triangles of the covariance before every step, each `(K, B)`, and after the last."""
+    n = len(system.observation)
+    zero = jnp.zeros_like(system.variance[0])
+
+    def from_known(carry, now: _System):
+        packed, response = carry
+        predicted = [a + b for a, b in zip(_congruence(now.transition, packed), now.noise, strict=True)]
+        response = _times(now.transition, response)
+        cross, reciprocal = _innovation(predicted, now.observation, now.variance, now.used)
+        seen = _seen(now.observation, response)
+        response = [[response[i][j] - cross[i] * reciprocal * seen[j] for j in range(n)] for i in range(n)]
+        root = jnp.sqrt(reciprocal)
+        return (_updated(predicted, cross, reciprocal), response), [root * s for s in seen]
+
+    known = ([zero for _ in _upper(n)], _identity(zero, n))
+    (own, response), rows = jax.lax.scan(from_known, known, system)
+
+    def across(packed, now):
+        triangle, response, own = now
+        after = packed
+        for i in range(n):
+            after = _updated(after, *_innovation(after, triangle[i], 1.0))
+        return [a + b for a, b in zip(_congruence(response, after), own, strict=True)], packed
+
+    end, starts = jax.lax.scan(across, start, (_triangle(rows), response, own))
+    _, before = jax.lax.scan(lambda packed, now: (_step(now, packed), packed), starts, system)
+    return before, end
+
+
+@_covariances.defjvp
+def _covariances_jvp(primals, tangents):
+    (system, start), (d_system, d_start) = primals, tangents
+    before, end = _covariances(system, start)
+    closed, *_ = _gains(system, before)
+
+    def step(transition, noise, observation, variance):
+        return _step(_System(transition, noise, observation, variance, system.used), before)
+
+    _, drive = jax.jvp(step, tuple(system[:4]), tuple(d_system[:4]))
+    return (before, end), _in_blocks(_congruence, closed, drive, d_start)
+
+
+def _triangle(rows: list[Array]) -> Grid:
+    """T with `TᵀT = AᵀA` for each block's few columns `rows`, n of `(K, B)`: Gram–Schmidt, twice.
+
+    A column that depends on the ones before (a state that the block does not see) gets a zero on the diagonal.
     """
-    n = starts.shape[1]
-    eps = jnp.finfo(starts.dtype).eps
+    n = len(rows)
+    eps = jnp.finfo(rows[0].dtype).eps
     basis: list[Array] = []
-    zero = jnp.zeros_like(starts[0, 0])
+    zero = jnp.zeros_like(rows[0][0])
     triangle: Grid = [[zero] * n for _ in range(n)]
-    for j in range(n):
-        column = starts[:, j]
+    for j, column in enumerate(rows):
         whole = jnp.sum(column * column, axis=0)
         for _ in range(2):
             for i, u in enumerate(basis):
@@ -155,40 +215,56 @@ def _orthogonal_basis(starts: Float[Array, "K n B"]) -> tuple[list[Array], Grid]
         norm = jnp.where(alive, jnp.sqrt(jnp.where(alive, square, 1.0)), 0.0)
         basis.append(column * jnp.where(alive, 1.0 / jnp.where(alive, norm, 1.0), 0.0)[None])
         triangle[j][j] = norm
-    return basis, triangle
+    return triangle
 
 
-def _between_blocks(
-    state: FilterState, triangle: Grid, readings: Float[Array, "n p B"], mean: list[Array], cov: Grid, p: int
-) -> tuple[Float[Array, "B n p"], FilterState]:
-    """Step 3: the blocks' readings of their start states, filtered from block to block."""
-    n = len(mean)
-    last_first = lambda x: jnp.moveaxis(x, -1, 0)  # noqa: E731
-    ends = last_first(jnp.stack(mean))
-    inputs = (
-        last_first(jnp.stack([jnp.stack(r) for r in triangle])),
-        last_first(readings),
-        ends[:, :, :p],
-        ends[:, :, p:],
-        last_first(jnp.stack([jnp.stack(c) for c in cov])),
-    )
+def _gains(system: _System, before: list[Array]) -> tuple[Grid, list[Array], list[Array], Array]:
+    """`A = (1 − K H) F`, `K`, `H F` and `1/√(H P Hᵀ + R)` of every step: `x⁺ = A x + K y`, `row = (y − H F x)/√…`."""
+    f, n = system.transition, len(system.observation)
+    predicted = [a + b for a, b in zip(_congruence(f, before), system.noise, strict=True)]
+    cross, reciprocal = _innovation(predicted, system.observation, system.variance, system.used)
+    gain = [c * reciprocal for c in cross]
+    seen = _seen(system.observation, f)
+    closed = [[f[i][j] - gain[i] * seen[j] for j in range(n)] for i in range(n)]
+    alive = reciprocal > 0.0
+    per_std = jnp.where(alive, jnp.sqrt(jnp.where(alive, reciprocal, 1.0)), 0.0)
+    return closed, gain, seen, per_std
 
-    def step(carry, now):
-        m, c = carry
-        observe, reading, offset, onward, noise = now
-        rows = []
-        for i in range(n):
-            h = observe[i]
-            gain = c @ h
-            per_std = jax.lax.rsqrt(1.0 + h @ gain)
-            row = per_std * (reading[i] - h @ m)
-            gain = gain * per_std
-            m = m + gain[:, None] * row[None, :]
-            c = c - gain[:, None] * gain[None, :]
-            rows.append(row)
-        m = offset + onward @ m
-        c = onward @ c @ onward.T + noise
-        return (m, c), jnp.stack(rows)
 
-    (m, c), rows = jax.lax.scan(step, (state.mean, state.covariance), inputs)
-    return rows, FilterState(m, c)
+# --- linear recurrences -----------------------------------------------------------------------------------------------
+
+
+def _apply(a: Grid, x: list[Array]) -> list[Array]:
+    """`A x` for columns that stand on a last axis of x's entries."""
+    return [_total(a[i][j][..., None] * x[j] for j in range(len(x))) for i in range(len(a))]
+
+
+@jax.custom_jvp
+def _recurrence(closed: Grid, drive: list[Array], start: list[Array]) -> tuple[list[Array], list[Array]]:
+    """`x⁺ = A x + drive`: x before every step, n of `(K, B, p)`, and after the last, n of `(p,)`."""
+    return _in_blocks(_apply, closed, drive, start)
+
+
+@_recurrence.defjvp
+def _recurrence_jvp(primals, tangents):
+    (closed, drive, start), (d_closed, d_drive, d_start) = primals, tangents
+    states, end = _recurrence(closed, drive, start)
+    d_drive = [a + b for a, b in zip(_apply(d_closed, states), d_drive, strict=True)]
+    return (states, end), _in_blocks(_apply, closed, d_drive, d_start)
+
+
+def _in_blocks(
+    act: Callable[[Grid, list[Array]], list[Array]], closed: Grid, drive: list[Array], start: list[Array]
+) -> tuple[list[Array], list[Array]]:
+    """`x⁺ = act(A, x) + drive`, `act` linear in x and multiplicative in A, by blocks side by side."""
+    n = len(closed)
+    add = lambda x, y: [a + b for a, b in zip(x, y, strict=True)]  # noqa: E731
+    response, from_start = jax.lax.scan(lambda r, a: (_times(a, r), r), _identity(closed[0][0][0], n), closed)
+
+    def step(x, now):
+        a, extra = now
+        return add(act(a, x), extra), x
+
+    ends, states = jax.lax.scan(step, [jnp.zeros_like(d[0]) for d in drive], (closed, drive))
+    end, starts = jax.lax.scan(step, start, (response, ends))
+    return add(states, act(from_start, [s[None] for s in starts])), end

@@ -9,10 +9,15 @@ import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
+# Rows this many times as tall as wide are worth two products.
+_TALL = 8
+# Smallest over largest diagonal of the first Cholesky factor; NaN, where there is none, is not sound either.
+_SOUND = 1e-5
+
 
 @jax.custom_jvp
 def triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
-    """Upper triangular `R`, diagonal not negative, with `RᵀR = rowsᵀ rows`, by QR.
+    """Upper triangular `R`, diagonal not negative, with `RᵀR = rowsᵀ rows`.
 
     The derivative follows from `d(RᵀR) = dRᵀR + RᵀdR`: with `S = R⁻ᵀ d(rowsᵀrows) R⁻¹`, `dR = (upper(S) + ½diag(S))
     R`. JAX's own rule for QR divides by zero for rows that do not span the space; here such directions (a zero on R's
@@ -21,6 +26,23 @@ def triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
     n, p = rows.shape
     if n < p:
         rows = jnp.concatenate([rows, jnp.zeros((p - n, p), rows.dtype)])
+    if n < _TALL * p:
+        return _by_reflections(rows)
+    # Tall rows: Cholesky of the product, twice, which is as accurate as QR while the first factor is not too ill
+    # conditioned (Yamamoto and others, 2015) and needs a tenth of its time; otherwise QR.
+    first = jnp.linalg.cholesky(rows.T @ rows).T
+    diagonal = jnp.diagonal(first)
+    sound = jnp.min(diagonal) > _SOUND * jnp.max(diagonal)
+    return jax.lax.cond(sound, _by_two_products, lambda rows, _: _by_reflections(rows), rows, first)
+
+
+def _by_two_products(rows: Float[Array, "n p"], first: Float[Array, "p p"]) -> Float[Array, "p p"]:
+    orthogonal = solve_triangular(first, rows.T, trans=1, lower=False)
+    second = jnp.linalg.cholesky(orthogonal @ orthogonal.T).T
+    return second @ first
+
+
+def _by_reflections(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
     factor = jnp.linalg.qr(rows, mode="r")
     sign = jnp.where(jnp.diagonal(factor) < 0.0, -1.0, 1.0).astype(rows.dtype)
     return jnp.triu(factor * sign[:, None])

@@ -247,7 +247,8 @@ def large(record: dict, quick: bool) -> list[str]:
     lines = [
         f"### {count} readings × {parameters} parameters, Φ generated in tiles, forward",
         "",
-        "| method | s: each run | working memory, MB: the process's peak, compiling included, less what it held after imports and a tiny run |",
+        "| method | s: each run | working memory, MB: the process's peak, compiling included, "
+        "less what it held after imports and a tiny run |",
         "|---|---|---|",
     ]
     record["large"] = {}

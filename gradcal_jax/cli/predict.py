@@ -161,7 +161,11 @@ def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
     return (name, row.quantity.replace("_", " "), row.statistic, value(row), target, verdict, row.limited_by or "")
 
 
-_SHOWN = {"rad/s": ("deg/h", 180.0 / 3.141592653589793 * 3600.0), "1": ("ppm", 1e6)}
+_SHOWN = {
+    "rad/s": ("deg/h", 180.0 / 3.141592653589793 * 3600.0),
+    "1": ("ppm", 1e6),
+    "rad/K": ("deg/h/(K/min)", 180.0 / 3.141592653589793 * 60.0),
+}
 
 
 def _parameters(prediction: "Prediction") -> list[tuple[str, ...]]:

@@ -15,7 +15,8 @@ def use_float64() -> None:
 
     jax.config.update("jax_enable_x64", True)
     folder = _cache_folder()
-    if folder is not None and jax.config.jax_compilation_cache_dir is None:
+    already = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if folder is not None and already is None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 

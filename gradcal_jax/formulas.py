@@ -12,7 +12,7 @@ so a piece is ten numbers, its angle is a closed form, and shapes mix in one arr
 gives the pieces of each named shape for unit peak rate.
 """
 
-from math import pi
+from math import floor, pi
 from typing import Any
 
 Array = Any
@@ -235,14 +235,16 @@ def repetitions(duration: float, own: float, period: float) -> tuple[int, float]
     return count, max(0.0, duration - (count - 1) * period - own)
 
 
+def reading_count(duration: float, every: float) -> int:
+    """How many readings, `every` apart, end within `duration`; a hair's breadth of rounding does not lose the last."""
+    return floor(duration / every * (1.0 + 1e-9) + 1e-9)
+
+
 def reading_times(duration: float, every: float | None) -> list[float]:
-    """Readings `every` apart that end within `duration`; a hair's breadth of rounding does not lose the last. None:
-    none.
-    """
+    """When those readings are taken, from the start. None: none."""
     if every is None:
         return []
-    count = int(duration / every * (1.0 + 1e-9) + 1e-9)
-    return [min(k * every, duration) for k in range(1, count + 1)]
+    return [min(k * every, duration) for k in range(1, reading_count(duration, every) + 1)]
 
 
 # --- temperature ------------------------------------------------------------------------------------------------------

@@ -70,12 +70,8 @@ class ResolvedMove:
     @property
     def readings(self) -> int:
         """Readings in one execution: at `k·read_every`, k = 1, 2, … ≤ duration/read_every, or the one at the end."""
-        return reading_count(self.duration, self.read_every) if self.read_every is not None else int(self.read_end)
-
-
-def reading_count(duration: float, read_every: float) -> int:
-    """How many readings, `read_every` apart, end within `duration`; a hair's breadth of rounding does not lose one."""
-    return math.floor(duration / read_every * (1.0 + _ROUNDING) + _ROUNDING)
+        every = self.read_every
+        return int(self.read_end) if every is None else formulas.reading_count(self.duration, every)
 
 
 class _Move(Section):

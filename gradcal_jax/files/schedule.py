@@ -10,9 +10,10 @@ from itertools import pairwise
 from typing import Literal
 
 from gradcal_jax.files.bench import Rig
-from gradcal_jax.files.moves import ResolvedMove, reading_count
+from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import Cycle, GradientPlan, RampItem, SoakItem, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.formulas import reading_count, repetitions
 
 _ROUNDING = 1e-9
 MOST_READINGS = 50_000_000
@@ -300,10 +301,4 @@ def _stretches(segments: tuple[TemperatureSegment, ...], cycle: ResolvedCycle | 
 
 def _repeats(duration: float, cycle: ResolvedCycle | None) -> tuple[int, float]:
     """Whole repetitions of the cycle's moves that fit, and the standing time after the last one's moves."""
-    if cycle is None:
-        return 0, duration
-    room = duration * (1.0 + _ROUNDING) - cycle.moving
-    if room < 0.0:
-        return 0, duration
-    count = math.floor(room / cycle.duration + _ROUNDING) + 1
-    return count, max(0.0, duration - (count - 1) * cycle.duration - cycle.moving)
+    return (0, duration) if cycle is None else repetitions(duration, cycle.moving, cycle.duration)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from gradcal_jax import formulas
 from gradcal_jax.files import SpecError
-from gradcal_jax.files.moves import SHAPES, Rest, reading_count
+from gradcal_jax.files.moves import SHAPES, Rest
+from gradcal_jax.formulas import reading_count
 
 DEG = math.pi / 180.0
 LIMIT = 1500 * DEG

@@ -18,7 +18,7 @@ _ROWS = 4000
 
 
 def _megabytes(what: str) -> float:
-    """`VmRSS`, what the process holds now, or `VmHWM`, the most since it began; compiling is in it, so no use is missed.
+    """`VmRSS`, what the process holds now, or `VmHWM`, its most since it began, compiling included.
 
     `getrusage` is the second choice: on Linux its peak is inherited from the process that started this one.
     """

@@ -6,6 +6,7 @@ from typing import Any, Final
 from pydantic.json_schema import GenerateJsonSchema
 
 from gradcal_jax.files.contracts import Prediction, Timeline
+from gradcal_jax.files.importers import ColumnMap
 from gradcal_jax.files.problems import nearest
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.rig import RigFile
@@ -17,6 +18,7 @@ _MODELS: Final[Mapping[str, type[Section]]] = {
     "rig": RigFile,
     "timeline": Timeline,
     "prediction": Prediction,
+    "columns": ColumnMap,
 }
 _PLANNED: Final = ("recipe", "log", "calibration", "sweep", "catalogue")
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"

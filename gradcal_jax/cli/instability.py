@@ -1,0 +1,309 @@
+"""`gradcal instability` and `gradcal allan`: what a record at rest says of a sensor's noise."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+from gradcal_jax.cli.console import columns, strong
+from gradcal_jax.cli.recordings import ColumnMapFile, Json, Plot, described, load, quantity
+
+if TYPE_CHECKING:
+    from gradcal_jax.assemble.instability import Instability
+    from gradcal_jax.identify import AllanFit
+
+AS_WISHED, NOT_AS_WISHED = 0, 1
+
+Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
+Unit = Annotated[str | None, Parameter(name="--unit")]
+BiasDegree = Annotated[int | None, Parameter(name="--bias-degree")]
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(instability)
+    app.command(allan)
+
+
+def instability(
+    log: Path,
+    /,
+    *,
+    axis: Axes = (),
+    unit: Unit = None,
+    delta: str = "10 s",
+    shortest: Annotated[str, Parameter(name="--from")] = "1 s",
+    longest: Annotated[str, Parameter(name="--to")] = "20 min",
+    margin: float = 2.5,
+    random_walk: str | None = None,
+    bias_degree: BiasDegree = None,
+    lag: str = "auto",
+    temperature: Annotated[tuple[str, str] | None, Parameter(negative="")] = None,
+    ranges: int = 1,
+    columns: ColumnMapFile = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> int:
+    """Find the drift that bounds what a record at rest shows: the paper's Direct Bound, as a block for a spec.
+
+    The exit status is 1 where no drift shows above the angle random walk.
+
+    Parameters
+    ----------
+    log
+        A log (.nc), or a recording of another program with --columns.
+    axis
+        Which axis; may be repeated. All, without it.
+    unit
+        Which unit, where the log holds several.
+    delta
+        Time of the average that the drift is counted from.
+    shortest
+        Shortest integration time.
+    longest
+        Longest integration time.
+    margin
+        Standard deviations within which the data must stay.
+    random_walk
+        Angle random walk, such as "0.1 deg/sqrt(h)"; without it the Allan deviation's.
+    bias_degree
+        Degree of the bias over temperature that is taken off first; -1: nothing. Without it 3 where the temperature
+        spans 5 K, otherwise the mean.
+    lag
+        Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.
+    temperature
+        Only rows between two temperatures: --temperature "20 degC" "40 degC".
+    ranges
+        Also in so many equal ranges of temperature.
+    columns
+        What the columns of a recording mean (gradcal-columns/1).
+    json
+        Print all numbers as JSON.
+    plot
+        Draw the largest drifts with their bound into this file (.png, .svg, .pdf).
+    """
+    delta_s = quantity(delta, "time", "--delta")
+    shortest_s, longest_s = quantity(shortest, "time", "--from"), quantity(longest, "time", "--to")
+    walk = None if random_walk is None else quantity(random_walk, "angle random walk", "--random-walk")
+    between = None
+    if temperature is not None:
+        low, high = (quantity(text, "temperature", "--temperature") for text in temperature)
+        between = (low, high)
+    lag_s = _lag(lag)
+    if ranges < 1:
+        raise ValueError(f"--ranges must be 1 or more, not {ranges}")
+    if not (delta_s > 0 and 0 < shortest_s <= longest_s and margin > 0):
+        raise ValueError("--delta, --from, --to and --margin must be positive, and --from no longer than --to")
+    recorded = load(log, columns)
+    from gradcal_jax.cli.precision import use_float64
+
+    use_float64()
+    from gradcal_jax.assemble import instability as work
+
+    options = {"averaging_time_s": delta_s, "shortest_s": shortest_s, "longest_s": longest_s, "margin": margin}
+    found: list[Instability] = []
+    parts: list[list[tuple[tuple[float, float], Instability | str]]] = []
+    for name in work.axes_of(recorded, axis):
+        rest = work.at_rest(recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s)
+        whole = work.instability(rest, angle_random_walk=walk, temperature_c=between, **options)
+        found.append(whole)
+        pieces: list[tuple[tuple[float, float], Instability | str]] = []
+        for part in work.temperature_ranges(rest, ranges) if ranges > 1 else []:
+            try:
+                # The random walk is the sensor's own; a short range says less of it than the whole record.
+                one = work.instability(
+                    rest, angle_random_walk=whole.bound.angle_random_walk, temperature_c=part, **options
+                )
+                pieces.append((part, one))
+            except ValueError as error:
+                pieces.append((part, str(error)))
+        parts.append(pieces)
+    if json:
+        import json as writer
+
+        rows = []
+        for whole, pieces in zip(found, parts, strict=True):
+            row = work.instability_row(whole)
+            row["ranges"] = [
+                {"temperature_c": part, "problem": one} if isinstance(one, str) else work.instability_row(one)
+                for part, one in pieces
+            ]
+            rows.append(row)
+        print(writer.dumps({"simulated": recorded.simulated, "channels": rows}, indent=2))
+    else:
+        print(described(recorded, str(log)))
+        for whole, pieces in zip(found, parts, strict=True):
+            print("\n" + _instability_text(whole, pieces))
+    if plot is not None:
+        from gradcal_jax import plots
+        from gradcal_jax.plots.identification import draw_instability
+
+        plots.save(draw_instability(found), plot)
+        if not json:
+            print(f"wrote {plot}")
+    return AS_WISHED if all(whole.bound.drift_shows for whole in found) else NOT_AS_WISHED
+
+
+def _lag(text: str) -> float | str:
+    return text if text in ("auto", "fit", "none") else quantity(text, "time", "--lag")
+
+
+def _instability_text(found: "Instability", parts) -> str:
+    from gradcal_jax.assemble.instability import DEG_PER_H, DEG_PER_SQRT_H
+
+    bound = found.bound
+    times = bound.integration_time_s
+    lines = [
+        strong(f"axis {found.rest.axis}, unit {found.rest.unit}"),
+        f"angle random walk {bound.angle_random_walk * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
+        f"drift after an average of {bound.averaging_time_s:g} s, over {times[0]:.4g} to {times[-1]:.4g} s",
+    ]
+    if bound.drift_shows:
+        lines.append(
+            f"bounded by {bound.drift_std * DEG_PER_H:.4g} deg/h with a correlation time of "
+            f"{bound.correlation_time_s:.4g} s, at {bound.margin:g} sigma; decided at {bound.deciding_time_s:.4g} s"
+        )
+    if found.rest.thermal is not None:
+        thermal = found.rest.thermal
+        lines.append(
+            f"B(T) of degree {len(thermal.coefficients) - 1} taken off"
+            + (f", {thermal.lag_time_s:.0f} s late" if thermal.lag_time_s > 0 else "")
+            + f"; it leaves {thermal.residual_rms * DEG_PER_H:.4g} deg/h rms, noise included"
+        )
+    lines += [f"note: {message}" for message in (*found.rest.messages, *bound.messages)]
+    if parts:
+        rows = [("temperature", "drift (1σ)", "correlation time")]
+        for (low, high), one in parts:
+            where = f"{low:.1f} … {high:.1f} °C"
+            if isinstance(one, str):
+                rows.append((where, one, ""))
+            elif one.bound.drift_shows:
+                std = one.bound.drift_std * DEG_PER_H
+                rows.append((where, f"{std:.4g} deg/h", f"{one.bound.correlation_time_s:.4g} s"))
+            else:
+                rows.append((where, f"does not show (up to {one.bound.hidden_drift_std * DEG_PER_H:.3g} deg/h)", ""))
+        lines.append(columns(rows))
+    return "\n".join([*lines, "", found.drift_block()])
+
+
+def allan(
+    log: Path,
+    /,
+    *,
+    axis: Axes = (),
+    unit: Unit = None,
+    terms: Annotated[str, Parameter(name="--terms")] = "Q,N,B,K",
+    confidence: float = 0.683,
+    delta: str = "10 s",
+    bias_degree: BiasDegree = None,
+    lag: str = "auto",
+    columns: ColumnMapFile = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> int:
+    """The overlapping Allan deviation with its confidence, and the coefficients that a weighted fit finds.
+
+    Parameters
+    ----------
+    log
+        A log (.nc), or a recording of another program with --columns.
+    axis
+        Which axis; may be repeated. All, without it.
+    unit
+        Which unit, where the log holds several.
+    terms
+        Which the sensor may have: Q quantisation, N angle random walk, B bias instability, K rate random walk.
+    confidence
+        Of the interval about each point.
+    delta
+        Time of the average of the Direct Bound that is drawn beside.
+    bias_degree
+        Degree of the bias over temperature that is taken off first; -1: nothing. Without it 3 where the temperature
+        spans 5 K, otherwise the mean.
+    lag
+        Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.
+    columns
+        What the columns of a recording mean (gradcal-columns/1).
+    json
+        Print all numbers as JSON.
+    plot
+        Draw the deviation, its fit, and the Direct Bound's curve on the same axes into this file.
+    """
+    delta_s, lag_s = quantity(delta, "time", "--delta"), _lag(lag)
+    chosen = _terms(terms)
+    recorded = load(log, columns)
+    from gradcal_jax.cli.precision import use_float64
+
+    use_float64()
+    from gradcal_jax import identify
+    from gradcal_jax.assemble import instability as work
+
+    drawn = []
+    for name in work.axes_of(recorded, axis):
+        rest = work.at_rest(recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s)
+        deviation = identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
+        fit = identify.fit_allan(deviation, terms=chosen, confidence=confidence)
+        drawn.append((rest, deviation, fit))
+    if json:
+        import json as writer
+
+        rows = [work.allan_row(*one) for one in drawn]
+        print(writer.dumps({"simulated": recorded.simulated, "channels": rows}, indent=2))
+    else:
+        print(described(recorded, str(log)))
+        for rest, _, fit in drawn:
+            print("\n" + strong(f"axis {rest.axis}, unit {rest.unit}"))
+            print(_allan_text(fit))
+            for message in rest.messages:
+                print(f"note: {message}")
+    if plot is not None:
+        from gradcal_jax import plots
+        from gradcal_jax.plots.identification import draw_allan_and_bound
+
+        bounds = []
+        for rest, _, fit in drawn:
+            try:
+                walk = fit.angle_random_walk.value
+                bounds.append(work.instability(rest, averaging_time_s=delta_s, angle_random_walk=walk))
+            except ValueError as error:
+                bounds.append(None)
+                if not json:
+                    print(f"note: no Direct Bound of axis {rest.axis}: {error}")
+        plots.save(draw_allan_and_bound(drawn, bounds), plot)
+        if not json:
+            print(f"wrote {plot}")
+    return AS_WISHED
+
+
+_TERMS = {
+    "q": "quantisation",
+    "n": "angle random walk",
+    "b": "bias instability",
+    "k": "rate random walk",
+}
+
+
+def _terms(text: str) -> list[str]:
+    from gradcal_jax.identify.allan import TERMS
+
+    found = []
+    for letter in text.replace(" ", "").split(","):
+        if letter.lower() not in _TERMS:
+            raise ValueError(f"--terms {text!r}: expected some of Q, N, B, K with commas between")
+        found.append(next(term for term in TERMS if term.replace("_", " ") == _TERMS[letter.lower()]))
+    return found
+
+
+def _allan_text(fit: "AllanFit") -> str:
+    from gradcal_jax.assemble.instability import DEG_PER_H, DEG_PER_SQRT_H
+
+    rows = [("coefficient", "value", "standard error", "unit", "")]
+    for name, found, factor, unit in (
+        ("Q quantisation", fit.quantisation, 3600.0 * 57.29577951308232, "arcsec"),
+        ("N angle random walk", fit.angle_random_walk, DEG_PER_SQRT_H, "deg/sqrt(h)"),
+        ("B bias instability", fit.bias_instability, DEG_PER_H, "deg/h"),
+        ("K rate random walk", fit.rate_random_walk, DEG_PER_H * 60.0, "deg/h/sqrt(h)"),
+    ):
+        shows = "" if found.shows else "does not show"
+        rows.append((name, f"{found.value * factor:.4g}", f"{found.standard_error * factor:.2g}", unit, shows))
+    return columns(rows, indent="", right=(1, 2))

@@ -1,0 +1,86 @@
+"""Instability: largest drifts with their bound, and Allan deviations with their fit."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from gradcal_jax.assemble.instability import Instability, Rest
+from gradcal_jax.assemble.knowledge import DEG_PER_H
+from gradcal_jax.identify import AllanDeviation, AllanFit
+from gradcal_jax.plots.style import new_axes, style_of
+
+
+def draw_drift(found: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """D_θ*(t) of one channel, the limit that the chosen process sets it, and what random walk alone stays within."""
+    ax = new_axes(ax)
+    bound, hour = found.bound, DEG_PER_H
+    t = bound.integration_time_s
+    (line,) = ax.loglog(t, bound.largest_drift * hour, label="largest drift found", **style_of(0))
+    limit = (
+        f"bound: {bound.drift_std * hour:.3g} deg/h, {bound.correlation_time_s:.3g} s"
+        if bound.drift_shows
+        else "bound: random walk alone"
+    )
+    ax.loglog(t, bound.limit * hour, label=limit, **style_of(1))
+    ax.loglog(t, bound.random_walk_limit * hour, label="random walk alone", **style_of(2))
+    ax.set(xlabel="integration time, s", ylabel="drift after the average, deg/h", title=_name(found.rest))
+    ax.legend()
+    return ax, line
+
+
+def draw_boundary(found: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """Everything that bounds: the feasible boundary σ(τ), with the chosen pair."""
+    ax = new_axes(ax)
+    bound = found.bound
+    shown = np.where(bound.boundary_drift_std > 0, bound.boundary_drift_std, np.nan) * DEG_PER_H
+    (line,) = ax.loglog(bound.boundary_correlation_time_s, shown, label="smallest σ that bounds", **style_of(0))
+    if bound.drift_shows:
+        ax.loglog(
+            [bound.correlation_time_s], [bound.drift_std * DEG_PER_H], "o", color="black", label="bounds most tightly"
+        )
+        ax.legend()
+    ax.set(xlabel="correlation time τ, s", ylabel="drift σ, deg/h", title=_name(found.rest))
+    return ax, line
+
+
+def draw_instability(found: Sequence[Instability]) -> Figure:
+    """For each channel the drifts with their bound, and the feasible boundary."""
+    figure = Figure(figsize=(10.4, 4.0 * len(found)), layout="constrained")
+    for (left, right), one in zip(figure.subplots(len(found), 2, squeeze=False), found, strict=True):
+        draw_drift(one, ax=left)
+        draw_boundary(one, ax=right)
+    return figure
+
+
+def draw_allan(rest: Rest, allan: AllanDeviation, fit: AllanFit, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """The overlapping Allan deviation with its confidence interval and the fitted model."""
+    ax = new_axes(ax)
+    tau, hour = allan.averaging_time_s, DEG_PER_H
+    (line,) = ax.loglog(tau, allan.deviation * hour, label="Allan deviation", **style_of(0))
+    ax.fill_between(
+        tau, fit.lower * hour, fit.upper * hour, alpha=0.25, color="#0072B2", label=f"{fit.confidence:.1%} confidence"
+    )
+    ax.loglog(fit.averaging_time_s, fit.model_deviation * hour, label="fitted Q, N, B, K", **style_of(1))
+    ax.set(xlabel="averaging or integration time, s", ylabel="rate, deg/h", title=_name(rest))
+    return ax, line
+
+
+def draw_allan_and_bound(
+    drawn: Sequence[tuple[Rest, AllanDeviation, AllanFit]], bounds: Sequence[Instability | None]
+) -> Figure:
+    """For each channel the Allan deviation and, on the same axes, the Direct Bound's one-sigma limiting function."""
+    figure = Figure(figsize=(6.8, 4.4 * len(drawn)), layout="constrained")
+    for ax, one, found in zip(figure.subplots(len(drawn), squeeze=False)[:, 0], drawn, bounds, strict=True):
+        draw_allan(*one, ax=ax)
+        if found is not None:
+            t = found.bound.integration_time_s
+            ax.loglog(t, found.bound.limiting_function * DEG_PER_H, label="Direct Bound, D_L (1σ)", **style_of(2))
+        ax.legend()
+    return figure
+
+
+def _name(rest: Rest) -> str:
+    return f"axis {rest.axis}, unit {rest.unit}"

@@ -7,6 +7,7 @@ read.
 from gradcal_jax.assemble.build import Assembled, assemble, basis, bias_map, scale_factor_map
 from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM, knowledge, residual_map
 from gradcal_jax.assemble.prediction import predict
+from gradcal_jax.assemble.recipe import recipe
 from gradcal_jax.assemble.shares import error_shares
 from gradcal_jax.assemble.timeline import timeline
 from gradcal_jax.assemble.twin import TwinRow, monte_carlo
@@ -25,6 +26,7 @@ __all__ = [
     "knowledge",
     "monte_carlo",
     "predict",
+    "recipe",
     "residual_map",
     "scale_factor_map",
     "timeline",

@@ -32,7 +32,7 @@ def check(spec: Path, /, *, files_only: Annotated[bool, Parameter(negative="")] 
         Leave out what the plan cannot observe, which takes a few seconds to work out.
     """
     from gradcal_jax.cli.console import strong
-    from gradcal_jax.files import read_spec
+    from gradcal_jax.cli.specs import read_spec
 
     found = read_spec(spec)
     print(strong(found.title or str(spec)))

@@ -50,7 +50,7 @@ def predict(
         Of the simulated calibrations.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.files import read_spec
+    from gradcal_jax.cli.specs import read_spec
 
     found = read_spec(spec)
     use_float64()
@@ -94,7 +94,7 @@ def compare(
     if not specs:
         raise ValueError("compare what? Name two or more spec files")
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.files import read_spec
+    from gradcal_jax.cli.specs import read_spec
 
     found = [(path.stem, read_spec(path)) for path in specs]
     use_float64()

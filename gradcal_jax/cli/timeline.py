@@ -45,7 +45,7 @@ def timeline(
     if json and csv:
         raise ValueError("--json or --csv: choose one")
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.files import read_spec
+    from gradcal_jax.cli.specs import read_spec
 
     found = read_spec(spec)
     use_float64()

@@ -9,6 +9,7 @@ from gradcal_jax.files.contracts import Prediction, Timeline
 from gradcal_jax.files.importers import ColumnMap
 from gradcal_jax.files.problems import nearest
 from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
@@ -19,8 +20,9 @@ _MODELS: Final[Mapping[str, type[Section]]] = {
     "timeline": Timeline,
     "prediction": Prediction,
     "columns": ColumnMap,
+    "recipe": Recipe,
 }
-_PLANNED: Final = ("recipe", "log", "calibration", "sweep", "catalogue")
+_PLANNED: Final = ("log", "calibration", "sweep", "catalogue")
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 

@@ -1,0 +1,90 @@
+"""`gradcal recipe`: the plan of a spec made executable, as it stands."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(recipe)
+
+
+def recipe(
+    spec: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
+    keep_shapes: Annotated[bool, Parameter(negative="")] = False,
+    stable_within: str | None = None,
+    stable_for: str | None = None,
+    timeout: str | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Make a recipe of a spec's plan as it stands: rounded to what the controllers accept, predicted as rounded.
+
+    The steps of the controllers are those of [rig.resolution] in the spec; where it names none, 0.1 K, 0.1 s,
+    0.01 deg/s and 0.001 deg, and always 0.01 K/min. `gradcal show` prints the recipe as a table.
+
+    Parameters
+    ----------
+    spec
+        The spec file; or a recipe, to make it anew.
+    output
+        The recipe file to write; - prints it.
+    keep_shapes
+        The table follows any shape of motion; without this, turns become trapezoids, as rotary stages make them.
+    stable_within
+        A temperature counts as stable within this of its goal, such as "0.5 K".
+    stable_for
+        ... for at least so long, such as "5 min".
+    timeout
+        The run ends when the first temperature is not stable after so long, such as "4 h".
+    force
+        Overwrite an existing file.
+    """
+    from gradcal_jax.cli.precision import use_float64
+    from gradcal_jax.cli.specs import read_spec
+    from gradcal_jax.files import Quantity, to_toml
+    from gradcal_jax.files.tracks import Stability
+
+    found = read_spec(spec)
+    wishes = {
+        "within": ("temperature difference", stable_within),
+        "for_at_least": ("time", stable_for),
+        "first_timeout": ("time", timeout),
+    }
+    given = {name: Quantity.read(text, kind) for name, (kind, text) in wishes.items() if text is not None}
+    stability = Stability.model_validate(given)
+    if str(output) != "-":
+        _writable(output, force)
+    use_float64()
+    from gradcal_jax import assemble
+
+    made = assemble.recipe(found, stability=stability, keep_shapes=keep_shapes)
+    header = (
+        "Made by gradcal; `gradcal show` prints it as a table. To change the plan, change the spec and make it anew."
+    )
+    text = to_toml(made, header=header)
+    if str(output) == "-":
+        print(text, end="")
+        return 0
+    from gradcal_jax.files.writing import write_whole
+
+    write_whole(output, text)
+    for note in made.notes:
+        print(f"note: {note}")
+    if made.rounded:
+        print(f"rounded {len(made.rounded)} keys of the plan to the controllers' steps; the recipe lists them")
+    print(f"wrote {output}; read it with: gradcal show {output}")
+    return 0
+
+
+def _writable(path: Path, force: bool) -> None:
+    if path.is_dir():
+        raise ValueError(f"{path} is a directory; name a file in it")
+    if path.exists() and not force:
+        raise ValueError(f"{path} exists; choose another name, or overwrite it with --force")
+    if not path.parent.is_dir():
+        raise ValueError(f"there is no directory {path.parent}; make it first")

@@ -1,0 +1,149 @@
+"""gradcal-recipe/1: a plan made executable. Tracks of chamber and table, the prediction of what they leave, the spec.
+
+The tracks follow from the spec inside, whose plan is rounded to what the controllers accept; a file in which they do
+not was changed by hand, and is refused. Nothing here imports JAX: a recipe is made by `gradcal_jax.assemble.recipe`,
+and what a runner needs of it is in this room.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final, Literal, cast
+
+from pydantic import Field, ValidationError, model_validator
+
+from gradcal_jax.files.contracts import ParameterRow, Prediction, RequirementRow, Size
+from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.quantity import Text, Whole
+from gradcal_jax.files.rounding import ControllerSteps
+from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
+
+FORMAT: Final = "gradcal-recipe/1"
+
+
+class PredictedParameter(ParameterRow):
+    """A coefficient and its standard deviation; absent: cannot be observed."""
+
+    std: Size | None = None
+
+
+class Predicted(Section):
+    """What the rounded plan leaves, as `gradcal predict` says it of the spec inside; the covariance is left out."""
+
+    duration_s: Size
+    soak_s: Size
+    motion_s: Size
+    requirements: tuple[RequirementRow, ...] = ()
+    parameters: tuple[PredictedParameter, ...] = ()
+    warnings: tuple[Text, ...] = ()
+
+    @classmethod
+    def of(cls, prediction: Prediction) -> "Predicted":
+        """From the contract."""
+        tables = prediction.model_dump(exclude_none=True, exclude={"format", "title", "covariance"})
+        return cls.model_validate(tables)
+
+
+class Made(Section):
+    """How a recipe came about."""
+
+    by: Text
+    versions: dict[str, str]
+    seed: Whole | None = None
+
+
+class Recipe(Section):
+    """A whole recipe.
+
+    `status` is a sentence ("not optimised", "converged: …"). `rounded` lists what rounding changed, `notes` what else
+    to know. `optimisation` is the optimiser's own record: objective, before, now, starts, limits.
+    """
+
+    format: Literal["gradcal-recipe/1"]
+    title: Text | None = None
+    status: Text
+    notes: tuple[Text, ...] = ()
+    rounded: tuple[Text, ...] = ()
+    made: Made
+    resolution: ControllerSteps
+    stability: Stability
+    chamber: ChamberTrack
+    motion: tuple[MotionBlock, ...]
+    prediction: Predicted
+    optimisation: dict[str, Any] | None = None
+    spec: Spec = Field(title="gradcal-spec/1")
+
+    @model_validator(mode="after")
+    def _of_one_piece(self) -> "Recipe":
+        chamber, motion = tracks_of(self.spec)
+        problems = _differences(chamber.model_dump(mode="json"), self.chamber.model_dump(mode="json"), ("chamber",))
+        written, expected = ([block.model_dump(mode="json") for block in found] for found in (self.motion, motion))
+        problems += _differences(expected, written, ("motion",))
+        refuse(*problems[:5])
+        return self
+
+    @property
+    def duration_s(self) -> float:
+        """Of the plan; what is waited for stable temperatures comes on top."""
+        return self.spec.schedule.duration
+
+    @property
+    def fingerprint(self) -> str:
+        """The same for the same contents on every computer: what a run resumes by."""
+        tables = self.model_dump(mode="json", exclude_unset=True)
+        text = json.dumps(tables, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _differences(expected: Any, written: Any, key: tuple[str | int, ...]) -> list[Problem]:
+    if expected == written:
+        return []
+    entries: Iterable[tuple[str | int, Any, Any]] | None = None
+    if isinstance(expected, dict) and isinstance(written, dict):
+        one, other = cast("dict[str, Any]", expected), cast("dict[str, Any]", written)
+        entries = ((name, value, other.get(name)) for name, value in one.items())
+    elif isinstance(expected, list) and isinstance(written, list):
+        rows, others = cast("list[Any]", expected), cast("list[Any]", written)
+        if len(rows) == len(others):
+            entries = ((place, row, others[place]) for place, row in enumerate(rows))
+    if entries is not None:
+        return [problem for name, one, other in entries for problem in _differences(one, other, (*key, name))]
+    message = "does not follow from the spec inside the recipe; change the plan in the spec and make the recipe anew"
+    return [Problem(key, message, cast("object", written))]
+
+
+def read_recipe(path: str | Path) -> Recipe:
+    """Read a recipe file. Raises `SpecError` that lists everything wrong with it."""
+    return parse_recipe(read_text(path), str(path))
+
+
+def parse_recipe(text: str, source: str = "") -> Recipe:
+    """A recipe from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
+    return recipe_of(read_toml(text, source), source)
+
+
+def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:
+    """A recipe from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
+    problem = format_problem(document, FORMAT)
+    if problem is not None:
+        if document.get("format") == "gradcal-spec/1":
+            message = "this is a spec; make a recipe of it: gradcal recipe SPEC -o recipe.toml"
+            problem = Problem(("format",), message, document["format"])
+        raise SpecError([problem], source)
+    try:
+        return Recipe.model_validate(document)
+    except ValidationError as error:
+        problems = from_validation(error)
+    except SpecError as error:
+        problems = list(error.problems)
+    raise SpecError(problems, source)
+
+
+def is_recipe(document: Mapping[str, Any]) -> bool:
+    """Whether tables are a recipe of any version."""
+    found = document.get("format")
+    return isinstance(found, str) and found.split("/")[0] == FORMAT.split("/")[0]

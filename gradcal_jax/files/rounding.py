@@ -1,0 +1,367 @@
+"""A spec whose plan is rounded to what the controllers can be told, and whose turns are the trapezoids they make.
+
+Moves keep their place: a turn's duration is rounded up, so that its ramps do not become steeper than they may, and what
+that adds to a cycle is taken from the longest time of standing. A ramp's slope is rounded to the nearest step, or to
+the next slower one where a repetition of the cycle would be lost. Whole turns stay whole.
+"""
+
+import math
+from collections.abc import Callable
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
+from typing import Any, Final, NamedTuple, cast
+
+from gradcal_jax import units
+from gradcal_jax.files.changes import tables_of
+from gradcal_jax.files.moves import ResolvedMove
+from gradcal_jax.files.plan import Cycle
+from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.files.quantity import (
+    Angle,
+    PositiveRate,
+    PositiveTemperatureDifference,
+    PositiveTemperatureSlope,
+    Quantity,
+    Time,
+)
+from gradcal_jax.files.schedule import GradientSchedule, resolve_cycle
+from gradcal_jax.files.section import Section
+from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.tracks import trapezoid_acceleration
+
+_HAIR: Final = Decimal("1e-6")  # of a step: rounding of the arithmetic, never of the plan
+_MOST_MOVES: Final = 1000
+Table = dict[str, Any]
+
+
+class ControllerSteps(Section):
+    """The steps of the controllers. The defaults suit the drivers here; `[rig.resolution]` of a spec goes first."""
+
+    temperature: PositiveTemperatureDifference = Quantity(0.1, "0.1 K", "temperature difference")
+    slope: PositiveTemperatureSlope = Quantity(0.01 / 60.0, "0.01 K/min", "temperature slope")
+    time: Time = Quantity(0.1, "0.1 s", "time")
+    rate: PositiveRate = Quantity(math.radians(0.01), "0.01 deg/s", "angular rate")
+    angle: Angle = Quantity(math.radians(0.001), "0.001 deg", "angle")
+
+
+def steps_of(spec: Spec) -> ControllerSteps:
+    """The steps that a spec's `[rig.resolution]` gives, defaults for the others."""
+    given = spec.rig.resolution
+    if given is None:
+        return ControllerSteps()
+    names = ("temperature", "time", "rate", "angle")
+    return ControllerSteps(**{name: value for name in names if (value := getattr(given, name)) is not None})
+
+
+class Rounded(NamedTuple):
+    """`changes`: what rounding did, a sentence each; `notes`: what the controllers do otherwise than the plan says."""
+
+    spec: Spec
+    changes: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def rounded(spec: Spec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded:
+    """The spec as the controllers can execute it.
+
+    `keep_shapes`: the table follows any shape by itself; without it turns become trapezoids ("linear ramps") of the
+    same angle, peak rate and duration, and oscillations become turns to and fro.
+
+    Errors: `SpecError` where the rounded plan leaves a limit of the rig.
+    """
+    rounder = _Rounder(steps or steps_of(spec))
+    tables = tables_of(spec)
+    notes: list[str] = []
+    schedule = spec.schedule
+    if isinstance(schedule, GradientSchedule):
+        made = _gradient(spec, tables, schedule, rounder, keep_shapes, notes)
+    else:
+        plan = tables["plan"]
+        plan["temperatures"] = [rounder.temperature(text) for text in plan["temperatures"]]
+        plan["soak"], plan["integration"] = rounder.time_up(plan["soak"]), rounder.time(plan["integration"])
+        if "rates" in plan:
+            plan["rates"] = [rounder.rate(text) for text in plan["rates"]]
+        made = spec_of(tables)
+    return Rounded(made, tuple(_changes(tables_of(spec)["plan"], tables_of(made)["plan"], "plan")), tuple(notes))
+
+
+class _Rounder:
+    """Texts to texts. A text that lies on its grid is kept as it was written."""
+
+    def __init__(self, steps: ControllerSteps) -> None:
+        self.steps = steps
+        split = {name: getattr(steps, name).text.split(" ", 1) for name in type(steps).model_fields}
+        self._grid = {name: (Decimal(number), unit) for name, (number, unit) in split.items()}
+
+    def to(self, name: str, dimension: str, value: float, way: str = ROUND_HALF_EVEN) -> str:
+        """The text of the nearest multiple (or the next one up or down) of a step to an SI value."""
+        step, unit = self._grid[name]
+        count = self._count(name, value, way)
+        shown = "degC" if dimension == "temperature" else unit
+        return f"{format((count * step).normalize() + 0, 'f')} {shown}"
+
+    def _count(self, name: str, value: float, way: str) -> Decimal:
+        size = Decimal(repr(float(getattr(self.steps, name))))
+        exact = Decimal(repr(value)) / size
+        nearest = exact.to_integral_value(ROUND_HALF_EVEN)
+        # What lies on the grid but for the last digits stays there, whichever way is asked for.
+        return nearest if abs(exact - nearest) <= _HAIR else exact.to_integral_value(way)
+
+    def _text(self, name: str, dimension: str, text: str, way: str = ROUND_HALF_EVEN, *, least: int = 0) -> str:
+        value = units.parse(text, dimension)
+        count = self._count(name, value, way)
+        size = float(getattr(self.steps, name))
+        if value != 0.0 and abs(count) < least:
+            return self.to(name, dimension, math.copysign(least * size, value))
+        if abs(float(count) * size - value) <= 1e-9 * max(abs(value), size):
+            return text
+        return self.to(name, dimension, value, way)
+
+    def temperature(self, text: str) -> str:
+        return self._text("temperature", "temperature", text)
+
+    def slope(self, text: str, way: str = ROUND_HALF_EVEN) -> str:
+        return self._text("slope", "temperature slope", text, way, least=1)
+
+    def time(self, text: str) -> str:
+        return self._text("time", "time", text, least=1)
+
+    def time_up(self, text: str) -> str:
+        return self._text("time", "time", text, ROUND_CEILING, least=1)
+
+    def rate(self, text: str) -> str:
+        return self._text("rate", "angular rate", text, least=1)
+
+
+# ------------------------------------------------------------------------------------------------- gradient method
+
+
+def _gradient(
+    spec: Spec, tables: Table, schedule: GradientSchedule, rounder: _Rounder, keep_shapes: bool, notes: list[str]
+) -> Spec:
+    plan: Table = tables["plan"]
+    _temperatures(plan, rounder, ROUND_HALF_EVEN)
+    if "read_every" in plan:
+        plan["read_every"] = rounder.time(plan["read_every"])
+    if schedule.cycle is not None:
+        _cycle(spec, plan["cycle"], schedule, rounder, keep_shapes, notes)
+    made = spec_of(tables)
+    lost = schedule.cycles - made.gradient_schedule.cycles
+    if lost > 0 and isinstance(plan.get("gradient"), str):
+        slower = {
+            **tables,
+            "plan": {**plan, "gradient": rounder.slope(tables_of(spec)["plan"]["gradient"], ROUND_FLOOR)},
+        }
+        again = spec_of(slower)
+        if again.gradient_schedule.cycles > made.gradient_schedule.cycles:
+            made, lost = again, schedule.cycles - again.gradient_schedule.cycles
+    if lost > 0:
+        notes.append(f"rounding leaves room for {made.gradient_schedule.cycles} cycles instead of {schedule.cycles}")
+    return made
+
+
+def _temperatures(plan: Table, rounder: _Rounder, way: str) -> None:
+    if "temperature" in plan:
+        plan["temperature"] = [rounder.temperature(text) for text in plan["temperature"]]
+    if isinstance(plan.get("gradient"), list):
+        plan["gradient"] = [rounder.slope(text, way) for text in plan["gradient"]]
+    elif "gradient" in plan:
+        plan["gradient"] = rounder.slope(plan["gradient"], way)
+    if "soak" in plan:
+        plan["soak"]["duration"] = rounder.time_up(plan["soak"]["duration"])
+    ways: dict[str, Callable[[str], str]] = {
+        "soak": rounder.time_up,
+        "at": rounder.temperature,
+        "ramp_to": rounder.temperature,
+        "step_to": rounder.temperature,
+        "rate": rounder.slope,
+    }
+    for item in plan.get("programme", ()):
+        for key in ways.keys() & item.keys():
+            item[key] = ways[key](item[key])
+
+
+def _cycle(
+    spec: Spec, cycle: Table, schedule: GradientSchedule, rounder: _Rounder, keep_shapes: bool, notes: list[str]
+) -> None:
+    assert schedule.cycle is not None
+    fastest = min(float(spec.rig.table.max_rate), spec.sensor.usable_rate or math.inf)
+    moves: list[Table] = []
+    for table, move in zip(cycle["moves"], schedule.cycle.moves, strict=True):
+        moves += _moves(table, move, spec, fastest, rounder, keep_shapes, notes)
+    if len(moves) > _MOST_MOVES:
+        message = f"as turns to and fro these are {len(moves)} moves, at most {_MOST_MOVES}: make fewer cycles"
+        raise SpecError([Problem(("plan", "cycle", "moves"), message)])
+    cycle["moves"] = moves
+    if "other_axes" in cycle:
+        other = cycle["other_axes"]
+        for key in ("duration", "read_every"):
+            if key in other:
+                other[key] = rounder.time(other[key])
+    if "duration" in cycle:
+        cycle["duration"] = rounder.time(cycle["duration"])
+    _keep_period(cycle, spec, schedule.cycle.duration, rounder)
+
+
+def _keep_period(cycle: Table, spec: Spec, period: float, rounder: _Rounder) -> None:
+    """Take what rounding added from the longest standing, so that as many repetitions fit as before."""
+    rests = [(units.parse(move["rest"], "time"), move, "rest") for move in cycle["moves"] if "rest" in move]
+    if "other_axes" in cycle:
+        other = cycle["other_axes"]
+        rests.append((units.parse(other["duration"], "time"), other, "duration"))
+    alone = [entry for entry in rests if entry[1].get("repeat", 1) == 1]
+    if not alone:
+        return
+    resolved = resolve_cycle(Cycle.model_validate(cycle), spec.rig)
+    over = resolved.moving + resolved.other - period
+    longest, table, key = max(alone, key=lambda entry: entry[0])
+    if over > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
+        table[key] = rounder.to("time", "time", longest - over, ROUND_FLOOR)
+
+
+def _moves(
+    table: Table,
+    move: ResolvedMove,
+    spec: Spec,
+    fastest: float,
+    rounder: _Rounder,
+    keep_shapes: bool,
+    notes: list[str],
+) -> list[Table]:
+    if "read_every" in table:
+        table["read_every"] = rounder.time(table["read_every"])
+    if move.is_rest:
+        table["rest"] = rounder.time(table["rest"])
+        return [table]
+    if move.shape == "hand":
+        table["duration"] = rounder.time(table["duration"])
+        return [table]
+    if move.shape == "spline":
+        table["duration"] = rounder.time_up(table["duration"])
+        table["rates"] = [rounder.to("rate", "angular rate", units.parse(r, "angular rate")) for r in table["rates"]]
+        notes.append("a free-form motion is made of short stretches of constant acceleration")
+        return [table]
+    kept = {key: table[key] for key in ("axis", "read", "read_every") if key in table}
+    if move.shape == "sinusoid":
+        return _oscillation(table, move, kept, spec, fastest, rounder, keep_shapes, notes)
+    if keep_shapes and move.shape not in ("cosine ramps", "linear ramps"):
+        peak = "peak_rate"
+        table = {**table, "duration": rounder.time_up(table.get("duration") or _seconds(move.duration))}
+        if peak in table and ("turn" in table or "turns" in table):
+            del table[peak]
+        return [table]
+    if move.shape != "linear ramps" and not keep_shapes:
+        note = f'turns of shape "{move.shape}" are made as trapezoids of the same angle, peak rate and duration'
+        if note not in notes:
+            notes.append(note)
+    if "repeat" in table:
+        kept["repeat"] = table["repeat"]
+    shape = move.shape if keep_shapes else "linear ramps"
+    steepness = math.pi / 2.0 if shape == "cosine ramps" else 1.0
+    ramp = abs(move.peak_rate) / trapezoid_acceleration(move)
+    return [_turn(move.angle, abs(move.peak_rate), ramp, shape, steepness, spec, fastest, rounder) | kept]
+
+
+def _turn(
+    angle: float,
+    peak: float,
+    ramp: float,
+    shape: str,
+    steepness: float,
+    spec: Spec,
+    fastest: float,
+    rounder: _Rounder,
+) -> Table:
+    """A ramped turn on the grids of angle, rate and time, no steeper than the table may."""
+    turns = angle / (2.0 * math.pi)
+    if abs(turns - round(turns)) <= 1e-9 * abs(turns):
+        written: Table = {"turns": float(round(turns))}
+        angle = 2.0 * math.pi * round(turns)
+    else:
+        written = {"turn": rounder.to("angle", "angle", angle)}
+        angle = units.parse(written["turn"], "angle")
+        if angle == 0.0:
+            written = {"turn": rounder.to("angle", "angle", math.copysign(float(rounder.steps.angle), turns))}
+            angle = units.parse(written["turn"], "angle")
+    size = abs(angle)
+    text = rounder.to("rate", "angular rate", peak)
+    if units.parse(text, "angular rate") > fastest * (1.0 + 1e-9):
+        text = rounder.to("rate", "angular rate", peak, ROUND_FLOOR)
+    peak = units.parse(text, "angular rate")
+    if peak <= 0.0:
+        text = rounder.to("rate", "angular rate", float(rounder.steps.rate))
+        peak = units.parse(text, "angular rate")
+    least = steepness * peak / float(spec.rig.table.max_acceleration)
+    duration_text = rounder.to("time", "time", size / peak + max(ramp, least), ROUND_CEILING)
+    duration = units.parse(duration_text, "time")
+    if peak > 2.0 * size / duration:
+        # Ramps only: the peak that fits is what angle and duration leave, one step lower where it is on the grid.
+        lower = rounder.to("rate", "angular rate", 2.0 * size / duration, ROUND_FLOOR)
+        if units.parse(lower, "angular rate") > size / duration:
+            text = lower
+        else:
+            text = units.format_quantity(2.0 * size / duration, "deg/s")
+    return written | {"peak_rate": text, "duration": duration_text, "shape": shape}
+
+
+def _oscillation(
+    table: Table,
+    move: ResolvedMove,
+    kept: Table,
+    spec: Spec,
+    fastest: float,
+    rounder: _Rounder,
+    keep_shapes: bool,
+    notes: list[str],
+) -> list[Table]:
+    if keep_shapes:
+        table["peak_rate"] = rounder.rate(table["peak_rate"])
+        table["period"] = rounder.time_up(table["period"])
+        return [table]
+    notes.append("an oscillation is made as turns to and fro of the same angle, peak rate and duration")
+    swing = 0.5 * move.duration / move.cycles
+    angle = 2.0 * move.peak_rate * swing / math.pi
+    ramp = abs(move.peak_rate) / trapezoid_acceleration(move)
+    halves = [
+        _turn(way * angle, abs(move.peak_rate), ramp, "linear ramps", 1.0, spec, fastest, rounder) | kept
+        for way in (1.0, -1.0)
+    ]
+    made = [dict(half) for _ in range(move.cycles * move.repeat) for half in halves]
+    if move.read_every is None:
+        for place, half in enumerate(made):
+            half["read"] = "end" if move.read_end and (place + 1) % (2 * move.cycles) == 0 else "none"
+    return made
+
+
+def _seconds(value: float) -> str:
+    return units.format_quantity(value, "s")
+
+
+# ----------------------------------------------------------------------------------------------------- what changed
+
+
+def _changes(before: Any, after: Any, key: str) -> list[str]:
+    """``plan.gradient: 1.2345 K/min -> 1.23 K/min``, for every key."""
+    if before == after:
+        return []
+    pairs: list[tuple[str, Any, Any]] | None = None
+    if isinstance(before, dict) and isinstance(after, dict):
+        old, new = cast("Table", before), cast("Table", after)
+        if "shape" not in new or set(old) == set(new):
+            names = dict.fromkeys((*old, *new))
+            pairs = [(f"{key}.{name}", old.get(name, "(absent)"), new.get(name, "(absent)")) for name in names]
+    elif isinstance(before, list) and isinstance(after, list):
+        olds, news = cast("list[Any]", before), cast("list[Any]", after)
+        if len(olds) == len(news):
+            pairs = [(f"{key}[{place}]", *pair) for place, pair in enumerate(zip(olds, news, strict=True))]
+    if pairs is not None:
+        return [change for name, one, other in pairs for change in _changes(one, other, name)]
+    return [f"{key}: {_shown(before)} -> {_shown(after)}"]
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, dict):
+        table = cast("Table", value)
+        return "{ " + ", ".join(f"{name} = {_shown(entry)}" for name, entry in table.items()) + " }"
+    if isinstance(value, list):
+        return f"a list of {len(cast('list[Any]', value))}"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,285 @@
+"""A plan as two tracks that can be executed: what the chamber does, segment by segment, and what the table does.
+
+A temperature segment begins at its time, which is the end of the one before, or when the temperature is stable: the
+first one, and every one whose data are used and that follows a soak or a step. A block of motion begins with a segment
+and repeats its moves; times in it count from the beginning of each repetition.
+
+The controllers of rotary stages turn by trapezoids of the rate. `acceleration` is that of the trapezoid which has the
+move's angle, peak rate and duration; of a spline, which has none, the steepest.
+"""
+
+import math
+from decimal import Decimal
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field
+
+from gradcal_jax.files.moves import Axis, ResolvedMove
+from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.quantity import (
+    Angle,
+    Count,
+    Flag,
+    PositiveAcceleration,
+    PositiveTemperatureDifference,
+    Quantity,
+    Rate,
+    SizeOfTime,
+    Temperature,
+    TemperatureSlope,
+    Text,
+    Time,
+)
+from gradcal_jax.files.schedule import GradientSchedule, Stretch, TemperatureSegment
+from gradcal_jax.files.section import Section
+from gradcal_jax.files.spec import Spec
+
+Begins = Literal["at its time", "when stable"]
+Doing = Literal["rest", "turn", "spin", "oscillate", "spline", "turn by hand", "wait"]
+
+# Of a motion that its duration and angle alone describe, the trapezoid's ramp as a share of the duration.
+_RAMP_SHARE: Final = {"half sine": 1.0 - 2.0 / math.pi, "raised cosine": 0.5, "hand": 0.5}
+
+
+class Stability(Section):
+    """When a temperature counts as stable: it stays `within` of its goal, and of itself, `for_at_least` so long.
+
+    A segment that waits for it gives up after `timeout`, the first one, for which the chamber comes from the room's
+    temperature, after `first_timeout`.
+    """
+
+    within: PositiveTemperatureDifference = Quantity(0.5, "0.5 K", "temperature difference")
+    for_at_least: Time = Quantity(300.0, "5 min", "time")
+    first_timeout: Time = Quantity(14400.0, "4 h", "time")
+    timeout: Time = Quantity(7200.0, "2 h", "time")
+
+
+class ChamberSegment(Section):
+    """One line of the chamber's track. `start` is on the plan's clock, which does not count waiting.
+
+    `slope` is absent where the chamber stays (a soak) or goes as fast as it can (a step).
+    """
+
+    name: Text
+    kind: Literal["soak", "ramp", "step"]
+    begins: Begins
+    start: SizeOfTime
+    duration: Time
+    temperature_start: Temperature
+    temperature_end: Temperature
+    slope: TemperatureSlope | None = None
+    used: Flag
+
+
+class TrackMove(Section):
+    """One line of a block of motion; `start` counts from the beginning of the repetition.
+
+    "rest" belongs to the axis's own moves; "wait" is standing while other axes have their turn, or idle.
+    """
+
+    start: SizeOfTime
+    do: Doing
+    duration: Time
+    axis: Axis = "x"
+    angle: Angle | None = None
+    rate: Rate | None = None
+    acceleration: PositiveAcceleration | None = None
+    shape: Text | None = None
+    cycles: Count | None = None
+    rates: tuple[Rate, ...] | None = None
+    repeat: Count = 1
+    read: Literal["end", "none"] | None = None
+    read_every: Time | None = None
+
+
+class MotionBlock(Section):
+    """Moves that repeat. The last repetition ends before its waits; then the axis stands for `standing_after`."""
+
+    name: Text
+    begins_with: Text
+    repeat: Count
+    period: Time
+    standing_after: SizeOfTime
+    read_every_after: Time | None = None
+    moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
+
+
+class ChamberTrack(Section):
+    """`[chamber]` of a recipe."""
+
+    programme: Annotated[tuple[ChamberSegment, ...], Field(min_length=1)]
+
+
+def tracks_of(spec: Spec) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+    """The two tracks of a spec's plan."""
+    schedule = spec.schedule
+    if isinstance(schedule, GradientSchedule):
+        return _gradient(schedule)
+    assert isinstance(spec.plan, StandardPlan)
+    return _standard(spec.plan)
+
+
+# ------------------------------------------------------------------------------------------------- gradient method
+
+
+def _gradient(schedule: GradientSchedule) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+    segments: list[ChamberSegment] = []
+    counts: dict[str, int] = {}
+    before: TemperatureSegment | None = None
+    for segment in schedule.segments:
+        counts[segment.kind] = counts.get(segment.kind, 0) + 1
+        settled = before is None or (segment.used and not before.used and before.kind in ("soak", "step"))
+        slope: dict[str, Any] = {"slope": _in("K/min", 60.0 * segment.slope)} if segment.kind == "ramp" else {}
+        segments.append(
+            ChamberSegment(
+                name=f"{segment.kind} {counts[segment.kind]}",
+                kind=segment.kind,
+                begins="when stable" if settled else "at its time",
+                start=_in("s", segment.start),
+                duration=_in("s", segment.duration),
+                temperature_start=_in("degC", segment.temperature_start),
+                temperature_end=_in("degC", segment.temperature_end),
+                used=segment.used,
+                **slope,
+            )
+        )
+        before = segment
+    blocks = [_block(schedule, stretch, number, segments) for number, stretch in enumerate(schedule.stretches, 1)]
+    return ChamberTrack(programme=tuple(segments)), tuple(blocks)
+
+
+def _block(schedule: GradientSchedule, stretch: Stretch, number: int, segments: list[ChamberSegment]) -> MotionBlock:
+    first = min(segments, key=lambda segment: abs(segment.start - stretch.start))
+    name = f"motion {number}"
+    cycle = schedule.cycle
+    if cycle is None or not stretch.cycles:
+        every = schedule.read_every if cycle is None else cycle.other_read_every
+        stand = TrackMove(start=_in("s", 0.0), do="rest", duration=_in("s", stretch.duration), **_reading(every))
+        return MotionBlock(
+            name=name,
+            begins_with=first.name,
+            repeat=1,
+            period=_in("s", stretch.duration),
+            standing_after=_in("s", 0.0),
+            moves=(stand,),
+        )
+    moves: list[TrackMove] = []
+    clock = 0.0
+    for move in cycle.moves:
+        moves.append(_move(move, clock))
+        clock += move.repeat * move.duration
+    if cycle.other > 0.0:
+        reading = _reading(cycle.other_read_every)
+        moves.append(TrackMove(start=_in("s", clock), do="wait", duration=_in("s", cycle.other), **reading))
+        clock += cycle.other
+    if cycle.idle > 0.0:
+        moves.append(TrackMove(start=_in("s", clock), do="wait", duration=_in("s", cycle.idle), read="none"))
+    after = {} if cycle.other_read_every is None else {"read_every_after": _in("s", cycle.other_read_every)}
+    return MotionBlock(
+        name=name,
+        begins_with=first.name,
+        repeat=stretch.cycles,
+        period=_in("s", cycle.duration),
+        standing_after=_in("s", stretch.leftover),
+        moves=tuple(moves),
+        **after,
+    )
+
+
+def _move(move: ResolvedMove, start: float) -> TrackMove:
+    own: dict[str, Any] = _reading(move.read_every) if move.read_every else {"read": "end" if move.read_end else "none"}
+    if move.repeat > 1:
+        own["repeat"] = move.repeat
+    if not move.is_rest:
+        own |= _motion(move)
+    elif "do" not in own:
+        own["do"] = "rest"
+    return TrackMove(start=_in("s", start), duration=_in("s", move.duration), axis=move.axis, **own)
+
+
+def _motion(move: ResolvedMove) -> dict[str, Any]:
+    peak = math.degrees(move.peak_rate)
+    found: dict[str, Any] = {
+        "angle": _in("deg", math.degrees(move.angle)),
+        "rate": _in("deg/s", peak),
+        "acceleration": _in("deg/s^2", trapezoid_acceleration(move) * 180.0 / math.pi),
+        "shape": move.shape,
+    }
+    if move.shape == "sinusoid":
+        return found | {"do": "oscillate", "cycles": move.cycles}
+    if move.shape == "spline":
+        return found | {"do": "spline", "rates": tuple(_in("deg/s", peak * c) for c in move.controls)}
+    return found | {"do": "turn by hand" if move.shape == "hand" else "turn"}
+
+
+def trapezoid_acceleration(move: ResolvedMove) -> float:
+    """Of the trapezoid with a move's angle, peak rate and duration (rad/s²); of a spline the steepest slope."""
+    if move.shape == "spline":
+        return move.peak_acceleration
+    if move.shape == "sinusoid":
+        swing = 0.5 * move.duration / move.cycles
+        return abs(move.peak_rate) / (_RAMP_SHARE["half sine"] * swing)
+    ramp = move.ramp if move.shape not in _RAMP_SHARE else _RAMP_SHARE[move.shape] * move.duration
+    return abs(move.peak_rate) / ramp
+
+
+def _reading(every: float | None) -> dict[str, Any]:
+    return {"read": "none"} if every is None else {"read_every": _in("s", every)}
+
+
+# ------------------------------------------------------------------------------------------------- standard method
+
+
+def _standard(plan: StandardPlan) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+    rates = plan.rates or (_in("deg/s", 0.0),)
+    stay = len(rates) * plan.integration
+    segments: list[ChamberSegment] = []
+    blocks: list[MotionBlock] = []
+    clock = 0.0
+    for number, temperature in enumerate(plan.temperatures, 1):
+        at: dict[str, Any] = {"kind": "soak", "temperature_start": temperature, "temperature_end": temperature}
+        soak: Begins = "when stable" if number == 1 else "at its time"
+        segments.append(
+            ChamberSegment(
+                name=f"soak {number}", begins=soak, start=_in("s", clock), duration=plan.soak, used=False, **at
+            )
+        )
+        clock += plan.soak
+        points = f"points {number}"
+        segments.append(
+            ChamberSegment(
+                name=points, begins="when stable", start=_in("s", clock), duration=_in("s", stay), used=True, **at
+            )
+        )
+        clock += stay
+        moves: list[TrackMove] = []
+        for place, rate in enumerate(rates):
+            what: dict[str, Any] = {"do": "spin", "rate": rate} if rate else {"do": "rest", "read": "end"}
+            moves.append(TrackMove(start=_in("s", place * plan.integration), duration=plan.integration, **what))
+        blocks.append(
+            MotionBlock(
+                name=f"motion {number}",
+                begins_with=points,
+                repeat=1,
+                period=_in("s", stay),
+                standing_after=_in("s", 0.0),
+                moves=tuple(moves),
+            )
+        )
+    return ChamberTrack(programme=tuple(segments)), tuple(blocks)
+
+
+_DIMENSION: Final = {
+    "s": "time",
+    "deg": "angle",
+    "deg/s": "angular rate",
+    "deg/s^2": "angular acceleration",
+    "degC": "temperature",
+    "K/min": "temperature slope",
+}
+
+
+def _in(unit: str, number: float) -> Quantity:
+    """A number that was worked out, without the digits that rounding left behind (a billionth of the unit)."""
+    text = format(Decimal(repr(round(number, 9) + 0.0)).normalize(), "f")
+    return Quantity.read(f"{text} {unit}", _DIMENSION[unit])

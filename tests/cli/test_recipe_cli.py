@@ -1,0 +1,69 @@
+"""`gradcal recipe` and `show`, and recipes where other commands take specs: the same numbers as the file carries."""
+
+import json
+
+import pytest
+
+from gradcal_jax import files
+from gradcal_jax.cli import main
+from gradcal_jax.files import presets
+from gradcal_jax.files.recipe import read_recipe
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recipe")
+    spec = folder / "spec.toml"
+    spec.write_text(presets.text("paper-dynamic-gradient"), encoding="utf-8")
+    assert main(["recipe", str(spec), "--output", str(folder / "recipe.toml"), "--stable-within", "0.3 K"]) == 0
+    return folder / "recipe.toml"
+
+
+def test_predict_says_of_a_recipe_what_the_recipe_says(made, capsys):
+    status = main(["predict", str(made), "--json"])
+    said = files.Prediction.model_validate_json(capsys.readouterr().out)
+    carried = read_recipe(made).prediction
+    assert status == (0 if carried.requirements[0].verdict == "met" else 1)
+    assert said.duration_s == carried.duration_s
+    for ours, theirs in zip(carried.requirements, said.requirements, strict=True):
+        assert ours.mean_of_max == pytest.approx(theirs.mean_of_max, rel=1e-9)
+        assert ours.max == pytest.approx(theirs.max, rel=1e-9)
+        assert ours.verdict == theirs.verdict
+    for ours, theirs in zip(carried.parameters, said.parameters, strict=True):
+        assert (ours.name, ours.axis) == (theirs.name, theirs.axis)
+        assert ours.std == pytest.approx(theirs.std, rel=1e-9)
+    assert 80.0 < carried.requirements[0].mean_of_max < 90.0
+
+
+@pytest.mark.parametrize("command", [["check", "--files-only"], ["compare"], ["timeline"]])
+def test_commands_take_a_recipe_for_a_spec(made, command, capsys):
+    assert main([command[0], str(made), *command[1:]]) == 0
+    assert "linear ramps" in capsys.readouterr().out or command[0] == "compare"
+
+
+def test_show_is_a_table_that_a_technician_can_follow(made, capsys):
+    assert main(["show", str(made)]) == 0
+    shown = capsys.readouterr().out
+    for words in (
+        "soak 1  when stable  0:00:00",
+        "from -30 degC to 70 degC at 1 K/min",
+        "motion 1: begins with ramp 1, 17 times, one every 360 s",
+        "stable: within 0.3 K",
+        "+360 deg",
+        "full range",
+        "plan.cycle.other_axes.duration: 4 min -> 239.6 s",
+    ):
+        assert words in shown
+    assert main(["show", str(made), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["format"] == "gradcal-recipe/1"
+
+
+def test_slips_are_sentences(made, tmp_path, capsys):
+    assert main(["recipe", str(made), "--output", str(made)]) == 2
+    assert "overwrite it with --force" in capsys.readouterr().err
+    spec = tmp_path / "spec.toml"
+    spec.write_text(presets.text("paper-static-gradient"), encoding="utf-8")
+    assert main(["show", str(spec)]) == 2
+    assert "gradcal recipe SPEC -o recipe.toml" in capsys.readouterr().err
+    assert main(["recipe", str(spec), "--output", "-", "--stable-for", "5 K"]) == 2
+    assert "time" in capsys.readouterr().err

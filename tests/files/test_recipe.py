@@ -1,0 +1,219 @@
+"""Recipes as files: rounded to the controllers' steps, of one piece with the spec inside, and nothing done by hand."""
+
+import json
+import math
+import tomllib
+from decimal import Decimal
+
+import jsonschema
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gradcal_jax import files
+from gradcal_jax.files import Quantity, SpecError, presets
+from gradcal_jax.files.quantity import Quantity as Q
+from gradcal_jax.files.recipe import Made, Predicted, Recipe, parse_recipe, recipe_of
+from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
+from gradcal_jax.files.tracks import Stability, tracks_of
+
+PAPER = files.parse_spec(presets.text("paper-dynamic-gradient"))
+MEMS = files.parse_spec(presets.text("tactical-mems"))
+COARSE = ControllerSteps(
+    temperature=Q.read("1 K", "temperature difference"),
+    slope=Q.read("0.1 K/min", "temperature slope"),
+    time=Q.read("1 s", "time"),
+    rate=Q.read("1 deg/s", "angular rate"),
+    angle=Q.read("0.1 deg", "angle"),
+)
+
+
+def made_of(spec, **keys):
+    """A recipe without a prediction: what the file room can make by itself."""
+    result = rounded(spec)
+    chamber, motion = tracks_of(result.spec)
+    return Recipe(
+        format="gradcal-recipe/1",
+        status="not optimised",
+        made=Made(by="a test", versions={}),
+        resolution=steps_of(spec),
+        stability=Stability(),
+        chamber=chamber,
+        motion=motion,
+        prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
+        spec=result.spec,
+        **keys,
+    )
+
+
+def on_grid(value, step):
+    count = Decimal(repr(float(value))) / Decimal(repr(float(step)))
+    return abs(count - round(count)) < Decimal("1e-6")
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_every_preset_makes_a_recipe_that_reads_back_whole(name):
+    spec = files.parse_spec(presets.text(name))
+    recipe = made_of(spec, optimisation={"objective": "full range", "starts": [1.5, 2.0], "limits": {"rate": 3}})
+    text = files.to_toml(recipe)
+    back = parse_recipe(text)
+    assert back == recipe
+    assert back.fingerprint == recipe.fingerprint
+    assert back.spec.schedule == recipe.spec.schedule
+    jsonschema.validate(tomllib.loads(text), files.schema("recipe"))
+    assert recipe.duration_s == pytest.approx(spec.schedule.duration, rel=1e-9)
+
+
+def test_the_tracks_say_when_everything_begins_and_what_it_waits_for():
+    chamber, (block,) = tracks_of(rounded(MEMS).spec)
+    soak, ramp = chamber.programme
+    assert (soak.begins, ramp.begins) == ("when stable", "when stable")
+    assert (float(ramp.start), float(ramp.duration), ramp.slope.text) == (3600.0, 6600.0, "1 K/min")
+    assert (block.begins_with, block.repeat) == ("ramp 1", 18)
+    cycle = rounded(MEMS).spec.schedule.cycle
+    assert float(block.period) == pytest.approx(cycle.duration, abs=1e-9)
+    ends = [float(m.start + m.repeat * m.duration) for m in block.moves]
+    assert [float(m.start) for m in block.moves[1:]] == pytest.approx(ends[:-1], abs=1e-9)
+    assert ends[-1] == pytest.approx(float(block.period), abs=1e-9)
+    assert block.moves[-1].do == "wait"
+    whole = (block.repeat - 1) * float(block.period) + float(block.moves[-1].start) + float(block.standing_after)
+    assert whole == pytest.approx(6600.0, abs=1e-6)
+    for move in block.moves:
+        if move.do == "turn":
+            ramp_time = abs(float(move.rate) / float(move.acceleration))
+            assert abs(float(move.rate)) * (float(move.duration) - ramp_time) == pytest.approx(abs(float(move.angle)))
+
+
+def test_a_programme_waits_after_soaks_and_steps_and_a_standard_plan_at_every_temperature():
+    programme = [
+        {"soak": "30 min", "at": "-20 degC"},
+        {"ramp_to": "10 degC", "rate": "1 K/min"},
+        {"ramp_to": "40 degC", "rate": "1 K/min", "used": False},
+        {"step_to": "50 degC"},
+        {"soak": "20 min", "used": True},
+    ]
+    changes = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": programme}
+    chamber, motion = tracks_of(rounded(files.changed(MEMS, changes)).spec)
+    begins = [(s.name, s.begins) for s in chamber.programme]
+    assert begins == [
+        ("soak 1", "when stable"),
+        ("ramp 1", "when stable"),
+        ("ramp 2", "at its time"),
+        ("step 1", "at its time"),
+        ("soak 2", "when stable"),
+    ]
+    assert [block.begins_with for block in motion] == ["ramp 1", "soak 2"]
+    standard = files.parse_spec(presets.text("paper-dynamic-standard"))
+    chamber, motion = tracks_of(standard)
+    assert len(chamber.programme) == 2 * len(standard.plan.temperatures)
+    assert all(s.begins == "when stable" for s in chamber.programme if s.name.startswith("points"))
+    assert [float(m.rate) for m in motion[0].moves if m.rate is not None] == [
+        float(r) for r in standard.plan.rates if r
+    ]
+
+
+def test_rounding_keeps_whole_turns_repetitions_and_the_period():
+    result = rounded(PAPER)
+    before, after = PAPER.schedule, result.spec.schedule
+    assert after.cycles == before.cycles == 17
+    assert after.cycle.duration <= before.cycle.duration + 1e-9
+    assert [m.angle for m in after.cycle.moves] == [m.angle for m in before.cycle.moves]
+    assert all(m.shape in ("rest", "linear ramps") for m in after.cycle.moves)
+    assert len(result.changes) == 7
+    assert "trapezoids" in result.notes[0]
+    kept = rounded(PAPER, keep_shapes=True)
+    assert {m.shape for m in kept.spec.schedule.cycle.moves} == {"rest", "cosine ramps"}
+    assert kept.notes == ()
+
+
+def test_a_plan_on_the_grid_is_not_changed():
+    once = rounded(MEMS, COARSE).spec
+    again = rounded(once, COARSE)
+    assert again.changes == ()
+    assert again.spec == once
+
+
+MOVES = st.fixed_dictionaries(
+    {
+        "turn": st.floats(2.0, 4000.0).map(lambda v: f"{v!r} deg"),
+        "peak_rate": st.floats(5.0, 300.0).map(lambda v: f"{v!r} deg/s"),
+        "shape": st.sampled_from(["cosine ramps", "linear ramps", "half sine", "raised cosine"]),
+        "repeat": st.integers(1, 3),
+    }
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(MOVES, min_size=1, max_size=4), st.floats(0.2, 1.5), st.floats(3.0, 60.0), st.booleans())
+def test_rounded_plans_stay_within_the_rig_and_on_the_grid(moves, gradient, rest, coarse):
+    steps = COARSE if coarse else ControllerSteps()
+    tables = files.tables_of(MEMS)
+    tables["plan"]["cycle"]["moves"] = [{"rest": f"{rest!r} s", "read_every": "1 s"}, *moves]
+    tables["plan"]["gradient"] = f"{gradient!r} K/min"
+    try:
+        spec = files.spec_of(tables)
+    except SpecError:
+        return  # a move that the table cannot make
+    after = rounded(spec, steps).spec.schedule
+    before = spec.schedule
+    assert on_grid(after.segments[1].slope, steps.slope)
+    # A cycle may only be lost where a step of the slope is worth more than the room that is left.
+    room = before.stretches[0].leftover + before.cycle.duration
+    assert after.cycles >= before.cycles - 1 or room < float(steps.slope) / (gradient / 60.0) * before.duration
+    for old, new in zip(before.cycle.moves, after.cycle.moves, strict=True):
+        assert on_grid(new.duration, steps.time)
+        assert new.angle == pytest.approx(old.angle, abs=float(steps.angle) * 0.51)
+        if not new.is_rest:
+            assert new.peak_acceleration <= float(spec.rig.table.max_acceleration) * (1 + 1e-6)
+
+
+def test_an_oscillation_becomes_turns_to_and_fro():
+    move = {"shape": "sinusoid", "peak_rate": "100 deg/s", "period": "8 s", "cycles": 3}
+    spec = files.changed(MEMS, {"plan.cycle.moves": [{"rest": "10 s", "read_every": "1 s"}, move]})
+    result = rounded(spec)
+    turns = [m for m in result.spec.schedule.cycle.moves if not m.is_rest]
+    assert len(turns) == 6
+    assert math.fsum(m.angle for m in turns) == pytest.approx(0.0, abs=1e-12)
+    assert abs(turns[0].angle) == pytest.approx(2 * math.radians(100.0) * 4.0 / math.pi, rel=1e-4)
+    assert [m.readings for m in turns] == [0, 0, 0, 0, 0, 1]
+    assert len(rounded(spec, keep_shapes=True).spec.schedule.cycle.moves) == 2
+
+
+def test_what_was_changed_by_hand_is_refused_with_the_key():
+    tables = tomllib.loads(files.to_toml(made_of(MEMS)))
+    tables["motion"][0]["moves"][1]["rate"] = "301 deg/s"
+    tables["chamber"]["programme"][1]["duration"] = "1 h"
+    with pytest.raises(SpecError) as caught:
+        recipe_of(tables, "recipe.toml")
+    said = str(caught.value)
+    assert "motion[0].moves[1].rate" in said
+    assert "chamber.programme[1].duration" in said
+    assert "make the recipe anew" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t.update(format="gradcal-spec/1"), "gradcal recipe SPEC -o recipe.toml"),
+        (lambda t: t.update(format="gradcal-recipe/9"), 'this version of the program reads "gradcal-recipe/1"'),
+        (lambda t: t.pop("spec"), "spec: this key is missing"),
+        (lambda t: t.update(statu="x"), "statu"),
+        (lambda t: t["spec"]["plan"].update(gradient="9 K/min"), "spec.plan.gradient"),
+        (lambda t: t["stability"].update(within="0 K"), "stability.within"),
+        (lambda t: t["prediction"].pop("duration_s"), "prediction.duration_s"),
+    ],
+)
+def test_a_broken_recipe_is_a_sentence(change, words):
+    tables = json.loads(json.dumps(tomllib.loads(files.to_toml(made_of(MEMS)))))
+    change(tables)
+    with pytest.raises(SpecError) as caught:
+        recipe_of(tables)
+    assert words in str(caught.value)
+
+
+def test_the_steps_come_from_the_rig_where_it_names_them():
+    spec = files.changed(MEMS, {"rig.resolution.rate": "0.5 deg/s", "plan.cycle.moves[1].peak_rate": "299.7 deg/s"})
+    assert math.degrees(float(steps_of(spec).rate)) == pytest.approx(0.5)
+    assert steps_of(PAPER) == ControllerSteps()
+    made = rounded(spec).spec.plan.cycle.moves[1]
+    assert made.peak_rate == Quantity.read("299.5 deg/s", "angular rate")

@@ -38,6 +38,11 @@ def assemble(spec: Spec) -> Assembled:
     return Assembled(spec, _model(spec, processes), _plan(spec), _number(spec.sensor.thermal_lag), sources)
 
 
+def error_model(spec: Spec) -> GyroModel:
+    """The error model alone, for whoever has the plan already."""
+    return _model(spec, _processes(spec.sensor)[0])
+
+
 def _processes(sensor: Sensor) -> tuple[Processes, dict[str, tuple[int, ...]]]:
     """All noise processes of a sensor, and which of them belong to which source."""
     parts: list[tuple[str, Processes]] = [

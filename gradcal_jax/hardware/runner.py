@@ -1,13 +1,15 @@
 """Executes a track on a bench: one clock, everything journalled, safe at the end whatever ends it.
 
 States and the ways between them are in `WAYS`; each change is an event of the journal. Requests (pause, stop, abort)
-may come from any thread or signal handler and are noticed within a quarter of a second of the run's clock. A run that
-was paused in the middle of a step does that step again from its beginning, and the journal marks the seam.
+may come from any thread or signal handler and are noticed within a quarter of a second of the run's clock. A step that
+was interrupted, by a pause or by the end of the process, is done again from its beginning: the chamber goes back to
+where the step begins and is stable there, the axes go to where they were, and the journal marks the seam.
 
 Besides the thread that executes there is one that reads the chamber, one that feeds the watchdogs of axes, and one for
 each unit that carries its bytes to the disk: no device's slowness delays a move or lets a watchdog expire.
 
-Not here yet: resuming after a crash, and the guard process that makes a rig safe when this process is killed.
+Resuming after a crash is a runner with `first_step` (see `run_folder`); what makes a rig safe when this process is
+killed is `guard`.
 """
 
 import signal
@@ -21,13 +23,14 @@ from types import FrameType
 from typing import Any, Literal
 
 from .clock import Clock
+from .course import ChamberDuty
 from .errors import Disconnected, HardwareError, LimitExceeded
 from .interlocks import Interlocks, Situation, standard_rules
 from .journal import Journal, JournalFull, free_space_bytes
 from .roles import AxisReading, ChamberReading, MotionAxis
 from .safety import SafeOutcome, make_safe
 from .setup import Bench, require_identity
-from .track import Stable, Step, Track, beyond_limits
+from .track import Course, Move, Stable, Step, Track, beyond_limits
 
 
 class State(Enum):
@@ -54,6 +57,8 @@ WAYS: Mapping[State, frozenset[State]] = {
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25
+_POLL_S = 0.05
+_LONGEST_MOVE_S = 120.0
 
 
 @dataclass(frozen=True)
@@ -97,14 +102,6 @@ class _Ended(Exception):
 
 
 @dataclass
-class _Due:
-    """When each recurring duty is next to be done."""
-
-    axes_s: float = 0.0
-    soft_ramp_s: float = 0.0
-
-
-@dataclass
 class Runner:
     """One run. `run` returns only after everything was made safe, and raises nothing for what devices do."""
 
@@ -117,20 +114,26 @@ class Runner:
     chamber_every_s: float = 5.0
     safe_deadline_s: float = 60.0
     wait_when_paused: bool = True
+    first_step: int = 0
 
     def __post_init__(self) -> None:
         self.state = State.IDLE
         self._requests: list[Request] = []
         self._reasons: list[str] = []
-        self._due = _Due()
-        self._chamber: ChamberReading | None = None
-        self._before: ChamberReading | None = None
+        self._duty: ChamberDuty | None = None
+        if self.bench.chamber is not None:
+            self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
         self._axes: dict[str, AxisReading] = {}
+        self._goal_deg: dict[str, float] = {}
+        self._moving: set[str] = set()
+        self._looked_for_s: dict[str, float] = {}
+        self._spinning: set[str] = set()
         self._imu_heard_s: dict[str, float] = {}
         self._problem: str = ""
         self._working = threading.Event()
         self._shown_s = -float("inf")
-        self._steps_done = 0
+        self._steps_done = self.first_step
+        self._step_ends_s = 0.0
         self._settled = False
 
     # ------------------------------------------------------------------------------------------------- from outside
@@ -194,10 +197,10 @@ class Runner:
             self._event("configuration", device=entry.name, **_plain(unit.configure()))
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
-        moved = {move.axis for step in self.track.steps for move in step.moves}
-        for name in sorted(moved):
+        for name in self.track.moved:
             self._event("homing", axis=name)
             self.bench.axes[name].home()
+            self._goal_deg[name] = 0.0
 
     def _start_helpers(self, helpers: list[threading.Thread]) -> None:
         def start(work: Callable[..., None], *arguments: Any) -> None:
@@ -210,9 +213,9 @@ class Runner:
             axis.arm_watchdog()
         if guarded:
             start(self._feed_watchdogs, guarded)
-        if self.bench.chamber is not None:
-            self._chamber = self.bench.chamber.read()
-            start(self._watch_chamber)
+        if self._duty is not None:
+            self._duty.heard(self._duty.chamber.read())
+            start(self._watch_chamber, self._duty)
         for name in self.bench.imus:
             self.bench.imus[name].start()
             self._imu_heard_s[name] = self.clock.now()
@@ -229,15 +232,16 @@ class Runner:
                     return
                 self.clock.sleep(_SLICE_S)
 
-    def _watch_chamber(self) -> None:
-        assert self.bench.chamber is not None
+    def _watch_chamber(self, duty: ChamberDuty) -> None:
         failures = 0
         with self.clock.party():
             while self._working.is_set():
                 self.clock.sleep(self.chamber_every_s)
                 try:
-                    reading = self.bench.chamber.read()
-                    self._before, self._chamber, failures = self._chamber, reading, 0
+                    duty.step_soft_ramp()
+                    reading = duty.chamber.read()
+                    duty.heard(reading)
+                    failures = 0
                     self._event("chamber", at_once=False, **_plain(reading))
                 except HardwareError as problem:
                     failures += 1
@@ -245,6 +249,21 @@ class Runner:
                     if failures == 3 or isinstance(problem, (Disconnected, JournalFull)):
                         self._problem = f"The chamber cannot be read: {problem}"
                         return
+
+    def _tell_chamber(self, course: Course) -> None:
+        """In a thread of its own: a chamber that takes seconds to acknowledge delays no move and no reading."""
+        duty = self._duty
+        if duty is None:
+            return
+
+        def tell() -> None:
+            with self.clock.party():
+                try:
+                    duty.follow(course)
+                except HardwareError as problem:
+                    self._problem = f"The chamber was not told its course: {problem}"
+
+        threading.Thread(target=tell, daemon=True, name="telling the chamber").start()
 
     def _carry_bytes(self, name: str) -> None:
         """Raw bytes to the journal, nothing else: decoding may lag, the disk may not."""
@@ -262,122 +281,150 @@ class Runner:
     # ------------------------------------------------------------------------------------------------------ execute
 
     def _execute(self) -> None:
+        again = self.first_step > 0
+        if again:
+            step = self.track.steps[self._steps_done]
+            self._event("seam", step=step.name, why="the run was resumed; the step begins again")
         while self._steps_done < len(self.track.steps):
             step = self.track.steps[self._steps_done]
             try:
-                self._run_step(step)
+                self._run_step(step, again)
             except _Interrupted:
                 self._wait_paused()
                 self._event("seam", step=step.name, why="the step begins again after a pause")
+                again = True
                 continue
+            again = False
             self._steps_done += 1
             self._event("step done", step=step.name, number=self._steps_done - 1)
             if self.state is State.PAUSING and self._steps_done < len(self.track.steps):
                 self._wait_paused()
+                after = self.track.steps[self._steps_done]
+                if after.follows:
+                    self._event("seam", step=after.name, why="the run was paused before it")
+                    again = True
 
-    def _run_step(self, step: Step) -> None:
+    def _run_step(self, step: Step, again: bool) -> None:
         self._event("step", step=step.name, number=self._steps_done)
         self._settled = False
-        ramp = self._set_course(step)
-        if step.ready is not None:
-            self._await(step, step.ready)
-        begin = self.clock.now()
-        self._settled = step.ready is not None
-        self._event("step begins", step=step.name)
-        self._due.axes_s = begin
-        end, moves = begin + step.duration_s, list(step.moves)
+        flows = step.follows and not again
+        begin = self._step_ends_s if flows else self._begin(step, again)
+        self._step_ends_s = end = begin + step.duration_s
+        self._settled = True
+        self._event("step begins", step=step.name, number=self._steps_done, begins_s=begin, data=bool(step.read_at_s))
+        courses = [course for course in step.courses if flows or course.start_s > 0.0]
+        moves, reads = list(step.moves), list(step.read_at_s)
+        every_s = None if reads else begin
         while True:
+            now = self.clock.now()
+            if reads and begin + reads[0] <= now:
+                while reads and begin + reads[0] <= now:
+                    reads.pop(0)
+                self._read_axes()
+            if every_s is not None and now >= every_s:
+                every_s += step.read_every_s * max(1, round((now - every_s) / step.read_every_s))
+                self._read_axes()
+            while courses and begin + courses[0].start_s <= self.clock.now():
+                self._tell_chamber(courses.pop(0))
             while moves and begin + moves[0].start_s <= self.clock.now():
                 self._move(step, moves.pop(0))
-            if ramp is not None:
-                self._step_set_point(ramp)
+            self._watch_moves()
             self._duties(step, end)
-            if self.clock.now() >= end and not moves:
+            if self.clock.now() >= end and not moves and not reads:
                 break
-            next_move = begin + moves[0].start_s if moves else end
-            self.clock.sleep_until(min(next_move, self._due.axes_s, self.clock.now() + _SLICE_S))
-        for name in {move.axis for move in step.moves}:
+            dues = [end, self.clock.now() + _SLICE_S]
+            dues += [self._looked_for_s[name] for name in self._moving - self._spinning]
+            dues += [begin + entry[0] for entry in (reads,) if entry]
+            dues += [begin + entry[0].start_s for entry in (moves, courses) if entry]
+            dues += [every_s] if every_s is not None else []
+            self.clock.sleep_until(min(dues))
+        after = self.track.steps[self._steps_done + 1 :][:1]
+        if not (after and after[0].follows):
+            for name in sorted(self._spinning):
+                self._command(step, Move(step.duration_s, name, "stop"))
+        for name in sorted(self._moving - self._spinning):
             self._settle(name)
 
-    def _set_course(self, step: Step) -> tuple[float, float, float, float] | None:
-        """Tell the chamber; returns (start time, start, target, K/s) where the runner makes the ramp itself."""
-        chamber = self.bench.chamber
-        if chamber is None or step.temperature_c is None:
-            return None
-        if step.ramp_k_per_min is None:
-            chamber.hold(step.temperature_c)
-            self._event("chamber told", hold_c=step.temperature_c)
-            return None
-        if chamber.limits().hardware_ramp:
-            rate = chamber.ramp(step.temperature_c, step.ramp_k_per_min)
-            self._event(
-                "chamber told", ramp_to_c=step.temperature_c, k_per_min=rate, asked_k_per_min=step.ramp_k_per_min
-            )
-            return None
-        start = chamber.read().setpoint_c
-        way = step.temperature_c - start
-        slope = (step.ramp_k_per_min if way >= 0.0 else -step.ramp_k_per_min) / 60.0
-        self._event(
-            "chamber told", ramp_to_c=step.temperature_c, k_per_min=step.ramp_k_per_min, by="steps of the runner"
-        )
-        self._due.soft_ramp_s = self.clock.now()
-        return self.clock.now(), start, step.temperature_c, slope
+    def _begin(self, step: Step, again: bool) -> float:
+        """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
+        if again:
+            self._return_axes(step)
+        ready = step.ready or (step.again if again else None)
+        duty, at_c = self._duty, step.begins_c
+        if duty is not None and at_c is not None and ready is not None:
+            duty.hold(at_c)
+            self._await(step, duty, at_c, ready)
+        if duty is not None and step.temperature_c is not None:
+            duty.follow(Course(0.0, step.temperature_c, step.ramp_k_per_min))
+        return self.clock.now()
 
-    def _step_set_point(self, ramp: tuple[float, float, float, float]) -> None:
-        """A ramp by steps of the controller's resolution, at least five seconds apart."""
-        began, start, target, slope = ramp
-        now = self.clock.now()
-        if self.bench.chamber is None or now < self._due.soft_ramp_s or slope == 0.0:
-            return
-        reached = start + slope * (now - began)
-        reached = min(reached, target) if slope > 0.0 else max(reached, target)
-        self.bench.chamber.hold(reached)
-        self._due.soft_ramp_s = float("inf") if reached == target else now + 5.0
+    def _return_axes(self, step: Step) -> None:
+        for name, position in step.start_deg.items():
+            limits = self.bench.axes[name].limits()
+            endless = limits.lowest_deg is None and limits.highest_deg is None
+            # An endless axis has no cable to wind up: within one turn is the same place.
+            goal = position % 360.0 if endless else position
+            rate, acceleration = min(limits.max_rate_dps, 60.0), min(limits.max_acceleration_dps2, 60.0)
+            goes = Move(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
+            if abs(self._goal_deg.get(name, 0.0) - goal) > 1e-9 or name in self._axes:
+                self._command(step, goes)
+                self._settle(name)
 
-    def _await(self, step: Step, ready: Stable) -> None:
-        assert step.temperature_c is not None
+    def _await(self, step: Step, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
         began = self.clock.now()
-        inside: list[tuple[float, float]] = []
-        while True:
-            self._duties(step, None)
-            reading = self._chamber
-            if reading is not None and reading.time_s >= began and (not inside or reading.time_s > inside[-1][0]):
-                value = reading.product_c if reading.product_c is not None else reading.air_c
-                if abs(value - step.temperature_c) > ready.band_k:
-                    inside.clear()
-                else:
-                    inside.append((reading.time_s, value))
-                    while max(v for _, v in inside) - min(v for _, v in inside) > ready.band_k:
-                        inside.pop(0)
-                    if inside[-1][0] - inside[0][0] >= ready.for_s:
-                        self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
-                        return
+        while (value := duty.stable_at(at_c, ready)) is None:
+            self._duties(None, None)
             if self.clock.now() - began > ready.timeout_s:
                 raise HardwareError(
                     f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of "
-                    f"{step.temperature_c:g} degC after {ready.timeout_s:g} s. Look at the chamber, or give it longer."
+                    f"{at_c:g} degC after {ready.timeout_s:g} s. Look at the chamber, or give it longer."
                 )
             self.clock.sleep(_SLICE_S)
+        self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
 
-    def _move(self, step: Step, move: Any) -> None:
-        axis = self.bench.axes[move.axis]
-        if move.kind == "go":
-            axis.move_to(move.position_deg, move.rate_dps, move.acceleration_dps2)
+    def _move(self, step: Step, move: Move) -> None:
+        """A turn waits until the turn before it has ended; how late that makes it is in the journal."""
+        if move.axis in self._moving and move.kind in ("go", "turn"):
+            if move.axis in self._spinning:
+                self.bench.axes[move.axis].stop()
+            self._settle(move.axis)
+        self._command(step, move)
+
+    def _command(self, step: Step, move: Move) -> None:
+        axis, name = self.bench.axes[move.axis], move.axis
+        began = self.clock.now()
+        if move.kind in ("go", "turn"):
+            turned = self._goal_deg.get(name, 0.0) + move.angle_deg
+            goal = turned if move.kind == "turn" else move.position_deg
+            axis.move_to(goal, move.rate_dps, move.acceleration_dps2)
+            self._goal_deg[name] = goal
+            self._spinning.discard(name)
         elif move.kind == "spin":
             axis.spin(move.rate_dps, move.acceleration_dps2)
+            self._spinning.add(name)
         else:
             axis.stop()
-        self._event("move", step=step.name, **_plain(move))
+            self._spinning.discard(name)
+        self._moving.add(name)
+        self._looked_for_s[name] = began + (move.duration_s if move.kind == "turn" else 0.0)
+        self._event("move", at_once=False, step=step.name, began_s=began, **_plain(move))
+
+    def _watch_moves(self) -> None:
+        """Read an axis that is due to stand until it says that it does: there its standstill begins."""
+        for name in sorted(self._moving - self._spinning):
+            if self._looked_for_s[name] <= self.clock.now():
+                self._looked_for_s[name] = self.clock.now() + _POLL_S
+                self._read_axis(name)
 
     def _settle(self, name: str) -> None:
-        """A step ends with its axes standing: what still moves is waited for, what spins is stopped."""
-        end = self.clock.now() + 120.0
-        while (reading := self.bench.axes[name].read()).moving:
+        """Wait until an axis stands; what spins for ever is stopped."""
+        end = self.clock.now() + _LONGEST_MOVE_S
+        while self._read_axis(name).moving:
             if self.clock.now() > end:
                 self.bench.axes[name].stop()
+                raise HardwareError(f"Axis {name!r} still moves {_LONGEST_MOVE_S:g} s after its step. It was stopped.")
             self._duties(None, None)
-            self.clock.sleep(0.05)
-        self._record_axis(name, reading)
+            self.clock.sleep(_POLL_S)
 
     # ------------------------------------------------------------------------------------------------------- duties
 
@@ -385,10 +432,6 @@ class Runner:
         """Whatever recurs: requests, readings, interlocks."""
         self._obey_requests()
         now = self.clock.now()
-        if step is not None and now >= self._due.axes_s:
-            self._due.axes_s += step.read_every_s * max(1, round((now - self._due.axes_s) / step.read_every_s))
-            for name, axis in self.bench.axes.items():
-                self._record_axis(name, axis.read())
         if now - self._shown_s >= self.chamber_every_s:
             self._shown_s = now
             self._show(step, end_s)
@@ -396,7 +439,8 @@ class Runner:
             raise HardwareError(self._problem)
         ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
         free = free_space_bytes(self.journal.path.parent)
-        situation = Situation(now, self._chamber, self._before, self._axes, ages, free, self._settled)
+        newest, before = (None, None) if self._duty is None else (self._duty.newest, self._duty.before)
+        situation = Situation(now, newest, before, self._axes, ages, free, self._settled)
         tripped = self.interlocks.check(situation)
         if tripped is not None:
             rule, text = tripped
@@ -440,12 +484,22 @@ class Runner:
         self._enter(State.RUNNING)
 
     def _stop_axes(self) -> None:
-        for axis in self.bench.axes.values():
+        for name, axis in self.bench.axes.items():
             axis.stop()
+            self._event("stopped", at_once=False, axis=name)
+        self._spinning.clear()
 
-    def _record_axis(self, name: str, reading: AxisReading) -> None:
+    def _read_axes(self) -> None:
+        for name in self.bench.axes:
+            self._read_axis(name)
+
+    def _read_axis(self, name: str) -> AxisReading:
+        reading = self.bench.axes[name].read()
         self._axes[name] = reading
         self._event("angle", at_once=False, axis=name, **_plain(reading))
+        if not reading.moving:
+            self._moving.discard(name)
+        return reading
 
     def _show(self, step: Step | None, end_s: float | None) -> None:
         if self.on_progress is None:
@@ -462,7 +516,7 @@ class Runner:
                 len(self.track.steps),
                 left,
                 current + after,
-                self._chamber,
+                None if self._duty is None else self._duty.newest,
                 self._axes,
             )
         )

@@ -6,7 +6,7 @@ run), and then its own time begins, by which its moves start and it ends.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from .roles import AxisLimits, ChamberLimits
@@ -14,8 +14,8 @@ from .roles import AxisLimits, ChamberLimits
 
 @dataclass(frozen=True)
 class Stable:
-    """The temperature (the load's where the chamber tells it, else the air's) stays within `band_k` of the step's and
-    changes by at most `band_k` peak to peak, for `for_s`; not later than `timeout_s` after the step began."""
+    """The temperature (the load's where the chamber tells it, else the air's) stays within `band_k` of its goal and
+    changes by at most `band_k` peak to peak, for `for_s`; not later than `timeout_s` after the waiting began."""
 
     band_k: float
     for_s: float
@@ -26,27 +26,51 @@ class Stable:
 class Move:
     """One command to one axis, `start_s` after the step's own time began.
 
-    "go" moves to the absolute `position_deg`; "spin" turns at the signed `rate_dps`; "stop" ends a spin.
+    "go" moves to the absolute `position_deg`; "turn" moves by `angle_deg` from where the last "go" or "turn" was to
+    end, so that errors do not add up; "spin" turns at the signed `rate_dps`; "stop" ends a spin.
     """
 
     start_s: float
     axis: str
-    kind: Literal["go", "spin", "stop"]
+    kind: Literal["go", "turn", "spin", "stop"]
     position_deg: float = 0.0
     rate_dps: float = 0.0
     acceleration_dps2: float = 0.0
+    angle_deg: float = 0.0
 
     @property
     def duration_s(self) -> float:
-        """Of a spin its run-up; of a go nothing that is known without the position before it."""
-        return abs(self.rate_dps) / self.acceleration_dps2 if self.acceleration_dps2 > 0.0 else 0.0
+        """Of a turn; of a spin its run-up; of a go nothing that is known without the position before it."""
+        if self.acceleration_dps2 <= 0.0:
+            return 0.0
+        ramp = abs(self.rate_dps) / self.acceleration_dps2
+        if self.kind != "turn":
+            return ramp
+        peak = min(abs(self.rate_dps), math.sqrt(abs(self.angle_deg) * self.acceleration_dps2))
+        return abs(self.angle_deg) / peak + peak / self.acceleration_dps2 if peak > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where the chamber is told to go, `start_s` into a step; `ramp_k_per_min` None: as fast as it can."""
+
+    start_s: float
+    temperature_c: float
+    ramp_k_per_min: float | None = None
 
 
 @dataclass(frozen=True)
 class Step:
     """`temperature_c` None leaves the chamber alone; `ramp_k_per_min` None goes there as fast as it can.
 
-    `read_every_s` is how often the angles of all axes are read (at rest and on the move) and recorded.
+    With `ready` the step waits until the temperature is stable at `start_c` (None: at `temperature_c`), and only then
+    its own time begins and the chamber is told where to go. `courses` are what it is told later in the step. A step
+    that `follows` begins at the very instant at which the one before ends, and the chamber goes on as it was told;
+    where it must begin by itself (after a pause, or when a run is resumed) the chamber first goes to `start_c` and is
+    stable by `again`, and the axes go to `start_deg`.
+
+    The angles of all axes are read at `read_at_s`, and after every turn when the axis stands; where `read_at_s` is
+    empty, every `read_every_s`.
     """
 
     name: str
@@ -56,6 +80,17 @@ class Step:
     ready: Stable | None = None
     moves: tuple[Move, ...] = ()
     read_every_s: float = 1.0
+    start_c: float | None = None
+    courses: tuple[Course, ...] = ()
+    follows: bool = False
+    again: Stable | None = None
+    start_deg: Mapping[str, float] = field(default_factory=dict[str, float])
+    read_at_s: tuple[float, ...] = ()
+
+    @property
+    def begins_c(self) -> float | None:
+        """Where the chamber stands when the step begins, as far as it matters."""
+        return self.start_c if self.start_c is not None else self.temperature_c
 
 
 @dataclass(frozen=True)
@@ -73,63 +108,75 @@ class Track:
                 raise ValueError(f"Step {step.name!r}: durations are not negative and moves stand in order of time.")
             if starts and not (starts[0] >= 0.0 and starts[-1] <= step.duration_s):
                 raise ValueError(f"Step {step.name!r}: every move starts within the step's {step.duration_s:g} s.")
-            if step.ready is not None and step.temperature_c is None:
+            if step.ready is not None and step.begins_c is None:
                 raise ValueError(f"Step {step.name!r} waits for a temperature and sets none.")
             if step.ramp_k_per_min is not None and not step.ramp_k_per_min > 0.0:
                 raise ValueError(f"Step {step.name!r}: a ramp's rate is above zero; its sign follows from its target.")
+        if self.steps[0].follows:
+            raise ValueError("The first step follows none.")
 
     @property
     def duration_s(self) -> float:
         """The steps' own time; what they wait for their conditions comes on top."""
         return sum(step.duration_s for step in self.steps)
 
+    @property
+    def moved(self) -> list[str]:
+        """The axes that move, by name."""
+        return sorted({move.axis for step in self.steps for move in step.moves})
+
 
 def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
     """The dry run: every sentence names a step and what the devices do not accept. Empty: the run may start."""
     found: list[str] = []
+    at = dict.fromkeys(axes, 0.0)
     for step in track.steps:
         where = f"Step {step.name!r}"
-        if step.temperature_c is not None:
+        courses = [Course(0.0, step.temperature_c, step.ramp_k_per_min)] if step.temperature_c is not None else []
+        if step.start_c is not None:
+            courses.append(Course(0.0, step.start_c))
+        for course in (*courses, *step.courses):
             if chamber is None:
                 found.append(f"{where} sets a temperature and the rig has no chamber.")
             else:
-                found += [f"{where} {text}" for text in _beyond_chamber(step, chamber)]
+                found += [f"{where} {text}" for text in _beyond_chamber(course, chamber)]
         for move in step.moves:
             limits = axes.get(move.axis)
             if limits is None:
                 found.append(f"{where} moves axis {move.axis!r}, which the rig does not have ({', '.join(axes)}).")
-            else:
-                found += [f"{where}, axis {move.axis!r}, {text}" for text in _beyond_axis(move, limits)]
+                continue
+            goal = at[move.axis] + move.angle_deg if move.kind == "turn" else move.position_deg
+            found += [f"{where}, axis {move.axis!r}, {text}" for text in _beyond_axis(move, goal, limits)]
+            at[move.axis] = goal
     return list(dict.fromkeys(found))
 
 
-def _beyond_chamber(step: Step, limits: ChamberLimits) -> list[str]:
-    assert step.temperature_c is not None
+def _beyond_chamber(course: Course, limits: ChamberLimits) -> list[str]:
     found: list[str] = []
-    if not limits.lowest_c <= step.temperature_c <= limits.highest_c:
+    if not limits.lowest_c <= course.temperature_c <= limits.highest_c:
         found.append(
-            f"sets {step.temperature_c:g} degC; the chamber accepts {limits.lowest_c:g} to {limits.highest_c:g}."
+            f"sets {course.temperature_c:g} degC; the chamber accepts {limits.lowest_c:g} to {limits.highest_c:g}."
         )
     slowest, fastest = limits.slowest_ramp_k_per_min, limits.fastest_ramp_k_per_min
-    if step.ramp_k_per_min is not None and limits.hardware_ramp and not slowest <= step.ramp_k_per_min <= fastest:
-        found.append(f"ramps at {step.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
+    if course.ramp_k_per_min is not None and limits.hardware_ramp and not slowest <= course.ramp_k_per_min <= fastest:
+        found.append(f"ramps at {course.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
     return found
 
 
-def _beyond_axis(move: Move, limits: AxisLimits) -> list[str]:
+def _beyond_axis(move: Move, goal: float, limits: AxisLimits) -> list[str]:
     if move.kind == "stop":
         return []
     found: list[str] = []
-    if not 0.0 < abs(move.rate_dps) <= limits.max_rate_dps:
+    if not 0.0 < abs(move.rate_dps) <= limits.max_rate_dps * (1.0 + 1e-9):
         found.append(f"turns at {abs(move.rate_dps):g} deg/s; it accepts up to {limits.max_rate_dps:g}.")
-    if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2:
+    if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2 * (1.0 + 1e-9):
         found.append(
             f"accelerates at {move.acceleration_dps2:g} deg/s²; it accepts up to {limits.max_acceleration_dps2:g}."
         )
     lowest = -math.inf if limits.lowest_deg is None else limits.lowest_deg
     highest = math.inf if limits.highest_deg is None else limits.highest_deg
-    if move.kind == "go" and not lowest <= move.position_deg <= highest:
-        found.append(f"goes to {move.position_deg:g} deg; its travel is {lowest:g} to {highest:g} deg.")
+    if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:
+        found.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
     if move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
         found.append("spins, and its travel is limited.")
     return found

@@ -116,13 +116,14 @@ class ChamberPlant:
 class AxisTruth:
     """A rotary axis as it is. Travel in degrees each way from zero, None: endless.
 
-    The encoder reads the true angle plus a repeatable error once a turn plus an offset drawn at every standstill plus
-    white noise.
+    The encoder reads the true angle plus a repeatable error (once a turn, and `harmonics`: order, cosine and sine part
+    in deg) plus an offset drawn at every standstill plus white noise.
     """
 
     lowest_deg: float | None = None
     highest_deg: float | None = None
     encoder_error_deg: float = 0.0
+    harmonics: tuple[tuple[int, float, float], ...] = ()
     standstill_offset_deg: float = 0.0
     reading_noise_deg: float = 0.0
     seed: int = 0
@@ -174,7 +175,9 @@ class AxisPlant:
         """What the encoder says, deg."""
         position, _ = self.state(now_s)
         truth = self.truth
-        error = truth.encoder_error_deg * math.sin(math.radians(position))
+        turned = math.radians(position)
+        error = truth.encoder_error_deg * math.sin(turned)
+        error += sum(c * math.cos(order * turned) + s * math.sin(order * turned) for order, c, s in truth.harmonics)
         if not self.moving(now_s):
             error += self._offset_deg
         return position + error + truth.reading_noise_deg * float(self._random.standard_normal())

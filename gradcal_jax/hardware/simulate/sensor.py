@@ -1,15 +1,16 @@
 """A gyro triad with hidden true parameters: the whole error model of the source, in NumPy.
 
-    measured = ω + B(T) + turn-on + Σ drifts + (M(T, ω) + residual)·ω + random walk
+    measured = ω + B(T) + k·dT/dt + turn-on + Σ drifts + (M(T, ω) + residual)·ω + random walks
 
-with B and M by the shared formulas in monomials of `(T − centre)/scale` and `ω/rate scale`, the Gauss–Markov drifts
-exactly discretised, the rate the exact mean over each sample's interval, the Earth's rate by latitude and attitude, and
-a sample clock of its own. Vectors: lab frame x east, y north, z up; the table's axes outermost first, given in the lab
-frame at angle zero; `mounting` turns the innermost axis' frame into the sensor's.
+with B and M by the shared formulas in any basis (by default monomials of `(T − centre)/scale` and `ω/rate scale`), the
+Gauss–Markov drifts exactly discretised, the rate the exact mean over each sample's interval, the Earth's rate by
+latitude and attitude, and a sample clock of its own. Vectors: lab frame x east, y north, z up; the table's axes
+outermost first, given in the lab frame at angle zero; `mounting` turns the innermost axis' frame into the sensor's.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,43 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
+class TruthBasis:
+    """Functions of a temperature (°C) or a rate (deg/s): "polynomial" (monomials), "b-spline" or "bins"."""
+
+    kind: Literal["polynomial", "b-spline", "bins"] = "polynomial"
+    degree: int = 0
+    centre: float = 0.0
+    scale: float = 1.0
+    knots: tuple[float, ...] = ()
+
+    def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.kind == "polynomial":
+            return formulas.monomials((x - self.centre) / self.scale, self.degree)
+        return (
+            formulas.b_spline(x, self.knots, self.degree) if self.kind == "b-spline" else formulas.bins(x, self.knots)
+        )
+
+
+@dataclass(frozen=True)
+class Process:
+    """A Gauss–Markov process of each axis; it adds `bias_gain` times itself to the rate (deg/s) and `rate_gain` times
+    itself to the scale factor. An infinite `tau_s` is one draw."""
+
+    sigma: float
+    tau_s: float
+    bias_gain: float = 0.0
+    rate_gain: float = 0.0
+
+
+@dataclass(frozen=True)
 class SensorTruth:
     """What the calibration is to find, and the noise it has to find it through. One row per sensor axis.
 
     bias_dps       (3, nT)      coefficients of B, deg/s
     scale_factor   (3, nT, nω)  coefficients of M, ratio; row index power of temperature, column power of rate
+
+    The bases are monomials with the centre and scales here, unless others are given. `gradient_deg_per_k` (3,) is the
+    bias for each K/s.
     """
 
     bias_dps: tuple[tuple[float, ...], ...] = ((0.0,), (0.0,), (0.0,))
@@ -42,6 +75,12 @@ class SensorTruth:
     drifts_dps_s: tuple[tuple[float, float], ...] = ()
     turn_on_dps: float = 0.0
     residual_scale_factor: tuple[float, float] | None = None
+    processes: tuple[Process, ...] = ()
+    rate_random_walk_dps_sqrt_s: float = 0.0
+    gradient_deg_per_k: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bias_basis: TruthBasis | None = None
+    temperature_basis: TruthBasis | None = None
+    rate_basis: TruthBasis | None = None
     clock_error: float = 0.0
     temperature_noise_c: float = 0.0
     acceleration_noise_g: float = 0.0
@@ -54,6 +93,7 @@ class Mounting:
     axes: tuple[Triple, ...] = ((0.0, 0.0, 1.0),)
     mounting: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     latitude_deg: float = 45.0
+    earth_rate_dps: float = EARTH_RATE_DPS
 
 
 @dataclass(frozen=True)
@@ -87,9 +127,21 @@ class SimulatedSensor:
         self._chamber, self._axes = chamber, tuple(axes)
         self._bias, self._scale = np.array(truth.bias_dps), np.array(truth.scale_factor)
         self._random = np.random.default_rng(seed)
-        processes = list(truth.drifts_dps_s) + ([truth.residual_scale_factor] if truth.residual_scale_factor else [])
-        self._sigmas = np.array([sigma for sigma, _ in processes])
-        self._taus_s = np.array([tau for _, tau in processes])
+        processes = [Process(sigma, tau, 1.0, 0.0) for sigma, tau in truth.drifts_dps_s]
+        if truth.residual_scale_factor:
+            processes.append(Process(*truth.residual_scale_factor, 0.0, 1.0))
+        processes += truth.processes
+        self._sigmas = np.array([process.sigma for process in processes])
+        self._taus_s = np.array([process.tau_s for process in processes])
+        self._gains = np.array([(process.bias_gain, process.rate_gain) for process in processes]).reshape(-1, 2)
+        self._walked = np.zeros(3)
+        cold = (truth.temperature_centre_c, truth.temperature_scale_k)
+        degrees = (self._bias.shape[1] - 1, self._scale.shape[1] - 1, self._scale.shape[2] - 1)
+        self._bases = (
+            truth.bias_basis or TruthBasis("polynomial", degrees[0], *cold),
+            truth.temperature_basis or TruthBasis("polynomial", degrees[1], *cold),
+            truth.rate_basis or TruthBasis("polynomial", degrees[2], 0.0, truth.rate_scale_dps),
+        )
         self.restart(start_s, sample_rate_hz)
         self._states = self._sigmas * self._random.standard_normal((3, len(processes)))
         self.turn_on_dps = truth.turn_on_dps * self._random.standard_normal(3)
@@ -128,18 +180,22 @@ class SimulatedSensor:
         middles = (ends[1:] + ends[:-1]) / 2.0
         rates, up = self._motion(ends, middles)
         temperature = self._chamber.load_at(middles) if count else np.zeros(0)
-        x = (temperature - truth.temperature_centre_c) / truth.temperature_scale_k
         draws = self._random.standard_normal((count, 7 + 3 * len(self._sigmas)))
         noise = self._markov(draws[:, 7:].reshape(count, 3, len(self._sigmas)))
-        powers = formulas.monomials(x, self._bias.shape[1] - 1)
-        bias = powers @ self._bias.T + self.turn_on_dps + noise[..., : len(truth.drifts_dps_s)].sum(-1)
+        bias_of, temperature_of, rate_of = self._bases
+        bias = bias_of(temperature) @ self._bias.T + self.turn_on_dps + noise @ self._gains[:, 0]
+        if any(truth.gradient_deg_per_k) and count:
+            change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
+            bias = bias + change[:, None] * np.array(truth.gradient_deg_per_k)
+        if truth.rate_random_walk_dps_sqrt_s:
+            kick = truth.rate_random_walk_dps_sqrt_s * self.true_period_s**0.5
+            walked = self._walked + np.cumsum(kick * self._random.standard_normal((count, 3)), axis=0)
+            bias = bias + walked
+            self._walked = walked[-1] if count else self._walked
         factor = formulas.scale_factor_map(
-            formulas.monomials(x, self._scale.shape[1] - 1)[:, None, None, :],
-            formulas.monomials(rates / truth.rate_scale_dps, self._scale.shape[2] - 1)[:, :, None, :],
-            self._scale,
+            temperature_of(temperature)[:, None, None, :], rate_of(rates)[:, :, None, :], self._scale
         )[..., 0]
-        if truth.residual_scale_factor:
-            factor = factor + noise[..., -1]
+        factor = factor + noise @ self._gains[:, 1]
         walk = truth.angle_random_walk_deg_sqrt_s / self.true_period_s**0.5 * draws[:, :3]
         error = bias + factor * rates + walk
         return SensorSamples(
@@ -175,7 +231,7 @@ class SimulatedSensor:
         latitude = np.radians(self._mounting.latitude_deg)
         fixed = np.zeros((3, middles.size, 3))
         earth, up, turning = fixed
-        earth[:] = EARTH_RATE_DPS * np.array([0.0, np.cos(latitude), np.sin(latitude)])
+        earth[:] = self._mounting.earth_rate_dps * np.array([0.0, np.cos(latitude), np.sin(latitude)])
         up[:, 2] = 1.0
         for direction, plant in zip(self._mounting.axes, self._axes, strict=True):
             axis = np.array(direction)

@@ -1,0 +1,290 @@
+"""A recipe as the runner's track: one step for each segment without data and for each repetition of the motion.
+
+A step is what a run resumes by, so a ramp of hours is cut into the repetitions of its cycle (or into pieces of ten
+minutes where the table only stands). Steps of one stretch of data follow one another without a break. Angles stay
+relative to where the axis began; every step carries where the axis and the chamber are to be when it begins by itself.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from ..files.recipe import Recipe
+from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove
+from ..formulas import reading_times, shape_pieces
+from ..units import to_unit
+from .errors import HardwareError
+from .track import Course, Move, Stable, Step, Track
+
+_LONGEST_STAND_S = 600.0
+_SPLINE_PIECE_S = 0.5
+_BETWEEN_READINGS_S = 10.0
+
+
+def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
+    """The track of a recipe for a rig whose axes have these names.
+
+    An axis of the recipe ("x") is the rig's axis of that name; where the recipe turns one axis only and the rig has one
+    only, they are the same whatever its name. Raises `HardwareError` where an axis is missing.
+    """
+    names = _names(recipe, axes)
+    segments = recipe.chamber.programme
+    blocks = {block.begins_with: block for block in recipe.motion}
+    steps: list[Step] = []
+    place = 0
+    while place < len(segments):
+        segment = segments[place]
+        if segment.name not in blocks:
+            steps.append(_unused(segment, recipe.stability, first=not steps))
+            place += 1
+            continue
+        last = place
+        while last + 1 < len(segments) and segments[last + 1].used and segments[last + 1].name not in blocks:
+            last += 1
+        stretch = segments[place : last + 1]
+        steps += _stretch(blocks[segment.name], stretch, recipe.stability, names, first=not steps)
+        place = last + 1
+    return Track(tuple(steps))
+
+
+def _names(recipe: Recipe, axes: Sequence[str]) -> dict[str, str]:
+    turned = sorted({move.axis for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")})
+    if len(turned) == 1 and len(axes) == 1:
+        return {turned[0]: axes[0]}
+    if missing := [name for name in turned if name not in axes]:
+        raise HardwareError(
+            f"The recipe turns axis {', '.join(missing)}, and the rig's axes are {', '.join(axes) or 'none'}: "
+            "name the rig's axes as the recipe does."
+        )
+    return {name: name for name in turned}
+
+
+def _stable(stability: Stability, *, first: bool) -> Stable:
+    timeout = stability.first_timeout if first else stability.timeout
+    return Stable(float(stability.within), float(stability.for_at_least), float(timeout))
+
+
+def _again(stability: Stability) -> Stable:
+    """After a break the chamber may come from anywhere."""
+    return _stable(stability, first=True)
+
+
+def _course(segment: ChamberSegment, start_s: float) -> Course:
+    ramp = None if segment.slope is None else abs(float(segment.slope)) * 60.0
+    return Course(start_s, float(segment.temperature_end), ramp)
+
+
+def _unused(segment: ChamberSegment, stability: Stability, *, first: bool) -> Step:
+    course = _course(segment, 0.0)
+    waits = segment.begins == "when stable"
+    return Step(
+        segment.name,
+        float(segment.duration),
+        course.temperature_c,
+        course.ramp_k_per_min,
+        ready=_stable(stability, first=first) if waits else None,
+        start_c=float(segment.temperature_start),
+        follows=not waits and not first,
+        again=_again(stability),
+        read_every_s=_BETWEEN_READINGS_S,
+    )
+
+
+@dataclass
+class _Piece:
+    """A step in the making, on the stretch's own clock."""
+
+    name: str
+    start_s: float
+    duration_s: float
+    moves: list[Move] = field(default_factory=list[Move])
+    read_at_s: list[float] = field(default_factory=list[float])
+
+
+def _stretch(
+    block: MotionBlock,
+    segments: Sequence[ChamberSegment],
+    stability: Stability,
+    names: dict[str, str],
+    *,
+    first: bool,
+) -> list[Step]:
+    waits = segments[0].begins == "when stable"
+    total = math.fsum(float(segment.duration) for segment in segments)
+    pieces = _pieces(block, total, names)
+    knees: list[Course] = []
+    clock = 0.0
+    for segment in segments:
+        knees.append(_course(segment, clock))
+        clock += float(segment.duration)
+    at = dict.fromkeys(names.values(), 0.0)
+    steps: list[Step] = []
+    for number, piece in enumerate(pieces):
+        end = piece.start_s + piece.duration_s
+        told = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
+        later = tuple(
+            Course(course.start_s - piece.start_s, course.temperature_c, course.ramp_k_per_min)
+            for course in knees
+            if piece.start_s + 1e-6 < course.start_s < end - 1e-6
+            or (abs(course.start_s - piece.start_s) <= 1e-6 and number > 0)
+        )
+        steps.append(
+            Step(
+                piece.name,
+                piece.duration_s,
+                told.temperature_c,
+                told.ramp_k_per_min,
+                ready=_stable(stability, first=first) if waits and number == 0 else None,
+                moves=tuple(piece.moves),
+                start_c=_temperature(segments, piece.start_s),
+                courses=later,
+                follows=number > 0 or (not waits and not first),
+                again=_again(stability),
+                start_deg=dict(at),
+                read_at_s=tuple(piece.read_at_s),
+            )
+        )
+        for move in piece.moves:
+            at[move.axis] += move.angle_deg
+    return steps
+
+
+def _temperature(segments: Sequence[ChamberSegment], at_s: float) -> float:
+    clock = 0.0
+    for segment in segments:
+        duration = float(segment.duration)
+        if at_s <= clock + duration + 1e-6:
+            share = min(max((at_s - clock) / duration, 0.0), 1.0)
+            start, end = float(segment.temperature_start), float(segment.temperature_end)
+            return start + (end - start) * share if segment.kind != "step" else end
+        clock += duration
+    return float(segments[-1].temperature_end)
+
+
+def _pieces(block: MotionBlock, total: float, names: dict[str, str]) -> list[_Piece]:
+    if block.repeat == 1 and len(block.moves) == 1 and block.moves[0].do in ("rest", "wait"):
+        return _standing(block, total)
+    if any(move.do == "spin" for move in block.moves):
+        return _points(block, names)
+    pieces: list[_Piece] = []
+    period = float(block.period)
+    own = [move for move in block.moves if move.do != "wait"]
+    for number in range(block.repeat):
+        last = number == block.repeat - 1
+        start = number * period
+        piece = _Piece(
+            f"{block.name}, {number + 1} of {block.repeat}" if block.repeat > 1 else block.name,
+            start,
+            total - start if last else period,
+        )
+        if number == 0:
+            piece.read_at_s.append(0.0)
+        for move in own if last else block.moves:
+            _add(piece, move, names)
+        if last and block.standing_after > 0.0 and block.read_every_after is not None:
+            begin = piece.duration_s - float(block.standing_after)
+            times = reading_times(float(block.standing_after), float(block.read_every_after))
+            piece.read_at_s += [begin + time for time in times]
+        piece.read_at_s.sort()
+        pieces.append(piece)
+    return pieces
+
+
+def _standing(block: MotionBlock, total: float) -> list[_Piece]:
+    every = block.moves[0].read_every
+    times = [0.0, *reading_times(total, None if every is None else float(every))]
+    count = max(1, math.ceil(total / _LONGEST_STAND_S - 1e-9))
+    size = total / count
+    pieces: list[_Piece] = []
+    for number in range(count):
+        start = number * size
+        end = total if number == count - 1 else start + size
+        inside = [t - start for t in times if start - 1e-9 < t <= end + 1e-9 and (t > start + 1e-9 or number == 0)]
+        name = f"{block.name}, {number + 1} of {count}" if count > 1 else block.name
+        pieces.append(_Piece(name, start, end - start, read_at_s=inside))
+    return pieces
+
+
+def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
+    """The standard method's rates: each a step; one that stands begins with a stop."""
+    axis = next(iter(names.values()), "")
+    pieces: list[_Piece] = []
+    for number, move in enumerate(block.moves, 1):
+        rate = to_unit(float(move.rate or 0.0), "deg/s")
+        duration = float(move.duration)
+        moves: list[Move] = []
+        if rate and axis:
+            moves.append(Move(0.0, axis, "spin", rate_dps=rate, acceleration_dps2=_SPIN_ACCELERATION_DPS2))
+        elif axis and number > 1:
+            moves.append(Move(0.0, axis, "stop"))
+        reads = [0.0, *reading_times(duration, 1.0)] if number == 1 else reading_times(duration, 1.0)
+        name = f"{block.begins_with}, rate {number} of {len(block.moves)}"
+        pieces.append(_Piece(name, float(move.start), duration, moves, reads))
+    return pieces
+
+
+_SPIN_ACCELERATION_DPS2 = 100.0
+
+
+def _add(piece: _Piece, move: TrackMove, names: dict[str, str]) -> None:
+    """The commands and the readings of one line of the recipe."""
+    duration = float(move.duration)
+    for repetition in range(move.repeat):
+        start = float(move.start) + repetition * duration
+        if move.do not in ("rest", "wait"):
+            piece.moves += _commands(move, start, names[move.axis])
+        if move.read_every is not None:
+            piece.read_at_s += [start + time for time in reading_times(duration, float(move.read_every))]
+        elif move.read == "end":
+            piece.read_at_s.append(start + duration)
+
+
+def _commands(move: TrackMove, start: float, axis: str) -> list[Move]:
+    assert move.angle is not None
+    assert move.rate is not None
+    assert move.acceleration is not None
+    angle, rate = to_unit(float(move.angle), "deg"), to_unit(float(move.rate), "deg/s")
+    acceleration = to_unit(float(move.acceleration), "deg/s^2")
+    duration = float(move.duration)
+    if move.do in ("turn", "turn by hand"):
+        return [_turn(start, axis, angle, rate, acceleration)]
+    if move.do == "oscillate":
+        cycles = move.cycles or 1
+        swing = 0.5 * duration / cycles
+        each = 2.0 * rate * swing / math.pi
+        return [
+            _turn(start + k * swing, axis, each if k % 2 == 0 else -each, rate, acceleration) for k in range(2 * cycles)
+        ]
+    return _spline(move, start, axis, angle, rate, acceleration)
+
+
+def _turn(start: float, axis: str, angle: float, rate: float, acceleration: float) -> Move:
+    return Move(start, axis, "turn", rate_dps=abs(rate), acceleration_dps2=acceleration, angle_deg=angle)
+
+
+def _spline(move: TrackMove, start: float, axis: str, angle: float, peak: float, acceleration: float) -> list[Move]:
+    """Stretches of constant acceleration through the spline's rates; a last small turn makes the angle exact."""
+    controls = tuple(math.degrees(float(rate)) / peak for rate in move.rates or ())
+    spans = [c for _, _, c in shape_pieces("spline", controls=controls)]
+    duration = float(move.duration)
+    count = max(2, min(200, round(duration / _SPLINE_PIECE_S)))
+    width = duration / count
+
+    def rate_at(share: float) -> float:
+        span = min(int(share * len(spans)), len(spans) - 1)
+        u = share * len(spans) - span
+        c = spans[span]
+        return peak * (c[0] + u * (c[1] + u * (c[2] + u * c[3])))
+
+    moves: list[Move] = []
+    before = 0.0
+    for number in range(1, count):
+        rate = rate_at(number / count)
+        slope = abs(rate - before) / width
+        if slope > 1e-6 and abs(rate) > 1e-6:
+            at = start + (number - 1) * width
+            moves.append(Move(at, axis, "spin", rate_dps=rate, acceleration_dps2=min(slope, acceleration)))
+            before = rate
+    moves.append(Move(start + (count - 1) * width, axis, "stop"))
+    moves.append(_turn(start + duration, axis, angle, max(1.0, 0.1 * abs(peak)), acceleration))
+    return moves

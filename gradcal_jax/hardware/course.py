@@ -1,0 +1,106 @@
+"""The chamber's side of a run: what it was told, what it has read, and when its temperature counts as stable."""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from .clock import Clock
+from .roles import Chamber, ChamberReading
+from .track import Course, Stable
+
+_SOFT_STEP_S = 5.0
+_REMEMBERED = 4096
+
+Tell = Callable[..., None]
+"""Writes an event: its name and what belongs to it."""
+
+
+@dataclass(frozen=True)
+class _SoftRamp:
+    """A ramp that the runner makes itself, by set points, where the controller has none."""
+
+    began_s: float
+    start_c: float
+    target_c: float
+    slope_k_per_s: float
+
+
+class ChamberDuty:
+    """Tells the chamber its course and remembers what it says. Readings may come from another thread."""
+
+    def __init__(self, chamber: Chamber, clock: Clock, event: Tell) -> None:
+        self.chamber = chamber
+        self._clock = clock
+        self._event = event
+        self._lock = threading.Lock()
+        self._history: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
+        self._soft: _SoftRamp | None = None
+        self._next_soft_s = 0.0
+        self._held_c: float | None = None
+        self.newest: ChamberReading | None = None
+        self.before: ChamberReading | None = None
+
+    def heard(self, reading: ChamberReading) -> None:
+        """Remember a reading."""
+        with self._lock:
+            self.before, self.newest = self.newest, reading
+            value = reading.product_c if reading.product_c is not None else reading.air_c
+            if not self._history or reading.time_s > self._history[-1][0]:
+                self._history.append((reading.time_s, value))
+
+    def hold(self, temperature_c: float) -> None:
+        """Condition at a temperature, unless that is what it does already."""
+        self._soft = None
+        if self._held_c != temperature_c:
+            self.chamber.hold(temperature_c)
+            self._held_c = temperature_c
+            self._event("chamber told", hold_c=temperature_c)
+
+    def follow(self, course: Course) -> None:
+        """Go where a course says: by the controller's own ramp where it has one, else by `step_soft_ramp`."""
+        if course.ramp_k_per_min is None:
+            self.hold(course.temperature_c)
+            return
+        self._held_c = None
+        told = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
+        if self.chamber.limits().hardware_ramp:
+            self._soft = None
+            rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
+            self._event("chamber told", **told, k_per_min=rate)
+            return
+        start = self.chamber.read().setpoint_c
+        slope = course.ramp_k_per_min / 60.0
+        self._soft = _SoftRamp(
+            self._clock.now(), start, course.temperature_c, slope if course.temperature_c >= start else -slope
+        )
+        self._next_soft_s = self._clock.now()
+        self._event("chamber told", **told, k_per_min=course.ramp_k_per_min, by="steps of the runner")
+
+    def step_soft_ramp(self) -> None:
+        """A ramp by set points, at least five seconds apart; to be called often."""
+        ramp, now = self._soft, self._clock.now()
+        if ramp is None or now < self._next_soft_s:
+            return
+        reached = ramp.start_c + ramp.slope_k_per_s * (now - ramp.began_s)
+        reached = min(reached, ramp.target_c) if ramp.slope_k_per_s > 0.0 else max(reached, ramp.target_c)
+        self.chamber.hold(reached)
+        if reached == ramp.target_c:
+            self._soft, self._held_c = None, ramp.target_c
+        self._next_soft_s = now + _SOFT_STEP_S
+
+    def stable_at(self, temperature_c: float, wanted: Stable) -> float | None:
+        """The newest temperature, if it has been stable for as long as wanted; else None."""
+        with self._lock:
+            readings = list(self._history)
+        lowest = highest = temperature_c
+        for place in range(len(readings) - 1, -1, -1):
+            time_s, value = readings[place]
+            if place == len(readings) - 1:
+                lowest = highest = value
+            lowest, highest = min(lowest, value), max(highest, value)
+            if abs(value - temperature_c) > wanted.band_k or highest - lowest > wanted.band_k:
+                return None
+            if readings[-1][0] - time_s >= wanted.for_s:
+                return readings[-1][1]
+        return None

@@ -8,7 +8,7 @@ from typing import Any, Final
 from cyclopts import App, CycloptsError
 
 import gradcal_jax
-from gradcal_jax.cli import check, instability, new, predict, recipe, schema, show, timeline
+from gradcal_jax.cli import check, estimate, instability, new, predict, recipe, schema, show, timeline
 from gradcal_jax.cli.console import complain, is_plain
 
 DONE: Final = 0
@@ -30,7 +30,7 @@ def build() -> App:
         help_format="plaintext",  # a Markdown reader would cost a quarter of the start-up
         help_formatter="plain" if is_plain(sys.stdout) else "default",
     )
-    for family in (new, check, predict, timeline, recipe, show, instability, schema):
+    for family in (new, check, predict, timeline, recipe, show, instability, estimate, schema):
         family.register(app)
     return app
 

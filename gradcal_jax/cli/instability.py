@@ -1,5 +1,6 @@
 """`gradcal instability` and `gradcal allan`: what a record at rest says of a sensor's noise."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -100,20 +101,20 @@ def instability(
     use_float64()
     from gradcal_jax.assemble import instability as work
 
-    options = {"averaging_time_s": delta_s, "shortest_s": shortest_s, "longest_s": longest_s, "margin": margin}
+    look = partial(
+        work.instability, averaging_time_s=delta_s, shortest_s=shortest_s, longest_s=longest_s, margin=margin
+    )
     found: list[Instability] = []
     parts: list[list[tuple[tuple[float, float], Instability | str]]] = []
     for name in work.axes_of(recorded, axis):
         rest = work.at_rest(recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s)
-        whole = work.instability(rest, angle_random_walk=walk, temperature_c=between, **options)
+        whole = look(rest, angle_random_walk=walk, temperature_c=between)
         found.append(whole)
         pieces: list[tuple[tuple[float, float], Instability | str]] = []
         for part in work.temperature_ranges(rest, ranges) if ranges > 1 else []:
             try:
                 # The random walk is the sensor's own; a short range says less of it than the whole record.
-                one = work.instability(
-                    rest, angle_random_walk=whole.bound.angle_random_walk, temperature_c=part, **options
-                )
+                one = look(rest, angle_random_walk=whole.bound.angle_random_walk, temperature_c=part)
                 pieces.append((part, one))
             except ValueError as error:
                 pieces.append((part, str(error)))

@@ -1,0 +1,275 @@
+"""`gradcal estimate`: a calibration from a log, with covariance, tests and verdicts."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+from gradcal_jax.cli.console import columns as table
+from gradcal_jax.cli.console import strong
+from gradcal_jax.cli.recordings import ColumnMapFile, Json, Plot, described, load, quantity
+
+if TYPE_CHECKING:
+    from gradcal_jax.assemble.calibration import EstimateReport
+    from gradcal_jax.assemble.estimate import Options, UnitChannel
+    from gradcal_jax.files import Spec
+    from gradcal_jax.files.calibration import Calibration
+
+AS_WISHED, NOT_AS_WISHED = 0, 1
+
+Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
+Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(estimate)
+
+
+def estimate(
+    log: Path,
+    /,
+    *,
+    spec: Path | None = None,
+    recipe: Path | None = None,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    axis: Axes = (),
+    unit: Units = (),
+    table_axis: str | None = None,
+    earth_rate: str | None = None,
+    latitude: str | None = None,
+    lag: str = "none",
+    smoothness: str = "spec",
+    robust: Annotated[bool, Parameter(negative="")] = False,
+    clock: str = "sensor",
+    read_every: str = "1 s",
+    columns: ColumnMapFile = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
+    plot: Plot = None,
+) -> int:
+    """Estimate a calibration from a log by the model of a spec, and say whether the data agree with that model.
+
+    The exit status is 1 where a target is missed, something cannot be observed, or the data contradict the model.
+
+    Parameters
+    ----------
+    log
+        A log (.nc), or a recording of another program with --columns.
+    spec
+        The spec: noise, table and maps of the sensor. What was done is read from the log itself.
+    recipe
+        The recipe that was run, in the place of a spec: the one inside it.
+    output
+        Write the calibration here; with several units, one file each, their names added.
+    axis
+        Which axis; may be repeated. Those of the spec, without it.
+    unit
+        Which unit; may be repeated. All, without it.
+    table_axis
+        The axis of the table that turns the sensor's.
+    earth_rate
+        Of the Earth along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+    latitude
+        In the place of --earth-rate, for an axis that points straight up.
+    lag
+        Of the maps behind the measured temperature: a time, or "fit".
+    smoothness
+        Of bins and B-splines: "spec", or "auto": the strength at which the data are most probable.
+    robust
+        Let readings that the model cannot explain count for less (Huber), and name them.
+    clock
+        "sensor", or "host": integrate over the computer's time.
+    read_every
+        Spacing of the readings while the table stands.
+    columns
+        What the columns of a recording mean (gradcal-columns/1).
+    force
+        Overwrite the output.
+    json
+        Print all numbers as JSON.
+    plot
+        Draw the fit into this file (.png, .svg, .pdf).
+    """
+    options = _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every)
+    model = _spec(spec, recipe)
+    recorded = load(log, columns)
+    if output is not None:
+        _writable(output, force, several=len(unit or recorded.units) > 1)
+    from gradcal_jax.cli.precision import use_float64
+
+    use_float64()
+    from gradcal_jax.assemble import calibration as work
+
+    sources = {"log": log.name, "spec": (spec or recipe or Path()).name}
+    report = work.estimate_calibration(model, recorded, axes=axis, units=unit, options=options, sources=sources)
+    if json:
+        import json as writer
+
+        print(writer.dumps(work.estimate_rows(report), indent=2, allow_nan=False))
+    else:
+        print(described(recorded, str(log)))
+        print(_text(report))
+    written = _write(report.calibrations, output)
+    if plot is not None:
+        from gradcal_jax import plots
+        from gradcal_jax.plots.calibration import draw_estimate
+
+        plots.save(draw_estimate(report), plot)
+        written.append(plot)
+    if not json:
+        for path in written:
+            print(f"wrote {path}")
+    return AS_WISHED if report.as_wished else NOT_AS_WISHED
+
+
+def _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every) -> "Options":
+    earth = 0.0
+    if earth_rate is not None and latitude is not None:
+        raise ValueError("--earth-rate and --latitude say the same thing twice: give one of them")
+    if earth_rate is not None:
+        earth = quantity(earth_rate, "angular rate", "--earth-rate")
+    lag_s = "fit" if lag == "fit" else 0.0 if lag == "none" else quantity(lag, "time", "--lag")
+    if lag_s != "fit" and lag_s < 0.0:
+        raise ValueError(f"--lag {lag!r}: a lag is not negative")
+    if smoothness not in ("spec", "auto"):
+        raise ValueError(f'--smoothness {smoothness!r}: expected "spec" or "auto"')
+    if clock not in ("sensor", "host"):
+        raise ValueError(f'--clock {clock!r}: expected "sensor" or "host"')
+    every = quantity(read_every, "time", "--read-every")
+    if every <= 0.0:
+        raise ValueError(f"--read-every {read_every!r}: must be longer than no time")
+    angle = None if latitude is None else quantity(latitude, "angle", "--latitude")
+    from gradcal_jax.cli.precision import use_float64
+
+    use_float64()
+    from gradcal_jax.assemble.estimate import EARTH_RATE, Options
+
+    if angle is not None:
+        import math
+
+        earth = EARTH_RATE * math.sin(angle)
+    return Options(
+        earth_rate=earth,
+        robust=robust,
+        lag=lag_s,
+        smoothness="auto" if smoothness == "auto" else "spec",
+        clock="host" if clock == "host" else "sensor",
+        read_every=every,
+        table_axis=table_axis,
+    )
+
+
+def _spec(spec: Path | None, recipe: Path | None) -> "Spec":
+    from gradcal_jax.files import read_spec
+
+    if (spec is None) == (recipe is None):
+        raise ValueError("give the spec with --spec, or the recipe that was run with --recipe: one of them")
+    if spec is not None:
+        return read_spec(spec)
+    from gradcal_jax.files.recipe import read_recipe
+
+    assert recipe is not None
+    return read_recipe(recipe).spec
+
+
+def _writable(path: Path, force: bool, *, several: bool) -> None:
+    if not path.parent.is_dir():
+        raise ValueError(f"there is no directory {path.parent}; make it first")
+    if path.is_dir():
+        raise ValueError(f"{path} is a directory; give the name of a file")
+    if path.exists() and not force and not several:
+        raise ValueError(f"{path} exists: choose another name, or overwrite it with --force")
+
+
+def _write(calibrations: "tuple[Calibration, ...]", output: Path | None) -> list[Path]:
+    if output is None:
+        return []
+    from gradcal_jax.files.calibration import write_calibration
+
+    if len(calibrations) == 1:
+        write_calibration(calibrations[0], output)
+        return [output]
+    written = []
+    for one in calibrations:
+        safe = "".join(c if c.isalnum() or c in "-_." else "_" for c in one.serial_number)
+        path = output.with_name(f"{output.stem}-{safe}{output.suffix}")
+        write_calibration(one, path)
+        written.append(path)
+    return written
+
+
+def _text(report: "EstimateReport") -> str:
+    lines: list[str] = []
+    for one in report.calibrations:
+        lines += ["", strong(f"unit {one.serial_number}" + (", SIMULATED" if one.simulated else ""))]
+        for channel in report.channels:
+            if channel.unit == one.serial_number:
+                lines += [_channel(channel)]
+        rows = report.verdicts[one.serial_number]
+        if rows:
+            shown = [("requirement", "statistic", "residual (1σ)", "target", "verdict")]
+            for row in rows:
+                value = "not observable" if row.value is None else f"{row.value:.4g} {row.unit}"
+                target = "" if row.target is None else f"{row.target:.4g} {row.unit}"
+                name = f"{row.requirement.name}, axis {row.axis}"
+                shown.append((name, row.requirement.statistic, value, target, row.verdict or ""))
+            lines += ["", table(shown, indent="")]
+        lines += [f"note: {message}" for message in report.messages[one.serial_number]]
+    return "\n".join(lines)
+
+
+def _channel(channel: "UnitChannel") -> str:
+    import numpy as np
+
+    from gradcal_jax.information import parameter_names, to_reported
+
+    model = channel.model
+    reported = to_reported(model)
+    known = channel.found.known[0]
+    values, deviations = reported @ channel.found.parameters[0], known.deviations(reported)
+    where = model.columns
+    rows = [("parameter", "value", "1σ", "unit")]
+    for k, name in enumerate(parameter_names(model)):
+        unit, factor = "ppm", 1e6
+        if k < where.scale.start or where.bias_discrepancy.start <= k < where.bias_discrepancy.stop:
+            unit, factor = "deg/h", float(np.degrees(1.0)) * 3600.0
+        elif where.gradient.start <= k < where.gradient.stop:
+            unit, factor = "deg/h/(K/min)", float(np.degrees(1.0)) * 60.0
+        elif where.harmonics.start <= k < where.harmonics.stop:
+            unit, factor = "arcsec", float(np.degrees(1.0)) * 3600.0
+        if np.isfinite(deviations[k]):
+            rows.append((name, f"{values[k] * factor:.4f}", f"{deviations[k] * factor:.4g}", unit))
+        else:
+            rows.append((name, "not observable", "", unit))
+    tests = channel.consistency
+    low, high = channel.valid_temperature_c
+    slow, fast = (float(np.degrees(r)) for r in channel.valid_rate_rad_per_s)
+    used = ", ".join(f"{count} {reason}" for reason, count in channel.counts.items())
+    lines = [
+        f"axis {channel.axis}: {len(channel.weights)} readings; rows: {used}",
+        f"covers {low:.4g} … {high:.4g} °C, {slow:.4g} … {fast:.4g} deg/s",
+        table(rows, right=(1, 2)),
+    ]
+    if channel.lag_std_s is not None:
+        lines.append(f"the maps follow the temperature {channel.lag_s:.4g} s late (1σ {channel.lag_std_s:.2g} s)")
+    if channel.smoothness is not None:
+        parts = []
+        if channel.smoothness.bias is not None:
+            parts.append(f"bias {np.degrees(channel.smoothness.bias) * 3600:.3g} deg/h")
+        if channel.smoothness.scale_factor is not None:
+            parts.append(f"scale factor {channel.smoothness.scale_factor * 1e6:.3g} ppm")
+        lines.append("smoothness (1σ of neighbours' differences): " + ", ".join(parts))
+    shown = [("test", "statistic", "degrees", "chance")]
+    for name, test in [
+        ("χ² of the fit", tests.fit),
+        ("whiteness of the residuals", tests.whiteness),
+        *((split.name, split.agreement) for split in tests.splits),
+    ]:
+        shown.append((name, f"{test.statistic:.1f}", str(test.degrees), f"{test.probability:.2g}"))
+    lines += [
+        table(shown, right=(1, 2, 3)),
+        f"  residuals are {tests.noise_scale:.3f} times what the spec says; {tests.beyond_three:.2%} beyond 3σ, the "
+        f"largest {tests.largest:.1f}σ",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,139 @@
+"""Does the fit agree with the model? Every test is of whitened residuals, which are independent with variance one.
+
+* `χ²` of the whole fit against its degrees of freedom: is the noise as large as the spec says?
+* whiteness (Ljung and Box, 1978): is anything left that lasts from reading to reading?
+* the share of residuals beyond three standard deviations: are there outliers?
+* **split test**: whitened rows are independent, so any two subsets are two experiments. With the smallest χ² of each,
+  `χ²_AB − χ²_A − χ²_B` is χ² with as many degrees of freedom as parameters that both see: do heating and cooling (or
+  the first and the second half) say the same? `(β_A − β_B)_k/√(C_A + C_B)_kk` names the coefficient that does not.
+* held out: `χ²_AB − χ²_A`, of the B rows predicted from A with the covariance of that prediction.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from gradcal_jax.estimate.solve import Estimate, Whitened, solve
+
+_LAGS = 20
+_RARE = 0.01
+
+
+class Test(NamedTuple):
+    """A statistic that is χ² with `degrees` where the model is true; `probability` of one as large or larger."""
+
+    __test__ = False  # pytest would take it for a class of tests
+
+    statistic: float
+    degrees: int
+    probability: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether chance explains it, 99 times of 100."""
+        return self.probability > _RARE
+
+
+class Split(NamedTuple):
+    """Two subsets of the readings against each other; see the module's head. `differences` `(p,)` in standard
+    deviations (NaN where one of them does not see the parameter), of the reported parameters."""
+
+    name: str
+    counts: tuple[int, int]
+    agreement: Test
+    held_out: Test
+    differences: np.ndarray
+
+
+class Consistency(NamedTuple):
+    """Of one unit. `noise_scale`: √(χ²/degrees), what the spec's noise would have to be multiplied by."""
+
+    fit: Test
+    noise_scale: float
+    whiteness: Test
+    beyond_three: float
+    largest: float
+    splits: tuple[Split, ...]
+
+
+def _test(statistic: float, degrees: int) -> Test:
+    if degrees <= 0:
+        return Test(float(statistic), 0, 1.0)
+    return Test(float(statistic), int(degrees), float(stats.chi2.sf(statistic, degrees)))
+
+
+def consistency(
+    found: Estimate, white: Whitened, unit: int, subsets: dict[str, np.ndarray], to_reported: np.ndarray
+) -> Consistency:
+    """All tests of one unit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`."""
+    residual = found.residuals[unit]
+    degrees = int(found.degrees[unit])
+    fit = _test(float(found.chi_squared[unit]), degrees)
+    single = Whitened(white.rows_of(unit)[None], white.data[unit : unit + 1], white.prior)
+    splits = [split(single, name, subset, to_reported) for name, subset in subsets.items()]
+    return Consistency(
+        fit,
+        float(np.sqrt(found.chi_squared[unit] / degrees)) if degrees > 0 else float("nan"),
+        whiteness(residual),
+        float(np.mean(np.abs(residual) > 3.0)) if len(residual) else 0.0,
+        float(np.max(np.abs(residual), initial=0.0)),
+        tuple(s for s in splits if s is not None),
+    )
+
+
+def whiteness(residual: np.ndarray, lags: int = _LAGS) -> Test:
+    """Ljung and Box's statistic of a series of whitened residuals."""
+    count = len(residual)
+    lags = min(lags, count // 4)
+    power = float(residual @ residual)
+    if lags < 1 or power <= 0.0:
+        return Test(0.0, 0, 1.0)
+    correlations = np.array([residual[k:] @ residual[:-k] for k in range(1, lags + 1)]) / power
+    weights = count * (count + 2.0) / (count - np.arange(1, lags + 1))
+    return _test(float(np.sum(weights * correlations**2)), lags)
+
+
+def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarray) -> Split | None:
+    """Readings in `subset` against the others, of one unit; None where either side is empty."""
+    if subset.all() or not subset.any():
+        return None
+    first, second = solve(white.only(subset)), solve(white.only(~subset))
+    both = solve(white)
+    # The prior's rows are in both halves and would count twice: what is known beforehand is no news of either.
+    without = [solve(w._replace(prior=w.prior[:0])) for w in (white.only(subset), white.only(~subset), white)]
+    squares = [float(s.chi_squared[0]) for s in without]
+    ranks = [w.data.shape[1] - int(s.degrees[0]) for w, s in zip(_parts(white, subset), without, strict=True)]
+    agreement = _test(max(squares[2] - squares[0] - squares[1], 0.0), ranks[0] + ranks[1] - ranks[2])
+    held_out = _test(float(both.chi_squared[0] - first.chi_squared[0]), int((~subset).sum()))
+    apart = to_reported @ (first.parameters[0] - second.parameters[0])
+    variance = first.known[0].deviations(to_reported) ** 2 + second.known[0].deviations(to_reported) ** 2
+    seen = np.isfinite(variance) & (variance > 0.0)
+    differences = np.where(seen, apart / np.sqrt(np.where(seen, variance, 1.0)), np.nan)
+    return Split(name, (int(subset.sum()), int((~subset).sum())), agreement, held_out, differences)
+
+
+def _parts(white: Whitened, subset: np.ndarray) -> tuple[Whitened, Whitened, Whitened]:
+    return white.only(subset), white.only(~subset), white
+
+
+def nees_band(runs: int, parameters: int, confidence: float = 0.99) -> tuple[float, float]:
+    """Within which the mean of `runs` squared normalised errors, divided by the number of parameters, must lie."""
+    tail = (1.0 - confidence) / 2.0
+    degrees = runs * parameters
+    return float(stats.chi2.ppf(tail, degrees) / degrees), float(stats.chi2.isf(tail, degrees) / degrees)
+
+
+def normalised_errors(found: Estimate, truth: np.ndarray) -> np.ndarray:
+    """`(U,)`: squared errors of each unit's parameters, normalised by its covariance (NEES); truth `(U, p)` or `(p,)`.
+
+    With s Sᵀ the covariance's root, `|S⁺(β̂ − β)|²`. Errors: `ValueError` where something is unobservable.
+    """
+    result = np.empty(len(found.parameters))
+    for unit, known in enumerate(found.known):
+        if known.hidden.shape[1]:
+            raise ValueError("some parameters are not observable, so no error of theirs can be normalised")
+        error = found.parameters[unit] - (truth if truth.ndim == 1 else truth[unit])
+        white = np.linalg.lstsq(known.spread, error, rcond=None)[0]
+        result[unit] = float(white @ white)
+    return result

@@ -1,0 +1,188 @@
+"""What was really done: a log's standstills and moves as a timeline, in the terms of the prediction.
+
+A reading is taken at the first and the last row of every standstill and every `read_every` between. The pieces from
+reading to reading are those of a plan's timeline. Moves that follow one another without a rest stop for an instant
+between them: the row of that instant is read, too. Moves are divided so that the noise that the rate drives can be
+followed. The motion inside a piece counts for the noise alone (mean rates will do); the regressors come from the
+samples themselves (`estimate.samples`).
+
+Row `i` of a log stands for the time from row `i − 1` to itself. Where rows are missing or masked the integral is
+broken: the angle's origin is read anew at the first row of rest after it (a gap piece).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.signal import find_peaks
+
+from gradcal_jax.formulas import CONSTANT
+from gradcal_jax.plans import Timeline
+from gradcal_jax.plans.timeline import IndexArray
+
+_MOVE_PARTS = 8
+# A valley of the speed this many times below both its sides is a stop; what is this much below the fastest is noise.
+_DIP = 10.0
+_SLOWEST = 1e-4
+
+
+class Executed(NamedTuple):
+    """`timeline` of `P` pieces; `rows` `(P + 1,)`: piece k is the log's rows `rows[k] + 1 … rows[k+1]`, none of which
+    count where `broken[k]`. `unused` rows lie before the first standstill or after the last.
+    """
+
+    timeline: Timeline
+    rows: np.ndarray
+    broken: np.ndarray
+    unused: int
+
+
+def executed(
+    time_s: np.ndarray,
+    temperature_c: np.ndarray,
+    rate_rad_per_s: np.ndarray,
+    angle_rad: np.ndarray | None,
+    standing: np.ndarray,
+    usable: np.ndarray,
+    *,
+    axis: str = "x",
+    read_every: float = 1.0,
+    longest_piece: float = np.inf,
+) -> Executed:
+    """The timeline of a log's rows, all arrays `(n,)`.
+
+    `standing`: whether the axis stands (rows of one standstill are neighbours); `usable`: whether the row's sample may
+    be integrated (it is not where rows are missing before it, either); `angle_rad` of the table, None where nothing
+    but standing is known: then no move has a reference, and every move is a gap. `rate_rad_per_s` need only be good
+    enough for the noise. Errors: `ValueError` where the log never stands for two readings.
+    """
+    if not read_every > 0.0:
+        raise ValueError(f"the spacing of readings must be positive, not {read_every}")
+    spans = _runs(standing)
+    if not spans or not any(last > first for first, last in spans):
+        raise ValueError("the log never stands still for two rows, so nothing can be read from it")
+    rows, read, rest, gap, moving, broken = [spans[0][0]], [], [], [], [], []
+
+    def add(row: int, *, reads: bool, stands: bool, is_gap: bool = False, moves: bool = False, lost: bool = False):
+        rows.append(row)
+        read.append(reads)
+        rest.append(stands)
+        gap.append(is_gap)
+        moving.append(moves)
+        broken.append(lost)
+
+    bad = np.flatnonzero(~usable)
+
+    def whole(first: int, last: int) -> bool:
+        """Whether every row after `first` up to `last` may be integrated."""
+        return bool(np.searchsorted(bad, first, side="right") == np.searchsorted(bad, last, side="right"))
+
+    for number, (first, last) in enumerate(spans):
+        if number:
+            before = rows[-1]
+            if angle_rad is not None and whole(before, first):
+                for row in _parts(time_s, before, first, longest_piece):
+                    add(row, reads=row == first, stands=row == first, moves=True)
+            else:
+                # The move itself draws the next standstill's offset; the origin is read anew after it.
+                add(first, reads=False, stands=True, moves=True, lost=True)
+                add(first, reads=False, stands=True, is_gap=True, lost=True)
+        for row in _readings(time_s, first, last, read_every):
+            unbroken = whole(rows[-1], row)
+            add(row, reads=unbroken, stands=True, is_gap=not unbroken, lost=not unbroken)
+    at = np.array(rows)
+    lost = np.array(broken)
+    timeline = _timeline(time_s, temperature_c, rate_rad_per_s, angle_rad, at, axis, read, rest, gap, moving)
+    return Executed(timeline, at, lost, int(spans[0][0] + len(time_s) - 1 - spans[-1][1]))
+
+
+def momentary_stops(rate_rad_per_s: np.ndarray, standing: np.ndarray) -> np.ndarray:
+    """`(n,)`: rows within moves at which the table stops for an instant between two turns.
+
+    Those are the slowest rows of valleys from which the speed rises tenfold on both sides. The integrated error is
+    read there as well as at rest: it hardly changes within a row, whatever the angle does.
+    """
+    result = np.zeros(len(standing), bool)
+    speed = np.abs(rate_rad_per_s)
+    moving = speed[~standing]
+    if not len(moving):
+        return result
+    depth = -np.log(np.maximum(speed, _SLOWEST * float(moving.max()) + np.finfo(float).tiny))
+    for first, last in _runs(~standing):
+        valleys, _ = find_peaks(depth[first : last + 1], prominence=np.log(_DIP))
+        result[first + valleys] = True
+    return result
+
+
+def _timeline(time, temperature, rate, angle, at, axis, read, rest, gap, moving) -> Timeline:
+    moves = np.array(moving, bool)
+    count = len(moves)
+    duration = np.diff(time[at])
+    lasting = np.where(duration > 0, duration, 1.0)
+    mean = np.zeros(count)
+    if moves.any():
+        steps = np.diff(time, prepend=time[0])
+        turned = np.diff(np.cumsum(rate * steps)[at])
+        if angle is not None:
+            turned = _as_the_table(turned, angle[at], moves)
+        mean = np.where(moves, turned / lasting, 0.0)
+    cold = temperature[at]
+    yes = np.ones(count, bool)
+    return Timeline(
+        start=jnp.asarray(time[at[:-1]]),
+        duration=jnp.asarray(duration),
+        u_start=jnp.zeros(count),
+        u_end=jnp.ones(count),
+        terms=jnp.asarray(mean[:, None] * np.asarray(CONSTANT)[None]),
+        share=jnp.ones(count),
+        trail=jnp.asarray(cold[:-1]),
+        slope=jnp.asarray(np.where(duration > 0, np.diff(cold) / lasting, 0.0)),
+        excess=jnp.zeros(count),
+        lag_rate=jnp.zeros(()),
+        read=jnp.asarray(np.array(read, bool)),
+        at_rest=jnp.asarray(np.array(rest, bool)),
+        moving=jnp.asarray(moves),
+        reset=jnp.asarray(~yes),
+        segment=jnp.arange(count),
+        moving_pieces=IndexArray(np.flatnonzero(moves)),
+        varying_pieces=IndexArray(()),
+        gap_pieces=IndexArray(np.flatnonzero(gap)),
+        segment_moves=(-1,) * count,
+        axis=axis,
+    )
+
+
+def _as_the_table(turned: np.ndarray, angle: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """The pieces of each move, adjusted to sum to what the table turned."""
+    result = turned.copy()
+    for first, last in _runs(moves):
+        total = angle[last + 1] - angle[first]
+        ours = turned[first : last + 1].sum()
+        result[first : last + 1] += (total - ours) / (last + 1 - first)
+    return result
+
+
+def _readings(time: np.ndarray, first: int, last: int, every: float) -> list[int]:
+    """Rows of one standstill that are read, but for the first, at which the piece before ends."""
+    if last == first:
+        return []
+    goals = np.arange(time[first] + every, time[last] - 0.5 * every, every)
+    rows = np.searchsorted(time[first : last + 1], goals - 1e-9) + first
+    return [*dict.fromkeys(int(r) for r in rows if first < r < last), last]
+
+
+def _parts(time: np.ndarray, before: int, after: int, longest: float) -> list[int]:
+    """The rows at which a move is divided, its end included."""
+    lasts = time[after] - time[before]
+    count = min(max(_MOVE_PARTS, int(np.ceil(lasts / longest))), after - before)
+    goals = np.linspace(time[before], time[after], count + 1)[1:-1]
+    rows = np.searchsorted(time[before : after + 1], goals - 1e-9) + before
+    return [*dict.fromkeys(int(r) for r in rows if before < r < after), after]
+
+
+def _runs(where: np.ndarray) -> list[tuple[int, int]]:
+    """First and last row of every run of true values."""
+    padded = np.zeros(len(where) + 2, np.int8)
+    padded[1:-1] = where
+    edges = np.flatnonzero(np.diff(padded)).reshape(-1, 2)
+    return [(int(a), int(b) - 1) for a, b in edges]

@@ -1,0 +1,125 @@
+"""The standard method's log: stable temperatures, a held rate at each, and what the sensor says there.
+
+A plateau is an unbroken run of rows at which the table turns at a planned rate and the sensor stands at a planned
+temperature. Of each run the last `integration` seconds count: what comes before is the soak and the table's settling.
+Every plateau is a stretch of its own, with its own noise and a reference rate whose error is common to all of it.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from gradcal_jax.formulas import CONSTANT
+from gradcal_jax.plans import Timeline
+from gradcal_jax.plans.timeline import IndexArray
+
+# A table at a set point is within this of it: relative, and rad/s.
+_RATE_TOLERANCE = (0.02, np.radians(0.5))
+_LEAST_SHARE = 0.5
+
+
+class Plateaus(NamedTuple):
+    """`timeline` of `P` points; `first`, `last` `(P,)`: rows whose samples count (row `first` itself does not)."""
+
+    timeline: Timeline
+    first: np.ndarray
+    last: np.ndarray
+    missing: tuple[tuple[float, float], ...]
+    """Planned points (°C, rad/s) that the log does not hold."""
+
+
+def plateaus(
+    time_s: np.ndarray,
+    temperature_c: np.ndarray,
+    table_rate_rad_per_s: np.ndarray,
+    usable: np.ndarray,
+    planned_c: np.ndarray,
+    planned_rad_per_s: np.ndarray,
+    integration_s: float,
+    *,
+    axis: str = "x",
+) -> Plateaus:
+    """Find the planned points in a log's rows, arrays `(n,)`. Errors: `ValueError` where not one of them is there."""
+    warm = _nearest(temperature_c, planned_c, _temperature_tolerance(planned_c))
+    fast = _nearest(
+        table_rate_rad_per_s,
+        planned_rad_per_s,
+        np.maximum(_RATE_TOLERANCE[0] * np.abs(planned_rad_per_s), _RATE_TOLERANCE[1]),
+    )
+    label = np.where((warm >= 0) & (fast >= 0), warm * len(planned_rad_per_s) + fast, -1)
+    begins = np.flatnonzero(np.concatenate([[True], (np.diff(label) != 0) | ~usable[1:]]))
+    ends = np.append(begins[1:], len(label)) - 1
+    first, last = [], []
+    for a, b in zip(begins, ends, strict=True):
+        if label[a] < 0 or time_s[b] - time_s[a] < _LEAST_SHARE * integration_s:
+            continue
+        start = int(np.searchsorted(time_s[a : b + 1], time_s[b] - integration_s * (1 + 1e-9))) + int(a)
+        first.append(start)
+        last.append(int(b))
+    if not first:
+        raise ValueError(
+            f"the log holds none of the plan's points for {_LEAST_SHARE * integration_s:g} s or longer: are its "
+            "temperatures and table rates those of this spec?"
+        )
+    found = {int(label[b]) for b in last}
+    missing = tuple(
+        (float(planned_c[k // len(planned_rad_per_s)]), float(planned_rad_per_s[k % len(planned_rad_per_s)]))
+        for k in range(len(planned_c) * len(planned_rad_per_s))
+        if k not in found
+    )
+    a, b = np.array(first), np.array(last)
+    step = np.diff(time_s, prepend=time_s[0])
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.array(
+            [np.average(values[i + 1 : j + 1], weights=step[i + 1 : j + 1]) for i, j in zip(a, b, strict=True)]
+        )
+
+    duration = time_s[b] - time_s[a]
+    return Plateaus(
+        _timeline(time_s[a], duration, mean(table_rate_rad_per_s), mean(temperature_c), axis), a, b, missing
+    )
+
+
+def _timeline(start, duration, rate, temperature, axis) -> Timeline:
+    count = len(start)
+    yes = jnp.ones(count, bool)
+    return Timeline(
+        start=jnp.asarray(start),
+        duration=jnp.asarray(duration),
+        u_start=jnp.zeros(count),
+        u_end=jnp.ones(count),
+        terms=jnp.asarray(rate[:, None] * np.asarray(CONSTANT)[None]),
+        share=jnp.ones(count),
+        trail=jnp.asarray(temperature),
+        slope=jnp.zeros(count),
+        excess=jnp.zeros(count),
+        lag_rate=jnp.zeros(()),
+        read=yes,
+        at_rest=~yes,
+        moving=yes,
+        reset=yes,
+        segment=jnp.arange(count),
+        moving_pieces=IndexArray(np.arange(count)),
+        varying_pieces=IndexArray(()),
+        gap_pieces=IndexArray(()),
+        segment_moves=(-1,) * count,
+        axis=axis,
+        rate_reference=True,
+    )
+
+
+def _temperature_tolerance(planned: np.ndarray) -> np.ndarray:
+    """A third of the way to the nearest other planned temperature, 3 K at most."""
+    apart = np.abs(planned[:, None] - planned[None])
+    apart[apart == 0.0] = np.inf
+    return np.minimum(apart.min(axis=1) / 3.0, 3.0)
+
+
+def _nearest(values: np.ndarray, goals: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
+    """The goal that each value is within the tolerance of, or −1."""
+    result = np.full(len(values), -1)
+    for k in range(len(goals)):
+        result[np.abs(values - goals[k]) <= tolerance[k]] = k
+    return result

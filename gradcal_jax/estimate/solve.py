@@ -1,0 +1,129 @@
+"""The estimate: whitening and least squares, the same that the prediction rests on, fed with data.
+
+The readings are whitened as columns beside the regressors; with the priors' rows below them
+
+    A = [Φ̃; P],  z = [ỹ; 0],     β̂ = argmin |z − A β|²,     C = (AᵀA)⁻¹
+
+so `C` is the covariance that `information.posterior` reports of the same timeline, to rounding. The whitened
+residuals `r = ỹ − Φ̃ β̂` are the normalised innovations of the noise's Kalman filter: independent with variance 1 where
+the model is true.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from gradcal_jax.errormodel import GyroModel
+from gradcal_jax.estimate.observations import Observations
+from gradcal_jax.information import NoiseSteps, Posterior, posterior, square_root, whiten
+from gradcal_jax.information.posterior import OBSERVABLE
+
+# Columns that are whitened together; more would not stay in the cache.
+_COLUMNS_AT_ONCE = 256
+
+
+class Whitened(NamedTuple):
+    """Rows of variance one, of the steps that have a reading: `rows` `(U or 1, n, p)`, `data` `(U, n)`.
+
+    `prior` `(q, p)` are the whitened rows of what is known beforehand, whose data are zero.
+    """
+
+    rows: np.ndarray
+    data: np.ndarray
+    prior: np.ndarray
+
+    def rows_of(self, unit: int) -> np.ndarray:
+        return self.rows[unit if len(self.rows) > 1 else 0]
+
+    def only(self, subset: np.ndarray) -> "Whitened":
+        """Some of the readings `(n,)`: whitened rows are independent, so any subset is an experiment of its own."""
+        return Whitened(self.rows[:, subset], self.data[:, subset], self.prior)
+
+
+class Estimate(NamedTuple):
+    """Of `U` units. `parameters` `(U, p)`, in the engine's coordinates; `known`: what they are uncertain by, one for
+    each unit (the same object where the units share their columns).
+
+    `residuals` `(U, n)`: whitened, of the readings used; `chi_squared` `(U,)` counts the priors' rows too and has
+    `degrees` degrees of freedom.
+    """
+
+    parameters: np.ndarray
+    known: tuple[Posterior, ...]
+    residuals: np.ndarray
+    chi_squared: np.ndarray
+    degrees: np.ndarray
+
+
+_whiten = eqx.filter_jit(whiten)
+
+
+def whitened(observations: Observations, model: GyroModel, steps: NoiseSteps | None = None) -> Whitened:
+    """Whiten all units' columns and readings together. `steps` replaces the observations' own (reweighting)."""
+    steps = observations.steps if steps is None else steps
+    used = observations.used
+    units = observations.unit_count
+    if observations.columns.ndim == 2:
+        columns, shared = observations.columns, 1
+    else:
+        columns, shared = np.concatenate(list(observations.columns), axis=1), units
+    count = columns.shape[1]
+    # What stands where nothing is read must not become NaN times zero.
+    readings = np.where(used[:, None], observations.readings, 0.0)
+    if not np.isfinite(readings).all():
+        raise ValueError("a reading that is used is not finite: mark its step as not used")
+    both = np.concatenate([columns, readings], axis=1)
+    # Parts of one width, so that one compilation serves them all.
+    parts = -(-both.shape[1] // _COLUMNS_AT_ONCE)
+    width = -(-both.shape[1] // parts)
+    padded = np.pad(both, ((0, 0), (0, parts * width - both.shape[1])))
+    rows = np.concatenate(
+        [np.asarray(_whiten(steps, jnp.asarray(part)))[used] for part in np.split(padded, parts, axis=1)], axis=1
+    )[:, : both.shape[1]]
+    by_unit = np.moveaxis(rows[:, :count].reshape(len(rows), shared, -1), 1, 0)
+    return Whitened(by_unit, rows[:, count:].T, np.asarray(model.prior_rows()))
+
+
+def solve(white: Whitened) -> Estimate:
+    """Least squares of every unit. What cannot be observed gets the smallest parameters, and is `known.hidden`."""
+    units = len(white.data)
+    parameters, known, squares, degrees = [], [], [], []
+    shared: Posterior | None = None
+    if len(white.rows) == 1:
+        design = np.concatenate([white.rows[0], white.prior])
+        shared, scale = _posterior(design)
+        data = np.concatenate([white.data, np.zeros((units, len(white.prior)))], axis=1).T
+        found, rank = _least_squares(design, data, scale)
+        parameters = list(found.T)
+        squares = list(np.sum((data - design @ found) ** 2, axis=0))
+        known, degrees = [shared] * units, [len(design) - rank] * units
+    else:
+        for unit in range(units):
+            design = np.concatenate([white.rows[unit], white.prior])
+            one, scale = _posterior(design)
+            data = np.append(white.data[unit], np.zeros(len(white.prior)))
+            found, rank = _least_squares(design, data[:, None], scale)
+            parameters.append(found[:, 0])
+            known.append(one)
+            squares.append(float(np.sum((data - design @ found[:, 0]) ** 2)))
+            degrees.append(len(design) - rank)
+    beta = np.array(parameters)
+    residuals = np.stack([white.data[u] - white.rows_of(u) @ beta[u] for u in range(units)])
+    return Estimate(beta, tuple(known), residuals, np.array(squares), np.array(degrees))
+
+
+def _posterior(design: np.ndarray) -> tuple[Posterior, np.ndarray]:
+    info = square_root(jnp.asarray(design))
+    return posterior(info), np.asarray(info.scale)
+
+
+def _least_squares(design: np.ndarray, data: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, int]:
+    solution, _, rank, _ = np.linalg.lstsq(design / scale, data, rcond=OBSERVABLE)
+    return solution / scale[:, None], int(rank)
+
+
+def estimate(observations: Observations, model: GyroModel) -> Estimate:
+    """Parameters of every unit with their covariance, from readings. Errors: `ValueError` for readings not finite."""
+    return solve(whitened(observations, model))

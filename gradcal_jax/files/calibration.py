@@ -1,0 +1,222 @@
+"""gradcal-calibration/1: what was found of one unit, with its covariance, and where it holds.
+
+    measured = (1 + M(T, ω))·ω + B(T) [+ g·dT/dt]          on each axis, in the sensor's own frame
+
+The coefficients are those of the paper: `a{k}` multiplies the k-th power of `(T − centre)/scale` in B (rad/s),
+`b{j}{i}` the j-th power of `(ω − centre)/scale` and the i-th of the temperature's in M (a ratio). Other bases count
+their functions: `a_bin3`, `b_spline2_1`. Numbers without a unit are SI.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from gradcal_jax.files.bases import RateBasis, RatePolynomial, TemperatureBasis, TemperaturePolynomial, increasing
+from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.quantity import Flag, Number, Rate, Temperature, Text, Time
+from gradcal_jax.files.section import Section, refuse, with_spelling
+from gradcal_jax.files.writing import write_toml
+
+FORMAT: Final = "gradcal-calibration/1"
+ORDER: Final = "measured = (1 + M(T, rate)) * rate + B(T); on each axis alone, in the frame above, before any rotation"
+Coefficients = Annotated[dict[str, Number], Field(min_length=1, max_length=40_000)]
+
+
+class BiasMap(Section):
+    """B(T): its basis and coefficients, rad/s."""
+
+    temperature: TemperatureBasis
+    coefficients: Coefficients
+
+    @model_validator(mode="after")
+    def _whole(self) -> "BiasMap":
+        refuse(*_mismatch(self.coefficients, bias_names(self.temperature)))
+        return self
+
+
+class ScaleFactorMap(Section):
+    """M(T, ω): its bases and coefficients, a ratio."""
+
+    temperature: TemperatureBasis
+    rate: RateBasis
+    coefficients: Coefficients
+
+    @model_validator(mode="after")
+    def _whole(self) -> "ScaleFactorMap":
+        refuse(*_mismatch(self.coefficients, scale_factor_names(self.temperature, self.rate)))
+        return self
+
+
+class Covariance(Section):
+    """Of the coefficients that could be observed, in their units, by name."""
+
+    names: Annotated[tuple[Text, ...], Field(max_length=5000)]
+    matrix: tuple[tuple[Number, ...], ...]
+
+    @model_validator(mode="after")
+    def _square(self) -> "Covariance":
+        count = len(self.names)
+        if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
+            refuse(Problem(("matrix",), f"expected {count} rows of {count} numbers, as many as there are names"))
+        if any(self.matrix[i][i] < 0.0 for i in range(count)):
+            refuse(Problem(("matrix",), "a variance on its diagonal is negative"))
+        return self
+
+
+class AxisCalibration(Section):
+    """One axis. `valid_temperature`, `valid_rate`: what the data covered; beyond, the maps' values at the edge hold.
+
+    `thermal_lag`: B and M follow the temperature that much late. `bias_temperature_gradient` in rad/K.
+    `unobservable`: combinations of coefficients of which the data say nothing.
+    """
+
+    name: Annotated[Text, Field(max_length=100)]
+    bias: BiasMap | None = None
+    scale_factor: ScaleFactorMap | None = None
+    bias_temperature_gradient: Number | None = None
+    thermal_lag: Time | None = None
+    valid_temperature: tuple[Temperature, Temperature]
+    valid_rate: tuple[Rate, Rate]
+    covariance: Covariance | None = None
+    unobservable: tuple[Text, ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "AxisCalibration":
+        problems: list[Problem] = []
+        if self.bias is None and self.scale_factor is None:
+            problems.append(Problem((), 'holds nothing; give "bias", "scale_factor" or both'))
+        if self.valid_temperature[0] != self.valid_temperature[1]:
+            problems += increasing(self.valid_temperature, "valid_temperature")
+        if self.valid_rate[0] != self.valid_rate[1]:
+            problems += increasing(self.valid_rate, "valid_rate")
+        if self.covariance is not None:
+            known = self.values()
+            strange = [name for name in self.covariance.names if name not in known]
+            if strange:
+                text = f"names coefficients that this axis does not have: {', '.join(strange[:5])}"
+                problems.append(Problem(("covariance", "names"), text))
+        refuse(*problems)
+        return self
+
+    def values(self) -> dict[str, float]:
+        """Every coefficient by name."""
+        result: dict[str, float] = {}
+        for part in (self.bias, self.scale_factor):
+            if part is not None:
+                result.update(part.coefficients)
+        if self.bias_temperature_gradient is not None:
+            result["bias_temperature_gradient"] = self.bias_temperature_gradient
+        return result
+
+
+class Result(Section):
+    """What a requirement of the spec came to, in `unit`."""
+
+    name: Text
+    axis: Text
+    quantity: Literal["scale_factor", "bias"]
+    statistic: Text
+    value: Number | None = None
+    unit: Text
+    target: Number | None = None
+    verdict: Text | None = None
+
+
+class Calibration(Section):
+    """A whole calibration file."""
+
+    format: Literal["gradcal-calibration/1"]
+    title: Text | None = None
+    serial_number: Text
+    quantity: Literal["gyro"]
+    simulated: Flag
+    frame: Text
+    order: Text
+    axis: Annotated[tuple[AxisCalibration, ...], Field(min_length=1, max_length=20)]
+    result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
+    provenance: dict[str, Text] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _distinct(self) -> "Calibration":
+        names = [axis.name for axis in self.axis]
+        if len(set(names)) < len(names):
+            refuse(Problem(("axis",), "two axes have the same name"))
+        return self
+
+    def axis_of(self, name: str) -> AxisCalibration:
+        """The axis of that name. Raises `ValueError`."""
+        for axis in self.axis:
+            if axis.name == name:
+                return axis
+        known = ", ".join(axis.name for axis in self.axis)
+        raise ValueError(f"the calibration has no axis '{name}': it has {known}")
+
+
+def bias_names(temperature: TemperatureBasis) -> list[str]:
+    """Names of B's coefficients, in order."""
+    if isinstance(temperature, TemperaturePolynomial):
+        return [f"a{i}" for i in range(temperature.size)]
+    return [f"a_{_kind(temperature.basis)}{i}" for i in range(temperature.size)]
+
+
+def scale_factor_names(temperature: TemperatureBasis, rate: RateBasis) -> list[str]:
+    """Names of M's coefficients in the order of the engine: temperature slow, rate fast."""
+    both = isinstance(temperature, TemperaturePolynomial) and isinstance(rate, RatePolynomial)
+    if both and max(temperature.size, rate.size) <= 10:
+        return [f"b{j}{i}" for i in range(temperature.size) for j in range(rate.size)]
+
+    def ordinal(basis: TemperatureBasis | RateBasis, index: int) -> str:
+        return str(index) if basis.basis == "polynomial" else f"_{_kind(basis.basis)}{index}"
+
+    return [f"b{ordinal(rate, j)}_{ordinal(temperature, i)}" for i in range(temperature.size) for j in range(rate.size)]
+
+
+def _kind(basis: str) -> str:
+    return {"b-spline": "spline", "bins": "bin"}[basis]
+
+
+def _mismatch(found: Mapping[str, float], expected: list[str]) -> list[Problem]:
+    missing = [name for name in expected if name not in found]
+    strange = [name for name in found if name not in set(expected)]
+    problems: list[Problem] = []
+    if missing:
+        problems.append(Problem(("coefficients",), f"lacks {', '.join(missing[:8])}", kind="missing"))
+    if strange:
+        problems.append(Problem(("coefficients",), f"has {', '.join(strange[:8])}, which the basis does not"))
+    return problems
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """The calibration in a file. Raises `SpecError` with every fault."""
+    return parse_calibration(read_text(path), str(path))
+
+
+def parse_calibration(text: str, source: str = "") -> Calibration:
+    """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
+    document: dict[str, Any] = read_toml(text, source)
+    wrong = format_problem(document, FORMAT)
+    if wrong is not None:
+        raise SpecError([wrong], source)
+    try:
+        return Calibration.model_validate(document)
+    except ValidationError as error:
+        raise SpecError(with_spelling(from_validation(error), Calibration, document), source) from None
+    except SpecError as error:
+        raise SpecError(error.problems, source) from None
+
+
+def write_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration, whole or not at all; what it means stands in its head."""
+    write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
+
+
+_HEADER: Final = """\
+What was found of one unit. Apply it with `gradcal apply`, check it with `gradcal validate`.
+    measured = (1 + M(T, rate)) * rate + B(T)
+a{k}: rad/s, times the k-th power of (T - centre)/scale, in B.
+b{j}{i}: ratio, times the j-th power of (rate - centre)/scale and the i-th of the temperature's, in M.
+Numbers without a unit are SI: rad, s, degC."""
+_SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."

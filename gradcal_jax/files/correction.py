@@ -1,0 +1,219 @@
+"""What a calibration does to data, in NumPy, by the formulas that the estimator itself uses.
+
+    measured = (1 + M(T, ω))·ω + B(T) [+ g·dT/dt]
+
+is solved for ω to rounding: `ω ← (measured − B)/(1 + M(T, ω))`, which gains a factor |ω ∂M/∂ω| a round. Outside the
+range that the data covered, the maps' values at its edge hold.
+"""
+
+import importlib
+from dataclasses import replace
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax import formulas
+from gradcal_jax.files.bases import (
+    RateBasis,
+    RateBins,
+    RatePolynomial,
+    RateSpline,
+    TemperatureBasis,
+    TemperatureBins,
+    TemperaturePolynomial,
+    TemperatureSpline,
+)
+from gradcal_jax.files.calibration import AxisCalibration, Calibration, bias_names, scale_factor_names
+from gradcal_jax.files.log import Log, LogError
+
+Floats = NDArray[np.float64]
+_ROUNDS = 200
+_ROWS_AT_ONCE = 1 << 16
+_SLOPE_WINDOW_S = 60.0
+
+
+class Corrected(NamedTuple):
+    """A log with corrected rates, and how many rows of each (unit, axis) lay outside what the calibration covers."""
+
+    log: Log
+    outside_temperature: int
+    outside_rate: int
+    left_alone: tuple[str, ...]
+    """Axes of the log that the calibration does not have."""
+
+
+def basis_values(basis: TemperatureBasis | RateBasis, x: Floats) -> Floats:
+    """Values of a basis's *reported* functions, `(n,) -> (n, size)`."""
+    if isinstance(basis, TemperaturePolynomial | RatePolynomial):
+        return formulas.monomials((x - float(basis.centre)) / float(basis.scale), basis.degree)
+    if isinstance(basis, TemperatureSpline | RateSpline):
+        return formulas.b_spline(x, tuple(float(k) for k in basis.knots), basis.degree)
+    assert isinstance(basis, TemperatureBins | RateBins)
+    return formulas.bins(x, tuple(float(e) for e in basis.edges))
+
+
+def bias(axis: AxisCalibration, temperature_c: Floats) -> Floats:
+    """B(T), rad/s; zero where the calibration has none."""
+    if axis.bias is None:
+        return np.zeros_like(temperature_c)
+    values = np.array([axis.bias.coefficients[name] for name in bias_names(axis.bias.temperature)])
+    return basis_values(axis.bias.temperature, _within(temperature_c, axis.valid_temperature)) @ values
+
+
+def scale_factor(axis: AxisCalibration, temperature_c: Floats, rate_rad_per_s: Floats) -> Floats:
+    """M(T, ω), a ratio; zero where the calibration has none."""
+    part = axis.scale_factor
+    if part is None:
+        return np.zeros_like(rate_rad_per_s)
+    at_temperature = basis_values(part.temperature, _within(temperature_c, axis.valid_temperature))
+    return formulas.scale_factor_map(
+        at_temperature, basis_values(part.rate, _within(rate_rad_per_s, axis.valid_rate)), _table(axis)
+    )
+
+
+def _table(axis: AxisCalibration) -> Floats:
+    part = axis.scale_factor
+    assert part is not None
+    names = scale_factor_names(part.temperature, part.rate)
+    return np.array([part.coefficients[name] for name in names]).reshape(part.temperature.size, part.rate.size)
+
+
+def _within(x: Floats, bounds: tuple[float, float]) -> Floats:
+    return np.clip(x, float(bounds[0]), float(bounds[1]))
+
+
+def measured(axis: AxisCalibration, rate_rad_per_s: Floats, temperature_c: Floats) -> Floats:
+    """What the sensor says of true rates, `(n,)`: the calibration forwards."""
+    return (1.0 + scale_factor(axis, temperature_c, rate_rad_per_s)) * rate_rad_per_s + bias(axis, temperature_c)
+
+
+def correct(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: Floats) -> Floats:
+    """True rates `(n,)` of what the sensor said: `measured` solved to rounding.
+
+    Raises `ValueError` where the map is so steep that it cannot be inverted there.
+    """
+    result = np.empty_like(measured_rad_per_s)
+    for begin in range(0, len(result), _ROWS_AT_ONCE):
+        part = slice(begin, begin + _ROWS_AT_ONCE)
+        result[part] = _correct(axis, measured_rad_per_s[part], temperature_c[part])
+    return result
+
+
+def _correct(axis: AxisCalibration, said: Floats, temperature: Floats) -> Floats:
+    without_bias = said - bias(axis, temperature)
+    scale = axis.scale_factor
+    if scale is None:
+        return without_bias
+    by_rate = basis_values(scale.temperature, _within(temperature, axis.valid_temperature)) @ _table(axis)
+    rate = without_bias.copy()
+    left = np.arange(len(rate))
+    tolerance = 4.0 * np.finfo(np.float64).eps
+    for _ in range(_ROUNDS):
+        now = rate[left]
+        map_values = (by_rate[left] * basis_values(scale.rate, _within(now, axis.valid_rate))).sum(axis=-1)
+        new = without_bias[left] / (1.0 + map_values)
+        rate[left] = new
+        left = left[np.abs(new - now) > tolerance * np.maximum(np.abs(new), np.finfo(np.float64).tiny)]
+        if not len(left):
+            return rate
+    # Next to a jump of the map (bins) two answers may take turns: either is one within the jump.
+    if isinstance(scale.rate, RateBins):
+        return rate
+    first = int(left[0])
+    raise ValueError(
+        f"the scale-factor map of axis {axis.name} is too steep to be inverted at {np.degrees(said[first]):.4g} deg/s, "
+        f"{temperature[first]:.4g} degC: is this calibration of another sensor?"
+    )
+
+
+def effective_temperature(axis: AxisCalibration, temperature_c: Floats, time_s: Floats) -> Floats:
+    """The temperature that the maps follow: the measured one, or its first-order lag, in equilibrium at the start."""
+    if axis.thermal_lag is None:
+        return temperature_c
+    signal: Any = importlib.import_module("scipy.signal")
+    ratio = float(np.mean(np.diff(time_s))) / float(axis.thermal_lag)
+    keep = float(np.exp(-ratio))
+    share = -float(np.expm1(-ratio)) / ratio
+    start = temperature_c[0]
+    late: Any = signal.lfilter([1 - share, share - keep], [1.0, -keep], temperature_c - start)
+    return np.add(cast(Floats, late), start)
+
+
+def temperature_slope(temperature_c: Floats, time_s: Floats) -> Floats:
+    """dT/dt, K/s, over a minute about each row."""
+    half = _SLOPE_WINDOW_S / 2
+    after = np.interp(time_s + half, time_s, temperature_c)
+    before = np.interp(time_s - half, time_s, temperature_c)
+    span = np.minimum(time_s + half, time_s[-1]) - np.maximum(time_s - half, time_s[0])
+    return (after - before) / np.maximum(span, np.finfo(np.float64).tiny)
+
+
+def known_temperature(log: Log, unit: int) -> Floats:
+    """A unit's temperature at every row, missing ones bridged by straight lines. Raises `LogError` without any."""
+    if log.temperature_c is None or not np.isfinite(log.temperature_c[unit]).any():
+        raise LogError(f"the log has no temperature of unit {log.units[unit]}, and the calibration depends on it")
+    values = log.temperature_c[unit]
+    known = np.isfinite(values)
+    return values if known.all() else np.interp(log.time_s, log.time_s[known], values[known])
+
+
+def needs_temperature(calibration: Calibration) -> bool:
+    """Whether any map changes with temperature."""
+    maps = [m for axis in calibration.axis for m in (axis.bias, axis.scale_factor) if m is not None]
+    gradients = any(axis.bias_temperature_gradient for axis in calibration.axis)
+    return gradients or any(m.temperature.size > 1 for m in maps)
+
+
+def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
+    """The log of one unit with corrected rates; axes that the calibration does not have are left as they are.
+
+    Masked rows are corrected too, and stay masked. Raises `LogError` where a temperature is needed that is not there,
+    and where no axis of the log is calibrated.
+    """
+    number = log.unit_index(unit)
+    common = [name for name in log.axes if name in {axis.name for axis in calibration.axis}]
+    if not common:
+        raise LogError(
+            f"the log's axes ({', '.join(log.axes)}) are none of the calibration's "
+            f"({', '.join(axis.name for axis in calibration.axis)})"
+        )
+    if needs_temperature(calibration):
+        temperature = known_temperature(log, number)
+    else:
+        low, high = calibration.axis[0].valid_temperature
+        temperature = np.full(len(log.time_s), 0.5 * (float(low) + float(high)))
+    rates = log.rate_rad_per_s[number].copy()
+    usable = log.usable(number)
+    outside_temperature = outside_rate = 0
+    for name in common:
+        axis = calibration.axis_of(name)
+        column = log.axis_index(name)
+        followed = effective_temperature(axis, temperature, log.time_s)
+        said = rates[:, column]
+        if axis.bias_temperature_gradient is not None:
+            said = said - axis.bias_temperature_gradient * temperature_slope(temperature, log.time_s)
+        readable = np.isfinite(said)
+        found = np.full_like(said, np.nan)
+        found[readable] = correct(axis, said[readable], followed[readable])
+        rates[:, column] = found
+        if needs_temperature(calibration):
+            outside_temperature += _outside(followed[usable], axis.valid_temperature)
+        outside_rate += _outside(found[usable & readable], axis.valid_rate)
+    corrected = replace(
+        log,
+        rate_rad_per_s=rates[None],
+        units=(log.units[number],),
+        temperature_c=None if log.temperature_c is None else log.temperature_c[number][None],
+        status=None if log.status is None else log.status[number][None],
+        simulated=log.simulated or calibration.simulated,
+        provenance={**log.provenance, "corrected": f"by the calibration of {calibration.serial_number}"},
+    )
+    alone = tuple(name for name in log.axes if name not in common)
+    return Corrected(corrected, outside_temperature, outside_rate, alone)
+
+
+def _outside(values: Floats, bounds: tuple[float, float]) -> int:
+    low, high = float(bounds[0]), float(bounds[1])
+    slack = 1e-9 * max(abs(low), abs(high))
+    return int(np.count_nonzero((values < low - slack) | (values > high + slack)))

@@ -1,0 +1,75 @@
+"""The paper's plans, simulated for a thousand units in one batch: errors as large as said, covariance as predicted."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gradcal_jax.assemble import assemble, knowledge, residual_map
+from gradcal_jax.assemble.knowledge import DEG_PER_S, UNIT_OF
+from gradcal_jax.estimate import estimate, nees_band, normalised_errors, on_timeline, whitened
+from gradcal_jax.files import parse_spec, presets
+from gradcal_jax.information import contrasts, simulate_noise, statistic, to_reported
+
+UNITS = 1000
+
+
+def simulated(name, units, seed=0):
+    """Spec, model, observations and the truth that made them: typical maps, noise drawn from the plan's own system."""
+    spec = parse_spec(presets.text(name))
+    built = assemble(spec)
+    line = built.plan.timeline("x", built.thermal_lag)
+    rng = np.random.default_rng(seed)
+    observations = on_timeline(line, built.model, np.zeros((line.piece_count, units)))
+    size = 1e-3 if built.model.bias is None else 1e-4
+    truth = size * rng.standard_normal((units, built.model.columns.count))
+    readings = observations.columns @ truth.T + simulate_noise(observations.steps, units, rng)
+    return built, observations._replace(readings=readings), truth
+
+
+@pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-dynamic-standard", "paper-static-gradient"])
+def test_a_thousand_units_err_as_predicted(name):
+    units = UNITS if name == "paper-dynamic-gradient" else 400
+    built, observations, truth = simulated(name, units)
+    found = estimate(observations, built.model)
+
+    # The covariance is the prediction's own, to rounding.
+    predicted = knowledge(built)
+    reported = to_reported(built.model)
+    ours, theirs = found.known[0].covariance(reported), predicted.covariance(reported)
+    scale = np.sqrt(np.outer(np.diag(theirs), np.diag(theirs)))
+    assert np.max(np.abs(ours - theirs) / scale) < 1e-8
+
+    # Mean squared normalised error, and the fit's own chi-square, within their 99 % bands.
+    p = truth.shape[1]
+    low, high = nees_band(units, p)
+    assert low < np.mean(normalised_errors(found, truth)) / p < high
+    low, high = nees_band(units, int(found.degrees[0]))
+    assert low < np.mean(found.chi_squared) / found.degrees[0] < high
+
+    # What is left of the maps is what was promised.
+    errors = found.parameters - truth
+    for requirement in built.spec.requirement:
+        temperatures, rates, promised = residual_map(built, predicted, requirement)
+        grid_t, grid_w = np.meshgrid(temperatures, rates / DEG_PER_S, indexing="ij")
+        quantity = requirement.quantity
+        rows = np.asarray(contrasts(built.model, quantity, jnp.asarray(grid_t.ravel()), jnp.asarray(grid_w.ravel()))[0])
+        achieved = np.sqrt(np.mean((errors @ rows.T) ** 2, axis=0)).reshape(grid_t.shape) * UNIT_OF[quantity][1]
+        want = statistic(requirement.statistic, promised)
+        assert statistic(requirement.statistic, achieved) == pytest.approx(want, rel=0.05)
+
+
+def test_units_share_one_whitening_and_may_have_columns_of_their_own():
+    built, observations, _ = simulated("paper-dynamic-standard", 3)
+    shared = estimate(observations, built.model)
+    own = observations._replace(columns=np.stack([observations.columns * f for f in (1.0, 2.0, 0.5)]))
+    apart = estimate(own, built.model)
+    np.testing.assert_allclose(apart.parameters * np.array([[1.0], [2.0], [0.5]]), shared.parameters, rtol=1e-9)
+    assert whitened(own, built.model).rows.shape[0] == 3
+    np.testing.assert_allclose(apart.residuals, shared.residuals, atol=1e-8)
+
+
+def test_a_reading_that_is_not_finite_is_refused():
+    built, observations, _ = simulated("paper-dynamic-standard", 2)
+    observations.readings[3, 1] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        estimate(observations, built.model)

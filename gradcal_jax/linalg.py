@@ -52,17 +52,21 @@ def _by_reflections(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
 def _triangular_factor_jvp(primals, tangents):
     (rows,), (d_rows,) = primals, tangents
     factor = triangular_factor(rows)
-    diagonal = jnp.diagonal(factor)
-    eps = jnp.finfo(rows.dtype).eps
-    dead = diagonal <= rows.shape[1] * eps * jnp.max(diagonal, initial=0.0)
-    safe = factor + jnp.diag(jnp.where(dead, 1.0 - diagonal, 0.0))
     cross = rows.T @ d_rows
-    half = solve_triangular(safe, cross + cross.T, trans=1, lower=False)
+    return factor, factor_tangent(factor, cross + cross.T)
+
+
+def factor_tangent(factor: Float[Array, "p p"], d_gram: Float[Array, "p p"]) -> Float[Array, "p p"]:
+    """`dR` of an upper triangular R for a symmetric `d(RᵀR)`; see `triangular_factor`."""
+    diagonal = jnp.diagonal(factor)
+    dead = diagonal <= factor.shape[1] * jnp.finfo(factor.dtype).eps * jnp.max(diagonal, initial=0.0)
+    safe = factor + jnp.diag(jnp.where(dead, 1.0 - diagonal, 0.0))
+    half = solve_triangular(safe, d_gram, trans=1, lower=False)
     inner = solve_triangular(safe, half.T, trans=1, lower=False)
-    alive = jnp.where(dead, 0.0, 1.0).astype(rows.dtype)
+    alive = jnp.where(dead, 0.0, 1.0).astype(factor.dtype)
     inner = inner * alive[:, None] * alive[None, :]
     upper = jnp.triu(inner, 1) + 0.5 * jnp.diag(jnp.diagonal(inner))
-    return factor, upper @ factor
+    return upper @ factor
 
 
 def solve_transposed(factor: Float[Array, "p p"], right: Float[Array, "p m"]) -> Float[Array, "p m"]:

@@ -1,5 +1,6 @@
 """From a timeline and an error model to square-root information, the residual map and its Monte Carlo twin."""
 
+from gradcal_jax.information.adjoint import gram, whitened_factor
 from gradcal_jax.information.montecarlo import Twin, WishartTest, simulate_noise, twin, wishart_test
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
 from gradcal_jax.information.observability import parameter_names, to_reported, unobservable_combinations
@@ -26,6 +27,7 @@ __all__ = [
     "WishartTest",
     "at_readings",
     "contrasts",
+    "gram",
     "increments",
     "information",
     "noise_steps",
@@ -41,6 +43,7 @@ __all__ = [
     "unweighted",
     "whiten",
     "whiten_from",
+    "whitened_factor",
     "whitened_rows",
     "wishart_test",
 ]

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from gradcal_jax.errormodel import GyroModel
+from gradcal_jax.information.adjoint import whitened_factor
 from gradcal_jax.information.noise_steps import noise_steps
 from gradcal_jax.information.regressors import at_readings
 from gradcal_jax.information.whitening import whiten
@@ -44,15 +45,15 @@ def information(timeline: Timeline, model: GyroModel) -> SquareRootInformation:
     """Everything that the plan's readings and the priors say of the model's parameters.
 
     Errors: `ValueError` in single precision, which cannot carry a covariance that is reported; for a search that
-    needs only a direction, stack and factor the rows yourself (`whitened_rows`, `square_root`).
+    needs only a direction, call `whitened_factor` yourself.
     """
-    rows = whitened_rows(timeline, model)
-    if rows.dtype != jnp.float64:
+    steps, columns = noise_steps(timeline, model), at_readings(timeline, model)
+    if columns.dtype != jnp.float64:
         raise ValueError(
             "a covariance in single precision is not reported: call jax.config.update('jax_enable_x64', True) before "
             "the first JAX array is made"
         )
-    return square_root(rows)
+    return SquareRootInformation(*whitened_factor(steps, columns, model.prior_rows()))
 
 
 def whitened_rows(timeline: Timeline, model: GyroModel) -> Float[Array, "rows p"]:

@@ -1,29 +1,35 @@
 """Whitening: a Kalman filter of the noise alone, run over every column of the regressors as if it were data.
 
-With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ` the covariance of all readings) costs O(N·n²·p) with a handful
-of noise states `n`. The readings are cut into `B` blocks of `K`, so that nothing walks through N small steps:
+With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ = V` the covariance of all readings) costs O(N·n²·p) with a
+handful of noise states `n`. Written for the state *before* each reading, `P_k` its covariance and `F`, `Q` the step
+that follows reading k,
+
+    S = H P Hᵀ + R,   g = F P Hᵀ/S,   A = F − g H,   P⁺ = F (P − P Hᵀ H P/S) Fᵀ + Q
+    x⁺ = A x + g y,   row = (y − H x)/√S
+
+The readings are cut into `B` blocks of `K`, so that nothing walks through N small steps:
 
 1. **Covariances first**, without data. From a *known* state at its start every block finds, all blocks side by side,
    what it does to a covariance: `P → Ψ (P⁻¹ + TᵀT)⁻¹ Ψᵀ + P₀`. A short recursion over the blocks gives that at
-   every start, and a second pass through the blocks the gains at every reading: the exact ones, not the steady ones.
-2. **Then the data**, for which the filter is a linear recurrence `x⁺ = A x + g y` with known coefficients: every block
-   from zero, a short recurrence over the blocks, and the response to the starts added. The rows are `w (y − c x)`.
+   every start, and a second pass through the blocks the covariance at every reading: the exact one, not a steady one.
+2. **Then the data**, for which the filter is a linear recurrence with known coefficients. What a block does to its end
+   is one small product, `x → Ψx + E y`; a short recurrence over the blocks gives every start, and one pass the rows.
 
-Nothing is approximated and any timing is allowed. Both recursions carry their own derivative. That of the covariances
-is `dP⁺ = A dP Aᵀ + …`, that of the data `dx⁺ = A dx + …`: linear recurrences with the same A, solved in the same
-blocks, so neither the blocks nor step 1's factors are ever differentiated.
+Nothing is approximated and any timing is allowed. Derivatives of `rowsᵀ rows` need none of this a second time: see
+`information.adjoint`.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterable
+from functools import reduce
+from operator import add
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from gradcal_jax.information.noise_steps import NoiseSteps
-
-Grid = list[list[Array]]
 
 
 class FilterState(NamedTuple):
@@ -36,235 +42,250 @@ class FilterState(NamedTuple):
 def whiten(steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None) -> Float[Array, "N p"]:
     """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings.
 
-    The row of a reading that is not used is zero. `block`: K, by default about √N.
+    The row of a reading that is not used is zero. `block`: K, by default about √N. To differentiate what follows from
+    the rows' product, use `gram` or `whitened_factor`: several times quicker, and exact for singular noise, too.
     """
     start = FilterState(jnp.zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype), steps.initial)
-    rows, _ = whiten_from(start, steps, columns, block=block)
-    return rows
+    return whiten_from(start, steps, columns, block=block)[0]
 
 
 def whiten_from(
     state: FilterState, steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None
 ) -> tuple[Float[Array, "N p"], FilterState]:
     """As `whiten`, from a given state and returning the next: long logs go through in tiles."""
-    count, p = columns.shape
-    n = steps.observation.shape[1]
-    length = block or max(1, round(count**0.5))
-    blocks = -(-count // length)
-
-    def side_by_side(x: Array, fill: float | bool) -> Array:
-        """`(N, …)` to `(K, B, …)`: time first for the recursions."""
-        if padding := blocks * length - count:
-            x = jnp.concatenate([x, jnp.full((padding, *x.shape[1:]), fill, x.dtype)])
-        return jnp.swapaxes(jnp.reshape(x, (blocks, length, *x.shape[1:])), 0, 1)
-
-    transition, covariance, observation = steps.transition, steps.covariance, steps.observation
-    system = _System(
-        [[side_by_side(transition[:, i, j], float(i == j)) for j in range(n)] for i in range(n)],
-        [side_by_side(covariance[:, i, j], 0.0) for i, j in _upper(n)],
-        [side_by_side(observation[:, i], 0.0) for i in range(n)],
-        side_by_side(steps.reading_variance, 1.0),
-        side_by_side(steps.used, False),
-    )
-    data = side_by_side(columns, 0.0)
-    before, end = _covariances(system, [state.covariance[i, j] for i, j in _upper(n)])
-    closed, gain, seen, per_std = _gains(system, before)
-    drive = [g[..., None] * data for g in gain]
-    states, mean = _recurrence(closed, drive, [state.mean[i] for i in range(n)])
-    rows = per_std[..., None] * (data - _total(c[..., None] * x for c, x in zip(seen, states, strict=True)))
-    rows = jnp.reshape(jnp.swapaxes(rows, 0, 1), (-1, p))[:count]
-    return rows, FilterState(jnp.stack(mean), jnp.stack([jnp.stack(line) for line in _full(end, n)]))
+    filtered = filter_columns(state, steps, columns, block)
+    rows = jnp.reshape(filtered.rows, (-1, columns.shape[1]))[: columns.shape[0]]
+    return rows, filtered.end
 
 
-class _System(NamedTuple):
-    """The steps, entry by entry, each `(K, B)`; of the symmetric covariance the upper triangle, line by line."""
-
-    transition: Grid
-    noise: list[Array]
-    observation: list[Array]
-    variance: Array
-    used: Array
+# --- small matrices whose entries are whole arrays: `(i, j, …)` ------------------------------------------------------
 
 
-# --- small matrices, written out: their entries are whole arrays ------------------------------------------------------
+def total(terms: Iterable[Array]) -> Array:
+    """Sum of at least one term."""
+    return reduce(add, terms)
 
 
-def _upper(n: int) -> list[tuple[int, int]]:
-    return [(i, j) for i in range(n) for j in range(i, n)]
+def times(a: Float[Array, "i k *s"], b: Float[Array, "k j *s"]) -> Float[Array, "i j *s"]:
+    """`A B`, entry by entry over the last axes: n terms, each one array operation."""
+    return total(a[:, k, None] * b[None, k] for k in range(b.shape[0]))
 
 
-def _full(packed: list[Array], n: int) -> Grid:
-    at = {pair: k for k, pair in enumerate(_upper(n))}
-    return [[packed[at[min(i, j), max(i, j)]] for j in range(n)] for i in range(n)]
+def applied(a: Float[Array, "i k *s"], x: Float[Array, " k *s"]) -> Float[Array, " i *s"]:
+    """`A x` for a vector whose entries are arrays like A's."""
+    return total(a[:, k] * x[None, k] for k in range(x.shape[0]))
 
 
-def _total(terms) -> Array:
-    first, *others = terms
-    return sum(others, start=first)
+def transposed(a: Float[Array, "i j *s"]) -> Float[Array, "j i *s"]:
+    return jnp.swapaxes(a, 0, 1)
 
 
-def _times(a: Grid, b: Grid) -> Grid:
-    inner = range(len(b))
-    return [[_total(a[i][k] * b[k][j] for k in inner) for j in range(len(b[0]))] for i in range(len(a))]
+def act(a: Float[Array, "i k *s"], x: Float[Array, "k *s p"]) -> Float[Array, "i *s p"]:
+    """`A x` for columns that stand on a last axis of x's entries."""
+    return total(a[:, k, ..., None] * x[None, k] for k in range(x.shape[0]))
 
 
-def _congruence(a: Grid, packed: list[Array]) -> list[Array]:
-    """Upper triangle of `A S Aᵀ`."""
-    n = len(a)
-    half = _times(a, _full(packed, n))
-    return [_total(half[i][k] * a[j][k] for k in range(n)) for i, j in _upper(n)]
+def _congruence(a: Array, covariance: Array) -> Array:
+    return times(times(a, covariance), transposed(a))
 
 
-def _seen(h: list[Array], a: Grid) -> list[Array]:
-    """`H A`."""
-    return [_total(h[i] * a[i][j] for i in range(len(h))) for j in range(len(a[0]))]
-
-
-def _innovation(packed: list[Array], h: list[Array], variance: Array | float, used: Array | bool = True):
-    """`P Hᵀ` and the reciprocal of `H P Hᵀ + R`; zero where there is no reading, or one that is known beforehand."""
-    n = len(h)
-    cross = _seen(h, _full(packed, n))
-    spread = _total(h[i] * cross[i] for i in range(n)) + variance
+def _innovation(covariance: Array, h: Array, variance: Array | float, used: Array | bool = True):
+    """`P Hᵀ` and `1/(H P Hᵀ + R)`; zero where there is no reading, or one that is known beforehand."""
+    cross = applied(covariance, h)
+    spread = jnp.sum(h * cross, axis=0) + variance
     useful = used & (spread > 0.0)
     return cross, jnp.where(useful, 1.0, 0.0) / jnp.where(useful, spread, 1.0)
 
 
-def _updated(packed: list[Array], cross: list[Array], reciprocal: Array) -> list[Array]:
+def _updated(covariance: Array, cross: Array, reciprocal: Array) -> Array:
     """`P − P Hᵀ (H P Hᵀ + R)⁻¹ H P`."""
-    scaled = [c * reciprocal for c in cross]
-    return [value - scaled[i] * cross[j] for value, (i, j) in zip(packed, _upper(len(cross)), strict=True)]
+    return covariance - (cross * reciprocal[None])[:, None] * cross[None]
 
 
-def _identity(like: Array, n: int) -> Grid:
-    return [[jnp.full_like(like, float(i == j)) for j in range(n)] for i in range(n)]
+def _root(x: Array) -> Array:
+    """Square root whose derivative at 0 is 0."""
+    alive = x > 0.0
+    return jnp.where(alive, jnp.sqrt(jnp.where(alive, x, 1.0)), 0.0)
 
 
-# --- covariances ------------------------------------------------------------------------------------------------------
+# --- the filter, block by block ---------------------------------------------------------------------------------------
 
 
-def _step(system: _System, packed: list[Array]) -> list[Array]:
-    """Covariance after a step, from the one before: on single steps and on whole arrays of them."""
-    predicted = [a + b for a, b in zip(_congruence(system.transition, packed), system.noise, strict=True)]
-    cross, reciprocal = _innovation(predicted, system.observation, system.variance, system.used)
-    return _updated(predicted, cross, reciprocal)
+class Steps(NamedTuple):
+    """Noise steps cut into blocks, time within a block first: `transition`, `noise` of the step after each reading."""
+
+    observation: Float[Array, "K n B"]
+    variance: Float[Array, "K B"]
+    used: Array
+    transition: Float[Array, "K n n B"]
+    noise: Float[Array, "K n n B"]
 
 
-@jax.custom_jvp
-def _covariances(system: _System, start: list[Array]) -> tuple[list[Array], list[Array]]:
-    """Upper triangles of the covariance before every step, each `(K, B)`, and after the last."""
-    n = len(system.observation)
-    zero = jnp.zeros_like(system.variance[0])
+class Filtered(NamedTuple):
+    """The filter's pass over all columns. Arrays of every reading, time within a block first but for the large ones:
 
-    def from_known(carry, now: _System):
-        packed, response = carry
-        predicted = [a + b for a, b in zip(_congruence(now.transition, packed), now.noise, strict=True)]
-        response = _times(now.transition, response)
-        cross, reciprocal = _innovation(predicted, now.observation, now.variance, now.used)
-        seen = _seen(now.observation, response)
-        response = [[response[i][j] - cross[i] * reciprocal * seen[j] for j in range(n)] for i in range(n)]
-        root = jnp.sqrt(reciprocal)
-        return (_updated(predicted, cross, reciprocal), response), [root * s for s in seen]
+    `states` x before each reading, of which `starts` are the blocks'; `covariance` P then, `cross` P Hᵀ; `closed` A,
+    `gain` g, `per_std` 1/√S; `through` Ψ of each block; `end`: after the last reading.
+    """
 
-    known = ([zero for _ in _upper(n)], _identity(zero, n))
-    (own, response), rows = jax.lax.scan(from_known, known, system)
+    steps: Steps
+    rows: Float[Array, "B K p"]
+    states: Float[Array, "n B K p"] | None
+    covariance: Float[Array, "K n n B"]
+    closed: Float[Array, "K n n B"]
+    gain: Float[Array, "K n B"]
+    per_std: Float[Array, "K B"]
+    through: Float[Array, "n n B"]
+    end: FilterState
 
-    def across(packed, now):
+
+def cut(x: Array, length: int, fill: float | bool | np.ndarray, *, later: bool = False) -> Array:
+    """`(N, …)` to `(K, …, B)`, filled up at the end; `later`: one step later, for what follows a reading."""
+    blocks = -(-x.shape[0] // length)
+    x = x[1:] if later else x
+    if missing := blocks * length - x.shape[0]:
+        rest = jnp.broadcast_to(jnp.asarray(fill, x.dtype), (missing, *x.shape[1:]))
+        x = jnp.concatenate([x, rest])
+    return jnp.moveaxis(jnp.reshape(x, (blocks, length, *x.shape[1:])), (1, 0), (0, -1))
+
+
+def block_length(count: int, asked: int | None = None) -> int:
+    """About √N; of the numbers near it the one that leaves the least to fill up."""
+    if asked:
+        return asked
+    root = max(1.0, count**0.5)
+    near = range(max(1, round(0.8 * root)), max(2, round(1.3 * root) + 1))
+    return min(near, key=lambda k: (-count % k, abs(k - root)))
+
+
+def filter_columns(
+    state: FilterState, steps: NoiseSteps, columns: Float[Array, "N p"], block: int | None, *, keep: bool = False
+) -> Filtered:
+    """Everything but the derivative; `keep`: the states, too."""
+    count, p = columns.shape
+    n = state.covariance.shape[0]
+    length = block_length(count, block)
+    cut_steps = Steps(
+        cut(steps.observation, length, 0.0),
+        cut(steps.reading_variance, length, 1.0),
+        cut(steps.used, length, False),
+        cut(steps.transition, length, np.eye(n), later=True),
+        cut(steps.covariance, length, 0.0, later=True),
+    )
+    first = steps.transition[0]
+    before, end = _covariances(cut_steps, first @ state.covariance @ first.T + steps.covariance[0])
+    closed, gain, per_std = _gains(cut_steps, before)
+
+    def to_the_end(onward, now):
+        a, g = now
+        return times(onward, a), applied(onward, g)
+
+    none = _identity(n, per_std[0])
+    through, effect = jax.lax.scan(to_the_end, none, (closed, gain), reverse=True)
+    blocks = per_std.shape[1]
+    if missing := blocks * length - count:
+        columns = jnp.concatenate([columns, jnp.zeros((missing, p), columns.dtype)])
+    data = jnp.reshape(columns, (blocks, length, p))
+    added = jnp.einsum("kib,bkp->ibp", effect, data)
+    starts, mean = over_blocks(through, added, first @ state.mean)
+    rows, states = _rows(cut_steps, closed, gain, per_std, data, starts, keep)
+    return Filtered(cut_steps, rows, states, before, closed, gain, per_std, through, FilterState(mean, end))
+
+
+def _identity(n: int, like: Float[Array, " B"]) -> Float[Array, "n n B"]:
+    return jnp.broadcast_to(jnp.eye(n, dtype=like.dtype)[:, :, None], (n, n, like.shape[0]))
+
+
+def _covariances(steps: Steps, start: Float[Array, "n n"]) -> tuple[Float[Array, "K n n B"], Float[Array, "n n"]]:
+    """Covariance before every reading, and after the last step."""
+    n, blocks = start.shape[0], steps.variance.shape[1]
+
+    def from_known(carry, now: Steps):
+        covariance, response = carry
+        cross, reciprocal = _innovation(covariance, now.observation, now.variance, now.used)
+        seen = applied(transposed(response), now.observation)
+        response = response - (cross * reciprocal[None])[:, None] * seen[None]
+        after = _congruence(now.transition, _updated(covariance, cross, reciprocal)) + now.noise
+        return (after, times(now.transition, response)), _root(reciprocal)[None] * seen
+
+    known = (jnp.zeros((n, n, blocks), start.dtype), _identity(n, steps.variance[0]))
+    (own, response), rows = jax.lax.scan(from_known, known, steps)
+
+    def across(covariance, now):
         triangle, response, own = now
-        after = packed
+        after = covariance
         for i in range(n):
             after = _updated(after, *_innovation(after, triangle[i], 1.0))
-        return [a + b for a, b in zip(_congruence(response, after), own, strict=True)], packed
+        return response @ after @ response.T + own, covariance
 
-    end, starts = jax.lax.scan(across, start, (_triangle(rows), response, own))
-    _, before = jax.lax.scan(lambda packed, now: (_step(now, packed), packed), starts, system)
+    end, starts = jax.lax.scan(across, start, [jnp.moveaxis(x, -1, 0) for x in (_triangle(rows), response, own)])
+
+    def step(covariance, now: Steps):
+        updated = _updated(covariance, *_innovation(covariance, now.observation, now.variance, now.used))
+        return _congruence(now.transition, updated) + now.noise, covariance
+
+    _, before = jax.lax.scan(step, jnp.moveaxis(starts, 0, -1), steps)
     return before, end
 
 
-@_covariances.defjvp
-def _covariances_jvp(primals, tangents):
-    (system, start), (d_system, d_start) = primals, tangents
-    before, end = _covariances(system, start)
-    closed, *_ = _gains(system, before)
-
-    def step(transition, noise, observation, variance):
-        return _step(_System(transition, noise, observation, variance, system.used), before)
-
-    _, drive = jax.jvp(step, tuple(system[:4]), tuple(d_system[:4]))
-    return (before, end), _in_blocks(_congruence, closed, drive, d_start)
-
-
-def _triangle(rows: list[Array]) -> Grid:
-    """T with `TᵀT = AᵀA` for each block's few columns `rows`, n of `(K, B)`: Gram–Schmidt, twice.
+def _triangle(rows: Float[Array, "K n B"]) -> Float[Array, "n n B"]:
+    """T with `TᵀT = AᵀA` for each block's `rows` A: Gram–Schmidt, twice.
 
     A column that depends on the ones before (a state that the block does not see) gets a zero on the diagonal.
     """
-    n = len(rows)
-    eps = jnp.finfo(rows[0].dtype).eps
-    basis: list[Array] = []
-    zero = jnp.zeros_like(rows[0][0])
-    triangle: Grid = [[zero] * n for _ in range(n)]
-    for j, column in enumerate(rows):
+    count, n, blocks = rows.shape
+    eps = jnp.finfo(rows.dtype).eps
+    basis = jnp.zeros((count, 0, blocks), rows.dtype)
+    triangle = []
+    for j in range(n):
+        column = rows[:, j]
         whole = jnp.sum(column * column, axis=0)
-        for _ in range(2):
-            for i, u in enumerate(basis):
-                share = jnp.sum(u * column, axis=0)
-                triangle[i][j] = triangle[i][j] + share
-                column = column - u * share[None]
+        above = jnp.zeros((j, blocks), rows.dtype)
+        for _ in range(2 if j else 0):
+            share = jnp.sum(basis * column[:, None], axis=0)
+            above, column = above + share, column - jnp.sum(basis * share[None], axis=1)
         square = jnp.sum(column * column, axis=0)
-        alive = square > (1e3 * eps) ** 2 * whole
-        norm = jnp.where(alive, jnp.sqrt(jnp.where(alive, square, 1.0)), 0.0)
-        basis.append(column * jnp.where(alive, 1.0 / jnp.where(alive, norm, 1.0), 0.0)[None])
-        triangle[j][j] = norm
-    return triangle
+        norm = _root(jnp.where(square > (1e3 * eps) ** 2 * whole, square, 0.0))
+        unit = column * jnp.where(norm > 0.0, 1.0 / jnp.where(norm > 0.0, norm, 1.0), 0.0)[None]
+        basis = jnp.concatenate([basis, unit[:, None]], axis=1)
+        triangle.append(jnp.concatenate([above, norm[None], jnp.zeros((n - 1 - j, blocks), rows.dtype)]))
+    return jnp.stack(triangle, axis=1)
 
 
-def _gains(system: _System, before: list[Array]) -> tuple[Grid, list[Array], list[Array], Array]:
-    """`A = (1 − K H) F`, `K`, `H F` and `1/√(H P Hᵀ + R)` of every step: `x⁺ = A x + K y`, `row = (y − H F x)/√…`."""
-    f, n = system.transition, len(system.observation)
-    predicted = [a + b for a, b in zip(_congruence(f, before), system.noise, strict=True)]
-    cross, reciprocal = _innovation(predicted, system.observation, system.variance, system.used)
-    gain = [c * reciprocal for c in cross]
-    seen = _seen(system.observation, f)
-    closed = [[f[i][j] - gain[i] * seen[j] for j in range(n)] for i in range(n)]
-    alive = reciprocal > 0.0
-    per_std = jnp.where(alive, jnp.sqrt(jnp.where(alive, reciprocal, 1.0)), 0.0)
-    return closed, gain, seen, per_std
+def _gains(steps: Steps, before: Array) -> tuple[Array, Array, Array]:
+    """`A`, `g` and `1/√S` of every reading, from the covariance before it."""
+    covariance, transition = jnp.moveaxis(before, 0, 2), jnp.moveaxis(steps.transition, 0, 2)
+    h = jnp.moveaxis(steps.observation, 0, 1)
+    cross, reciprocal = _innovation(covariance, h, steps.variance, steps.used)
+    gain = applied(transition, cross) * reciprocal[None]
+    closed = transition - gain[:, None] * h[None]
+    return jnp.moveaxis(closed, 2, 0), jnp.moveaxis(gain, 1, 0), _root(reciprocal)
 
 
-# --- linear recurrences -----------------------------------------------------------------------------------------------
+def over_blocks(
+    through: Float[Array, "n n B"], added: Float[Array, "n B p"], start: Float[Array, "n p"], *, reverse: bool = False
+) -> tuple[Float[Array, "n B p"], Float[Array, "n p"]]:
+    """`x⁺ = Ψx + added`, one step a block: x at the start of every block, and after the last."""
+    step = lambda x, now: (now[0] @ x + now[1], x)  # noqa: E731
+    blocks = (jnp.moveaxis(through, -1, 0), jnp.moveaxis(added, 1, 0))
+    end, starts = jax.lax.scan(step, start, blocks, reverse=reverse)
+    return jnp.moveaxis(starts, 0, 1), end
 
 
-def _apply(a: Grid, x: list[Array]) -> list[Array]:
-    """`A x` for columns that stand on a last axis of x's entries."""
-    return [_total(a[i][j][..., None] * x[j] for j in range(len(x))) for i in range(len(a))]
+def _rows(steps: Steps, closed: Array, gain: Array, per_std: Array, data: Array, starts: Array, keep: bool):
+    """The pass over the data: whitened rows, and the states before the readings if they are to be kept."""
 
+    def step(carry, now):
+        x, rows, states = carry
+        k, a, g, h, w = now
+        y = jax.lax.dynamic_index_in_dim(data, k, 1, keepdims=False)
+        row = w[:, None] * (y - jnp.sum(h[..., None] * x, axis=0))
+        if keep:
+            states = jax.lax.dynamic_update_index_in_dim(states, x, k, 2)
+        rows = jax.lax.dynamic_update_index_in_dim(rows, row, k, 1)
+        return (act(a, x) + g[..., None] * y[None], rows, states), None
 
-@jax.custom_jvp
-def _recurrence(closed: Grid, drive: list[Array], start: list[Array]) -> tuple[list[Array], list[Array]]:
-    """`x⁺ = A x + drive`: x before every step, n of `(K, B, p)`, and after the last, n of `(p,)`."""
-    return _in_blocks(_apply, closed, drive, start)
-
-
-@_recurrence.defjvp
-def _recurrence_jvp(primals, tangents):
-    (closed, drive, start), (d_closed, d_drive, d_start) = primals, tangents
-    states, end = _recurrence(closed, drive, start)
-    d_drive = [a + b for a, b in zip(_apply(d_closed, states), d_drive, strict=True)]
-    return (states, end), _in_blocks(_apply, closed, d_drive, d_start)
-
-
-def _in_blocks(
-    act: Callable[[Grid, list[Array]], list[Array]], closed: Grid, drive: list[Array], start: list[Array]
-) -> tuple[list[Array], list[Array]]:
-    """`x⁺ = act(A, x) + drive`, `act` linear in x and multiplicative in A, by blocks side by side."""
-    n = len(closed)
-    add = lambda x, y: [a + b for a, b in zip(x, y, strict=True)]  # noqa: E731
-    response, from_start = jax.lax.scan(lambda r, a: (_times(a, r), r), _identity(closed[0][0][0], n), closed)
-
-    def step(x, now):
-        a, extra = now
-        return add(act(a, x), extra), x
-
-    ends, states = jax.lax.scan(step, [jnp.zeros_like(d[0]) for d in drive], (closed, drive))
-    end, starts = jax.lax.scan(step, start, (response, ends))
-    return add(states, act(from_start, [s[None] for s in starts])), end
+    kept = jnp.zeros((starts.shape[0], *data.shape), data.dtype) if keep else None
+    now = (jnp.arange(data.shape[1]), closed, gain, steps.observation, per_std)
+    (_, rows, states), _ = jax.lax.scan(step, (starts, jnp.zeros_like(data), kept), now)
+    return rows, states

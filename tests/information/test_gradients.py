@@ -10,7 +10,7 @@ import pytest
 from helpers import DEG, SCENES, core
 from jax.flatten_util import ravel_pytree
 
-from gradcal_jax.information import at_readings, contrasts, noise_steps, square_root, whiten
+from gradcal_jax.information import contrasts, information
 
 # A harmonic's phase is some thousand degrees, so that relative steps must be small for the differences to converge.
 _STEP = 2e-4
@@ -19,12 +19,11 @@ _STEP = 2e-4
 def criteria(plan, model, lag, channel):
     """Mean residual variance, log-determinant and one deviation, in units that make all of them of order one."""
     line = plan.timeline(channel, lag)
-    rows = jnp.concatenate([whiten(noise_steps(line, model), at_readings(line, model)), model.prior_rows()])
-    info = square_root(rows)
+    info = information(line, model)
     t, w = (g.ravel() for g in jnp.meshgrid(jnp.linspace(0.0, 40.0, 4), jnp.linspace(-4.0, 4.0, 5)))
     residual = info.deviations(contrasts(model, "scale_factor", t, w)[0])
     log_det = jnp.sum(jnp.log(jnp.diagonal(info.factor) * info.scale))
-    return jnp.stack([1e8 * jnp.mean(residual**2), log_det, 1e4 * info.deviations(jnp.eye(rows.shape[1])[:1])[0]])
+    return jnp.stack([1e8 * jnp.mean(residual**2), log_det, 1e4 * info.deviations(jnp.eye(len(info.scale))[:1])[0]])
 
 
 def in_relative_coordinates(scene, sizes=None):

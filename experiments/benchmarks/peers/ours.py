@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from gradcal_jax.information import NoiseSteps, whiten
+from gradcal_jax.information import NoiseSteps, gram
 from peers.jax_tasks import jax_tasks
 from peers.problem import Problem, state_space
 
@@ -28,7 +28,6 @@ def noise_steps(problem: Problem, durations) -> NoiseSteps:
 
 def build(problem: Problem) -> dict:
     def information(columns, durations):
-        rows = whiten(noise_steps(problem, durations), columns)
-        return rows.T @ rows + jnp.diag(jnp.asarray(problem.prior))
+        return gram(noise_steps(problem, durations), columns) + jnp.diag(jnp.asarray(problem.prior))
 
     return jax_tasks(problem, information) | {"version": f"jax {jax.__version__}"}

@@ -1,0 +1,157 @@
+"""The product of whitened rows, `G = ΦᵀV⁻¹Φ`, and its triangular factor, with a derivative that filters nothing.
+
+With `U = V⁻¹Φ` the derivative is
+
+    dG = dΦᵀU + UᵀdΦ − UᵀdV U,
+
+and for a linear state-space V the last term is a sum over the readings of what is *linear* in the model's tangents. Let
+u_k be U's row k, ρ_k what a change of the state before reading k is worth, and ẑ_k that state as all columns together
+estimate it (de Jong's smoother; Durbin and Koopman, Time Series Analysis by State Space Methods, 4.4–4.5):
+
+    ρ_k = Aᵀρ_{k+1} + Hᵀrow_k/√S,   u_k = row_k/√S − gᵀρ_{k+1},   ẑ_k = x_k + P_k ρ_k,
+
+    UᵀdV U = ρ₀ᵀ dP₀ ρ₀ + Σ_k [ u_kᵀ dR u_k + ρ_{k+1}ᵀ dQ ρ_{k+1}
+                                + (u_kᵀ dH ẑ_k + ρ_{k+1}ᵀ dF ẑ_k) + (the same, transposed) ].
+
+So a value and its gradient cost the filter, one more linear recurrence with the same A, backwards and in the same
+blocks, and a few products; neither the filter's covariances nor its blocks are ever differentiated. The rule is linear
+in the tangents and serves both modes: transposed, it is dense products again.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from gradcal_jax.information.noise_steps import NoiseSteps
+from gradcal_jax.information.whitening import (
+    Filtered,
+    FilterState,
+    act,
+    applied,
+    cut,
+    filter_columns,
+    over_blocks,
+    times,
+    total,
+    transposed,
+    whiten,
+)
+from gradcal_jax.linalg import column_norms, factor_tangent, triangular_factor
+
+
+@jax.custom_jvp
+def gram(steps: NoiseSteps, columns: Float[Array, "N p"]) -> Float[Array, "p p"]:
+    """`columnsᵀ V⁻¹ columns`, V the covariance of the used readings. It squares the rows' condition."""
+    rows = whiten(steps, columns)
+    return rows.T @ rows
+
+
+@gram.defjvp
+def _gram_jvp(primals, tangents):
+    filtered = _filtered(*primals)
+    rows = jnp.reshape(filtered.rows, (-1, primals[1].shape[1]))
+    return rows.T @ rows, _tangent(filtered, *primals, *tangents)
+
+
+@jax.custom_jvp
+def whitened_factor(
+    steps: NoiseSteps, columns: Float[Array, "N p"], below: Float[Array, "q p"]
+) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
+    """R, upper triangular, and columns' lengths: `diag(scale) RᵀR diag(scale) = columnsᵀ V⁻¹ columns + belowᵀ below`.
+
+    R is found from the rows themselves, which keeps their condition. `scale` counts as a constant.
+    """
+    return _factor(whiten(steps, columns), below)
+
+
+@whitened_factor.defjvp
+def _whitened_factor_jvp(primals, tangents):
+    (steps, columns, below), (d_steps, d_columns, d_below) = primals, tangents
+    filtered = _filtered(steps, columns)
+    rows = jnp.reshape(filtered.rows, (-1, columns.shape[1]))
+    factor, scale = _factor(rows, below)
+    cross = below.T @ d_below
+    d_gram = _tangent(filtered, steps, columns, d_steps, d_columns) + cross + cross.T
+    d_factor = factor_tangent(factor, d_gram / (scale[:, None] * scale[None, :]))
+    return (factor, scale), (d_factor, jnp.zeros_like(scale))
+
+
+def _factor(rows: Array, below: Array) -> tuple[Array, Array]:
+    everything = jnp.concatenate([rows, below])
+    scale = column_norms(everything)
+    return triangular_factor(everything / scale[None, :]), scale
+
+
+def _filtered(steps: NoiseSteps, columns: Array) -> Filtered:
+    start = FilterState(jnp.zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype), steps.initial)
+    return filter_columns(start, steps, columns, None, keep=True)
+
+
+def _backwards(filtered: Filtered) -> tuple[Array, Array, Array]:
+    """`u_k` `(B, K, p)`, `ρ_{k+1}` `(n, B, K, p)` and `ρ_0` `(n, p)`."""
+    steps, rows = filtered.steps, filtered.rows
+    blocks, length, p = rows.shape
+    n = filtered.gain.shape[1]
+
+    def from_the_start(response, now):
+        a, h = now
+        return times(a, response), applied(transposed(response), h)
+
+    first = jnp.broadcast_to(jnp.eye(n, dtype=rows.dtype)[:, :, None], (n, n, blocks))
+    _, seen = jax.lax.scan(from_the_start, first, (filtered.closed, steps.observation))
+    added = jnp.einsum("kib,bkp->ibp", seen * filtered.per_std[:, None], rows)
+    nothing = jnp.zeros((n, p), rows.dtype)
+    ends, first_of_all = over_blocks(transposed(filtered.through), added, nothing, reverse=True)
+
+    def step(carry, now):
+        rho, us, rhos = carry
+        k, a, g, h, w = now
+        scaled = w[:, None] * jax.lax.dynamic_index_in_dim(rows, k, 1, keepdims=False)
+        us = jax.lax.dynamic_update_index_in_dim(us, scaled - jnp.sum(g[..., None] * rho, axis=0), k, 1)
+        rhos = jax.lax.dynamic_update_index_in_dim(rhos, rho, k, 2)
+        return (act(transposed(a), rho) + h[..., None] * scaled[None], us, rhos), None
+
+    now = (jnp.arange(length), filtered.closed, filtered.gain, steps.observation, filtered.per_std)
+    empty = (jnp.zeros_like(rows), jnp.zeros((n, *rows.shape), rows.dtype))
+    (_, us, rhos), _ = jax.lax.scan(step, (ends, *empty), now, reverse=True)
+    return us, rhos, first_of_all
+
+
+def _tangent(
+    filtered: Filtered, steps: NoiseSteps, columns: Array, d_steps: NoiseSteps, d_columns: Array
+) -> Float[Array, "p p"]:
+    """`dG`; see the module's head. Each pair of transposes is found once, and symmetrised at the end."""
+    us, rhos, first_of_all = _backwards(filtered)
+    states = filtered.states
+    assert states is not None
+    blocks, length, p = us.shape
+    n = states.shape[0]
+
+    def by_time(x: Array) -> Array:
+        """`(K, …, B)` to `(…, B, K)`: as the large arrays have it."""
+        return jnp.moveaxis(x, 0, -1)
+
+    # ρ_k = Hᵀu_k + Fᵀρ_{k+1}, the same as with A.
+    h, covariance = by_time(filtered.steps.observation), by_time(filtered.covariance)
+    by_next = times(covariance, transposed(by_time(filtered.steps.transition)))
+    smoothed = states + applied(covariance, h)[..., None] * us[None] + act(by_next, rhos)
+
+    def small(x: Array, *, later: bool = False) -> Array:
+        return by_time(cut(x, length, 0.0, later=later))[..., None]
+
+    d_noise, d_transition = small(d_steps.covariance, later=True), small(d_steps.transition, later=True)
+    d_observation, d_variance = small(d_steps.observation), small(d_steps.reading_variance)
+    if missing := blocks * length - columns.shape[0]:
+        d_columns = jnp.concatenate([d_columns, jnp.zeros((missing, p), d_columns.dtype)])
+    of_u = d_variance * us - 2.0 * jnp.reshape(d_columns, us.shape)
+    of_u = of_u + 2.0 * total(d_observation[i] * smoothed[i] for i in range(n))
+    half = jnp.einsum("bkp,bkq->pq", us, of_u)
+    for i in range(n):
+        terms = [2.0 * d_transition[i, j] * smoothed[j] for j in range(n)]
+        terms += [(d_noise[i, j] + d_noise[j, i]) * rhos[j] if j > i else d_noise[i, i] * rhos[i] for j in range(i, n)]
+        half = half + jnp.einsum("bkp,bkq->pq", rhos[i], total(terms))
+    first, d_first = steps.transition[0], d_steps.transition[0]
+    d_start = first @ d_steps.initial @ first.T + d_steps.covariance[0]
+    d_start = d_start + 2.0 * d_first @ steps.initial @ first.T
+    half = half + first_of_all.T @ d_start @ first_of_all
+    return -0.5 * (half + half.T)

@@ -8,11 +8,27 @@ from typing import Any, Final
 from cyclopts import App, CycloptsError
 
 import gradcal_jax
-from gradcal_jax.cli import check, estimate, instability, new, predict, recipe, schema, show, timeline
+from gradcal_jax.cli import (
+    check,
+    estimate,
+    instability,
+    log,
+    new,
+    optimise,
+    predict,
+    recipe,
+    rig,
+    schema,
+    show,
+    sweep,
+    timeline,
+)
+from gradcal_jax.cli import run as run_command
 from gradcal_jax.cli.console import complain, is_plain
 
 DONE: Final = 0
 WRONG_INPUT: Final = 2
+DEVICE_FAILURE: Final = 3
 INTERRUPTED: Final = 130
 
 _HELP: Final = """Calibration plans for gyros: what they will leave, known beforehand.
@@ -30,7 +46,22 @@ def build() -> App:
         help_format="plaintext",  # a Markdown reader would cost a quarter of the start-up
         help_formatter="plain" if is_plain(sys.stdout) else "default",
     )
-    for family in (new, check, predict, timeline, recipe, show, instability, estimate, schema):
+    for family in (
+        new,
+        check,
+        predict,
+        timeline,
+        optimise,
+        recipe,
+        show,
+        rig,
+        run_command,
+        log,
+        instability,
+        estimate,
+        sweep,
+        schema,
+    ):
         family.register(app)
     return app
 
@@ -56,11 +87,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
         # The reader has gone (`gradcal … | head`); keep the interpreter from complaining about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
-    except (ValueError, OSError) as error:
-        if os.environ.get("GRADCAL_TRACEBACK"):
+    except Exception as error:
+        status = DEVICE_FAILURE if _is_of_hardware(error) else WRONG_INPUT
+        foreseen = status == DEVICE_FAILURE or isinstance(error, ValueError | OSError)
+        if not foreseen or os.environ.get("GRADCAL_TRACEBACK"):
             raise
         complain(_sentence(error))
-        return WRONG_INPUT
+        return status
 
 
 def _wide(tokens: Sequence[str]) -> Any:
@@ -70,6 +103,12 @@ def _wide(tokens: Sequence[str]) -> Any:
     from rich.console import Console
 
     return Console(width=120, no_color=True, soft_wrap=True)
+
+
+def _is_of_hardware(error: Exception) -> bool:
+    """Whether a device or a run failed; the hardware room is asked only where a command has loaded it."""
+    errors = sys.modules.get("gradcal_jax.hardware.errors")
+    return errors is not None and isinstance(error, errors.HardwareError)
 
 
 def _sentence(error: Exception) -> str:

@@ -1,9 +1,10 @@
 """Plans by gradient descent: free coordinates, criteria, the search, and a proven limit."""
 
-from gradcal_jax.design.coordinates import Coordinates, Cycle, Element, Limits
-from gradcal_jax.design.criteria import Criterion, criterion
+from gradcal_jax.design.coordinates import Coordinates, Cycle, Element, Frame, Limits, make_coordinates
+from gradcal_jax.design.criteria import Criterion, Optimality, criterion
 from gradcal_jax.design.limit import Limit, least_noise_density, limit
-from gradcal_jax.design.search import Found, Progress, polish, search
+from gradcal_jax.design.other_plans import ProgrammeCoordinates, StandardCoordinates
+from gradcal_jax.design.search import Found, Progress, State, polish, search
 
 __all__ = [
     "Coordinates",
@@ -11,12 +12,18 @@ __all__ = [
     "Cycle",
     "Element",
     "Found",
+    "Frame",
     "Limit",
     "Limits",
+    "Optimality",
+    "ProgrammeCoordinates",
     "Progress",
+    "StandardCoordinates",
+    "State",
     "criterion",
     "least_noise_density",
     "limit",
+    "make_coordinates",
     "polish",
     "search",
 ]

@@ -6,7 +6,12 @@ norm
     max_i s_ij  ≤  (Σ_i s_ij^k)^(1/k)  ≤  n_T^(1/k) · max_i s_ij
 
 which tends to it as k grows. `None` is the exact statistic.
+
+The classical optimalities of the covariance C of p parameters are given as standard deviations: A is `√(tr C/p)`, D is
+`(det C)^(1/2p)`, E is the root of C's largest eigenvalue.
 """
+
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -43,6 +48,26 @@ class Criterion(eqx.Module):
         if self.statistic == "max":
             return _largest(jnp.reshape(values, (-1, 1)), sharpness)[0]
         return jnp.mean(_largest(values, sharpness))
+
+
+class Optimality(eqx.Module):
+    """A, D or E of the covariance of `rows` (p combinations of the parameters, of one unit)."""
+
+    rows: Float[Array, "q p"]
+    kind: Literal["A", "D", "E"] = eqx.field(static=True)
+
+    def __call__(self, info: SquareRootInformation, sharpness: Float[Array, ""] | float | None = None):
+        """The value, in the parameters' unit; smooth but for E at equal eigenvalues."""
+        del sharpness
+        scaled = (self.rows / info.scale[None, :]).T
+        half = jax.scipy.linalg.solve_triangular(info.factor, scaled, trans=1, lower=False)
+        count = self.rows.shape[0]
+        if self.kind == "A":
+            return jnp.sqrt(jnp.sum(half**2) / count)
+        covariance = half.T @ half
+        if self.kind == "E":
+            return jnp.sqrt(jnp.linalg.eigvalsh(covariance)[-1])
+        return jnp.exp(jnp.linalg.slogdet(covariance)[1] / (2 * count))
 
 
 def criterion(

@@ -1,4 +1,4 @@
-"""The search: many random starts of BFGS, a soft maximum that hardens, and a polish of the best.
+"""The search: many random starts of BFGS, a soft maximum that hardens, hops from the best, and a polish.
 
 Starts run one after the other inside one compiled program (`lax.map`: on a CPU a wide `vmap` leaves the cache), a few
 steps at a time, so that whoever drives the search sees its progress and may stop it with the best so far.
@@ -15,99 +15,186 @@ import optimistix as optx
 from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
-Objective = Callable[[Array, Array | None], Array]
+Objective = Callable[[Array, Array | None], tuple[Array, Array]]
+"""`(z, sharpness)` to the value that is minimised, positive, and the logarithms by which limits are exceeded (k,)."""
+
+SHARPNESS = (8.0, 40.0, 200.0, 1000.0)
+# What exceeding a limit by a factor e costs, in factors e of the value, squared.
+_PENALTY = 30.0
+# Standard deviation of a hop in coordinates of unit size; a hop that gains less than this share is the last.
+_HOP = 0.3
+_HOP_GAIN = 2e-3
+# Largest gradient component of log(value) that counts as zero.
+CONVERGED = 1e-4
+
+
+class State(NamedTuple):
+    """All that a search needs to go on: where every start is, what it reached, how many steps are done, the best."""
+
+    points: np.ndarray
+    values: np.ndarray
+    step: int
+    first: float
+    best: float
+    best_point: np.ndarray
 
 
 class Progress(NamedTuple):
-    """How far a search is: the best start's exact objective before and now, and how many steps are done of how many."""
+    """How far a search is: the best objective at its beginning and now, and steps done of how many."""
 
     first: float
     best: float
-    values: np.ndarray
     step: int
     steps: int
+    state: State
 
 
 class Found(NamedTuple):
-    """The best point, its exact objective, what the starts ended at, and a sentence that says whether it converged."""
+    """The polished point, its exact objective, and a sentence that says whether it converged.
+
+    `gradient_norm`: largest component of the gradient of the objective's logarithm, less what limits hold back.
+    """
 
     point: np.ndarray
     value: float
-    starts: np.ndarray
     gradient_norm: float
     converged: bool
     sentence: str
 
 
-SHARPNESS = (8.0, 40.0, 200.0, 1000.0)
-
-
 def search(
-    objective: Objective, size: int, *, starts: int, seed: int, steps: int = 240, chunk: int = 20
-) -> Iterator[Progress | Found]:
-    """Yield `Progress` after every chunk of steps and `Found` at the end.
+    objective: Objective,
+    size: int,
+    *,
+    starts: int,
+    seed: int,
+    steps: int = 240,
+    chunk: int = 20,
+    hops: int = 4,
+    state: State | None = None,
+) -> Iterator[Progress]:
+    """Yield `Progress` after every chunk of steps; the last one's state holds the best point.
 
-    `objective(z, sharpness)` is a positive scalar, exact for sharpness None; its logarithm is minimised. Errors:
-    `ValueError` when no start gives a finite objective.
+    Each start makes about `steps` steps in all, while the maximum hardens; then all start again near the best, as long
+    as that gains something, `hops` times at most. `state`: go on from there. Errors: `ValueError` when no start gives a
+    finite objective.
     """
-    points = jnp.asarray(np.random.default_rng(seed).standard_normal((starts, size)))
-    exact = eqx.filter_jit(lambda z: jax.lax.map(lambda one: objective(one, None), z))
-    advance = eqx.filter_jit(lambda z, k: _advance(objective, z, k, chunk))
-    first = float(np.nanmin(np.asarray(exact(points))))
-    if not np.isfinite(first):
-        raise ValueError("no random start gives a finite residual: the plan's structure cannot observe the parameters")
-    stage = max(1, steps // (chunk * len(SHARPNESS)))
-    best_point, best, values = np.asarray(points[0]), np.inf, np.array([first])
-    done = 0
-    for sharpness in SHARPNESS:
-        for _ in range(stage):
-            points = advance(points, jnp.asarray(sharpness))
-            values = np.asarray(exact(points))
-            done += chunk
-            if np.nanmin(values) < best:
-                best, best_point = float(np.nanmin(values)), np.asarray(points[int(np.nanargmin(values))])
-            yield Progress(first, best, values, done, stage * chunk * len(SHARPNESS))
-    yield polish(objective, best_point, values)
+    merit = _merit(objective)
+    exact = eqx.filter_jit(lambda z: jax.lax.map(lambda one: merit(one, None), z))
+    advance = eqx.filter_jit(lambda z, k: _advance(merit, z, k, chunk))
+    generator = np.random.default_rng(seed)
+    stage = max(1, round(steps / (chunk * len(SHARPNESS)))) * chunk
+    total = stage * (len(SHARPNESS) + hops)
+    if state is None:
+        points = generator.standard_normal((starts, size))
+        values = np.exp(np.asarray(exact(jnp.asarray(points))))
+        if not np.isfinite(np.nanmin(values)):
+            raise ValueError(
+                "no random start gives a finite residual: the plan's structure cannot observe the parameters"
+            )
+        at = int(np.nanargmin(values))
+        state = State(points, values, 0, float(values[at]), float(values[at]), points[at])
+    hop_from = np.inf
+    while state.step < total:
+        level, into = divmod(state.step, stage)
+        points = state.points
+        if level >= len(SHARPNESS) and into == 0:
+            if state.best > hop_from * (1.0 - _HOP_GAIN):
+                break
+            hop_from = state.best
+            # The same numbers whether a search went on or began anew.
+            near = np.random.default_rng([seed, level]).standard_normal(points.shape)
+            points = state.best_point + _HOP * near
+        sharpness = jnp.asarray(SHARPNESS[min(level, len(SHARPNESS) - 1)])
+        points = np.asarray(advance(jnp.asarray(points), sharpness))
+        values = np.exp(np.asarray(exact(jnp.asarray(points))))
+        best, best_point = state.best, state.best_point
+        if np.any(values < best):
+            at = int(np.nanargmin(values))
+            best, best_point = float(values[at]), points[at]
+        state = State(points, values, state.step + chunk, state.first, best, best_point)
+        yield Progress(state.first, best, state.step, total, state)
 
 
-def _advance(objective: Objective, points: Float[Array, "s n"], sharpness: Array, steps: int) -> Float[Array, "s n"]:
+def _merit(objective: Objective) -> Callable[[Array, Array | None], Array]:
+    """The logarithm of the value, and what exceeding limits costs."""
+
+    def merit(z, sharpness):
+        value, excess = objective(z, sharpness)
+        log = jnp.log(value) + _PENALTY * jnp.sum(jnp.maximum(excess, 0.0) ** 2)
+        return jnp.where(jnp.isfinite(log), log, 1e3)
+
+    return merit
+
+
+def _advance(merit, points: Float[Array, "s n"], sharpness: Array, steps: int) -> Float[Array, "s n"]:
     """A few BFGS steps from each point."""
-
-    def smooth(z, k):
-        value = jnp.log(objective(z, k))
-        return jnp.where(jnp.isfinite(value), value, 1e3)
-
     solver = optx.BFGS(rtol=1e-9, atol=1e-9)
 
     def one(z):
-        return optx.minimise(smooth, solver, z, args=sharpness, max_steps=steps, throw=False).value
+        return optx.minimise(merit, solver, z, args=sharpness, max_steps=steps, throw=False).value
 
     return jax.lax.map(one, points)
 
 
-def polish(objective: Objective, point: np.ndarray, starts: np.ndarray, tolerance: float = 1e-6) -> Found:
-    """SLSQP on the hardest soft maximum, which it cannot tell from the exact one, then the exact value.
-
-    The gradient norm is of the logarithm, for coordinates of unit size: a share of the objective.
-    """
+def polish(objective: Objective, point: np.ndarray, *, steps: int = 300) -> Found:
+    """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly."""
     hardest = jnp.asarray(SHARPNESS[-1])
-    smooth = eqx.filter_jit(jax.value_and_grad(lambda z: jnp.log(objective(z, hardest))))
-    exact = eqx.filter_jit(lambda z: objective(z, None))
 
+    def logs(z):
+        value, excess = objective(z, hardest)
+        return jnp.concatenate([jnp.log(value)[None], excess])
+
+    @eqx.filter_jit
     def both(z):
-        value, gradient = smooth(jnp.asarray(z))
-        return float(value), np.asarray(gradient)
+        values, pull = jax.vjp(logs, z)
+        return values, jax.lax.map(lambda e: pull(e)[0], jnp.eye(values.shape[0]))
 
-    before = float(exact(jnp.asarray(point)))
-    result = minimize(both, point, jac=True, method="SLSQP", options={"maxiter": 200, "ftol": 1e-12})
-    after = float(exact(jnp.asarray(result.x)))
-    if after < before:
-        point, before = result.x, after
-    norm = float(np.max(np.abs(both(point)[1])))
-    converged = norm < 1e-4
-    sentence = (
-        f"converged: the largest gradient component is {norm:.1e} of the objective"
-        if converged
-        else f"not converged: the largest gradient component is still {norm:.1e} of the objective: take more steps"
+    exact = eqx.filter_jit(lambda z: objective(z, None))
+    seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+    def at(z):
+        key = np.asarray(z).tobytes()
+        if key not in seen:
+            seen.clear()
+            values, rows = both(jnp.asarray(z))
+            seen[key] = np.asarray(values), np.asarray(rows)
+        return seen[key]
+
+    limits = ()
+    if len(at(point)[0]) > 1:
+        limits = ({"type": "ineq", "fun": lambda z: -at(z)[0][1:], "jac": lambda z: -at(z)[1][1:]},)
+    options = {"maxiter": steps, "ftol": 1e-12}
+    result = minimize(
+        lambda z: (float(at(z)[0][0]), at(z)[1][0]),
+        point,
+        jac=True,
+        method="SLSQP",
+        constraints=limits,
+        options=options,
     )
-    return Found(point, before, np.sort(starts), norm, converged, sentence)
+    before, after = (exact(jnp.asarray(z)) for z in (point, result.x))
+    worse = float(after[0]) > float(before[0]) and np.all(np.asarray(before[1]) <= 1e-6)
+    point, (value, excess) = (point, before) if worse or not np.all(np.isfinite(result.x)) else (result.x, after)
+    norm = _projected(*at(point))
+    held = bool(np.all(np.asarray(excess) <= 1e-3))
+    converged = norm < CONVERGED and held
+    if not held:
+        over = float(np.exp(np.max(np.asarray(excess)))) - 1.0
+        sentence = f"not converged: a limit is still exceeded by {100 * over:.2g} %: no plan of this kind may meet it"
+    elif converged:
+        sentence = f"converged: the largest gradient component is {norm:.1e} of the objective"
+    else:
+        sentence = (
+            f"not converged: the largest gradient component is still {norm:.1e} of the objective: take more steps"
+        )
+    return Found(np.asarray(point), float(value), norm, converged, sentence)
+
+
+def _projected(values: np.ndarray, rows: np.ndarray) -> float:
+    """Largest component of the gradient, less its best combination of the gradients of the limits that bind."""
+    gradient, binding = rows[0], rows[1:][values[1:] > -1e-4]
+    if len(binding):
+        prices = np.maximum(np.linalg.lstsq(binding.T, -gradient, rcond=None)[0], 0.0)
+        gradient = gradient + binding.T @ prices
+    return float(np.max(np.abs(gradient)))

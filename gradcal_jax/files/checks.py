@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from gradcal_jax.files.bench import Rig
-from gradcal_jax.files.design import TIMES, Design
+from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design
 from gradcal_jax.files.moves import AXES, ResolvedMove
 from gradcal_jax.files.plan import GradientPlan, RampItem, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
@@ -76,11 +76,12 @@ def _inside(
 
 
 def _design(design: Design, names: Sequence[str]) -> list[Problem]:
-    if design.minimise in names or design.minimise in TIMES:
+    others = (*TIMES, *OPTIMALITIES)
+    if design.minimise in names or design.minimise in others:
         return []
-    close = nearest(design.minimise, [*names, *TIMES])
+    close = nearest(design.minimise, [*names, *others])
     ending = f'; nearest: "{close}"' if close else ""
-    message = f"expected the name of a requirement ({one_of(names)}) or {one_of(TIMES)}{ending}"
+    message = f"expected the name of a requirement ({one_of(names)}) or {one_of(others)}{ending}"
     return [Problem(("design", "minimise"), message, design.minimise)]
 
 

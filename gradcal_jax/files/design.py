@@ -9,11 +9,16 @@ from gradcal_jax.files.section import Section
 
 TIMES = ("motion time", "total time")
 """What can be minimised besides a requirement's residual; the targets then are limits."""
+OPTIMALITIES = ("A-optimality", "D-optimality", "E-optimality")
+"""Classical criteria of the parameters' covariance, as a standard deviation: see `gradcal_jax.design.criteria`."""
 
 Free = Literal[
-    "gradient", "soak", "rest", "peak_rate", "duration", "turn", "ramp", "shape", "other_axes", "cycle",
-    "temperatures", "rates", "integration", "programme",
+    "gradient", "rest", "peak_rate", "duration", "turn", "ramp", "cycle", "temperatures", "rates", "integration",
+    "programme",
 ]  # fmt: skip
+"""What may change. Gradient plans with motion: `duration` (of turns and rests: `rest` and `turn` say the same),
+`peak_rate`, `ramp` (its time), `gradient` (one slope a turn at the table), `cycle` (its length). Without motion:
+`programme`. Standard plans: `temperatures`, `rates`, `integration` (and with it the time of a point)."""
 
 
 class Scenario(Section):
@@ -26,12 +31,18 @@ class Scenario(Section):
 
 
 class Design(Section):
-    """`minimise`: a requirement's name, "motion time" or "total time"."""
+    """`minimise`: a requirement's name, "motion time", "total time", or "A-", "D-" or "E-optimality".
+
+    `cycles`: whether every turn at the table has moves of its own, or all have the same. `moves`: how many turns each
+    may have; absent: as many as are likely to help.
+    """
 
     minimise: Text
     free: Annotated[tuple[Free, ...], Field(min_length=1)]
     max_motion: Time | None = None
     max_total: Time | None = None
+    cycles: Literal["own", "alike"] = "own"
+    moves: Annotated[Count, Field(le=40)] | None = None
     starts: Count = 16
     seed: Whole = 0
     min_distinct_rates: Count | None = None

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from gradcal_jax.design import Coordinates, Cycle, Element, Limits
+from gradcal_jax.design import Coordinates, Cycle, Element, Frame, Limits, make_coordinates
 from gradcal_jax.formulas import RAMPED_SHAPES
 
 DEG = np.pi / 180.0
@@ -21,24 +21,14 @@ ELEMENTS = (
     Element("rest", 1.0, 1),
     Element("raised cosine", 2.0, 1),
 )
-FREE = frozenset({"duration", "rest", "peak_rate", "ramp", "gradient"})
+FREE = frozenset({"duration", "peak_rate", "ramp", "gradient"})
 
 
-def coordinates(limits: Limits = LIMITS, **changes) -> Coordinates:
-    n = len(ELEMENTS)
-    nominal = Cycle(jnp.full(n, 20.0), jnp.zeros(n), jnp.zeros(n), jnp.full(10, 10.0))
-    given = {
-        "own_time": 60.0,
-        "other_time": 120.0,
-        "others_read": True,
-        "motion_time": 3600.0,
-        "cycles": 10,
-        "temperature_start": -30.0,
-        "temperature_end": 70.0,
-        "read_every": 1.0,
-        "free": FREE,
-    }
-    return Coordinates(ELEMENTS, limits, nominal=nominal, **(given | changes))
+FRAME = Frame(60.0, 120.0, 3600.0, -30.0, 70.0, 1.0)
+
+
+def coordinates(limits: Limits = LIMITS, **frame) -> Coordinates:
+    return make_coordinates(ELEMENTS, limits, FRAME._replace(**frame), cycles=10, others_read=True, free=FREE)
 
 
 UNLIMITED, LIMITED = coordinates(), coordinates(LIMITS._replace(travel=400 * DEG))
@@ -73,7 +63,9 @@ def check(cycle: Cycle, limited: bool) -> None:
         assert STEEPNESS[e.shape] * abs(a) <= LIMITS.max_acceleration * time * (1 + 1e-9)
         assert 2 * r <= d * (1 + 1e-12) or e.shape not in RAMPED_SHAPES
     assert np.sum(steps) == pytest.approx(100.0, rel=1e-9)
-    assert np.max(np.abs(steps)) <= LIMITS.max_slope * 360.0 * (1 + 1e-9)
+    lasting = np.asarray(UNLIMITED.lasting())
+    assert sum(lasting) == pytest.approx(3600.0)
+    assert np.all(np.abs(steps) <= LIMITS.max_slope * lasting * (1 + 1e-9))
     if limited:
         moves = (LIMITED.plan(cycle).moves[i] for i in (0, 2, 4, 6))
         turned = np.cumsum([float(m.angle) for m in moves])

@@ -8,14 +8,14 @@ import pytest
 
 from gradcal_jax.design import (
     Coordinates,
-    Cycle,
     Element,
-    Found,
+    Frame,
     Limits,
-    Progress,
     criterion,
     least_noise_density,
     limit,
+    make_coordinates,
+    polish,
     search,
 )
 from gradcal_jax.errormodel import GyroModel, Polynomial, angle_reference, gauss_markov, make_map
@@ -34,21 +34,13 @@ def model(degree_t: int, degree_w: int) -> GyroModel:
 
 def small_plan(turns: int) -> Coordinates:
     elements = tuple(Element("rest" if i % 2 else "cosine ramps", 2.0) for i in range(2 * turns - 1))
-    n = len(elements)
-    nominal = Cycle(jnp.full(n, 120.0 / n), jnp.zeros(n), jnp.zeros(n), jnp.full(4, 25.0))
-    return Coordinates(
+    return make_coordinates(
         elements,
-        Limits(MAX, 300 * DEG),
-        own_time=120.0,
-        other_time=240.0,
-        others_read=True,
-        motion_time=1440.0,
+        Limits(MAX, 300 * DEG, np.inf, 2.0 / 60.0),
+        Frame(120.0, 240.0, 3000.0, -30.0, 70.0, 1.0),
         cycles=4,
-        temperature_start=-30.0,
-        temperature_end=70.0,
-        read_every=1.0,
-        free=frozenset({"duration", "rest", "peak_rate", "ramp"}),
-        nominal=nominal,
+        others_read=True,
+        free=frozenset({"duration", "peak_rate", "ramp"}),
     )
 
 
@@ -60,7 +52,7 @@ PLAN = small_plan(2)
 
 @eqx.filter_jit
 def rows_of(z):
-    return square_root(whitened_rows(PLAN.plan(PLAN.cycle(z)).timeline(), LINEAR))
+    return square_root(whitened_rows(PLAN.decode(z).timeline(), LINEAR))
 
 
 def objective(z, sharpness):
@@ -71,7 +63,7 @@ POINT = jnp.asarray(np.random.default_rng(3).standard_normal(PLAN.size))
 
 
 def test_the_exact_criterion_is_the_reported_statistic_and_the_smooth_one_lies_just_above():
-    known = posterior(information(PLAN.plan(PLAN.cycle(POINT)).timeline(), LINEAR))
+    known = posterior(information(PLAN.decode(POINT).timeline(), LINEAR))
     reported = statistic("mean of max", residual(known, LINEAR, "scale_factor", TEMPERATURES, RATES)) * 1e6
     exact = float(objective(POINT, None))
     assert exact == pytest.approx(reported, rel=1e-10)
@@ -117,11 +109,11 @@ def test_drift_and_readings_only_raise_the_limit():
 
 
 def test_the_search_improves_and_never_beats_the_limit():
-    reports = list(search(objective, PLAN.size, starts=3, seed=0, steps=80, chunk=20))
-    progress, found = reports[:-1], reports[-1]
-    assert isinstance(found, Found)
-    assert all(isinstance(p, Progress) for p in progress)
-    assert found.value <= progress[-1].best <= progress[0].first
+    both = lambda z, sharpness: (objective(z, sharpness), jnp.zeros(0))  # noqa: E731
+    reports = list(search(both, PLAN.size, starts=3, seed=0, steps=80, chunk=20, hops=1))
+    best = reports[-1].state
+    found = polish(both, best.best_point)
+    assert found.value <= best.best <= reports[0].first
     assert found.value == pytest.approx(float(objective(jnp.asarray(found.point), None)), rel=1e-12)
     assert found.converged, found.sentence
     proven = limit(
@@ -135,3 +127,27 @@ def test_the_search_improves_and_never_beats_the_limit():
     )
     assert proven.certified <= proven.reached * (1 + 1e-12)
     assert proven.certified * 1e6 <= found.value
+
+
+def test_a_search_that_goes_on_ends_where_the_whole_one_does():
+    both = lambda z, sharpness: (objective(z, sharpness), jnp.zeros(0))  # noqa: E731
+    options = {"starts": 2, "seed": 1, "steps": 80, "chunk": 20, "hops": 1}
+    whole = [p.state for p in search(both, PLAN.size, **options)]
+    rest = [p.state for p in search(both, PLAN.size, **options, state=whole[1])]
+    assert rest[-1].best == whole[-1].best
+    assert np.array_equal(rest[-1].best_point, whole[-1].best_point)
+    assert len(rest) == len(whole) - 2
+
+
+def test_a_limit_that_binds_is_held_and_priced():
+    """Minimise x² + y² under x + y ≥ 2: the optimum is (1, 1), where the limit binds."""
+
+    def under_a_limit(z, sharpness):
+        del sharpness
+        return 1.0 + z @ z, jnp.log(2.0 / jnp.maximum(jnp.sum(z) + 10.0, 0.1) * 6.0)[None]
+
+    *_, last = search(under_a_limit, 2, starts=2, seed=0, steps=80, chunk=20, hops=0)
+    found = polish(under_a_limit, last.state.best_point)
+    assert np.allclose(found.point, [1.0, 1.0], atol=1e-5)
+    assert found.converged, found.sentence
+    assert found.gradient_norm < 1e-5

@@ -1,0 +1,245 @@
+"""`optimise`: from a spec with [design] to the best plan found, rounded, with what there is to say about it."""
+
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from gradcal_jax.assemble.build import assemble
+from gradcal_jax.assemble.measure import Measure, design_of, measure, overrides
+from gradcal_jax.assemble.prediction import predict
+from gradcal_jax.assemble.structures import AnyCoordinates, Structure, structures
+from gradcal_jax.assemble.written import written
+from gradcal_jax.design import Coordinates, Found, State, polish, search
+from gradcal_jax.files import Spec, changed
+from gradcal_jax.files.rounding import rounded, steps_of
+
+STEPS: Final = 240
+# A turn within this share of its cap is said to be at its limit.
+_AT_LIMIT: Final = 1e-3
+
+
+class Step(NamedTuple):
+    """How far an optimisation is: `best` in `unit`, of `name`; `share` of the work that is done, 0 to 1."""
+
+    name: str
+    unit: str
+    before: float | None
+    best: float
+    share: float
+    words: str
+    checkpoint: "Checkpoint"
+
+
+class Checkpoint(NamedTuple):
+    """All that an optimisation needs to go on: which structure it is at, its state, and the best of those before."""
+
+    structure: int
+    state: State
+    best_structure: int
+    best: State
+
+
+class Price(NamedTuple):
+    """What a limit costs: how the objective changes when the limit is eased by one `per`."""
+
+    limit: str
+    per: str
+    change: float
+
+
+class Optimised(NamedTuple):
+    """An optimised spec (rounded) and how it was found. Values in `unit`.
+
+    `before`: of the plan in the spec, None where it observes too little; `found`: of the optimum; `now`: of the rounded
+    plan, exactly. `starts`: where the starts of the chosen structure ended. `active`: the limits that bind, in words.
+    """
+
+    spec: Spec
+    name: str
+    unit: str
+    before: float | None
+    found: float
+    now: float
+    converged: bool
+    sentence: str
+    starts: tuple[float, ...]
+    gradient_norm: float
+    active: tuple[str, ...]
+    prices: tuple[Price, ...]
+    structure: str
+    coordinates: AnyCoordinates
+    point: np.ndarray
+
+
+def scenario_specs(spec: Spec) -> list[Spec]:
+    """The spec with the overrides of each [[design.scenario]]."""
+    return [changed(spec, overrides(s)) for s in design_of(spec).scenario]
+
+
+def exact(spec: Spec, of: Measure) -> float:
+    """The exact value of a spec's own plan, on the requirement's own grid; `inf` where it observes too little."""
+    design = design_of(spec)
+    rows = [row for row in spec.requirement if row.name == design.minimise]
+    if rows and not design.scenario:
+        predicted = next(row for row in predict(spec).requirements if row.name == rows[0].name)
+        found = {
+            "mean of max": predicted.mean_of_max,
+            "max": predicted.max,
+            "mean": predicted.mean,
+            "rms": predicted.rms,
+        }
+        value = found[rows[0].statistic]
+        return np.inf if value is None else value
+    value = float(eqx.filter_jit(lambda p: of.of(p, None)[0])(assemble(spec).plan))
+    return value if np.isfinite(value) else np.inf
+
+
+def optimise(
+    spec: Spec,
+    *,
+    steps: int = STEPS,
+    motion: float | None = None,
+    checkpoint: Checkpoint | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Iterator[Step | Optimised]:
+    """Yield a `Step` every few iterations and the `Optimised` plan at the end.
+
+    `motion` s: time without soaks, in the place of [design]'s. `checkpoint`: go on from a step's. `stop`: asked after
+    every step; once true, the best so far is finished. Errors: `ValueError` when limits exclude each other or nothing
+    can be observed.
+    """
+    design = design_of(spec)
+    of = measure(spec)
+    before = exact(spec, of)
+    known = before if np.isfinite(before) else None
+    choices = structures(spec, scenario_specs(spec), motion=motion)
+    best = None if checkpoint is None else (checkpoint.best_structure, checkpoint.best)
+    first, state = (0, None) if checkpoint is None else (checkpoint.structure, checkpoint.state)
+    for k in range(first, len(choices)):
+        coordinates = choices[k].coordinates
+        for progress in search(
+            lambda z, sharpness, c=coordinates: of.of(c.decode(z), sharpness),
+            coordinates.size,
+            starts=design.starts,
+            seed=design.seed,
+            steps=steps,
+            state=state,
+        ):
+            if best is None or progress.best < best[1].best:
+                best = k, progress.state
+            share = (k + progress.step / progress.steps) / len(choices)
+            reached = Checkpoint(k, progress.state, *best)
+            yield Step(of.name, of.unit, known, best[1].best, 0.95 * share, choices[k].words, reached)
+            if stop():
+                break
+        state = None
+        if stop():
+            break
+    assert best is not None
+    yield finished(spec, of, known, choices[best[0]], best[1])
+
+
+def finished(spec: Spec, of: Measure, before: float | None, structure: Structure, state: State) -> Optimised:
+    """Prune, polish and round the best point of a search."""
+    point = state.best_point
+    coordinates = structure.coordinates
+    if isinstance(coordinates, Coordinates) and "duration" in coordinates.free:
+        coordinates, cycle = coordinates.pruned(coordinates.cycle(jnp.asarray(point)))
+        point = coordinates.vector(cycle)
+    found = polish(lambda z, sharpness: of.of(coordinates.decode(z), sharpness), point)
+    # As a recipe will have it, so that the number is of what is executed.
+    plan = rounded(written(spec, *_without_vanished(coordinates, found.point)), steps_of(spec)).spec
+    return Optimised(
+        plan,
+        of.name,
+        of.unit,
+        before,
+        found.value,
+        exact(plan, of),
+        found.converged,
+        found.sentence,
+        tuple(float(v) for v in np.sort(state.values)),
+        found.gradient_norm,
+        active_limits(coordinates, found.point) if isinstance(coordinates, Coordinates) else (),
+        shadow_prices(of, coordinates, found) if isinstance(coordinates, Coordinates) else (),
+        structure.words,
+        coordinates,
+        found.point,
+    )
+
+
+def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
+    """Turns that shrank to nothing in the polish are not for a technician to make."""
+    if not isinstance(coordinates, Coordinates) or "duration" not in coordinates.free:
+        return coordinates, point
+    fewer, cycle = coordinates.pruned(coordinates.cycle(jnp.asarray(point)))
+    return fewer, fewer.vector(cycle)
+
+
+def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...]:
+    """Which limits bind, in words."""
+    cycle = coordinates.cycle(jnp.asarray(point))
+    peaks = np.abs(np.asarray(cycle.peak_rates))[[e.shape != "rest" for e in coordinates.elements]]
+    fastest = int(np.sum(peaks > float(coordinates.limits.max_rate) * (1.0 - _AT_LIMIT)))
+    found = ["the time at the table"]
+    if fastest:
+        found.append(f"the largest rate, in {fastest} of {len(peaks)} turns")
+    if coordinates.travels:
+        angles = np.cumsum([float(m.angle) for m in coordinates.plan(cycle).moves])
+        if np.max(np.abs(angles)) > float(coordinates.limits.travel) * (1.0 - _AT_LIMIT):
+            found.append("the travel")
+    if "gradient" in coordinates.free:
+        slopes = np.abs(np.asarray(cycle.steps)) / np.asarray(coordinates.lasting())
+        steep = int(np.sum(slopes > float(coordinates.limits.max_slope) * (1.0 - _AT_LIMIT)))
+        if steep:
+            found.append(f"the chamber's slope, in {steep} of {len(slopes)} stretches")
+    return tuple(found)
+
+
+# Limits and frame are in SI; people ease them by these.
+_PRICED: Final = (
+    ("ramp time, cycle and turns with it", "minute", 60.0),
+    ("largest rate", "deg/s", np.pi / 180.0),
+    ("largest acceleration", "deg/s^2", np.pi / 180.0),
+    ("travel", "turn", 2.0 * np.pi),
+    ("chamber slope", "K/min", 1.0 / 60.0),
+)
+
+
+def shadow_prices(of: Measure, coordinates: Coordinates, found: Found) -> tuple[Price, ...]:
+    """The objective's derivatives in the limits. At an optimum the free numbers need not move (envelope theorem)."""
+
+    @eqx.filter_jit
+    def slopes(eased: Array):
+        return jax.grad(lambda e: of.of(_eased(coordinates, e).decode(jnp.asarray(found.point)), None)[0])(eased)
+
+    given = np.asarray(slopes(jnp.zeros(len(_PRICED))))
+    bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
+    return tuple(
+        Price(name, per, float(g) * size)
+        for (name, per, size), g, counts in zip(_PRICED, given, bound, strict=True)
+        if counts
+    )
+
+
+def _eased(coordinates: Coordinates, by: Array) -> Coordinates:
+    """The same structure with its ramp time and limits eased by SI amounts."""
+    frame, limits = coordinates.frame, coordinates.limits
+    stretch = 1.0 + by[0] / frame.motion_time
+    frame = frame._replace(
+        own_time=frame.own_time * stretch,
+        other_time=frame.other_time * stretch,
+        motion_time=frame.motion_time * stretch,
+    )
+    limits = limits._replace(
+        max_rate=limits.max_rate + by[1],
+        max_acceleration=limits.max_acceleration + by[2],
+        travel=limits.travel + by[3] if coordinates.travels else limits.travel,
+        max_slope=limits.max_slope + by[4],
+    )
+    return eqx.tree_at(lambda c: (c.frame, c.limits), coordinates, (frame, limits))

@@ -1,0 +1,167 @@
+"""A point of the free coordinates as a spec: rounded to what the controllers are told, still filling its time."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+
+from gradcal_jax.assemble.structures import AnyCoordinates
+from gradcal_jax.design import Coordinates, Cycle, ProgrammeCoordinates, StandardCoordinates
+from gradcal_jax.files import Spec, changed
+from gradcal_jax.plans import StandardPlan
+
+DEG = math.pi / 180.0
+# What the controllers are told, where the rig's [rig.resolution] does not say: s and rad/s.
+_TIME = 0.1
+_RATE = 0.01 * DEG
+_STEEP = math.pi / 2.0  # peak acceleration over rate / ramp time, of cosine ramps
+
+
+def written(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> Spec:
+    """The spec with the plan of a point of the coordinates, rounded to what the controllers are told."""
+    z = jnp.asarray(point)
+    if isinstance(coordinates, StandardCoordinates):
+        return _standard(spec, coordinates.decode(z))
+    if isinstance(coordinates, ProgrammeCoordinates):
+        return _static(spec, coordinates, z)
+    return _cycle(spec, coordinates, coordinates.cycle(z))
+
+
+def _standard(spec: Spec, plan: StandardPlan) -> Spec:
+    temperatures = np.round(np.asarray(plan.temperatures), 1)
+    rates = np.round(np.asarray(plan.rates) / DEG, 2)
+    keys: dict[str, object] = {
+        "plan.temperatures": [_c(t) for t in temperatures],
+        "plan.integration": _s(math.floor(float(plan.integration) / _TIME) * _TIME),
+    }
+    if np.any(rates):
+        keys["plan.rates"] = [f"{r:.9g} deg/s" for r in rates]
+    return changed(spec, keys)
+
+
+def _static(spec: Spec, coordinates: ProgrammeCoordinates, z) -> Spec:
+    """Stretches in whole seconds between temperatures in tenths, as steep as the chamber manages at most."""
+    programme = coordinates.programme(z)
+    here = round(float(programme.start), 1)
+    items: list[dict[str, object]] = [
+        {"soak": _s(float(coordinates.soak)), "at": _c(here), "used": coordinates.soak_used}
+    ]
+    reached = np.round(np.asarray(programme.knots()[1])[1:], 1)
+    for duration, goal in zip(np.asarray(programme.durations), reached, strict=True):
+        lasting = round(float(duration))
+        steepest = float(coordinates.heating if goal > here else coordinates.cooling) * lasting
+        goal = float(np.clip(goal, here - steepest, here + steepest))
+        if abs(goal - here) < 0.05:
+            items.append({"soak": _s(lasting), "used": True})
+        else:
+            items.append({"ramp_to": _c(goal), "rate": f"{abs(goal - here) / lasting * 60.0:.12g} K/min"})
+            here = goal
+    gone: dict[str, object] = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None}
+    return changed(spec, {**gone, "plan.programme": items})
+
+
+def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
+    """Rests become whole numbers of readings."""
+    frame = coordinates.frame
+    every = float(frame.read_every)
+    resolution = spec.rig.resolution
+    time = float(resolution.time) if resolution is not None and resolution.time else _TIME
+    rate = float(resolution.rate) if resolution is not None and resolution.rate else _RATE
+    whole = spec.design is not None and spec.design.whole_turns
+    reading = {"read_every": _s(every)} if coordinates.others_read else {"read": "none"}
+    durations = _rounded(coordinates, np.asarray(cycle.durations), every, time)
+    moves: list[dict[str, object]] = []
+    for i, element in enumerate(coordinates.elements):
+        if i and element.group != coordinates.elements[i - 1].group and coordinates.shared:
+            moves.append({"rest": _s(float(frame.other_time)), **reading})
+        if element.shape == "rest":
+            moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
+            continue
+        peak, ramp = float(cycle.peak_rates[i]), float(cycle.ramps[i])
+        move = _turn(coordinates, durations[i], peak, ramp, rate, whole)
+        if move is not None:
+            moves.append({"shape": element.shape, "axis": coordinates.axis, **move})
+        else:
+            moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
+    cycle_tables: dict[str, object] = {"moves": moves}
+    if coordinates.shared:
+        other: dict[str, object] = {"duration": _s(float(frame.other_time)), "read": coordinates.others_read}
+        if coordinates.others_read:
+            other["read_every"] = _s(every)
+        cycle_tables["other_axes"] = other
+    return changed(spec, {"plan.cycle": cycle_tables, **_programme(spec, coordinates, cycle)})
+
+
+def _rounded(coordinates: Coordinates, durations: np.ndarray, every: float, step: float) -> np.ndarray:
+    """Durations whose rests hold whole numbers of readings; each visit's longest turn takes what is left."""
+    own = float(coordinates.frame.own_time)
+    found = np.empty_like(durations)
+    for group in range(coordinates.groups):
+        members = [i for i, e in enumerate(coordinates.elements) if e.group == group]
+        turns = [i for i in members if coordinates.elements[i].shape != "rest"]
+        for i in members:
+            is_rest = coordinates.elements[i].shape == "rest"
+            unit = every if is_rest else step
+            found[i] = max(1, round(durations[i] / unit)) * unit
+        last = max(turns or members, key=lambda i: durations[i])
+        found[last] = own - sum(found[i] for i in members if i != last)
+    return found
+
+
+def _turn(coordinates: Coordinates, duration: float, peak: float, ramp: float, step: float, whole: bool):
+    """Rate and ramp of a turn that the table executes; None where it rounds to nothing."""
+    limits = coordinates.limits
+    fastest, steepest = float(limits.max_rate), float(limits.max_acceleration)
+    size = min(abs(peak), fastest)
+    # Ramps in the resolution of time, long enough for the acceleration.
+    ramp = min(math.ceil(max(ramp, _STEEP * size / steepest) / 0.01 - 1e-9) * 0.01, duration / 2.0)
+    size = min(size, steepest * ramp / _STEEP)
+    if whole:
+        turns = round(size * (duration - ramp) / (2.0 * math.pi))
+        while turns * 2.0 * math.pi / (duration - ramp) > min(fastest, steepest * ramp / _STEEP):
+            turns -= 1
+        if not turns:
+            return None
+        sign = 1 if peak > 0.0 else -1
+        return {"turns": sign * turns, "duration": _s(duration), "ramp": _s(ramp)}
+    size = math.floor(size / step + 1e-9) * step
+    if size <= 0.0:
+        return None
+    return {"peak_rate": f"{math.copysign(size, peak) / DEG:.9g} deg/s", "duration": _s(duration), "ramp": _s(ramp)}
+
+
+def _programme(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> dict[str, object]:
+    """The ramp: one slope, or one from each turn at the table to the next."""
+    frame = coordinates.frame
+    start, end = float(frame.temperature_start), float(frame.temperature_end)
+    soak = spec.gradient_schedule.segments[0]
+    if "gradient" not in coordinates.free:
+        rate = abs(end - start) / float(frame.motion_time)
+        # The slope fixes the time: written with all its digits.
+        return {
+            "plan.programme": None,
+            "plan.temperature": [_c(start), _c(end)],
+            "plan.gradient": f"{rate * 60.0:.12g} K/min",
+            "plan.soak": {"duration": _s(soak.duration), "used": False} if soak.kind == "soak" else None,
+        }
+    items: list[dict[str, object]] = []
+    if soak.kind == "soak":
+        items.append({"soak": _s(soak.duration), "at": _c(start), "used": False})
+    else:
+        items.append({"soak": "1 s", "at": _c(start), "used": False})
+    lasting = np.asarray(coordinates.lasting())
+    reached = start + np.cumsum(np.asarray(cycle.steps))
+    reached[-1] = end
+    here = start
+    for duration, goal in zip(lasting, reached, strict=True):
+        items.append({"ramp_to": _c(goal), "rate": f"{abs(goal - here) / duration * 60.0:.12g} K/min"})
+        here = goal
+    return {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": items}
+
+
+def _s(seconds: float) -> str:
+    return f"{seconds:.9g} s"
+
+
+def _c(temperature: float) -> str:
+    return f"{temperature:.12g} degC"

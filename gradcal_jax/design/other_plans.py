@@ -1,0 +1,112 @@
+"""Free coordinates of the plans without moves: a temperature programme for a standing axis, and the standard method.
+
+As in `coordinates`, any real vector is a plan that the rig executes:
+
+| what | from free numbers | why it is feasible |
+|---|---|---|
+| durations of a programme's stretches | least times + what is left · softmax | they fill the time exactly |
+| slopes | between the steepest cooling and heating, by tanh; stopped at the chamber's range | both limits hold |
+| first temperature, the standard method's temperatures | range · sigmoid | inside the chamber's range |
+| the standard method's rates | largest · tanh | the table's and the sensor's limit |
+| integration time | what soaks leave of the time, shared evenly | it fills the time exactly |
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from gradcal_jax.design.coordinates import even_division
+from gradcal_jax.plans import GradientPlan, Programme, StandardPlan
+from gradcal_jax.plans.motion import Move
+from gradcal_jax.plans.plan import Stretch
+
+# A stretch is at least this share of an even one.
+_LEAST_SHARE = 0.1
+# The readings of a standing axis are searched in about this many pieces a stretch.
+_PIECES_A_STRETCH = 16
+
+
+class ProgrammeCoordinates(eqx.Module):
+    """Temperature programmes of `stretches` slopes for a standing axis, after a soak.
+
+    `soak`, `time` (of the programme, without the soak), `read_every`: s. `coldest`, `warmest`: °C; `heating`,
+    `cooling`: K/s, sizes. `soak_used`: whether the soak's readings count.
+    """
+
+    soak: Float[Array, ""]
+    time: Float[Array, ""]
+    read_every: Float[Array, ""]
+    coldest: Float[Array, ""]
+    warmest: Float[Array, ""]
+    heating: Float[Array, ""]
+    cooling: Float[Array, ""]
+    stretches: int = eqx.field(static=True)
+    soak_used: bool = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        """How many free numbers there are."""
+        return 2 * self.stretches + 1
+
+    def programme(self, z: Float[Array, " size"]) -> Programme:
+        """The programme without its soak."""
+        timed, sloped, first = jnp.split(z, [self.stretches, 2 * self.stretches])
+        least = _LEAST_SHARE * self.time / self.stretches
+        durations = least + (self.time - self.stretches * least) * jax.nn.softmax(timed)
+        slopes = 0.5 * (self.heating - self.cooling) + 0.5 * (self.heating + self.cooling) * jnp.tanh(sloped)
+        here = _between(self.coldest, self.warmest, first[0])
+        start, reached = here, []
+        for k in range(self.stretches):
+            there = jnp.clip(here + slopes[k] * durations[k], self.coldest, self.warmest)
+            reached.append((there - here) / durations[k])
+            here = there
+        return Programme(start, durations, jnp.stack(reached))
+
+    def decode(self, z: Float[Array, " size"]) -> GradientPlan:
+        """The plan of a vector, its readings relaxed."""
+        of = self.programme(z)
+        durations = jnp.concatenate([self.soak[None], of.durations])
+        whole = Programme(of.start, durations, jnp.concatenate([jnp.zeros(1), of.slopes]))
+        first = 0 if self.soak_used else 1
+        moves = tuple(self._standing(durations[k]) for k in range(first, self.stretches + 1))
+        return GradientPlan(whole, moves, (), (Stretch(first, self.stretches + 1, 1, None),))
+
+    def _standing(self, duration: Array) -> Move:
+        zero, division = jnp.zeros(()), even_division(_PIECES_A_STRETCH, True)
+        return Move(
+            zero, duration, zero, jnp.zeros(0), zero, "rest", "x", 1, (division,), division, spacing=self.read_every
+        )  # fmt: skip
+
+
+class StandardCoordinates(eqx.Module):
+    """The standard method at `temperatures` temperatures and `rates` rates in a given time.
+
+    `soak` (each), `time` (all): s. `coldest`, `warmest`: °C. `max_rate` rad/s. `given_rates` rad/s stay where rates
+    are not free.
+    """
+
+    soak: Float[Array, ""]
+    time: Float[Array, ""]
+    coldest: Float[Array, ""]
+    warmest: Float[Array, ""]
+    max_rate: Float[Array, ""]
+    given_rates: Float[Array, " r"]
+    temperatures: int = eqx.field(static=True)
+    rates_free: bool = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        """How many free numbers there are."""
+        return self.temperatures + (self.given_rates.shape[0] if self.rates_free else 0)
+
+    def decode(self, z: Float[Array, " size"]) -> StandardPlan:
+        """The plan of a vector, temperatures in rising order."""
+        temperatures = jnp.sort(_between(self.coldest, self.warmest, z[: self.temperatures]))
+        rates = self.max_rate * jnp.tanh(z[self.temperatures :]) if self.rates_free else self.given_rates
+        integration = (self.time / self.temperatures - self.soak) / rates.shape[0]
+        return StandardPlan(temperatures, rates, self.soak, integration)
+
+
+def _between(low: Array, high: Array, z: Array) -> Array:
+    return low + (high - low) * jax.nn.sigmoid(z)

@@ -58,7 +58,7 @@ def recipe(
     given = {name: Quantity.read(text, kind) for name, (kind, text) in wishes.items() if text is not None}
     stability = Stability.model_validate(given)
     if str(output) != "-":
-        _writable(output, force)
+        writable(output, force)
     use_float64()
     from gradcal_jax import assemble
 
@@ -81,7 +81,8 @@ def recipe(
     return 0
 
 
-def _writable(path: Path, force: bool) -> None:
+def writable(path: Path, force: bool) -> None:
+    """Refuse a file that cannot be written or would be overwritten. Raises `ValueError`."""
     if path.is_dir():
         raise ValueError(f"{path} is a directory; name a file in it")
     if path.exists() and not force:

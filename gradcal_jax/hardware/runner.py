@@ -12,14 +12,10 @@ Resuming after a crash is a runner with `first_step` (see `run_folder`); what ma
 killed is `guard`.
 """
 
-import signal
 import threading
-import time
-from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from types import FrameType
 from typing import Any, Literal
 
 from .clock import Clock
@@ -134,7 +130,8 @@ class Runner:
         self._shown_s = -float("inf")
         self._steps_done = self.first_step
         self._step_ends_s = 0.0
-        self._settled = False
+        self._settled = self._was_settled = False
+        self._course_c: float | None = None
 
     # ------------------------------------------------------------------------------------------------- from outside
 
@@ -306,11 +303,11 @@ class Runner:
 
     def _run_step(self, step: Step, again: bool) -> None:
         self._event("step", step=step.name, number=self._steps_done)
-        self._settled = False
+        self._was_settled, self._settled = self._settled, False
         flows = step.follows and not again
         begin = self._step_ends_s if flows else self._begin(step, again)
         self._step_ends_s = end = begin + step.duration_s
-        self._settled = True
+        self._settled = self._is_settled(step)
         self._event("step begins", step=step.name, number=self._steps_done, begins_s=begin, data=bool(step.read_at_s))
         courses = [course for course in step.courses if flows or course.start_s > 0.0]
         moves, reads = list(step.moves), list(step.read_at_s)
@@ -344,6 +341,13 @@ class Runner:
                 self._command(step, Move(step.duration_s, name, "stop"))
         for name in sorted(self._moving - self._spinning):
             self._settle(name)
+
+    def _is_settled(self, step: Step) -> bool:
+        """Whether the air is to be near its set point from now on: not while the chamber goes somewhere at its best."""
+        was, self._course_c = self._course_c, step.temperature_c
+        if step.ready is not None or step.ramp_k_per_min is not None:
+            return True
+        return self._was_settled and step.temperature_c in (None, was)
 
     def _begin(self, step: Step, again: bool) -> float:
         """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
@@ -561,30 +565,3 @@ def _plain(value: Any) -> dict[str, Any]:
     return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__ if name != "name"} | (
         {"device": value.name} if "name" in value.__dataclass_fields__ else {}
     )
-
-
-@contextmanager
-def signals_to(runner: Runner) -> Generator[None, None, None]:
-    """Ctrl-C once: pause after this step; again within ten seconds: abort. SIGTERM and SIGHUP abort.
-
-    Only in the main thread, as Python has it.
-    """
-    last = [-float("inf")]
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        again = time.monotonic() - last[0] < 10.0
-        last[0] = time.monotonic()
-        runner.request("abort" if again else "soft pause", "Ctrl-C")
-
-    def terminate(number: int, frame: FrameType | None) -> None:
-        runner.request("abort", signal.Signals(number).name)
-
-    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: terminate}
-    if hasattr(signal, "SIGHUP"):
-        handlers[signal.SIGHUP] = terminate
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -19,7 +19,8 @@ from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.interlocks import Limits, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import ChamberLimits
-from gradcal_jax.hardware.runner import WAYS, Progress, Runner, State, signals_to
+from gradcal_jax.hardware.runner import WAYS, Progress, Runner, State
+from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, SensorTruth
 from gradcal_jax.hardware.track import Move, Stable, Step, Track, beyond_limits

@@ -14,6 +14,7 @@ rates other than those of a standard line on USB adapters.
 
 import re
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ..checksums import crc8_stim300
@@ -95,6 +96,25 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
     return name, fields[1:]
 
 
+def decoder_of(config: Stim300Config, registers: Mapping[str, str]) -> Stim300Decoder:
+    """The decoder for what a unit said of itself when it was configured: live, or from a journal long after."""
+    ranges = registers.get("irng", "").split(",")
+    try:
+        (range_g,) = {int(text) for text in ranges[3:6]}
+    except ValueError:
+        raise FramingError(
+            f"The unit reports its ranges as {registers.get('irng')!r}; one accelerometer range was expected in the "
+            "fourth to sixth field."
+        ) from None
+    line = registers.get("it", "").split(",")
+    return Stim300Decoder(
+        sample_rate_hz=config.sample_rate_hz,
+        acceleration_range_g=range_g,
+        increments=config.increments,
+        line_end=len(line) > config.line_end_field and line[config.line_end_field] == "1",
+    )
+
+
 # ----------------------------------------------------------------------------------------------------------- driver
 
 
@@ -111,8 +131,7 @@ class Stim300Stream:
             device="The STIM300",
             reply_timeout_s=config.reply_timeout_s,
         )
-        self._range_g = 0
-        self._line_end = False
+        self._registers: dict[str, str] = {}
         self._in_utility = False
 
     def identify(self) -> Identity:
@@ -132,16 +151,8 @@ class Stim300Stream:
                 registers[name] = ",".join(self._ask(name))
             except Rejected as refusal:
                 registers[name] = f"refused: {refusal.text}"
-        ranges = registers["irng"].split(",")
-        try:
-            (self._range_g,) = {int(text) for text in ranges[3:6]}
-        except ValueError:
-            raise FramingError(
-                f"The unit reports its ranges as {registers['irng']!r}; one accelerometer range was expected in the "
-                "fourth to sixth field."
-            ) from None
-        line = registers["it"].split(",")
-        self._line_end = len(line) > config.line_end_field and line[config.line_end_field] == "1"
+        self._registers = registers
+        decoder_of(config, registers)
         return ImuSettings(config.sample_rate_hz, round(256 * config.sample_rate_hz / INTERNAL_RATE_HZ), registers)
 
     def start(self) -> None:
@@ -156,14 +167,9 @@ class Stim300Stream:
         return self._transport.read_stamped(timeout_s)
 
     def decoder(self) -> Stim300Decoder:
-        if not self._range_g:
+        if not self._registers:
             raise NotVerified("The unit's accelerometer range is not known yet: call configure() first.")
-        return Stim300Decoder(
-            sample_rate_hz=self._config.sample_rate_hz,
-            acceleration_range_g=self._range_g,
-            increments=self._config.increments,
-            line_end=self._line_end,
-        )
+        return decoder_of(self._config, self._registers)
 
     def safe(self) -> SafeReport:
         return SafeReport("left streaming", True, "a STIM300 has nothing that can be unsafe")

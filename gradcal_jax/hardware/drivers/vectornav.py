@@ -17,6 +17,7 @@ Unverified on real hardware: that the base rate is 800 Hz on every model (`base_
 import math
 import re
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -232,6 +233,12 @@ class VectorNavDecoder:
 # ----------------------------------------------------------------------------------------------------------- driver
 
 
+def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorNavDecoder:
+    """The decoder for a configured unit; the binary packets say of themselves all but the rate."""
+    del registers
+    return VectorNavDecoder(sample_rate_hz=config.sample_rate_hz)
+
+
 class VectorNavStream:
     """Role `ImuStream`."""
 
@@ -272,7 +279,7 @@ class VectorNavStream:
         return self._transport.read_stamped(timeout_s)
 
     def decoder(self) -> VectorNavDecoder:
-        return VectorNavDecoder(sample_rate_hz=self._config.sample_rate_hz)
+        return decoder_of(self._config, {})
 
     def safe(self) -> SafeReport:
         return SafeReport("left streaming", True, "a VectorNav unit has nothing that can be unsafe")

@@ -1,0 +1,57 @@
+"""`gradcal log`: the log of a run, from the journal's raw bytes; it can be made again at any time."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from gradcal_jax.cli.console import time_text
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(log)
+
+
+def log(
+    run: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)] = None,
+    unit: str | None = None,
+) -> int:
+    """Make the log of a run: samples decoded from the raw bytes, angles, temperatures, standstills.
+
+    Parameters
+    ----------
+    run
+        The folder of the run.
+    output
+        The log file (netCDF); absent: log.nc in the folder. An older log is replaced.
+    unit
+        Of several units on the table, the one whose log to make.
+    """
+    from gradcal_jax.files.log import write_log
+    from gradcal_jax.hardware.recording import log_of
+    from gradcal_jax.hardware.run_folder import RunFolder
+
+    folder = RunFolder(run)
+    folder.notes()
+    found = log_of(folder.contents(), folder.recipe(), folder.rig(), unit)
+    target = output or run / "log.nc"
+    write_log(found, target)
+    used = found.counts()["used"]
+    print(
+        f"{time_text(found.duration_s)} of {found.units[0]}: {used} samples used of {found.rows_read}, "
+        f"{int((found.standstill.max() + 1) if found.standstill is not None else 0)} standstills"
+        + (" (simulated devices)" if found.simulated else "")
+    )
+    for finding in found.findings:
+        print(f"note: {finding.message}")
+    provenance = found.provenance
+    print(
+        f"the unit's second is {provenance['clock_rate_error']} longer than the computer's "
+        f"(1σ {provenance['clock_rate_std']})"
+    )
+    print(f"wrote {target}")
+    return 0

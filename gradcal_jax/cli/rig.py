@@ -1,0 +1,105 @@
+"""`gradcal rig new` and `gradcal rig check`: what hangs on which port."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+
+from gradcal_jax.cli.console import columns, strong
+
+if TYPE_CHECKING:
+    from gradcal_jax.hardware.setup import DeviceReport
+
+DEVICE_FAILURE = 3
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    rig = App(name="rig", help="The rig file: which device hangs on which port, and what they say of themselves.")
+    rig.command(new)
+    rig.command(check)
+    app.command(rig)
+
+
+def new(
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Write a commented rig file to start from.
+
+    Parameters
+    ----------
+    output
+        The file to write; - prints it.
+    force
+        Overwrite an existing file.
+    """
+    from gradcal_jax.cli.recipe import writable
+    from gradcal_jax.files.rig import TEMPLATE
+    from gradcal_jax.files.writing import write_whole
+
+    if str(output) == "-":
+        print(TEMPLATE, end="")
+        return 0
+    writable(output, force)
+    write_whole(output, TEMPLATE)
+    print(f"wrote {output}; put in your ports and devices, then: gradcal rig check {output}")
+    return 0
+
+
+def check(rig: Path, /, *, json: Annotated[bool, Parameter(name="--json", negative="")] = False) -> int:
+    """Ask every device of a rig who it is and what it accepts. Nothing moves.
+
+    The exit status is 3 where a device does not answer as it should.
+
+    Parameters
+    ----------
+    rig
+        The rig file.
+    json
+        Print what the devices said as JSON.
+    """
+    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.hardware.clock import RealClock
+    from gradcal_jax.hardware.setup import check_rig, open_rig
+
+    found = read_rig(rig)
+    with open_rig(found, RealClock()) as bench:
+        reports = check_rig(bench)
+    if json:
+        import json as writer
+
+        print(writer.dumps([_plain(asdict(report)) for report in reports], indent=2))
+    else:
+        print(strong(found.title or str(rig)))
+        print(columns([row for report in reports for row in _rows(report)]))
+        for entry in found.axis:
+            print(f'  when a run ends badly, axis {entry.name}: "{entry.safe}"')
+        if found.chamber is not None:
+            print(f'  when a run ends badly, the chamber: "{found.chamber.safe}"')
+        good = all(report.good for report in reports)
+        print("every device answers as the rig file says" if good else "the rig is not ready")
+    return 0 if all(report.good for report in reports) else DEVICE_FAILURE
+
+
+def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
+    head = (report.name, report.driver, report.port)
+    if report.problem:
+        return [(*head, report.problem)]
+    identity = report.identity
+    said = "" if identity is None else " ".join((identity.model, identity.serial_number, identity.firmware)).strip()
+    limits = {} if report.limits is None else asdict(report.limits)
+    limits.pop("registers", None)
+    return [(*head, said), *(("", "", "", f"{name} {_short(value)}") for name, value in limits.items())]
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(entry) for name, entry in value.items()}
+    return None if isinstance(value, float) and value - value != 0.0 else value

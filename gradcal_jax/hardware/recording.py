@@ -1,0 +1,319 @@
+"""From a run's journal to a log: samples decoded from the raw bytes, angles and standstills from the events.
+
+Only rows of stretches with data are kept: soaks, waiting and what a run did before a stretch began are counted as
+removed. A row of a standstill carries the reading of the table's angle that is nearest to it in time; between
+standstills the angle is drawn straight between readings, good for a look and not for estimation. The stamps of a row
+are the sensor's own clock, laid beside the computer's where the stretch begins; `host_time` is the computer's, by a
+straight line through the quickest arrivals, whose slope and residuals are in the log's provenance.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files.log import Finding, Log, Reason
+from ..files.recipe import Recipe
+from ..files.rig import ImuDevice, RigFile
+from .clockmap import ClockMap, fit_clock
+from .drivers.imu_common import join
+from .errors import HardwareError
+from .journal import Chunk, Event, JournalContents
+from .roles import ImuBatch, ImuDecoder
+from .run_folder import SESSION, exit_status
+from .setup import DRIVERS, config_of
+
+_MARGIN_S: Final = 0.02
+_BETWEEN_SESSIONS_S: Final = 60.0
+Floats = NDArray[np.float64]
+
+
+@dataclass
+class _Session:
+    """One part of a run: its records in order."""
+
+    number: int
+    simulated: bool
+    wall_clock_s: float
+    events: list[Event] = field(default_factory=list[Event])
+    chunks: dict[str, list[Chunk]] = field(default_factory=dict[str, list[Chunk]])
+
+
+def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
+    """The log of one unit (by name; None: the rig's only one).
+
+    Raises `HardwareError` where the journal holds no samples of a stretch with data.
+    """
+    device = _device(rig, unit)
+    parts: list[_Part] = []
+    found = _sessions(contents)
+    for session in found:
+        part = _part(session, device, [axis.name for axis in rig.axis])
+        if part is not None:
+            parts.append(part)
+    if not parts:
+        raise HardwareError(
+            "The journal holds no samples of a stretch with data: the run ended before its first stretch began."
+        )
+    return _joined(parts, recipe, device, exit_status(contents), len(found))
+
+
+def _device(rig: RigFile, unit: str | None) -> ImuDevice:
+    names = [device.name for device in rig.imu]
+    if unit is None and len(names) == 1:
+        return rig.imu[0]
+    if unit not in names:
+        raise HardwareError(f"Which unit? The run has {', '.join(names) or 'none'}.")
+    return rig.imu[names.index(unit)]
+
+
+def _sessions(contents: JournalContents) -> list[_Session]:
+    found: list[_Session] = []
+    for record in contents.records:
+        if isinstance(record, Event):
+            if record.name == SESSION:
+                data = record.data
+                found.append(_Session(int(data["number"]), bool(data["simulated"]), float(data["wall_clock_s"])))
+            if found:
+                found[-1].events.append(record)
+        elif found and record.received:
+            found[-1].chunks.setdefault(record.line, []).append(record)
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------ one session
+
+
+@dataclass
+class _Part:
+    """The rows of one session that count, on the session's clock."""
+
+    session: _Session
+    samples: ImuBatch
+    device_s: Floats
+    host_s: Floats
+    clock: ClockMap
+    angles_deg: Floats
+    standstill: NDArray[np.int64]
+    starts: list[int]
+    read: int
+    missing: int
+    bad_bytes: int
+
+
+def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | None:
+    decoder = _decoder(session, device)
+    chunks = session.chunks.get(device.name, [])
+    if decoder is None or not chunks:
+        return None
+    samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks])
+    if len(samples) < 10:
+        return None
+    clock = fit_clock(samples.device_time_s, samples.host_time_s)
+    host = clock.host_time_s(samples.device_time_s)
+    kept = np.zeros(len(samples), bool)
+    for start, end in _stretches(session.events):
+        kept |= (host > start) & (host <= end)
+    rows = np.flatnonzero(kept)
+    if len(rows) < 2:
+        return None
+    broken = np.diff(rows, prepend=rows[0] - 2) > 1
+    missing = samples.gap_before[rows]
+    starts = np.flatnonzero(broken | (missing > 0))
+    host = host[rows]
+    standing = _standstills(session.events, axes)
+    number = np.full(len(rows), -1, np.int64)
+    period = float(np.median(np.diff(samples.device_time_s)))
+    for place, (start, end) in enumerate(standing):
+        first, last = np.searchsorted(host, [start + _MARGIN_S + period, end - _MARGIN_S])
+        number[first:last] = place
+    angles = (
+        np.stack([_angles(session.events, axis, host, number) for axis in axes], axis=-1)
+        if axes
+        else np.zeros((len(rows), 0))
+    )
+    number[~np.isfinite(angles).all(axis=-1)] = -1
+    return _Part(
+        session,
+        _taken(samples, rows),
+        samples.device_time_s[rows],
+        host,
+        clock,
+        angles,
+        number,
+        [int(start) for start in starts],
+        len(samples),
+        int(np.maximum(missing[1:], 0).sum()),
+        decoder.bad_bytes,
+    )
+
+
+def _taken(samples: ImuBatch, rows: NDArray[np.int64]) -> ImuBatch:
+    return ImuBatch(**{name: getattr(samples, name)[rows] for name in ImuBatch.__dataclass_fields__})
+
+
+def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
+    """A fresh decoder, from what the unit said of itself when it was configured."""
+    said = next((e for e in session.events if e.name == "configuration" and e.data["device"] == device.name), None)
+    if said is None:
+        return None
+    config = config_of(device, "imu", ("imu", device.name))
+    return DRIVERS[device.driver].load().decoder_of(config, said.data["registers"])
+
+
+def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
+    """From where a step with data begins to where it ends, breaks off, or the session does."""
+    found: list[tuple[float, float]] = []
+    open_since: float | None = None
+    latest = 0.0
+    for event in events:
+        latest = max(latest, event.time_s)
+        if event.name == "step begins" and event.data.get("data"):
+            begin = float(event.data["begins_s"])
+            if open_since is None:
+                open_since = begin
+        elif open_since is not None and event.name in ("seam", "ending", "step"):
+            # A step that follows at once goes on with the stretch: its "step begins" comes at the same instant.
+            found.append((open_since, event.time_s))
+            open_since = None
+    if open_since is not None:
+        found.append((open_since, latest))
+    merged: list[tuple[float, float]] = []
+    for start, end in found:
+        if merged and start - merged[-1][1] < 1e-3:
+            merged[-1] = (merged[-1][0], end)
+        else:
+            merged.append((start, end))
+    return merged
+
+
+def _standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[float, float]]:
+    """When no axis moves: from the reading that says so to the next command of motion."""
+    moving = set(axes)
+    found: list[tuple[float, float]] = []
+    since: float | None = None
+    latest = 0.0
+    for event in events:
+        latest = max(latest, event.time_s)
+        if event.name == "angle" and not event.data["moving"] and event.data["axis"] in moving:
+            moving.discard(str(event.data["axis"]))
+            if not moving:
+                since = float(event.data["time_s"])
+        elif event.name in ("move", "stopped", "homing"):
+            if since is not None:
+                found.append((since, float(event.data.get("began_s", event.time_s))))
+                since = None
+            moving.add(str(event.data["axis"]))
+    if since is not None:
+        found.append((since, latest))
+    return [(start, end) for start, end in found if end > start]
+
+
+def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArray[np.int64]) -> Floats:
+    """The axis's angle at every row, deg: of a standstill the nearest reading within it, else straight between."""
+    readings = [
+        e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
+    ]
+    if not readings:
+        return np.full(len(host), np.nan)
+    times = np.array([float(e.data["time_s"]) for e in readings])
+    values = np.array([float(e.data["position_deg"]) for e in readings])
+    still = np.array([not e.data["moving"] for e in readings])
+    result = np.interp(host, times, values)
+    edges = np.flatnonzero(np.diff(standstill, prepend=-1, append=-1))
+    for begin, end in itertools.pairwise(edges):
+        if begin >= len(standstill) or standstill[begin] < 0:
+            continue
+        low, high = host[begin] - 2.0 * _MARGIN_S - 0.1, host[end - 1] + 2.0 * _MARGIN_S
+        inside = np.flatnonzero(still & (times >= low) & (times <= high))
+        if not len(inside):
+            result[begin:end] = np.nan
+            continue
+        near = np.searchsorted((times[inside][1:] + times[inside][:-1]) / 2.0, host[begin:end])
+        result[begin:end] = values[inside][near]
+    return result
+
+
+# ------------------------------------------------------------------------------------------------------------ joined
+
+
+def _joined(parts: Sequence[_Part], recipe: Recipe, device: ImuDevice, status: str, sessions: int) -> Log:
+    times: list[Floats] = []
+    hosts: list[Floats] = []
+    standstills: list[NDArray[np.int64]] = []
+    starts: list[int] = []
+    row, numbered, end_s = 0, 0, -math.inf
+    first_wall = parts[0].session.wall_clock_s
+    for part in parts:
+        # The sensor's own seconds, laid on the computer's where the session's rows begin.
+        own = part.device_s - part.device_s[0] + part.host_s[0]
+        shift = 0.0
+        if end_s > -math.inf:
+            apart = part.session.wall_clock_s - first_wall
+            shift = max(apart, end_s + _BETWEEN_SESSIONS_S - float(own[0])) if own[0] <= end_s else 0.0
+        times.append(own + shift)
+        hosts.append(part.host_s + shift)
+        end_s = float(times[-1][-1])
+        standstills.append(np.where(part.standstill >= 0, part.standstill + numbered, -1))
+        numbered += int(part.standstill.max(initial=-1)) + 1
+        starts += sorted({row, *(row + start for start in part.starts)})
+        row += len(own)
+    samples = join([part.samples for part in parts])
+    marked = np.where(samples.status != 0, np.uint16(Reason.MARKED.value), np.uint16(0)).astype(np.uint16)
+    read = sum(part.read for part in parts)
+    names = [f"axis {n}" for n in range(parts[0].angles_deg.shape[1])]
+    turned = {move.axis for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")}
+    labels = tuple(sorted(turned)) if len(turned) == len(names) else tuple(names)
+    return Log(
+        time_s=np.concatenate(times),
+        rate_rad_per_s=np.radians(samples.gyro_dps)[None],
+        units=(device.serial_number or device.name,),
+        axes=("x", "y", "z"),
+        temperature_c=samples.temperature_c.mean(axis=1)[None],
+        table_axes=labels,
+        table_angle_rad=np.radians(np.concatenate([part.angles_deg for part in parts])) if labels else None,
+        standstill=np.concatenate(standstills),
+        host_time_s=np.concatenate(hosts),
+        status=marked[None],
+        stretch_starts=np.array(starts, np.int64),
+        rows_read=read,
+        rows_removed={"not in a stretch of data": read - row} if read > row else {},
+        findings=_findings(parts),
+        simulated=any(part.session.simulated for part in parts),
+        provenance=_provenance(parts, recipe, device, status, sessions),
+    )
+
+
+def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
+    found: list[Finding] = []
+    missing = sum(part.missing for part in parts)
+    if missing:
+        gaps = sum(int(np.count_nonzero(part.samples.gap_before[1:])) for part in parts)
+        found.append(Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places"))
+    bad = sum(part.bad_bytes for part in parts)
+    if bad:
+        found.append(Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram"))
+    return tuple(found)
+
+
+def _provenance(
+    parts: Sequence[_Part], recipe: Recipe, device: ImuDevice, status: str, sessions: int
+) -> dict[str, str]:
+    said: dict[str, Any] = {
+        "recipe": recipe.fingerprint,
+        "title": recipe.title or "",
+        "run": status,
+        "sessions": sessions,
+        "unit": device.name,
+        "driver": device.driver,
+        "simulated": "the devices were simulated" if any(p.session.simulated for p in parts) else "no",
+        "clock_rate_error": ", ".join(f"{part.clock.rate_error:.3e}" for part in parts),
+        "clock_rate_std": ", ".join(f"{part.clock.rate_std:.1e}" for part in parts),
+        "clock_residual_rms_s": ", ".join(f"{part.clock.residual_rms_s:.1e}" for part in parts),
+        "seams": sum(event.name == "seam" for part in parts for event in part.session.events),
+    }
+    return {name: str(value) for name, value in said.items()}

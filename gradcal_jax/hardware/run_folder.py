@@ -1,0 +1,162 @@
+"""The folder of a run: recipe and rig as executed, the journal, and what resuming needs to know.
+
+    recipe.toml, rig.toml    as they were when the run began
+    run.json                 when, by which version, simulated or not, the recipe's fingerprint
+    journal                  raw bytes and events of the run and of every resumed part of it
+    hidden_truth.json        of a simulated run: what the calibration is to find
+
+Each part of a run is a *session*: an event with its number begins it. A run that ended without its "end" event was
+lost (killed, or the power failed); the next session says so.
+"""
+
+import json
+import time
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from ..files.recipe import Recipe, read_recipe
+from ..files.rig import RigFile, read_rig
+from ..files.writing import write_toml, write_whole
+from .errors import HardwareError, WrongIdentity
+from .journal import Event, Journal, JournalContents, read_journal
+from .setup import Bench, check_rig
+
+FORMAT: Final = "gradcal-run/1"
+SESSION: Final = "session"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """One run's folder."""
+
+    path: Path
+
+    @property
+    def journal_path(self) -> Path:
+        return self.path / "journal"
+
+    def recipe(self) -> Recipe:
+        return read_recipe(self.path / "recipe.toml")
+
+    def rig(self) -> RigFile:
+        return read_rig(self.path / "rig.toml")
+
+    def notes(self) -> dict[str, Any]:
+        """What run.json holds. Raises `HardwareError` where this is no run's folder."""
+        try:
+            found = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            raise HardwareError(
+                f"{self.path} is not the folder of a run: there is no run.json that can be read."
+            ) from None
+        if not isinstance(found, dict) or found.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
+            raise HardwareError(f"{self.path} holds no {FORMAT}; it may be of another version.")
+        return found  # pyright: ignore[reportUnknownVariableType]
+
+    def contents(self) -> JournalContents:
+        """The journal as far as it is sound."""
+        return read_journal(self.journal_path)
+
+
+def new_folder(path: Path, recipe: Recipe, rig: RigFile, *, simulated: dict[str, Any] | None = None) -> RunFolder:
+    """Make the folder of a new run. Raises `HardwareError` where a run's folder is there already."""
+    if (path / "journal").exists():
+        raise HardwareError(
+            f"{path} holds a run already: go on with it by `gradcal run --resume {path}`, or name another folder."
+        )
+    if path.exists() and any(path.iterdir()):
+        raise HardwareError(f"{path} is not empty; name a new folder for the run.")
+    path.mkdir(parents=True, exist_ok=True)
+    folder = RunFolder(path)
+    write_toml(recipe, path / "recipe.toml")
+    write_toml(rig, path / "rig.toml")
+    notes: dict[str, Any] = {
+        "format": FORMAT,
+        "recipe": recipe.fingerprint,
+        "version": version("gradcal_jax"),
+        "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "simulated": simulated is not None,
+        "simulation": simulated,
+    }
+    write_whole(path / "run.json", json.dumps(notes, indent=2) + "\n")
+    return folder
+
+
+def begin_session(journal: Journal, now_s: float, number: int, *, simulated: bool, first_step: int) -> None:
+    """The event that begins a part of a run; the wall clock stands beside the monotonic one."""
+    journal.event(
+        now_s,
+        SESSION,
+        number=number,
+        first_step=first_step,
+        wall_clock_s=time.time(),
+        simulated=simulated,
+        version=version("gradcal_jax"),
+    )
+
+
+def sessions(contents: JournalContents) -> int:
+    """How many parts of the run the journal holds."""
+    return sum(event.name == SESSION for event in contents.events)
+
+
+def steps_done(contents: JournalContents) -> int:
+    """The step by which to go on: one after the last that is done."""
+    return max((int(event.data["number"]) + 1 for event in contents.events if event.name == "step done"), default=0)
+
+
+def exit_status(contents: JournalContents) -> str:
+    """Of the last session: "success", "stopped", "aborted", or "lost" where the journal has no end."""
+    status = "lost"
+    for event in contents.events:
+        if event.name == SESSION:
+            status = "lost"
+        elif event.name == "end":
+            status = str(event.data.get("exit_status", "lost"))
+    return status
+
+
+def prepare_resume(folder: RunFolder) -> int:
+    """Check that the run can go on, and return the step by which.
+
+    Raises `HardwareError`: the recipe in the folder is another than the run began with, another version wrote the run,
+    or everything is done.
+    """
+    notes = folder.notes()
+    recipe = folder.recipe()
+    if notes.get("recipe") != recipe.fingerprint:
+        raise HardwareError(
+            f"The recipe in {folder.path} is not the one that the run began with: put it back, or begin a new run."
+        )
+    if notes.get("version") != version("gradcal_jax"):
+        raise HardwareError(
+            f"The run was begun by gradcal {notes.get('version')} and this is {version('gradcal_jax')}: resume it with "
+            "the version that began it."
+        )
+    contents = folder.contents()
+    if exit_status(contents) == "success":
+        raise HardwareError(f"The run in {folder.path} is complete; make its log with `gradcal log {folder.path}`.")
+    return steps_done(contents)
+
+
+def require_same_devices(bench: Bench, contents: JournalContents) -> None:
+    """Compare who answers with who answered when the run began. Raises `WrongIdentity`."""
+    known: dict[str, Event] = {}
+    for event in contents.events:
+        if event.name == "identity":
+            known.setdefault(str(event.data["device"]), event)
+    for report in check_rig(bench):
+        if report.problem:
+            raise HardwareError(report.problem)
+        before = known.get(report.name)
+        if before is None or report.identity is None:
+            continue
+        now = (report.identity.driver, report.identity.model, report.identity.serial_number, report.identity.firmware)
+        then = tuple(before.data.get(name, "") for name in ("driver", "model", "serial_number", "firmware"))
+        if now != then:
+            raise WrongIdentity(
+                f"{report.name} at {report.port} is {' '.join(now)}, and the run began with {' '.join(then)}. Connect "
+                "the device that the run began with, or begin a new run."
+            )

@@ -1,0 +1,106 @@
+"""One part of a run, from opening the ports to closing them: what the command line and the tests call.
+
+While it runs, Ctrl-C pauses after the step; again, it makes safe and ends. SIGTERM and SIGHUP make safe and end.
+"""
+
+import math
+import signal
+import time
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
+from types import FrameType
+
+from ..files.rig import RigFile
+from .binding import track_of
+from .clock import Clock
+from .guard import guarded
+from .interlocks import Interlocks, standard_rules
+from .journal import Journal
+from .run_folder import RunFolder, begin_session, require_same_devices, sessions
+from .runner import Progress, Runner, RunResult, State
+from .setup import open_rig
+from .transcript import Recorder
+
+
+def run_session(
+    folder: RunFolder,
+    rig: RigFile,
+    clock: Clock,
+    *,
+    first_step: int = 0,
+    simulated: bool = False,
+    guard: bool = False,
+    interlocks: Interlocks | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    with_runner: Callable[[Runner], None] | None = None,
+    handle_signals: bool = False,
+    safe_deadline_s: float = 60.0,
+    wait_when_paused: bool = True,
+) -> RunResult:
+    """Execute a run's recipe from `first_step` on, and leave everything safe.
+
+    `guard`: a process beside this one makes the rig safe if this one is killed. `with_runner` is handed the runner
+    before it starts. Raises `HardwareError` for what keeps the run from starting; what happens later is in the result.
+    """
+    track = track_of(folder.recipe(), [axis.name for axis in rig.axis])
+    resumed = folder.contents() if folder.journal_path.exists() else None
+    with ExitStack() as stack:
+        journal = stack.enter_context(Journal(folder.journal_path))
+        units = {device.port for device in rig.imu}
+
+        def recorder_of(url: str) -> Recorder | None:
+            # A unit's stream goes into the journal by itself, under the unit's name.
+            return None if url in units else journal.recorder(f"port {url}")
+
+        bench = stack.enter_context(open_rig(rig, clock, recorder_of))
+        number = 0 if resumed is None else sessions(resumed)
+        begin_session(journal, clock.now(), number, simulated=simulated, first_step=first_step)
+        if resumed is not None and number:
+            with clock.party():
+                require_same_devices(bench, resumed)
+        if guard:
+            stack.enter_context(guarded(folder.path))
+        runner = Runner(
+            track,
+            bench,
+            journal,
+            clock,
+            interlocks or standard_rules(),
+            on_progress,
+            safe_deadline_s=safe_deadline_s,
+            wait_when_paused=wait_when_paused,
+            first_step=first_step,
+        )
+        if with_runner is not None:
+            with_runner(runner)
+        if handle_signals:
+            stack.enter_context(signals_to(runner))
+        return runner.run()
+
+
+@contextmanager
+def signals_to(runner: Runner) -> Generator[None, None, None]:
+    """Ctrl-C once: pause after this step; again, or while it is paused: make safe and end, as SIGTERM and SIGHUP do.
+
+    Only in the main thread, as Python has it.
+    """
+    paused_s = [-math.inf]
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        # Twice at once counts as twice even where the first has not been noticed yet.
+        again = runner.state in (State.PAUSING, State.PAUSED) or time.monotonic() - paused_s[0] < 2.0
+        paused_s[0] = time.monotonic()
+        runner.request("abort" if again else "soft pause", "Ctrl-C")
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        runner.request("abort", signal.Signals(number).name)
+
+    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: terminate}
+    if hasattr(signal, "SIGHUP"):
+        handlers[signal.SIGHUP] = terminate
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,265 @@
+"""A whole simulated laboratory for a recipe: chamber, table and one sensor, on ports of their own, with hidden truth.
+
+The chamber is an ESPEC, the table a chain of Zaber stages, the sensor a STIM300. What the calibration is to find is
+drawn by the seed from the spec's priors, the noise from its error model; a flat prior draws something typical. A single
+table axis lies east to west, where the Earth's rate does not show along it; with several axes the Earth stands still.
+The sensor's mounting is perfect and its structure is the spec's: what a `discrepancy` allows for is not drawn.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
+from ...files.moves import AXES, Axis
+from ...files.rig import RigFile, rig_of
+from ...files.sensor import Sensor
+from ...files.spec import Spec
+from ...files.tracks import tracks_of
+from ...units import to_unit
+from ..clock import Clock
+from .espec import EspecOptions, SimulatedEspec
+from .plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
+from .port import SimulatedPort
+from .sensor import Mounting, Process, SensorTruth, SimulatedSensor, Triple, TruthBasis
+from .stim300 import SimulatedStim300, Stim300Options
+from .zaber import SimulatedZaber, ZaberOptions
+
+_EAST: Final[Triple] = (1.0, 0.0, 0.0)
+_ALONG: Final[dict[Axis, Triple]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+# Turns the sensor so that this axis of it lies east.
+_MOUNTED: Final[dict[Axis, tuple[Triple, Triple, Triple]]] = {
+    "x": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    "y": ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+    "z": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
+}
+_TYPICAL_BIAS_DPS: Final = 0.02
+_TYPICAL_SCALE: Final = 1000e-6
+_SENSOR_NAME: Final = "unit1"
+
+
+@dataclass(frozen=True)
+class HiddenTruth:
+    """What the calibration is to find: coefficients of the spec's bases (monomials where they are polynomials), in
+    deg/s and as ratios, `(3, nT)` and `(3, nT, nω)` by sensor axis."""
+
+    sensor: SensorTruth
+    axis: AxisTruth
+
+    def tables(self, axes: tuple[Axis, ...]) -> dict[str, Any]:
+        """For a file: the paper's names of coefficients, SI, by sensor axis."""
+        found: dict[str, Any] = {}
+        for axis in axes:
+            row = AXES.index(axis)
+            bias = {f"a{k}": float(np.radians(v)) for k, v in enumerate(self.sensor.bias_dps[row])}
+            bias["a0"] += float(np.radians(self.sensor.turn_on_dps))
+            scale = {
+                f"b{rate}{cold}": value
+                for cold, values in enumerate(self.sensor.scale_factor[row])
+                for rate, value in enumerate(values)
+            }
+            found[axis] = bias | scale | {"gradient": float(np.radians(self.sensor.gradient_deg_per_k[row]))}
+        return found | {"sample_clock_error": self.sensor.clock_error}
+
+
+def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
+    """The hidden parameters of a seed. The turn-on bias is part of `a0`."""
+    random = np.random.default_rng([seed, 20261])
+    sensor, angle = spec.sensor, spec.rig.table.angle
+    deg = 180.0 / np.pi
+    bias_basis, bias = _polynomial(0), np.zeros((3, 1))
+    if sensor.bias is not None:
+        bias_basis = _temperature_basis(sensor.bias.temperature)
+        size = _TYPICAL_BIAS_DPS if sensor.bias.prior is None else float(sensor.bias.prior) * deg
+        bias = size * random.standard_normal((3, sensor.bias.temperature.size))
+    bias[:, 0] += float(sensor.turn_on_bias or 0.0) * deg * random.standard_normal(3)
+    temperature_basis, rate_basis, scale = _polynomial(0), _polynomial(0), np.zeros((3, 1, 1))
+    if (section := sensor.scale_factor) is not None:
+        temperature_basis, rate_basis = _temperature_basis(section.temperature), _rate_basis(section.rate)
+        size = _TYPICAL_SCALE if section.prior is None else float(section.prior)
+        scale = size * random.standard_normal((3, section.temperature.size, section.rate.size))
+    gradient = np.zeros(3)
+    if (slope := sensor.bias_temperature_gradient) is not None:
+        gradient = (np.radians(1.0) / 60.0 if slope.prior is None else float(slope.prior)) * deg * np.ones(3)
+        gradient *= random.standard_normal(3)
+    truth = SensorTruth(
+        bias_dps=tuple(tuple(float(v) for v in row) for row in bias),
+        scale_factor=tuple(tuple(tuple(float(v) for v in line) for line in row) for row in scale),
+        angle_random_walk_deg_sqrt_s=float(sensor.angle_random_walk) * deg,
+        clock_error=float(sensor.sample_clock_error or 0.0) * float(random.standard_normal()),
+        processes=_processes(sensor),
+        rate_random_walk_dps_sqrt_s=float(sensor.rate_random_walk or 0.0) * deg,
+        gradient_deg_per_k=(float(gradient[0]), float(gradient[1]), float(gradient[2])),
+        bias_basis=bias_basis,
+        temperature_basis=temperature_basis,
+        rate_basis=rate_basis,
+    )
+    travel = float(spec.rig.table.travel)
+    limited = None if np.isinf(travel) else float(np.degrees(travel))
+    harmonics: list[tuple[int, float, float]] = []
+    for harmonic in angle.harmonics:
+        cosine, sine = np.degrees(float(harmonic.amplitude)) * random.standard_normal(2)
+        harmonics.append((harmonic.order, float(cosine), float(sine)))
+    axis = AxisTruth(
+        lowest_deg=None if limited is None else -limited,
+        highest_deg=limited,
+        harmonics=tuple(harmonics),
+        standstill_offset_deg=float(np.degrees(angle.standstill_offset)),
+        reading_noise_deg=float(np.degrees(angle.reading_noise)),
+        seed=seed,
+    )
+    return HiddenTruth(truth, axis)
+
+
+def _processes(sensor: Sensor) -> tuple[Process, ...]:
+    deg = 180.0 / np.pi
+    found = [Process(float(d.standard_deviation) * deg, float(d.correlation_time), 1.0) for d in sensor.drift]
+    found += [
+        Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0)
+        for d in sensor.scale_factor_instability
+    ]
+    if (error := sensor.temperature_error) is not None:
+        lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
+        gains = (float(error.bias_slope or 0.0) * deg, float(error.scale_factor_slope or 0.0))
+        found.append(Process(float(error.standard_deviation), float(lasts), *gains))
+    return tuple(found)
+
+
+def _polynomial(degree: int) -> TruthBasis:
+    return TruthBasis("polynomial", degree)
+
+
+def _temperature_basis(section: Any) -> TruthBasis:
+    if isinstance(section, TemperaturePolynomial):
+        return TruthBasis("polynomial", section.degree, float(section.centre), float(section.scale))
+    if isinstance(section, TemperatureSpline):
+        return TruthBasis("b-spline", section.degree, knots=tuple(float(k) for k in section.knots))
+    return TruthBasis("bins", knots=tuple(float(e) for e in section.edges))
+
+
+def _rate_basis(section: Any) -> TruthBasis:
+    def dps(values: tuple[Any, ...]) -> tuple[float, ...]:
+        return tuple(to_unit(float(value), "deg/s") for value in values)
+
+    if isinstance(section, RatePolynomial):
+        centre, scale = dps((section.centre, section.scale))
+        return TruthBasis("polynomial", section.degree, centre, scale)
+    if isinstance(section, RateSpline):
+        return TruthBasis("b-spline", section.degree, knots=dps(section.knots))
+    return TruthBasis("bins", knots=dps(section.edges))
+
+
+class SimulatedLab:
+    """The laboratory for one recipe's spec. A context manager; `rig` is its rig file.
+
+    `burst_s` is how often the sensor's bytes reach the computer; a longer one costs less time. `room_c` is where the
+    chamber starts. `on_sockets`: TCP in the place of pseudo-terminals, as on Windows.
+    """
+
+    def __init__(
+        self,
+        spec: Spec,
+        clock: Clock,
+        *,
+        seed: int = 0,
+        sample_rate_hz: float = 125.0,
+        burst_s: float = 0.5,
+        room_c: float = 23.0,
+        on_sockets: bool = False,
+    ) -> None:
+        self.truth = draw_truth(spec, seed)
+        now = clock.now()
+        table, chamber = spec.rig.table, spec.rig.chamber
+        self.axes = _axes(spec)
+        lag = max(float(spec.sensor.thermal_lag or 0.0), 1.0)
+        self.chamber_plant = ChamberPlant(
+            ChamberTruth(
+                start_c=room_c,
+                ambient_c=room_c,
+                heating_k_per_min=1.2 * 60.0 * float(chamber.max_heating),
+                cooling_k_per_min=1.2 * 60.0 * float(chamber.max_cooling),
+                load_time_constant_s=lag,
+            ),
+            now,
+        )
+        self.axis_plants = [
+            AxisPlant(_reseeded(self.truth.axis, number), now) for number, _ in enumerate(self.axes, start=1)
+        ]
+        several = len(self.axes) > 1
+        mounting = Mounting(
+            axes=tuple(_ALONG[axis] for axis in self.axes) if several else (_EAST,),
+            mounting=_MOUNTED["x"] if several else _MOUNTED[self.axes[0]],
+            **({"earth_rate_dps": 0.0} if several else {}),
+        )
+        self.sensor = SimulatedSensor(
+            self.truth.sensor,
+            mounting,
+            self.chamber_plant,
+            self.axis_plants,
+            sample_rate_hz=sample_rate_hz,
+            seed=seed + 1,
+            start_s=now,
+        )
+        cold, hot = (float(end) for end in chamber.range)
+        limited = self.truth.axis.highest_deg
+        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
+        self.table = SimulatedZaber(self.axis_plants, clock, ZaberOptions(endless=limited is None))
+        if limited is not None:
+            for stage in self.table.stages:
+                turn = stage.settings["limit.cycle.dist"]
+                reach = round(limited / 360.0 * turn)
+                stage.settings |= {"limit.min": -reach, "limit.max": reach}
+        code = [125.0, 250.0, 500.0, 1000.0, 2000.0].index(sample_rate_hz)
+        self.imu = SimulatedStim300(self.sensor, clock, Stim300Options(rate_code=code, burst_s=burst_s))
+        self.ports = [
+            SimulatedPort(device, clock, on_socket=on_sockets) for device in (self.chamber, self.table, self.imu)
+        ]
+        self.rig = self._rig(table, sample_rate_hz)
+
+    def _rig(self, table: Any, sample_rate_hz: float) -> RigFile:
+        at_chamber, at_table, at_imu = (port.url for port in self.ports)
+        limits = {"max_rate": str(table.max_rate), "max_acceleration": str(table.max_acceleration)}
+        tables: dict[str, Any] = {
+            "format": "gradcal-rig/1",
+            "title": "simulated laboratory",
+            "chamber": {"driver": "espec", "port": at_chamber, "safe": "standby"},
+            "axis": [
+                {
+                    "name": axis,
+                    "driver": "zaber",
+                    "port": at_table,
+                    "safe": "hold",
+                    "gravity_loaded": False,
+                    "options": {"device": number, **limits},
+                }
+                for number, axis in enumerate(self.axes, start=1)
+            ],
+            "imu": [
+                {
+                    "name": _SENSOR_NAME,
+                    "driver": "stim300",
+                    "port": at_imu,
+                    "options": {"sample_rate": f"{sample_rate_hz:g} Hz"},
+                }
+            ],
+        }
+        return rig_of(tables)
+
+    def __enter__(self) -> "SimulatedLab":
+        for port in self.ports:
+            port.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for port in self.ports:
+            port.close()
+
+
+def _axes(spec: Spec) -> tuple[Axis, ...]:
+    turned = {move.axis for block in tracks_of(spec)[1] for move in block.moves if move.do not in ("rest", "wait")}
+    return tuple(axis for axis in AXES if axis in turned) or ("x",)
+
+
+def _reseeded(truth: AxisTruth, number: int) -> AxisTruth:
+    return replace(truth, seed=truth.seed * 16 + number)

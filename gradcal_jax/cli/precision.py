@@ -14,14 +14,14 @@ def use_float64() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    folder = _cache_folder()
+    folder = cache_folder()
     already = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     if folder is not None and already is None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
-def _cache_folder() -> Path | None:
+def cache_folder() -> Path | None:
     """`$XDG_CACHE_HOME/gradcal`, or None where it cannot be written: then every run compiles for itself."""
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     try:

@@ -13,6 +13,7 @@ from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.sweep import SweepFile
 
 _MODELS: Final[Mapping[str, type[Section]]] = {
     "spec": Spec,
@@ -21,8 +22,9 @@ _MODELS: Final[Mapping[str, type[Section]]] = {
     "prediction": Prediction,
     "columns": ColumnMap,
     "recipe": Recipe,
+    "sweep": SweepFile,
 }
-_PLANNED: Final = ("log", "calibration", "sweep", "catalogue")
+_PLANNED: Final = ("log", "calibration", "catalogue")
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 

@@ -1,0 +1,268 @@
+"""`gradcal sweep`: one spec, many values of its keys, all predicted or optimised, as labelled results."""
+
+import json as as_json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+
+from gradcal_jax.cli.console import columns, complain, is_plain, strong, time_text
+
+if TYPE_CHECKING:
+    import xarray
+
+    from gradcal_jax.files.sweep import Sweep
+    from gradcal_jax.jobs.sweep import Estimate
+
+DONE, NOT_AS_WISHED, FAILED = 0, 1, 3
+_VERDICTS = ("met", "missed", "unobservable")
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(sweep)
+
+
+def sweep(
+    file: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    dry_run: Annotated[bool, Parameter(negative="")] = False,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    plot: Annotated[Path | None, Parameter(name="--plot")] = None,
+) -> int:
+    """Predict (or optimise) a spec for many values of its keys; labelled results with units in a netCDF file.
+
+    What is finished is kept beside the output: killed at any time, the same command goes on where it was. The exit
+    status is 1 where some points could not be computed; the results say why.
+
+    Parameters
+    ----------
+    file
+        The sweep file (gradcal-sweep/1): a base spec, and which keys take which values.
+    output
+        The results to write (.nc).
+    dry_run
+        Say how large the sweep is and how long it will take, by one chunk; write nothing.
+    scheduler
+        Address of a Dask scheduler, such as tcp://host:8786; without it the cores of this machine do the work.
+    workers
+        Worker processes on this machine; as many as cores.
+    json
+        Print the summary as JSON.
+    plot
+        Draw the results into this file (.png, .svg, .pdf).
+    """
+    from gradcal_jax.files.sweep import read_sweep
+
+    if output is None and not dry_run:
+        raise ValueError("where to? Name the results with -o results.nc, or ask for --dry-run")
+    if workers is not None and not 1 <= workers <= 1024:
+        raise ValueError(f"--workers {workers}: give a number from 1 to 1024")
+    if workers is not None and scheduler is not None:
+        raise ValueError("--workers or --scheduler: a cluster decides for itself how many it has")
+    if plot is not None:
+        _drawable(plot)
+    job = read_sweep(file)
+    from gradcal_jax.jobs import sweep as jobs
+
+    if dry_run:
+        with _runner(scheduler, workers) as runner, _progress() as report:
+            found = jobs.dry_run(job, runner=runner, progress=report)
+        print(as_json.dumps(_estimate(found), indent=2) if json else _estimated(found, job))
+        return DONE
+    assert output is not None
+    if jobs.finished(job, output):
+        if not json:
+            print(f"{output} is finished: it holds the results of just this sweep")
+    else:
+        _writable(output)
+        try:
+            with _runner(scheduler, workers) as runner, _progress() as report:
+                jobs.sweep(job, output, runner=runner, progress=report)
+        except jobs.SweepIncomplete as error:
+            complain(str(error))
+            return FAILED
+        except KeyboardInterrupt:
+            complain(
+                f"interrupted; what is finished is kept in {output}.parts, and the same command goes on from there"
+            )
+            return 130
+    from gradcal_jax.jobs.dataset import read_dataset
+
+    results = read_dataset(output)
+    summary = summary_of(results)
+    print(as_json.dumps({"output": str(output), **summary}, indent=2) if json else text(summary, job, str(output)))
+    if plot is not None:
+        from gradcal_jax.plots import save
+        from gradcal_jax.plots.sweep import draw_sweep
+
+        save(draw_sweep(results), plot)
+        if not json:
+            print(f"wrote {plot}")
+    return NOT_AS_WISHED if summary["failed"] else DONE
+
+
+def _runner(scheduler: str | None, workers: int | None) -> Any:
+    """The machine's own workers, which keep compiled programs where the other commands do, or a cluster's."""
+    if scheduler is not None:
+        from gradcal_jax.jobs.cluster import Cluster
+
+        return Cluster(scheduler)
+    from gradcal_jax.cli.precision import cache_folder
+    from gradcal_jax.jobs.pool import LocalPool
+
+    folder = cache_folder()
+    return LocalPool(workers, None if folder is None else str(folder))
+
+
+class _progress:
+    """A bar on a terminal; away from it nothing is said until the end."""
+
+    def __enter__(self) -> Any:
+        import sys
+
+        if is_plain(sys.stderr):
+            return lambda found: None
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        parts = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        self._bar = Progress(*parts, TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True))
+        self._tasks: dict[str, Any] = {}
+        self._bar.start()
+        return self._report
+
+    def _report(self, found: Any) -> None:
+        words = {"reading": "reading points", "predict": "predicting", "optimise": "optimising"}[found.stage]
+        if found.stage not in self._tasks:
+            self._tasks[found.stage] = self._bar.add_task(words, total=found.total)
+        self._bar.update(self._tasks[found.stage], completed=found.done)
+
+    def __exit__(self, *_: object) -> None:
+        if hasattr(self, "_bar"):
+            self._bar.stop()
+
+
+def _writable(path: Path) -> None:
+    if path.is_dir():
+        raise ValueError(f"{path} is a directory; name a file in it")
+    if not path.parent.is_dir():
+        raise ValueError(f"there is no directory {path.parent}; make it first")
+    if path.exists():
+        raise ValueError(f"{path} exists and is not of this sweep; choose another output, or delete it")
+
+
+def _drawable(path: Path) -> None:
+    """Before an hour of work, not after it."""
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise ValueError(f"{path}: a figure's name ends in .png, .svg or .pdf")
+    if not path.parent.is_dir():
+        raise ValueError(f"there is no directory {path.parent}; make it first")
+
+
+def _estimate(found: "Estimate") -> dict[str, Any]:
+    return {
+        "points": found.points,
+        "points_not_a_spec": found.failing,
+        "first_reason": found.first_failure or None,
+        "chunks": found.chunks,
+        "programs_to_compile": found.programs,
+        "workers": found.workers,
+        "first_chunk_s": round(found.first_chunk_s, 3),
+        "further_chunk_s": round(found.next_chunk_s, 3),
+        "expected_s": round(found.seconds, 1),
+    }
+
+
+def _estimated(found: "Estimate", job: "Sweep") -> str:
+    lines = [
+        strong(job.file.title or "the sweep"),
+        f"{found.points} points, of which {found.failing} are no spec"
+        + (f"; the first says: {found.first_failure}" if found.failing else ""),
+        f"{found.chunks} chunks on {found.workers} workers; {found.programs} programs to compile where not kept",
+        f"a chunk takes {time_text(found.first_chunk_s)} with compiling, {time_text(found.next_chunk_s)} after that",
+        f"expected: {time_text(max(found.seconds, 1.0))}",
+    ]
+    return "\n".join(lines)
+
+
+def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
+    """Numbers of points, and for each requirement's decisive statistic its range, and where the least is."""
+    import numpy as np
+
+    failed = int(np.count_nonzero(results["failure"].values != ""))
+    reasons: dict[str, int] = {}
+    for reason in results["failure"].values.ravel():
+        if reason:
+            reasons[str(reason)] = reasons.get(str(reason), 0) + 1
+    axes = [str(name) for name in results.coords if name != "sensor_axis"]
+    rows: list[dict[str, Any]] = []
+    for name, variable in results.data_vars.items():
+        if variable.attrs.get("decisive") != "yes":
+            continue
+        verdicts = results[variable.attrs["verdict"]].values
+        values = variable.values
+        row: dict[str, Any] = {
+            "name": variable.attrs["requirement"],
+            "statistic": variable.attrs["statistic"],
+            "variable": str(name),
+            "unit": variable.attrs["units"],
+            "least": None,
+        }
+        if np.isfinite(values).any():
+            best = np.unravel_index(int(np.nanargmin(values)), values.shape)
+            at = dict(zip(map(str, variable.dims), best, strict=True))
+            row |= {
+                "least": float(values[best]),
+                "median": float(np.nanmedian(values)),
+                "most": float(np.nanmax(values)),
+                "least_at": {axis: _plain(results[axis].values[at[str(results[axis].dims[0])]]) for axis in axes},
+            }
+        rows.append(row | {word: int(np.count_nonzero(verdicts == word)) for word in _VERDICTS})
+    most = max(reasons.items(), key=lambda item: item[1]) if reasons else None
+    return {
+        "status": results.attrs["status"],
+        "points": int(results["failure"].size),
+        "failed": failed,
+        "commonest_reason": most[0] if most else None,
+        "requirements": rows,
+    }
+
+
+def _plain(value: Any) -> Any:
+    return float(value) if hasattr(value, "dtype") and value.dtype.kind == "f" else str(value)
+
+
+def text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
+    """The summary as people read it."""
+    points, failed = summary["points"], summary["failed"]
+    lines = [strong(job.file.title or output), f"{points} points, {failed} of them failed"]
+    if failed:
+        lines.append(f"the commonest reason: {summary['commonest_reason']}")
+    table: list[tuple[str, ...]] = [("residual (1σ)", "least", "median", "most", " / ".join(_VERDICTS))]
+    for row in summary["requirements"]:
+        values = ("none",) * 3
+        if row["least"] is not None:
+            values = tuple(f"{row[k]:.4g} {row['unit']}" for k in ("least", "median", "most"))
+        verdicts = " / ".join(str(row[word]) for word in _VERDICTS)
+        table.append((f"{row['name']}, {row['statistic']}", *values, verdicts))
+    lines += ["", columns(table, indent="")]
+    for row in summary["requirements"]:
+        if row["least"] is not None:
+            where = ", ".join(
+                f"{axis} {value:.6g}" if isinstance(value, float) else f"{axis} {value}"
+                for axis, value in row["least_at"].items()
+            )
+            lines.append(f"{row['name']}: least at {where}")
+    return "\n".join([*lines, f"results: {output}"])

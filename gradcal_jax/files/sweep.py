@@ -1,0 +1,326 @@
+"""gradcal-sweep/1: one spec, and which of its keys take which values: a design of experiments over plans.
+
+    format = "gradcal-sweep/1"
+    base   = "paper-dynamic-gradient"        # a preset, or the path of a spec or recipe, seen from this file
+    [change]                                 # keys that are other than in the base, at every point
+    "plan.soak.duration" = "30 min"
+    [[axis]]                                 # a grid over all axes …
+    key    = "plan.gradient"
+    start  = "0.5 K/min"
+    stop   = "2 K/min"
+    count  = 7
+    [[axis]]
+    keys   = ["plan.cycle.moves[0].rest", "plan.cycle.moves[4].rest"]
+    values = ["5 s", "10 s", "20 s"]
+    [samples]                                # … or, with this table, points drawn over all axes together
+    method = "latin hypercube"
+    count  = 1000
+
+Nothing here draws or computes: `gradcal_jax.jobs` does.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Context, Decimal
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, cast
+
+from pydantic import Field, ValidationError, model_validator
+
+from gradcal_jax import units
+from gradcal_jax.files import presets
+from gradcal_jax.files.changes import changed, split_key
+from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.quantity import Count, Text, Whole
+from gradcal_jax.files.recipe import is_recipe, recipe_of
+from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.spec import Spec, parse_spec, spec_of
+
+FORMAT: Final = "gradcal-sweep/1"
+MOST_POINTS: Final = 1_000_000
+_DIGITS: Final = Context(prec=12)
+
+End = str | float | int
+
+
+class Axis(Section):
+    """`[[axis]]`: keys of the spec that change together, and their values: a list, or from `start` to `stop` by `count`
+    or by `step`. Ends are texts with the same unit, or plain numbers. In a drawn sweep ends alone are enough.
+    """
+
+    name: Text | None = None
+    key: Text | None = None
+    keys: Annotated[tuple[Text, ...], Field(min_length=1, max_length=1000)] | None = None
+    values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)] | None = None
+    start: End | None = None
+    stop: End | None = None
+    count: Annotated[int, Field(strict=True, ge=2, le=100_000)] | None = None
+    step: End | None = None
+    spacing: Literal["linear", "logarithmic"] = "linear"
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Axis":
+        problems: list[Problem] = []
+        if (self.key is None) == (self.keys is None):
+            problems.append(Problem(("key",), 'give either "key" or "keys"', kind="missing"))
+        for text in self.changes:
+            try:
+                split_key(text)
+            except ValueError as error:
+                problems.append(Problem(("key",), str(error), text))
+        given = [name for name in ("start", "stop", "count", "step") if getattr(self, name) is not None]
+        if self.values is not None:
+            problems += [Problem((name,), 'cannot stand beside "values"', getattr(self, name)) for name in given]
+        elif self.start is None or self.stop is None:
+            problems.append(Problem((), 'expected "values", or "start" and "stop"', kind="missing"))
+        elif self.count is not None and self.step is not None:
+            problems.append(Problem(("step",), 'cannot stand beside "count"; keep one of them', self.step))
+        refuse(*problems)
+        if self.values is None:
+            try:
+                self.ends()
+                if self.count is not None or self.step is not None:
+                    self.listed()
+            except SpecError:
+                raise
+            except ValueError as error:
+                refuse(Problem((), str(error)))
+        return self
+
+    @property
+    def changes(self) -> tuple[str, ...]:
+        """The keys of the spec that this axis sets."""
+        return self.keys if self.keys is not None else (() if self.key is None else (self.key,))
+
+    @property
+    def label(self) -> str:
+        """What the axis is called in the results: its name, or the last word of its key."""
+        if self.name is not None:
+            return self.name
+        words = [part for part in split_key(self.changes[0]) if isinstance(part, str)]
+        return words[-1]
+
+    @property
+    def unit(self) -> str | None:
+        """The unit that its values are written in; None for plain numbers and for words."""
+        first = self.start if self.values is None else self.values[0]
+        if not isinstance(first, str):
+            return None
+        try:
+            return units.unit_of(first)
+        except ValueError:
+            return None
+
+    def ends(self) -> tuple[float, float]:
+        """Start and stop as numbers in `unit`. Raises `SpecError`."""
+        assert self.start is not None
+        assert self.stop is not None
+        low, high = (self._number(name, end) for name, end in (("start", self.start), ("stop", self.stop)))
+        if low == high:
+            refuse(Problem(("stop",), "must differ from start", self.stop))
+        if self.spacing == "logarithmic" and not (low > 0.0 and high > 0.0):
+            refuse(Problem(("spacing",), "needs a start and a stop above zero", self.spacing))
+        return low, high
+
+    def _number(self, name: str, end: End) -> float:
+        unit = self.unit
+        if isinstance(end, bool) or isinstance(end, str) != (unit is not None):
+            refuse(Problem((name,), "start and stop are both texts with a unit, or both plain numbers", end))
+        if not isinstance(end, str):
+            return float(end)
+        assert unit is not None
+        try:
+            return _in(end, unit)
+        except ValueError as error:
+            refuse(Problem((name,), str(error), end))
+            raise
+
+    def at(self, share: float) -> object:
+        """The value at a share (0 … 1) of the way from start to stop, or of the list; as the spec's file holds it."""
+        if self.values is not None:
+            return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
+        low, high = self.ends()
+        if self.spacing == "logarithmic":
+            return self._written(low * (high / low) ** share)
+        return self._written(low + (high - low) * share)
+
+    def _written(self, number: float) -> object:
+        """A number as the file writes it, to twelve digits: what is swept can be written again by hand."""
+        if self.unit is not None:
+            return f"{_short(number)} {self.unit}"
+        whole = all(isinstance(end, int) for end in (self.start, self.stop, self.step or 0))
+        return round(number) if whole and abs(number - round(number)) < 1e-9 else float(_short(number))
+
+    def listed(self) -> tuple[object, ...]:
+        """All values of the axis of a grid. Raises `SpecError` where it has ends alone."""
+        if self.values is not None:
+            return self.values
+        low, high = self.ends()
+        if self.count is not None:
+            return tuple(self.at(k / (self.count - 1)) for k in range(self.count))
+        if self.step is None:
+            refuse(Problem(("count",), 'a grid needs "count" or "step" between start and stop', kind="missing"))
+        assert self.step is not None
+        if self.spacing == "logarithmic":
+            refuse(Problem(("step",), 'is for linear spacing; give "count"', self.step))
+        step = self._step(self.step)
+        if step == 0.0 or (high - low) / step < 0.0:
+            refuse(Problem(("step",), "must lead from start to stop", self.step))
+        steps = math.floor((high - low) / step * (1.0 + 1e-12) + 1e-9)
+        if steps >= 100_000:
+            refuse(Problem(("step",), "makes more than 100000 values", self.step))
+        return tuple(self._written(low + k * step) for k in range(steps + 1))
+
+    def _step(self, step: End) -> float:
+        unit = self.unit
+        if not isinstance(step, str) or unit is None:
+            return self._number("step", step)
+        kind = units.dimension_of(unit)
+        if kind == "temperature":
+            # A step between temperatures is a difference: of kelvins, as many degrees Celsius.
+            return units.parse(step, "temperature difference")
+        return _in(step, unit)
+
+    def number_of(self, value: object) -> float | None:
+        """A value in the axis's unit, for the results' coordinate; None for words."""
+        if isinstance(value, bool):
+            return None
+        if isinstance(value, int | float):
+            return float(value)
+        unit = self.unit
+        if not isinstance(value, str) or unit is None:
+            return None
+        try:
+            return _in(value, unit)
+        except ValueError:
+            return None
+
+
+def _in(text: str, unit: str) -> float:
+    """The number of a quantity in a unit: 60 for "60 deg/s", whatever its SI value rounds to."""
+    return float(_short(units.to_unit(units.parse(text, units.dimension_of(unit)), unit)))
+
+
+def _short(number: float) -> str:
+    """A float's decimal to twelve digits, without needless ones."""
+    rounded = _DIGITS.create_decimal(Decimal(repr(number)))
+    return format(rounded.normalize(_DIGITS), "f") if -6 < rounded.adjusted() < 12 or rounded == 0 else f"{rounded:e}"
+
+
+class Samples(Section):
+    """`[samples]`: points drawn over all axes together, the same for the same seed."""
+
+    method: Literal["latin hypercube", "sobol"]
+    count: Count
+    seed: Whole = 0
+
+
+class SweepFile(Section):
+    """A whole sweep file."""
+
+    format: Literal["gradcal-sweep/1"]
+    title: Text | None = None
+    base: Text
+    do: Literal["predict", "optimise"] = "predict"
+    change: dict[str, Any] = Field(default_factory=dict)
+    axis: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=20)]
+    samples: Samples | None = None
+
+    @model_validator(mode="after")
+    def _distinct(self) -> "SweepFile":
+        problems: list[Problem] = []
+        labels = [axis.label for axis in self.axis]
+        for i, label in enumerate(labels):
+            if label in labels[:i]:
+                message = 'two axes are called this; give one of them another "name"'
+                problems.append(Problem(("axis", i, "name"), message, label))
+        seen: set[str] = set()
+        for i, axis in enumerate(self.axis):
+            for key in axis.changes:
+                if key in seen:
+                    problems.append(Problem(("axis", i, "key"), "another axis sets this key too", key))
+                seen.add(key)
+            if self.samples is None and axis.values is None and axis.count is None and axis.step is None:
+                message = 'a grid needs "count" or "step" between start and stop'
+                problems.append(Problem(("axis", i, "count"), message, kind="missing"))
+        if not problems and self.count > MOST_POINTS:
+            problems.append(Problem(("axis",), f"makes {self.count} points; at most {MOST_POINTS}"))
+        refuse(*problems)
+        return self
+
+    @property
+    def count(self) -> int:
+        """How many points the sweep has."""
+        if self.samples is not None:
+            return self.samples.count
+        return math.prod(len(axis.listed()) for axis in self.axis)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep file, read: `text` as it stands on the disk, `base` the spec with `[change]` made."""
+
+    file: SweepFile
+    text: str
+    base: Spec
+
+
+def read_sweep(path: str | Path) -> Sweep:
+    """Read a sweep file and its base. Raises `SpecError` that lists everything wrong with them."""
+    return parse_sweep(read_text(path), str(path), Path(path).parent)
+
+
+def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
+    """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
+    document = read_toml(text, source)
+    problem = format_problem(document, FORMAT)
+    if problem is not None:
+        raise SpecError([problem], source)
+    try:
+        file = SweepFile.model_validate(document)
+    except ValidationError as error:
+        raise SpecError(from_validation(error), source) from None
+    except SpecError as error:
+        raise SpecError(error.problems, source) from None
+    base = named_spec(file.base, Path(folder), source)
+    try:
+        if file.change:
+            base = changed(base, file.change)
+        for axis in file.axis:
+            _known(axis, base)
+    except SpecError as error:
+        raise SpecError(error.problems, source) from None
+    return Sweep(file, text, base)
+
+
+def named_spec(name: str, folder: Path, source: str = "") -> Spec:
+    """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
+    path = folder / name
+    if not path.suffix and not path.exists():
+        if name in presets.names():
+            return parse_spec(presets.text(name), name)
+        raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal new --list')], source)
+    document = read_toml(read_text(path), str(path))
+    return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
+
+
+def _known(axis: Axis, base: Spec) -> None:
+    """A key that no spec has is a slip, and is said at once, not a thousand times."""
+    trial = {key: axis.at(0.0) for key in axis.changes}
+    try:
+        changed(base, trial)
+    except SpecError as error:
+        slips = [
+            p
+            for p in error.problems
+            if p.kind == "unknown" or "there is no" in p.message or "the list has" in p.message
+        ]
+        if slips:
+            raise SpecError(slips) from None
+
+
+def tables_of_sweep(file: SweepFile) -> Mapping[str, Any]:
+    """The sweep as the tables of its file."""
+    return cast("Mapping[str, Any]", file.model_dump(mode="json", exclude_unset=True))

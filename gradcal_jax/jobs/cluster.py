@@ -1,0 +1,61 @@
+"""The same tasks on a Dask cluster, by its scheduler's address (extra `cluster`).
+
+Each Dask worker hands its tasks to a worker process of ours (`gradcal_jax.jobs.worker`), so that a cluster computes the
+same bits as one machine of its kind. A Dask worker that is killed costs the chunk it had in hand: Dask gives that to
+another.
+"""
+
+import threading
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from gradcal_jax.jobs.pool import Task, tried
+from gradcal_jax.jobs.worker import Worker
+
+
+class Cluster:
+    """A `pool.Runner` on a Dask cluster. Errors: `ValueError` without the extra, or where no scheduler answers."""
+
+    def __init__(self, address: str, *, timeout_s: float = 20.0):
+        try:
+            from distributed import Client
+        except ImportError:
+            raise ValueError(
+                "a cluster needs Dask: install gradcal_jax[cluster], here and on the cluster's workers"
+            ) from None
+        try:
+            self._client = Client(address, timeout=timeout_s, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise ValueError(
+                f"no Dask scheduler answers at {address} ({error}); start one with `dask scheduler` and "
+                "`dask worker ADDRESS`"
+            ) from None
+        self.workers = max(1, sum(w["nthreads"] for w in self._client.scheduler_info(n_workers=-1)["workers"].values()))
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]:
+        from distributed import as_completed
+
+        futures = {self._client.submit(do, task, pure=False, retries=2): task.key for task in tasks}
+        for future in as_completed(futures):
+            error = future.exception() if future.status != "finished" else None
+            yield futures[future], future.result() if error is None else error
+            future.release()
+
+    def close(self) -> None:
+        self._client.close()
+
+    def __enter__(self) -> "Cluster":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+_HERE = threading.local()
+
+
+def do(task: Task) -> Any:
+    """Runs in a thread of a Dask worker: the task, done by a process that this thread keeps."""
+    if not hasattr(_HERE, "worker"):
+        _HERE.worker = Worker()
+    return tried(_HERE.worker, task)

@@ -1,0 +1,161 @@
+"""Results of a sweep as labelled arrays with units (xarray), and their file (netCDF 4)."""
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from gradcal_jax.assemble.knowledge import UNIT_OF
+from gradcal_jax.files import to_toml
+from gradcal_jax.files.sweep import Sweep
+from gradcal_jax.information import STATISTICS
+from gradcal_jax.jobs.evaluate import Result
+from gradcal_jax.jobs.points import Points
+
+if TYPE_CHECKING:
+    import xarray
+
+_TIMES: Final = {
+    "duration": ("duration_s", "the whole plan"),
+    "soak": ("soak_s", "of it at constant temperature"),
+    "motion": ("motion_s", "of it with the temperature changing"),
+}
+_CHANNELS: Final = ("x", "y", "z")
+
+
+def dataset_of(job: Sweep, points: Points, results: tuple[Result, ...], identity: dict[str, Any]) -> "xarray.Dataset":
+    """The results: dimensions are the axes of a grid, or `point` for drawn points; every variable has its unit.
+
+    Requirements give `<name>_<statistic>` (1σ; NaN where there is no result or nothing can be observed) and
+    `<name>_verdict`; `failure` says why a point has no result.
+    """
+    import xarray
+
+    grid = job.file.samples is None
+    names = [slug(axis.label) for axis in job.file.axis]
+    dims = tuple(names) if grid else ("point",)
+    shape = points.shape
+    values = [points.values(i) for i in range(len(points))]
+    variables: dict[str, Any] = {}
+    coordinates: dict[str, Any] = {}
+    for k, (axis, name) in enumerate(zip(job.file.axis, names, strict=True)):
+        of_axis = axis.listed() if grid else [row[k] for row in values]
+        numbers = [axis.number_of(value) for value in of_axis]
+        attributes = {"long_name": axis.label, "keys": ", ".join(axis.changes)}
+        if any(number is None for number in numbers):
+            column: Any = np.array([str(value) for value in of_axis], dtype=object)
+        else:
+            column = np.array(numbers, dtype=float)
+            attributes["units"] = axis.unit or "1"
+        coordinates[name] = ((name,) if grid else ("point",), column, attributes)
+
+    def add(name: str, column: list[Any], attributes: dict[str, str], extra: tuple[str, ...] = ()) -> None:
+        array = np.array(column, dtype=object if isinstance(column[0], str) else float)
+        if array.ndim > 1 and not extra:
+            array = array[:, 0]
+        variables[name] = ((*dims, *extra), array.reshape(*shape, *array.shape[1:]), attributes)
+
+    channels = [c for c in _CHANNELS if any(row.channel == c for r in results for row in r.residuals)] or ["x"]
+    extra = ("sensor_axis",) if len(channels) > 1 else ()
+    if extra:
+        coordinates["sensor_axis"] = (extra, np.array(channels, dtype=object), {"long_name": "axis of the sensor"})
+    tables = [{(row.requirement, row.channel): row for row in result.residuals} for result in results]
+    taken: set[str] = set()
+    for i, requirement in enumerate(job.base.requirement):
+        name = slug(requirement.name)
+        if name in taken:
+            name = f"{name}_{i}"
+        taken.add(name)
+        unit = UNIT_OF[requirement.quantity][0]
+        for s, statistic in enumerate(STATISTICS):
+            if requirement.quantity == "bias" and statistic == "mean of max":
+                continue
+            column = [[_number(t.get((i, c)), s) for c in channels] for t in tables]
+            what = f"{requirement.name}: {statistic} of the residual {requirement.quantity.replace('_', ' ')}, 1 sigma"
+            decisive = "yes" if statistic == requirement.statistic else "no"
+            attributes = {
+                "units": unit,
+                "long_name": what,
+                "requirement": requirement.name,
+                "statistic": statistic,
+                "decisive": decisive,
+                "verdict": f"{name}_verdict",
+            }
+            add(f"{name}_{slug(statistic)}", column, attributes, extra)
+        verdicts = [[row.verdict if (row := t.get((i, c))) else "" for c in channels] for t in tables]
+        what = f"{requirement.name}: against its target, if it has one"
+        array = np.array(verdicts, dtype=object)
+        array = array if extra else array[:, 0]
+        variables[f"{name}_verdict"] = ((*dims, *extra), array.reshape(*shape, *array.shape[1:]), {"long_name": what})
+    for name, (field, what) in _TIMES.items():
+        column = [np.nan if r.failure else getattr(r, field) for r in results]
+        add(name, column, {"units": "s", "long_name": what})
+    add("failure", [r.failure for r in results], {"long_name": "why the point has no result; empty where it has one"})
+    if job.file.do == "optimise":
+        add("convergence", [r.note for r in results], {"long_name": "what the optimiser says of itself"})
+        add("optimised_spec", [r.spec for r in results], {"long_name": "gradcal-spec/1 with the optimised plan"})
+        before = [np.nan if r.before is None else r.before for r in results]
+        add("objective_before", before, {"long_name": "the objective of the plan as written, in its unit"})
+    failed = sum(bool(r.failure) for r in results)
+    attributes = {
+        "format": "gradcal-sweep-results/1",
+        "title": job.file.title or "",
+        "status": f"complete: {len(results)} points, {failed} of them failed",
+        "sweep": job.text,
+        "base": to_toml(job.base),
+        "identity": json.dumps(identity),
+        "note": "residuals are predictions under the base's model, one standard deviation",
+    }
+    return xarray.Dataset(variables, coordinates, attributes)
+
+
+def _number(row: Any, statistic: int) -> float:
+    value = None if row is None else row.values[statistic]
+    return np.nan if value is None else value
+
+
+def slug(text: str) -> str:
+    """A name that programs can use: letters, digits and underscores."""
+    plain = re.sub(r"\W+", "_", text.strip()).strip("_")
+    return plain if plain and not plain[0].isdigit() else f"v_{plain}"
+
+
+def write_dataset(data: "xarray.Dataset", output: Path) -> None:
+    """Write the file as a whole or not at all; the same data give the same bytes."""
+    passing = output.with_name(f".{output.name}.{os.getpid()}")
+    try:
+        data.to_netcdf(passing, engine="h5netcdf")
+        os.replace(passing, output)
+    finally:
+        passing.unlink(missing_ok=True)
+
+
+def read_dataset(path: str | Path) -> "xarray.Dataset":
+    """The results in a file. Errors: `ValueError` where it is no sweep's."""
+    import xarray
+
+    try:
+        with xarray.open_dataset(path, engine="h5netcdf") as data:
+            found = data.load()
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} is not the results of a sweep ({one_line(error)})") from None
+    if found.attrs.get("format") != "gradcal-sweep-results/1":
+        raise ValueError(f"{path} is not the results of a sweep; gradcal sweep writes them")
+    return found
+
+
+def identity_in(path: Path) -> dict[str, Any] | None:
+    """What the results in a file are of; None where they are no sweep's."""
+    try:
+        return json.loads(read_dataset(path).attrs["identity"])
+    except (ValueError, KeyError, OSError):
+        return None
+
+
+def one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())

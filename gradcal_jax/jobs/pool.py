@@ -1,0 +1,89 @@
+"""Who does the tasks: worker processes on this machine, or those of a Dask cluster. Both yield results as they come."""
+
+import os
+import queue
+import threading
+from collections.abc import Iterable, Iterator
+from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+
+from gradcal_jax.jobs.worker import TaskFailed, Worker, WorkerEnded
+
+_TRIES: Final = 3
+
+
+class Task(NamedTuple):
+    """`name` of `evaluate.TASKS` with its arguments; `key` names it in the results."""
+
+    key: int
+    name: str
+    arguments: tuple[Any, ...]
+
+
+@runtime_checkable
+class Runner(Protocol):
+    """Does tasks, and yields (key, result), or (key, exception) for one that could not be done, in any order."""
+
+    workers: int
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]: ...
+
+    def close(self) -> None: ...
+
+
+class LocalPool:
+    """Worker processes on this machine, one for each core unless told otherwise."""
+
+    def __init__(self, workers: int | None = None, compiled: str | None = None):
+        self.workers = workers or cores()
+        self._all = [Worker(compiled) for _ in range(self.workers)]
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]:
+        waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
+        done: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
+        count = 0
+        for task in tasks:
+            waiting.put(task)
+            count += 1
+
+        def work(worker: Worker) -> None:
+            while True:
+                try:
+                    task = waiting.get_nowait()
+                except queue.Empty:
+                    return
+                done.put((task.key, tried(worker, task)))
+
+        for worker in self._all[:count]:
+            threading.Thread(target=work, args=(worker,), daemon=True).start()
+        for _ in range(count):
+            yield done.get()
+
+    def close(self) -> None:
+        for worker in self._all:
+            worker.close()
+
+    def __enter__(self) -> "LocalPool":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def tried(worker: Worker, task: Task) -> Any:
+    """The task's result; a worker that was killed is started again, a few times; at last the exception itself."""
+    error: Exception = WorkerEnded("never tried")
+    for _ in range(_TRIES):
+        try:
+            return worker.ask(task.name, task.arguments)
+        except WorkerEnded as ended:
+            error = ended
+        except TaskFailed as failed:
+            return failed
+    return error
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1

@@ -10,10 +10,7 @@ from gradcal_jax.assemble.build import assemble
 from gradcal_jax.assemble.estimate import Options, UnitChannel, estimate_channels
 from gradcal_jax.assemble.knowledge import DEG_PER_S, UNIT_OF, residual_map
 from gradcal_jax.files import Spec
-from gradcal_jax.files.bases import (
-    RateBasis,
-    TemperatureBasis,
-)
+from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (
     FORMAT,
     ORDER,
@@ -21,6 +18,7 @@ from gradcal_jax.files.calibration import (
     BiasMap,
     Calibration,
     Covariance,
+    Noise,
     Result,
     ScaleFactorMap,
     bias_names,
@@ -170,6 +168,7 @@ def _calibration(
         "frame": "the sensor's own axes " + ", ".join(channel.axis for channel in channels) + ", not orthogonalised",
         "order": ORDER,
         "axis": tuple(_axis(spec, channel) for channel in channels),
+        "noise": _noise(spec, log),
         "provenance": {
             "program": f"gradcal {gradcal_jax.__version__}",
             "estimator": _estimator(options, channels[0]),
@@ -180,6 +179,17 @@ def _calibration(
     if verdicts:
         section["result"] = tuple(_result(row) for row in verdicts)
     return Calibration(**section)
+
+
+def _noise(spec: Spec, log: Log) -> Noise:
+    """The spec's, with every drift as the rate random walk that it is over times much shorter than its own."""
+    sensor = spec.sensor
+    square = float(sensor.rate_random_walk or 0.0) ** 2
+    square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in sensor.drift)
+    given: dict[str, Any] = {"angle_random_walk": sensor.angle_random_walk}
+    if square > 0.0:
+        given["rate_random_walk"] = Quantity.of(float(np.sqrt(square)), "rad/s/sqrt(s)")
+    return Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **given)
 
 
 def _result(row: Verdict) -> Result:
@@ -245,14 +255,20 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
         given["unobservable"] = hidden
     return AxisCalibration(
         name=channel.axis,
-        valid_temperature=(Quantity.of(low, "degC"), Quantity.of(high, "degC")),
-        valid_rate=(Quantity.of(slow, "rad/s"), Quantity.of(fast, "rad/s")),
+        valid_temperature=(_shown(low, 1.0, "degC"), _shown(high, 1.0, "degC")),
+        valid_rate=(_shown(slow, DEG_PER_S, "deg/s"), _shown(fast, DEG_PER_S, "deg/s")),
         covariance=Covariance(
             names=tuple(names[k] for k in seen),
             matrix=tuple(tuple(float(covariance[i, j]) for j in seen) for i in seen),
         ),
         **given,
     )
+
+
+def _shown(value: float, factor: float, unit: str) -> Quantity:
+    """A quantity of one decimal in the unit in which people read it."""
+    dimension = "temperature" if unit == "degC" else "angular rate"
+    return Quantity.read(f"{value * factor:.1f} {unit}".replace("-0.0 ", "0.0 "), dimension)
 
 
 def _named(names: list[str], all_names: list[str], values: np.ndarray, where: slice) -> dict[str, float]:

@@ -27,6 +27,8 @@ _SETTLED = 1e-3
 _LONGEST_LAG_S = 1800.0
 _CORRELATION_TIMES_A_PIECE = 3.0
 EARTH_RATE = 7.292115e-5
+# To which the ranges of a calibration are rounded, outwards.
+_TEMPERATURE_STEP, _RATE_STEP = 0.1, float(np.radians(0.1))
 
 
 @dataclass(frozen=True)
@@ -319,8 +321,6 @@ def _finished(
     if lag_std is not None and lag > 0.99 * _LONGEST_LAG_S:
         messages.append(f"the lag stands at the longest looked at, {lag:.0f} s: the data do not tell it")
     inside = rows.temperature[_integrated_rows(done)]
-    turning = ~rows.standing & rows.usable
-    fastest = rows.rate[turning] if turning.any() and rows.angle is not None else np.zeros(1)
     return UnitChannel(
         axis,
         log.units[unit],
@@ -333,11 +333,25 @@ def _finished(
         lag,
         lag_std,
         smoothness,
-        (float(inside.min()), float(inside.max())),
-        (min(float(fastest.min()), 0.0), max(float(fastest.max()), 0.0)),
+        _outwards(float(inside.min()), float(inside.max()), _TEMPERATURE_STEP),
+        _fastest(model, found, rows, lag),
         counts,
         tuple(dict.fromkeys(messages)),
     )
+
+
+def _fastest(model: GyroModel, found: Estimate, rows: _Rows, lag: float) -> tuple[float, float]:
+    """Slowest and fastest true rate of the rows that turn, rad/s; zero where none has a reference."""
+    turning = ~rows.standing & rows.usable
+    if rows.angle is None or not turning.any():
+        return 0.0, 0.0
+    rates = room.true_rate(model, found.parameters[0], rows.rate[turning], _followed(rows, lag)[turning])
+    return _outwards(min(float(rates.min()), 0.0), max(float(rates.max()), 0.0), _RATE_STEP)
+
+
+def _outwards(low: float, high: float, step: float) -> tuple[float, float]:
+    """The range, rounded to whole steps so that it holds what it held."""
+    return float(np.floor(low / step + 1e-6) * step), float(np.ceil(high / step - 1e-6) * step)
 
 
 def _longest_piece(model: GyroModel) -> float:
@@ -522,8 +536,8 @@ def _standard(built: Assembled, log: Log, axis: str, unit: int, rows: _Rows, opt
     if isinstance(section, StandardPlanSection) and section.estimator == "least squares":
         channel = channel._replace(found=_unweighted(channel, line))
     return channel._replace(
-        valid_temperature_c=(float(np.min(line.trail)), float(np.max(line.trail))),
-        valid_rate_rad_per_s=(float(mean_rate.min()), float(mean_rate.max())),
+        valid_temperature_c=_outwards(float(np.min(line.trail)), float(np.max(line.trail)), _TEMPERATURE_STEP),
+        valid_rate_rad_per_s=_outwards(min(float(mean_rate.min()), 0.0), max(float(mean_rate.max()), 0.0), _RATE_STEP),
     )
 
 

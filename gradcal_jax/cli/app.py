@@ -9,6 +9,7 @@ from cyclopts import App, CycloptsError
 
 import gradcal_jax
 from gradcal_jax.cli import (
+    calibrated,
     check,
     estimate,
     instability,
@@ -59,6 +60,7 @@ def build() -> App:
         log,
         instability,
         estimate,
+        calibrated,
         sweep,
         schema,
     ):

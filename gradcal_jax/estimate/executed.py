@@ -166,7 +166,7 @@ def _readings(time: np.ndarray, first: int, last: int, every: float) -> list[int
     """Rows of one standstill that are read, but for the first, at which the piece before ends."""
     if last == first:
         return []
-    goals = np.arange(time[first] + every, time[last] - 0.5 * every, every)
+    goals = np.arange(time[first] + every, time[last] - 0.5 * every, every) if np.isfinite(every) else np.zeros(0)
     rows = np.searchsorted(time[first : last + 1], goals - 1e-9) + first
     return [*dict.fromkeys(int(r) for r in rows if first < r < last), last]
 

@@ -16,12 +16,24 @@ from pydantic import Field, ValidationError, model_validator
 from gradcal_jax.files.bases import RateBasis, RatePolynomial, TemperatureBasis, TemperaturePolynomial, increasing
 from gradcal_jax.files.document import format_problem, read_text, read_toml
 from gradcal_jax.files.problems import Problem, SpecError, from_validation
-from gradcal_jax.files.quantity import Flag, Number, Rate, Temperature, Text, Time
+from gradcal_jax.files.quantity import (
+    AngleRandomWalk,
+    Flag,
+    Number,
+    Of,
+    Quantity,
+    Rate,
+    RateRandomWalk,
+    Temperature,
+    Text,
+    Time,
+)
 from gradcal_jax.files.section import Section, refuse, with_spelling
 from gradcal_jax.files.writing import write_toml
 
 FORMAT: Final = "gradcal-calibration/1"
 ORDER: Final = "measured = (1 + M(T, rate)) * rate + B(T); on each axis alone, in the frame above, before any rotation"
+Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
 Coefficients = Annotated[dict[str, Number], Field(min_length=1, max_length=40_000)]
 
 
@@ -125,6 +137,14 @@ class Result(Section):
     verdict: Text | None = None
 
 
+class Noise(Section):
+    """The noise that the estimate assumed, for programs that filter; `sample_rate` of the log."""
+
+    angle_random_walk: AngleRandomWalk
+    rate_random_walk: RateRandomWalk | None = None
+    sample_rate: Frequency | None = None
+
+
 class Calibration(Section):
     """A whole calibration file."""
 
@@ -136,6 +156,7 @@ class Calibration(Section):
     frame: Text
     order: Text
     axis: Annotated[tuple[AxisCalibration, ...], Field(min_length=1, max_length=20)]
+    noise: Noise | None = None
     result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
     provenance: dict[str, Text] = Field(default_factory=dict)
 

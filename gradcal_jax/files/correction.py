@@ -155,7 +155,9 @@ def known_temperature(log: Log, unit: int) -> Floats:
         raise LogError(f"the log has no temperature of unit {log.units[unit]}, and the calibration depends on it")
     values = log.temperature_c[unit]
     known = np.isfinite(values)
-    return values if known.all() else np.interp(log.time_s, log.time_s[known], values[known])
+    if known.all():
+        return values
+    return np.asarray(np.interp(log.time_s, log.time_s[known], values[known]), np.float64)
 
 
 def needs_temperature(calibration: Calibration) -> bool:

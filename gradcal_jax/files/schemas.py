@@ -5,8 +5,10 @@ from typing import Any, Final
 
 from pydantic.json_schema import GenerateJsonSchema
 
+from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.contracts import Prediction, Timeline
 from gradcal_jax.files.importers import ColumnMap
+from gradcal_jax.files.log_contents import LogContents
 from gradcal_jax.files.problems import nearest
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.recipe import Recipe
@@ -21,10 +23,12 @@ _MODELS: Final[Mapping[str, type[Section]]] = {
     "timeline": Timeline,
     "prediction": Prediction,
     "columns": ColumnMap,
+    "log": LogContents,
+    "calibration": Calibration,
     "recipe": Recipe,
     "sweep": SweepFile,
 }
-_PLANNED: Final = ("log", "calibration", "catalogue")
+_PLANNED: Final = ("catalogue")
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 

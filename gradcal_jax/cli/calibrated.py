@@ -1,0 +1,252 @@
+"""`gradcal apply`, `gradcal validate` and `gradcal export`: what becomes of a calibration."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+from gradcal_jax.cli.console import columns as table
+from gradcal_jax.cli.console import strong
+from gradcal_jax.cli.recordings import ColumnMapFile, Json, described, load, quantity
+
+if TYPE_CHECKING:
+    from gradcal_jax.assemble.validation import AxisValidation
+    from gradcal_jax.files.exports import Export
+
+AS_WISHED, NOT_AS_WISHED = 0, 1
+
+Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
+Force = Annotated[bool, Parameter(negative="")]
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(apply)
+    app.command(validate)
+    app.command(export)
+
+
+def apply(
+    calibration: Path,
+    log: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    unit: str | None = None,
+    columns: ColumnMapFile = None,
+    force: Force = False,
+) -> int:
+    """Correct the rates of a log by a calibration, and write them as a log.
+
+    The exit status is 1 where rows lie outside what the calibration covers; there its value at the edge holds.
+
+    Parameters
+    ----------
+    calibration
+        The calibration file.
+    log
+        A log (.nc), or a recording of another program with --columns.
+    output
+        The corrected log (.nc).
+    unit
+        Which unit of the log; without it the one of the calibration's serial number, or the only one.
+    columns
+        What the columns of a recording mean (gradcal-columns/1).
+    force
+        Overwrite the output.
+    """
+    from gradcal_jax.files.calibration import read_calibration
+    from gradcal_jax.files.correction import apply as correct
+    from gradcal_jax.files.log import write_log
+
+    found = read_calibration(calibration)
+    writable(output, force)
+    recorded = load(log, columns)
+    corrected = correct(found, recorded, _unit(recorded, found.serial_number, unit))
+    write_log(corrected.log, output)
+    print(described(corrected.log, str(log)))
+    for count, what in ((corrected.outside_temperature, "temperatures"), (corrected.outside_rate, "rates")):
+        if count:
+            print(f"note: {count} {what} lie outside what the calibration covers: its value at the edge was used")
+    if corrected.left_alone:
+        print(f"note: not calibrated, and left as they were: axis {', '.join(corrected.left_alone)}")
+    print(f"wrote {output}")
+    return NOT_AS_WISHED if corrected.outside_temperature or corrected.outside_rate else AS_WISHED
+
+
+def validate(
+    calibration: Path,
+    log: Path,
+    /,
+    *,
+    unit: str | None = None,
+    table_axis: str | None = None,
+    earth_rate: str | None = None,
+    parts: int = 3,
+    columns: ColumnMapFile = None,
+    json: Json = False,
+) -> int:
+    """Hold a calibration against a log that it was not made from: what is left by temperature and rate.
+
+    The exit status is 1 where the calibration makes the errors larger instead of smaller.
+
+    Parameters
+    ----------
+    calibration
+        The calibration file.
+    log
+        A log (.nc), or a recording of another program with --columns.
+    unit
+        Which unit of the log; without it the one of the calibration's serial number, or the only one.
+    table_axis
+        The axis of the table that turns the sensor's.
+    earth_rate
+        Of the Earth along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+    parts
+        In how many ranges of temperature.
+    columns
+        What the columns of a recording mean (gradcal-columns/1).
+    json
+        Print all numbers as JSON.
+    """
+    from gradcal_jax.files.calibration import read_calibration
+
+    if parts < 1:
+        raise ValueError(f"--parts must be 1 or more, not {parts}")
+    earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
+    found = read_calibration(calibration)
+    recorded = load(log, columns)
+    from gradcal_jax.cli.precision import use_float64
+
+    use_float64()
+    from gradcal_jax.assemble import validation as work
+
+    name = _unit(recorded, found.serial_number, unit)
+    rows = work.validate(found, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis)
+    if json:
+        import json as writer
+
+        simulated = recorded.simulated or found.simulated
+        print(writer.dumps({"simulated": simulated, "axes": work.validation_rows(rows)}, indent=2, allow_nan=False))
+    else:
+        print(described(recorded, str(log)))
+        for row in rows:
+            print("\n" + _validation_text(row))
+    worse = [pair for row in rows for pair in (row.scale_factor_ppm, row.bias_deg_per_h) if pair and pair[1] > pair[0]]
+    return NOT_AS_WISHED if worse else AS_WISHED
+
+
+def export(
+    calibration: Path,
+    /,
+    *,
+    format: str,
+    output: Output = None,
+    temperature: str | None = None,
+    instance: int | None = None,
+    device_id: int | None = None,
+    zero: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    force: Force = False,
+    json: Json = False,
+) -> int:
+    """Write a calibration in the terms of another program, and say what that program cannot carry.
+
+    Parameters
+    ----------
+    calibration
+        The calibration file.
+    format
+        ardupilot, px4, kalibr, c-header or csv.
+    output
+        Write here; without it the text is printed, and the report goes to stderr.
+    temperature
+        For kalibr, whose file is for one temperature: such as "25 degC".
+    instance
+        Number of the sensor on the controller: 1 to 3 for ArduPilot, 0 to 3 for PX4.
+    device_id
+        PX4's device id of the sensor.
+    zero
+        A coefficient that did not pass validation, such as a3 or x.a3; may be repeated.
+    force
+        Overwrite the output.
+    json
+        Print text, losses and notes as JSON.
+    """
+    from gradcal_jax.files import exports
+    from gradcal_jax.files.calibration import read_calibration
+    from gradcal_jax.files.writing import write_whole
+
+    at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
+    found = read_calibration(calibration)
+    if output is not None:
+        writable(output, force)
+    number = (0 if format == "px4" else 1) if instance is None else instance
+    done = exports.export(found, format, temperature_c=at, instance=number, device_id=device_id, zeroed=zero)
+    if output is not None:
+        write_whole(output, done.text)
+    if json:
+        import json as writer
+
+        rows = [loss._asdict() for loss in done.losses]
+        print(writer.dumps({"text": done.text, "losses": rows, "notes": done.notes}, indent=2, ensure_ascii=False))
+    elif output is not None:
+        print(_export_text(done))
+        print(f"wrote {output}")
+    else:
+        import sys
+
+        print(done.text, end="")
+        print(_export_text(done), file=sys.stderr)
+    return AS_WISHED
+
+
+def writable(path: Path, force: bool) -> None:
+    """Refuse a name that cannot be written, or that is taken. Raises `ValueError`."""
+    if not path.parent.is_dir():
+        raise ValueError(f"there is no directory {path.parent}; make it first")
+    if path.is_dir():
+        raise ValueError(f"{path} is a directory; give the name of a file")
+    if path.exists() and not force:
+        raise ValueError(f"{path} exists: choose another name, or overwrite it with --force")
+
+
+def _unit(log, serial_number: str, unit: str | None) -> str | int:
+    if unit is not None:
+        return unit
+    if serial_number in log.units:
+        return serial_number
+    if len(log.units) == 1:
+        return 0
+    raise ValueError(
+        f"the calibration is of {serial_number}, and the log has {', '.join(log.units)}: say which with --unit"
+    )
+
+
+def _validation_text(row: "AxisValidation") -> str:
+    used = ", ".join(f"{count} {reason}" for reason, count in row.rows.items())
+    lines = [strong(f"axis {row.axis}") + f": {row.moves} moves, {row.rests} rests; rows: {used}"]
+    if row.scale_factor_ppm is not None:
+        before, after = row.scale_factor_ppm
+        lines.append(f"angle of the moves: {before:.5g} ppm rms without, {after:.4g} ppm with the calibration")
+    if row.bias_deg_per_h is not None:
+        before, after = row.bias_deg_per_h
+        lines.append(f"rate at rest: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
+    shown = [("temperature", "mean rate", "how many", "without", "with", "scatter", "")]
+    for cell in row.cells:
+        where = f"{cell.temperature_c[0]:.1f} … {cell.temperature_c[1]:.1f} °C"
+        rate = "at rest" if cell.rate_dps is None else f"{cell.rate_dps[0]:.4g} … {cell.rate_dps[1]:.4g} deg/s"
+        numbers = (f"{cell.before:.5g}", f"{cell.after:.4g}", f"{cell.scatter:.3g}")
+        shown.append((where, rate, str(cell.how_many), *numbers, cell.unit))
+    lines.append(table(shown, right=(2, 3, 4, 5)))
+    return "\n".join([*lines, *(f"note: {message}" for message in row.messages)])
+
+
+def _export_text(done: "Export") -> str:
+    lines: list[str] = []
+    if done.losses:
+        shown = [("axis", "what is lost", "at most", "")]
+        shown += [(loss.axis, loss.what, f"{loss.value:.4g}", loss.unit) for loss in done.losses]
+        lines.append(table(shown, indent="", right=(2,)))
+    else:
+        lines.append("nothing is lost")
+    return "\n".join([*lines, *(f"note: {note}" for note in done.notes)])

@@ -1,0 +1,196 @@
+"""A calibration as a C header: constants with units and provenance, and a pure function in float32 with a self-test."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax.files import correction
+from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.polynomials import normalised_bias, normalised_scale_factor
+
+Floats = NDArray[np.float64]
+_ROUNDS = 8
+_GRID = 41
+_DEG_PER_H = float(np.degrees(1.0)) * 3600.0
+
+
+def write(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list[tuple[str, str, float, str]]]:
+    """The header's text, and for each axis the largest error of its float32 against the calibration itself."""
+    errors: list[tuple[str, str, float, str]] = []
+    body: list[str] = []
+    for number, axis in enumerate(calibration.axis):
+        body += _constants(axis, number)
+        temperature, rate = _grid(axis)
+        said = correction.measured(axis, rate, temperature)
+        off = np.abs(corrected(axis, said, temperature) - rate)
+        still = np.abs(rate) < 1e-12
+        errors.append((axis.name, "at rest", float(np.max(off[still], initial=0.0)) * _DEG_PER_H, "deg/h"))
+        turning = np.abs(rate) > 0.1 * max(float(np.max(np.abs(rate))), 1e-12)
+        if turning.any():
+            relative = float(np.max(off[turning] / np.abs(rate[turning]))) * 1e6
+            errors.append((axis.name, "turning, of the rate", relative, "ppm"))
+    count = len(calibration.axis)
+    temperature, raw, out = _self_test(calibration)
+    head = [
+        "/* gyro calibration of " + _comment(calibration.serial_number) + ", made by gradcal",
+        *(" * " + _comment(f"{name}: {text}") for name, text in calibration.provenance.items()),
+        *([" * SIMULATED: made from simulated data, of no real unit."] if calibration.simulated else []),
+        *([" * set to zero, since they did not pass: " + _comment(", ".join(left_out))] if left_out else []),
+        " * measured = (1 + M(T, rate)) * rate + B(T), on each axis alone, in the sensor's own frame:",
+        " * " + ", ".join(f"[{k}] {_comment(axis.name)}" for k, axis in enumerate(calibration.axis)),
+        " * temperature in degC, rates in rad/s. Outside its range the calibration holds its value at the edge.",
+        " */",
+        "#ifndef GRADCAL_CALIBRATION_H",
+        "#define GRADCAL_CALIBRATION_H",
+        "",
+        f"#define GRADCAL_AXES {count}",
+        "",
+        _STRUCT,
+    ]
+    tables = ["static const struct gradcal_axis gradcal_axes[GRADCAL_AXES] = {"]
+    for k, axis in enumerate(calibration.axis):
+        tables += _initialiser(axis, k)
+    tables += ["};", ""]
+    test = [
+        "/* self-test: gradcal_correct(GRADCAL_TEST_T, raw, out) must give these within GRADCAL_TEST_TOLERANCE */",
+        f"#define GRADCAL_TEST_T {_f(temperature)}",
+        f"static const float gradcal_test_raw[GRADCAL_AXES] = {{{', '.join(_f(v) for v in raw)}}};",
+        f"static const float gradcal_test_out[GRADCAL_AXES] = {{{', '.join(_f(v) for v in out)}}};",
+        f"#define GRADCAL_TEST_TOLERANCE {_f(max(2e-6 * float(np.max(np.abs(out))), 1e-9))}",
+        "",
+        "#endif",
+    ]
+    return "\n".join([*head, *body, *tables, _FUNCTION, *test]) + "\n", errors
+
+
+_STRUCT = """\
+struct gradcal_axis {
+    float t_min, t_max;          /* degC */
+    float w_min, w_max;          /* rad/s */
+    float bt_centre, bt_scale;   /* degC, K */
+    int b_count;
+    const float *b;              /* rad/s, powers of (T - bt_centre)/bt_scale */
+    float mt_centre, mt_scale;   /* degC, K */
+    float mw_centre, mw_scale;   /* rad/s */
+    int mt_count, mw_count;
+    const float *m;              /* ratio; powers of temperature slow, of rate fast */
+};
+"""
+
+_FUNCTION = (
+    """\
+static inline float gradcal_clip(float x, float low, float high)
+{
+    return x < low ? low : (x > high ? high : x);
+}
+
+/* Corrects one reading of all axes; `out` may be `raw`. */
+static inline void gradcal_correct(float temperature, const float raw[GRADCAL_AXES], float out[GRADCAL_AXES])
+{
+    for (int k = 0; k < GRADCAL_AXES; k++) {
+        const struct gradcal_axis *a = &gradcal_axes[k];
+        const float t = gradcal_clip(temperature, a->t_min, a->t_max);
+        const float tb = (t - a->bt_centre) / a->bt_scale;
+        const float tm = (t - a->mt_centre) / a->mt_scale;
+        float bias = 0.0f;
+        for (int i = a->b_count - 1; i >= 0; i--) bias = bias * tb + a->b[i];
+        const float unbiased = raw[k] - bias;
+        float rate = unbiased;
+        for (int round = 0; round < """
+    + str(_ROUNDS)
+    + """; round++) {
+            const float w = (gradcal_clip(rate, a->w_min, a->w_max) - a->mw_centre) / a->mw_scale;
+            float scale = 0.0f;
+            for (int i = a->mt_count - 1; i >= 0; i--) {
+                float row = 0.0f;
+                for (int j = a->mw_count - 1; j >= 0; j--) row = row * w + a->m[i * a->mw_count + j];
+                scale = scale * tm + row;
+            }
+            rate = unbiased / (1.0f + scale);
+        }
+        out[k] = rate;
+    }
+}
+"""
+)
+
+
+def corrected(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: Floats) -> Floats:
+    """What the header's function gives, step by step in float32: `(n,)`, rad/s."""
+    single = np.float32
+    bt0, bts, b = normalised_bias(axis)
+    (mt0, mts), (mw0, mws), table = normalised_scale_factor(axis)
+    low, high = (single(v) for v in axis.valid_temperature)
+    slow, fast = (single(v) for v in axis.valid_rate)
+    t = np.clip(temperature_c.astype(single), low, high)
+    tb, tm = (t - single(bt0)) / single(bts), (t - single(mt0)) / single(mts)
+    bias: Any = np.zeros(t.shape, single)
+    for value in b[::-1]:
+        bias = bias * tb + single(value)
+    unbiased = measured_rad_per_s.astype(single) - bias
+    rate: Any = unbiased
+    for _ in range(_ROUNDS):
+        w = (np.clip(rate, slow, fast) - single(mw0)) / single(mws)
+        scale: Any = np.zeros(t.shape, single)
+        for line in table[::-1]:
+            row: Any = np.zeros(t.shape, single)
+            for value in line[::-1]:
+                row = row * w + single(value)
+            scale = scale * tm + row
+        rate = unbiased / (single(1.0) + scale)
+    return rate.astype(np.float64)
+
+
+def _constants(axis: AxisCalibration, number: int) -> list[str]:
+    _, _, b = normalised_bias(axis)
+    *_, table = normalised_scale_factor(axis)
+    return [
+        f"static const float gradcal_b{number}[] = {{{', '.join(_f(v) for v in b)}}};",
+        f"static const float gradcal_m{number}[] = {{{', '.join(_f(v) for v in table.ravel())}}};",
+    ]
+
+
+def _initialiser(axis: AxisCalibration, number: int) -> list[str]:
+    bt0, bts, b = normalised_bias(axis)
+    (mt0, mts), (mw0, mws), table = normalised_scale_factor(axis)
+    t, w = axis.valid_temperature, axis.valid_rate
+    row = [
+        ", ".join(_f(v) for v in (t[0], t[1], w[0], w[1])),
+        f"{_f(bt0)}, {_f(bts)}, {len(b)}, gradcal_b{number}",
+        f"{_f(mt0)}, {_f(mts)}, {_f(mw0)}, {_f(mws)}, {table.shape[0]}, {table.shape[1]}, gradcal_m{number}",
+    ]
+    return ["    {" + ",\n     ".join(row) + "},"]
+
+
+def _grid(axis: AxisCalibration) -> tuple[Floats, Floats]:
+    t = np.linspace(float(axis.valid_temperature[0]), float(axis.valid_temperature[1]), _GRID)
+    rates = np.linspace(float(axis.valid_rate[0]), float(axis.valid_rate[1]), _GRID)
+    grid_t, grid_w = np.meshgrid(t, np.append(rates, 0.0), indexing="ij")
+    return grid_t.ravel(), grid_w.ravel()
+
+
+def _self_test(calibration: Calibration) -> tuple[float, list[float], list[float]]:
+    """A temperature and a reading off every round number, and what the header's own polynomials make of it."""
+    low = max(float(axis.valid_temperature[0]) for axis in calibration.axis)
+    high = min(float(axis.valid_temperature[1]) for axis in calibration.axis)
+    at = float(np.float32(low + 0.37 * (high - low)))
+    raw: list[float] = []
+    out: list[float] = []
+    for k, axis in enumerate(calibration.axis):
+        slow, fast = float(axis.valid_rate[0]), float(axis.valid_rate[1])
+        said = float(np.float32(slow + (0.71 - 0.11 * (k % 3)) * (fast - slow)))
+        raw.append(said)
+        out.append(float(corrected(axis, np.array([said]), np.array([at]))[0]))
+    return at, raw, out
+
+
+def _f(value: float) -> str:
+    text = f"{np.float32(value):.9g}"
+    return (text if any(c in text for c in ".en") else text + ".0") + "f"
+
+
+def _comment(text: str) -> str:
+    """Text that cannot end a comment."""
+    return text.replace("*/", "* /").replace("\n", " ")

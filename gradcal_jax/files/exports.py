@@ -1,0 +1,384 @@
+"""A calibration in the terms of other programs, each read back and evaluated in the target's own arithmetic.
+
+    ardupilot   INS_TCALn_*: bias over temperature, a cubic about 35 °C in float32; no scale factor
+    px4         TC_G*: bias over temperature, a cubic in float32; no scale factor; published in steps of 1 °C
+    kalibr      imu.yaml at one temperature: scale factor and noise
+    c-header    a function in float32 with all that the calibration has (polynomials)
+    csv         every coefficient with its standard deviation, for spreadsheets; nothing is lost
+
+What a target cannot carry is said in numbers: the largest error against the calibration itself over its range. The
+targets' formulas were read from their public sources; nothing here has been run on a flight controller.
+"""
+
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax.files import c_header, correction
+from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.polynomials import bias_polynomial
+
+Floats = NDArray[np.float64]
+DEG_PER_H: Final = float(np.degrees(1.0)) * 3600.0
+PPM: Final = 1e6
+_GRID: Final = 201
+_TRIAD: Final = ("x", "y", "z")
+
+
+class Loss(NamedTuple):
+    """One thing that the target cannot carry: at most `value` in `unit`, of `what`, on `axis`."""
+
+    axis: str
+    what: str
+    value: float
+    unit: str
+
+
+class Export(NamedTuple):
+    """`text` for the target's file, what is lost, and what whoever uses it has to know."""
+
+    text: str
+    losses: tuple[Loss, ...]
+    notes: tuple[str, ...]
+
+
+def export(
+    calibration: Calibration,
+    target: str,
+    *,
+    temperature_c: float | None = None,
+    instance: int = 1,
+    device_id: int | None = None,
+    zeroed: Sequence[str] = (),
+) -> Export:
+    """The calibration for a target of `FORMATS`.
+
+    `temperature_c`: for targets of one temperature; `instance`: number of the sensor on the controller (from 1 for
+    ArduPilot, from 0 for PX4); `device_id`: PX4's; `zeroed`: coefficients that did not pass a validation, which are
+    left out ("x.a3" or, for every axis, "a3"). Raises `ValueError` with a sentence for what cannot be exported.
+    """
+    if target not in FORMATS:
+        raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')
+    plain, left_out = without(calibration, zeroed)
+    options: dict[str, Any] = {"temperature_c": temperature_c, "instance": instance, "device_id": device_id}
+    done = FORMATS[target](plain, options | {"left_out": left_out})
+    notes = [*done.notes]
+    if left_out:
+        notes.append(f"set to zero: {', '.join(left_out)}")
+    if calibration.simulated:
+        notes.append("this calibration was made from SIMULATED data")
+    return done._replace(notes=tuple(notes))
+
+
+def without(calibration: Calibration, zeroed: Sequence[str]) -> tuple[Calibration, tuple[str, ...]]:
+    """The calibration with some coefficients at zero, and which they are. Raises `ValueError` for unknown names."""
+    wanted = dict.fromkeys(zeroed, False)
+    gone: list[str] = []
+    axes: list[AxisCalibration] = []
+    for axis in calibration.axis:
+        changed: dict[str, Any] = {}
+        for part_name in ("bias", "scale_factor"):
+            part = getattr(axis, part_name)
+            if part is None:
+                continue
+            coefficients = dict(part.coefficients)
+            for name in coefficients:
+                for spelling in (name, f"{axis.name}.{name}"):
+                    if spelling in wanted:
+                        wanted[spelling] = True
+                        coefficients[name] = 0.0
+                        gone.append(f"{axis.name}.{name}")
+            changed[part_name] = part.model_copy(update={"coefficients": coefficients})
+        axes.append(axis.model_copy(update=changed))
+    unknown = [name for name, found in wanted.items() if not found]
+    if unknown:
+        raise ValueError(f"the calibration has no coefficient {', '.join(unknown)} that could be set to zero")
+    return calibration.model_copy(update={"axis": tuple(axes)}), tuple(dict.fromkeys(gone))
+
+
+# --- what every target shares -----------------------------------------------------------------------------------------
+
+
+def _temperatures(axis: AxisCalibration) -> Floats:
+    return np.linspace(float(axis.valid_temperature[0]), float(axis.valid_temperature[1]), _GRID)
+
+
+def _lost_scale_factor(axis: AxisCalibration, carried: Floats | float = 0.0) -> Loss | None:
+    """The largest scale-factor error over the calibration's range that `carried` does not take off."""
+    if axis.scale_factor is None:
+        return None
+    slow, fast = float(axis.valid_rate[0]), float(axis.valid_rate[1])
+    temperature, rate = np.meshgrid(_temperatures(axis), np.linspace(slow, fast, 61), indexing="ij")
+    found = correction.scale_factor(axis, temperature.ravel(), rate.ravel()) - carried
+    return Loss(axis.name, "scale factor", float(np.max(np.abs(found))) * PPM, "ppm")
+
+
+def _lost_terms(axis: AxisCalibration) -> list[str]:
+    notes: list[str] = []
+    if axis.bias_temperature_gradient is not None:
+        per_k_min = abs(axis.bias_temperature_gradient) * DEG_PER_H / 60.0
+        notes.append(f"axis {axis.name}: the bias from dT/dt, {per_k_min:.3g} deg/h for each K/min, is not carried")
+    if axis.thermal_lag is not None:
+        notes.append(f"axis {axis.name}: the thermal lag of {float(axis.thermal_lag):.3g} s is not carried")
+    if axis.unobservable:
+        notes.append(f"axis {axis.name}: the data said nothing of {', '.join(axis.unobservable)}")
+    return notes
+
+
+def _triad(calibration: Calibration) -> dict[str, AxisCalibration]:
+    found = {axis.name.lower(): axis for axis in calibration.axis if axis.name.lower() in _TRIAD}
+    if not found:
+        names = ", ".join(axis.name for axis in calibration.axis)
+        raise ValueError(f"the target has axes x, y, z, and the calibration has {names}: none of them fits")
+    return found
+
+
+def _single(value: float) -> str:
+    """A number that reads back as the same float32."""
+    return f"{np.float32(value):.9g}"
+
+
+def _cubic(axis: AxisCalibration, about: float) -> Floats:
+    """B(T) in powers of (T − about), K, degree three: exact for a cubic, otherwise fitted over the range."""
+    return bias_polynomial(axis, about, 3)
+
+
+# --- ArduPilot --------------------------------------------------------------------------------------------------------
+
+_ARDUPILOT_REFERENCE: Final = 35.0
+
+
+def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
+    triad = _triad(calibration)
+    number = int(options["instance"])
+    if not 1 <= number <= 3:
+        raise ValueError(f"ArduPilot numbers its sensors 1 to 3, not {number}")
+    low = max(max(float(a.valid_temperature[0]) for a in triad.values()), -70.0)
+    high = min(min(float(a.valid_temperature[1]) for a in triad.values()), 80.0)
+    if high - low < 10.0:
+        raise ValueError(f"ArduPilot needs a range of at least 10 K, and this calibration covers {low:g} … {high:g} °C")
+    at = 0.5 * (low + high)
+    rows = [
+        (f"INS_TCAL{number}_ENABLE", "1"),
+        (f"INS_TCAL{number}_TMIN", _single(low)),
+        (f"INS_TCAL{number}_TMAX", _single(high)),
+    ]
+    offset_prefix = "INS_GYROFFS" if number == 1 else f"INS_GYR{number}OFFS"
+    for name, axis in triad.items():
+        b = _cubic(axis, _ARDUPILOT_REFERENCE)
+        rows += [(f"INS_TCAL{number}_GYR{k}_{name.upper()}", _single(1e6 * b[k])) for k in (1, 2, 3)]
+        rows.append((f"{offset_prefix}_{name.upper()}", _single(float(np.polynomial.polynomial.polyval(at - 35.0, b)))))
+    rows.append((f"INS_GYR{number}_CALTEMP", _single(at)))
+    parameters = {name: float(value) for name, value in rows}
+    losses, notes = _bias_only(triad, lambda name, t: ardupilot_correction(parameters, name, t, number), low, high)
+    absent = [n for n in _TRIAD if n not in triad]
+    if absent:
+        notes.append(f"no parameters for axis {', '.join(absent)}: the calibration does not have them")
+    notes.append("sensor's own axes, before the board's rotation; corrected = raw - P(T-35) + P(Tcal-35) - OFFS")
+    return Export("".join(f"{name} {value}\n" for name, value in rows), tuple(losses), tuple(notes))
+
+
+def ardupilot_correction(parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 1) -> Floats:
+    """What ArduPilot takes off a raw rate (rad/s), in float32."""
+    single = np.float32
+    value = {name: single(v) for name, v in parameters.items()}
+    letter = axis.upper()
+    c1, c2, c3 = (value[f"INS_TCAL{number}_GYR{k}_{letter}"] for k in (1, 2, 3))
+    low, high = value[f"INS_TCAL{number}_TMIN"], value[f"INS_TCAL{number}_TMAX"]
+    prefix = "INS_GYROFFS" if number == 1 else f"INS_GYR{number}OFFS"
+
+    def polynomial(t: Any) -> Any:
+        d = np.clip(t, low, high) - single(_ARDUPILOT_REFERENCE)
+        return (d * c1 + d * d * c2 + d * d * d * c3) * single(1e-6)
+
+    at = polynomial(value[f"INS_GYR{number}_CALTEMP"])
+    return np.asarray(polynomial(temperature_c.astype(single)) - at + value[f"{prefix}_{letter}"], np.float64)
+
+
+def _bias_only(
+    triad: Mapping[str, AxisCalibration], taken_off: Callable[[str, Floats], Floats], low: float, high: float
+) -> tuple[list[Loss], list[str]]:
+    """Losses of a target that carries the bias alone, in its own arithmetic."""
+    losses: list[Loss] = []
+    notes: list[str] = []
+    for name, axis in triad.items():
+        t = _temperatures(axis)
+        error = taken_off(name, t) - correction.bias(axis, t)
+        losses.append(Loss(axis.name, "bias", float(np.max(np.abs(error))) * DEG_PER_H, "deg/h"))
+        if axis.scale_factor is not None and (lost := _lost_scale_factor(axis)) is not None:
+            losses.append(lost)
+            notes.append(f"axis {axis.name}: the target takes no gyro scale factor: up to {lost.value:.4g} ppm stay")
+        if low > t[0] + 1e-6 or high < t[-1] - 1e-6:
+            notes.append(f"axis {axis.name}: the target's range is {low:g} … {high:g} °C; beyond it the edge holds")
+        notes += _lost_terms(axis)
+    return losses, notes
+
+
+# --- PX4 --------------------------------------------------------------------------------------------------------------
+
+_PX4_STEP: Final = 1.0
+
+
+def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
+    triad = _triad(calibration)
+    number, identity = int(options["instance"]), options["device_id"]
+    if not 0 <= number <= 3:
+        raise ValueError(f"PX4 numbers its sensors 0 to 3, not {number}")
+    low = max(float(a.valid_temperature[0]) for a in triad.values())
+    high = min(float(a.valid_temperature[1]) for a in triad.values())
+    if not high >= low:
+        raise ValueError("the axes' temperature ranges do not overlap, and PX4 has one range for all of them")
+    about = float(round(0.5 * (low + high)))
+    rows: list[tuple[str, str, int]] = [
+        ("TC_G_ENABLE", "1", 6),
+        (f"TC_G{number}_ID", str(0 if identity is None else int(identity)), 6),
+        (f"TC_G{number}_TREF", _single(about), 9),
+        (f"TC_G{number}_TMIN", _single(low), 9),
+        (f"TC_G{number}_TMAX", _single(high), 9),
+    ]
+    for name, axis in triad.items():
+        b = _cubic(axis, about)
+        rows += [(f"TC_G{number}_X{k}_{_TRIAD.index(name)}", _single(b[k]), 9) for k in range(4)]
+    parameters = {name: float(value) for name, value, _ in rows}
+    losses, notes = _bias_only(triad, lambda name, t: px4_correction(parameters, name, t, number), low, high)
+    for axis in triad.values():
+        t = _temperatures(axis)
+        slope = float(np.max(np.abs(np.gradient(correction.bias(axis, t), t)))) if t[-1] > t[0] else 0.0
+        losses.append(Loss(axis.name, "bias between two updates, 1 °C apart", slope * _PX4_STEP * DEG_PER_H, "deg/h"))
+    if identity is None:
+        notes.append(f"TC_G{number}_ID must be the sensor's device id: with 0 PX4 ignores the set (give --device-id)")
+    notes.append("CAL_GYRO offsets must be zero; corrected = R (raw - offset), offset = X0 + X1 d + X2 d^2 + X3 d^3")
+    text = "".join(f"1\t1\t{name}\t{value}\t{kind}\n" for name, value, kind in rows)
+    return Export(text, tuple(losses), tuple(notes))
+
+
+def px4_correction(parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 0) -> Floats:
+    """What PX4 takes off a raw rate (rad/s), in float32."""
+    single = np.float32
+    place = _TRIAD.index(axis)
+    x = [single(parameters[f"TC_G{number}_X{k}_{place}"]) for k in range(4)]
+    low, high = single(parameters[f"TC_G{number}_TMIN"]), single(parameters[f"TC_G{number}_TMAX"])
+    d = np.clip(temperature_c.astype(single), low, high) - single(parameters[f"TC_G{number}_TREF"])
+    return np.asarray(x[0] + x[1] * d + x[2] * d * d + x[3] * d * d * d, np.float64)
+
+
+# --- Kalibr -----------------------------------------------------------------------------------------------------------
+
+
+def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
+    triad = _triad(calibration)
+    low = max(float(a.valid_temperature[0]) for a in triad.values())
+    high = min(float(a.valid_temperature[1]) for a in triad.values())
+    at = options["temperature_c"]
+    if at is None:
+        raise ValueError("Kalibr's file is for one temperature: say which with --temperature")
+    if not low - 1e-9 <= at <= high + 1e-9:
+        raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
+    gains: dict[str, float] = {}
+    losses: list[Loss] = []
+    notes: list[str] = []
+    for name in _TRIAD:
+        axis = triad.get(name)
+        if axis is None:
+            gains[name] = 0.0
+            notes.append(f"axis {name} is not calibrated: its scale factor is taken as 1")
+            continue
+        rates = np.linspace(float(axis.valid_rate[0]), float(axis.valid_rate[1]), _GRID)
+        along = correction.scale_factor(axis, np.full_like(rates, at), rates)
+        gains[name] = float(f"{float(np.mean(along)):.12g}")
+        here = float(np.max(np.abs(along - gains[name]))) * PPM
+        losses.append(Loss(axis.name, f"scale factor over rate at {at:g} °C", here, "ppm"))
+        lost = _lost_scale_factor(axis, gains[name])
+        if lost is not None:
+            losses.append(lost._replace(what="scale factor over rate and temperature"))
+        spread = correction.bias(axis, _temperatures(axis)) - correction.bias(axis, np.array([at]))
+        losses.append(Loss(axis.name, "bias over temperature", float(np.max(np.abs(spread))) * DEG_PER_H, "deg/h"))
+        notes += _lost_terms(axis)
+    notes.append("Kalibr estimates the bias itself and takes none from this file")
+    rows = [[1.0 + gains[a] if a == b else 0.0 for b in _TRIAD] for a in _TRIAD]
+    lines = [
+        f"# gradcal {calibration.serial_number}, {at:g} degC" + (", SIMULATED" if calibration.simulated else ""),
+        "# measured = M * C_gyro_i * rate + A * specific_force + bias + noise   (M lower triangular)",
+        "rostopic: /imu0",
+    ]
+    noise = calibration.noise
+    if noise is not None:
+        lines.append(f"gyroscope_noise_density: {float(noise.angle_random_walk):.9g}  # rad/s/sqrt(Hz)")
+        if noise.rate_random_walk is not None:
+            lines.append(f"gyroscope_random_walk: {float(noise.rate_random_walk):.9g}  # rad/s^2/sqrt(Hz)")
+        if noise.sample_rate is not None:
+            lines.append(f"update_rate: {float(noise.sample_rate):.9g}  # Hz")
+    else:
+        notes.append("the calibration holds no noise: fill in gyroscope_noise_density and gyroscope_random_walk")
+    lines += ["model: scale-misalignment", "gyroscopes:", "  M:"]
+    lines += ["  - [" + ", ".join(repr(v) for v in row) + "]" for row in rows]
+    lines += ["  A:", *["  - [0.0, 0.0, 0.0]"] * 3, "  C_gyro_i:"]
+    lines += ["  - [" + ", ".join("1.0" if a == b else "0.0" for b in _TRIAD) + "]" for a in _TRIAD]
+    return Export("\n".join(lines) + "\n", tuple(losses), tuple(notes))
+
+
+# --- C and CSV --------------------------------------------------------------------------------------------------------
+
+
+def _c_header(calibration: Calibration, options: Mapping[str, Any]) -> Export:
+    text, errors = c_header.write(calibration, options["left_out"])
+    losses = tuple(Loss(name, what, value, unit) for name, what, value, unit in errors)
+    notes = [note for axis in calibration.axis for note in _lost_terms(axis)]
+    return Export(text, losses, (*notes, "float32, no allocation, sensor's own axes in the order of the header"))
+
+
+_CSV_HEAD: Final = ("axis", "name", "value", "std", "unit", "temperature_basis", "rate_basis")
+
+
+def _csv(calibration: Calibration, options: Mapping[str, Any]) -> Export:
+    stream = io.StringIO()
+    stream.write(f"# gradcal {calibration.serial_number}" + (", SIMULATED" if calibration.simulated else "") + "\n")
+    stream.write(f"# {calibration.order}\n")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_CSV_HEAD)
+    for axis in calibration.axis:
+        std: dict[str, float] = {}
+        if axis.covariance is not None:
+            diagonal = [axis.covariance.matrix[k][k] for k in range(len(axis.covariance.names))]
+            std = {n: float(np.sqrt(v)) for n, v in zip(axis.covariance.names, diagonal, strict=True)}
+        for part, unit in ((axis.bias, "rad/s"), (axis.scale_factor, "1")):
+            if part is None:
+                continue
+            rate = getattr(part, "rate", None)
+            for name, value in part.coefficients.items():
+                error = repr(std[name]) if name in std else ""
+                writer.writerow((axis.name, name, repr(value), error, unit, _words(part.temperature), _words(rate)))
+        if axis.bias_temperature_gradient is not None:
+            name = "bias_temperature_gradient"
+            error = repr(std[name]) if name in std else ""
+            writer.writerow((axis.name, name, repr(axis.bias_temperature_gradient), error, "rad/K", "", ""))
+    return Export(stream.getvalue(), (), ())
+
+
+def _words(basis: Any) -> str:
+    if basis is None:
+        return ""
+    parts = [f"{key}={value}" for key, value in basis.model_dump(mode="json").items() if key != "internal"]
+    return "; ".join(parts)
+
+
+def read_csv(text: str) -> dict[str, dict[str, float]]:
+    """Coefficients by axis and name, from what the csv export wrote."""
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    result: dict[str, dict[str, float]] = {}
+    for row in rows:
+        result.setdefault(row["axis"], {})[row["name"]] = float(row["value"])
+    return result
+
+
+FORMATS: Final[Mapping[str, Callable[[Calibration, Mapping[str, Any]], Export]]] = {
+    "ardupilot": _ardupilot,
+    "px4": _px4,
+    "kalibr": _kalibr,
+    "c-header": _c_header,
+    "csv": _csv,
+}

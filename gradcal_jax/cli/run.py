@@ -147,6 +147,8 @@ def _session(folder: "RunFolder", rig: Any, clock: "Clock", first_step: int, *, 
             guard=not simulated,
             on_progress=watcher.show,
             with_runner=watcher.attend,
+            # Where nobody can answer, what would pause the run ends it, safe.
+            wait_when_paused=sys.stdin.isatty(),
             handle_signals=threading.current_thread() is threading.main_thread(),
         )
     return _say(folder, result)

@@ -27,6 +27,10 @@ FORMAT: Final = "gradcal-run/1"
 SESSION: Final = "session"
 
 
+class RunFolderError(ValueError):
+    """A folder that cannot be used as it was asked for."""
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """One run's folder."""
@@ -44,15 +48,15 @@ class RunFolder:
         return read_rig(self.path / "rig.toml")
 
     def notes(self) -> dict[str, Any]:
-        """What run.json holds. Raises `HardwareError` where this is no run's folder."""
+        """What run.json holds. Raises `RunFolderError` where this is no run's folder."""
         try:
             found = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            raise HardwareError(
+            raise RunFolderError(
                 f"{self.path} is not the folder of a run: there is no run.json that can be read."
             ) from None
         if not isinstance(found, dict) or found.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
-            raise HardwareError(f"{self.path} holds no {FORMAT}; it may be of another version.")
+            raise RunFolderError(f"{self.path} holds no {FORMAT}; it may be of another version.")
         return found  # pyright: ignore[reportUnknownVariableType]
 
     def contents(self) -> JournalContents:
@@ -61,13 +65,20 @@ class RunFolder:
 
 
 def new_folder(path: Path, recipe: Recipe, rig: RigFile, *, simulated: dict[str, Any] | None = None) -> RunFolder:
-    """Make the folder of a new run. Raises `HardwareError` where a run's folder is there already."""
-    if (path / "journal").exists():
-        raise HardwareError(
+    """Make the folder of a new run, or take that of a run that never began.
+
+    Raises `RunFolderError` where a run's folder is there already, or something else.
+    """
+    there = path / "journal"
+    if there.exists() and not sessions(read_journal(there)):
+        for name in ("journal", "recipe.toml", "rig.toml", "run.json", "hidden_truth.json"):
+            (path / name).unlink(missing_ok=True)
+    if there.exists():
+        raise RunFolderError(
             f"{path} holds a run already: go on with it by `gradcal run --resume {path}`, or name another folder."
         )
     if path.exists() and any(path.iterdir()):
-        raise HardwareError(f"{path} is not empty; name a new folder for the run.")
+        raise RunFolderError(f"{path} is not empty; name a new folder for the run.")
     path.mkdir(parents=True, exist_ok=True)
     folder = RunFolder(path)
     write_toml(recipe, path / "recipe.toml")
@@ -121,23 +132,23 @@ def exit_status(contents: JournalContents) -> str:
 def prepare_resume(folder: RunFolder) -> int:
     """Check that the run can go on, and return the step by which.
 
-    Raises `HardwareError`: the recipe in the folder is another than the run began with, another version wrote the run,
+    Raises `RunFolderError`: the recipe in the folder is another than the run began with, another version wrote the run,
     or everything is done.
     """
     notes = folder.notes()
     recipe = folder.recipe()
     if notes.get("recipe") != recipe.fingerprint:
-        raise HardwareError(
+        raise RunFolderError(
             f"The recipe in {folder.path} is not the one that the run began with: put it back, or begin a new run."
         )
     if notes.get("version") != version("gradcal_jax"):
-        raise HardwareError(
+        raise RunFolderError(
             f"The run was begun by gradcal {notes.get('version')} and this is {version('gradcal_jax')}: resume it with "
             "the version that began it."
         )
     contents = folder.contents()
     if exit_status(contents) == "success":
-        raise HardwareError(f"The run in {folder.path} is complete; make its log with `gradcal log {folder.path}`.")
+        raise RunFolderError(f"The run in {folder.path} is complete; make its log with `gradcal log {folder.path}`.")
     return steps_done(contents)
 
 

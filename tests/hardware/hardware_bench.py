@@ -4,7 +4,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from gradcal_jax.files import Quantity, changed, parse_spec, presets
+from gradcal_jax.files.recipe import Made, Predicted, Recipe
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
+from gradcal_jax.files.rounding import rounded, steps_of
+from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, weiss, zaber
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
@@ -176,3 +180,33 @@ class Rig:
     def __exit__(self, *_: object) -> None:
         for port in self.ports:
             port.close()
+
+
+def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict[str, Any] | None = None) -> Recipe:
+    """A recipe of minutes: a soak, then a ramp of 2 K/min with turns, of the paper's gyro. Its prediction is empty."""
+    moves = [
+        {"rest": "4 s", "read_every": "1 s"},
+        {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"},
+        {"rest": "3 s", "read_every": "1 s"},
+        {"turns": -1, "peak_rate": "150 deg/s", "shape": "linear ramps"},
+    ]
+    keys = {
+        "plan.temperature": ["24 degC", f"{24.0 + ramp_k:g} degC"],
+        "plan.gradient": "2 K/min",
+        "plan.soak.duration": "5 s",
+        "plan.cycle.moves": moves,
+        "plan.cycle.other_axes": {"duration": "2 s", "read": True},
+    }
+    spec = rounded(changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | (changes or {}))).spec
+    chamber, motion = tracks_of(spec)
+    return Recipe(
+        format="gradcal-recipe/1",
+        status="not optimised",
+        made=Made(by="a test", versions={}),
+        resolution=steps_of(spec),
+        stability=Stability(for_at_least=Quantity.read(stable_for, "time")),
+        chamber=chamber,
+        motion=motion,
+        prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
+        spec=spec,
+    )

@@ -1,0 +1,80 @@
+"""Processes for the tests: a simulated laboratory that outlives the runs on it, and a run that can be killed.
+
+    python hardware_processes.py serve FOLDER SPEED     serves until its input closes; writes FOLDER/rig.toml
+    python hardware_processes.py run FOLDER RUN SPEED [guard]
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.rig import read_rig
+from gradcal_jax.files.writing import write_toml, write_whole
+from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.interlocks import Limits, standard_rules
+from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
+from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware.simulate.lab import SimulatedLab
+
+
+def serve(folder: Path, speed: float) -> None:
+    with SimulatedLab(read_recipe(folder / "recipe.toml").spec, RealClock(speed=speed), burst_s=2.0) as lab:
+        write_toml(lab.rig, folder / "rig.toml")
+        print("ready", flush=True)
+        for line in sys.stdin:
+            if line.strip() == "state":
+                rate = max(abs(plant.state(lab.axis_plants[0]._phases[-1].start_s)[1]) for plant in lab.axis_plants)
+                print(lab.chamber.mode, rate, flush=True)
+
+
+def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
+    clock = RealClock(speed=speed)
+    if (path / "run.json").exists():
+        made, first = RunFolder(path), prepare_resume(RunFolder(path))
+    else:
+        made, first = new_folder(path, read_recipe(folder / "recipe.toml"), read_rig(folder / "rig.toml")), 0
+    write_whole(path / "pid", str(os.getpid()))
+    rules = standard_rules(Limits(imu_stale_s=2.0 * speed, temperature_band_k=None))
+    result = run_session(
+        made, made.rig(), clock, first_step=first, guard=guard, interlocks=rules, safe_deadline_s=20.0,
+        wait_when_paused=False,
+    )  # fmt: skip
+    print(result.exit_status, result.reason, flush=True)
+    return 0 if result.exit_status == "success" and result.verified_safe else 3
+
+
+@contextmanager
+def laboratory(folder: Path, speed: float) -> Iterator[subprocess.Popen[str]]:
+    """A laboratory in a process of its own, ready to be used."""
+    process = subprocess.Popen(
+        [sys.executable, __file__, "serve", str(folder), str(speed)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        yield process
+    finally:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.close()
+        process.wait(timeout=30.0)
+        process.stdout.close()
+
+
+def start_run(folder: Path, path: Path, speed: float, *, guard: bool = False) -> subprocess.Popen[str]:
+    words = [sys.executable, __file__, "run", str(folder), str(path), str(speed)] + (["guard"] if guard else [])
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "serve":
+        serve(Path(sys.argv[2]), float(sys.argv[3]))
+    else:
+        sys.exit(run(Path(sys.argv[2]), Path(sys.argv[3]), float(sys.argv[4]), "guard" in sys.argv[5:]))

@@ -60,17 +60,14 @@ def sweep(
 
     if output is None and not dry_run:
         raise ValueError("where to? Name the results with -o results.nc, or ask for --dry-run")
-    if workers is not None and not 1 <= workers <= 1024:
-        raise ValueError(f"--workers {workers}: give a number from 1 to 1024")
-    if workers is not None and scheduler is not None:
-        raise ValueError("--workers or --scheduler: a cluster decides for itself how many it has")
+    check_workers(scheduler, workers)
     if plot is not None:
         _drawable(plot)
     job = read_sweep(file)
     from gradcal_jax.jobs import sweep as jobs
 
     if dry_run:
-        with _runner(scheduler, workers) as runner, _progress() as report:
+        with runner_for(scheduler, workers) as runner, _Bar() as report:
             found = jobs.dry_run(job, runner=runner, progress=report)
         print(as_json.dumps(_estimate(found), indent=2) if json else _estimated(found, job))
         return DONE
@@ -81,7 +78,7 @@ def sweep(
     else:
         _writable(output)
         try:
-            with _runner(scheduler, workers) as runner, _progress() as report:
+            with runner_for(scheduler, workers) as runner, _Bar() as report:
                 jobs.sweep(job, output, runner=runner, progress=report)
         except jobs.SweepIncomplete as error:
             complain(str(error))
@@ -106,7 +103,15 @@ def sweep(
     return NOT_AS_WISHED if summary["failed"] else DONE
 
 
-def _runner(scheduler: str | None, workers: int | None) -> Any:
+def check_workers(scheduler: str | None, workers: int | None) -> None:
+    """Refuse what cannot be meant."""
+    if workers is not None and not 1 <= workers <= 1024:
+        raise ValueError(f"--workers {workers}: give a number from 1 to 1024")
+    if workers is not None and scheduler is not None:
+        raise ValueError("--workers or --scheduler: a cluster decides for itself how many it has")
+
+
+def runner_for(scheduler: str | None, workers: int | None) -> Any:
     """The machine's own workers, which keep compiled programs where the other commands do, or a cluster's."""
     if scheduler is not None:
         from gradcal_jax.jobs.cluster import Cluster
@@ -119,7 +124,7 @@ def _runner(scheduler: str | None, workers: int | None) -> Any:
     return LocalPool(workers, None if folder is None else str(folder))
 
 
-class _progress:
+class _Bar:
     """A bar on a terminal; away from it nothing is said until the end."""
 
     def __enter__(self) -> Any:

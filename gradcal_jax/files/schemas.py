@@ -6,6 +6,7 @@ from typing import Any, Final
 from pydantic.json_schema import GenerateJsonSchema
 
 from gradcal_jax.files.calibration import Calibration
+from gradcal_jax.files.catalogue import CatalogueFile
 from gradcal_jax.files.contracts import Prediction, Timeline
 from gradcal_jax.files.importers import ColumnMap
 from gradcal_jax.files.log_contents import LogContents
@@ -27,8 +28,9 @@ _MODELS: Final[Mapping[str, type[Section]]] = {
     "calibration": Calibration,
     "recipe": Recipe,
     "sweep": SweepFile,
+    "catalogue": CatalogueFile,
 }
-_PLANNED: Final = ("catalogue")
+_PLANNED: Final[tuple[str, ...]] = ()
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 

@@ -10,7 +10,8 @@ from jaxtyping import Array
 
 from gradcal_jax.errormodel import GyroModel
 from gradcal_jax.information import SquareRootInformation, information
-from gradcal_jax.jobs.layout import Kind, Layout, Plan, filled
+from gradcal_jax.jobs.layout import Plan, filled
+from gradcal_jax.jobs.room import Layout
 from gradcal_jax.plans import Programme, Timeline
 from gradcal_jax.plans.timeline import IndexArray
 
@@ -193,6 +194,3 @@ def _structure(layout: Layout):
 
 def _pieces(parts: tuple[tuple[int, str], ...], counts: tuple[int, ...]) -> list[tuple[int, str]]:
     return [part for part, count in zip(parts, counts, strict=True) for _ in range(count)]
-
-
-__all__ = ["TOGETHER", "Kind", "in_own_shape", "informations", "timeline"]

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from gradcal_jax.assemble.knowledge import UNIT_OF
 from gradcal_jax.files import to_toml
 from gradcal_jax.files.sweep import Sweep
-from gradcal_jax.information import STATISTICS
-from gradcal_jax.jobs.evaluate import Result
 from gradcal_jax.jobs.points import Points
+from gradcal_jax.jobs.results import STATISTICS, UNIT_OF, Result, one_line
 
 if TYPE_CHECKING:
     import xarray
@@ -69,7 +67,7 @@ def dataset_of(job: Sweep, points: Points, results: tuple[Result, ...], identity
         if name in taken:
             name = f"{name}_{i}"
         taken.add(name)
-        unit = UNIT_OF[requirement.quantity][0]
+        unit = UNIT_OF[requirement.quantity]
         for s, statistic in enumerate(STATISTICS):
             if requirement.quantity == "bias" and statistic == "mean of max":
                 continue
@@ -155,7 +153,3 @@ def identity_in(path: Path) -> dict[str, Any] | None:
         return json.loads(read_dataset(path).attrs["identity"])
     except (ValueError, KeyError, OSError):
         return None
-
-
-def one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())

@@ -4,11 +4,10 @@ The numbers are those of `gradcal_jax.assemble.predict`; what is not asked for (
 shares of the error sources) is not computed.
 """
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -23,47 +22,11 @@ from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import STATISTICS, Posterior, posterior, residual, statistic
 from gradcal_jax.jobs.batch import in_own_shape, informations
-from gradcal_jax.jobs.layout import Counts, Kind, Layout, Plan, plans_of, sizes
+from gradcal_jax.jobs.layout import Plan, plans_of
+from gradcal_jax.jobs.results import Residual, Result, one_line
+from gradcal_jax.jobs.room import OWN_SHAPE, Counts, Layout, Surveyed, sizes
 
 Changes = Mapping[str, object]
-OWN_SHAPE: Final = "own shape"
-
-
-class Surveyed(NamedTuple):
-    """What decides which points are computed together. `group` is equal for those that may be; `counts` a channel's.
-
-    `failure`: why the point cannot be computed at all; then the rest is empty.
-    """
-
-    group: str
-    kinds: tuple[Kind, ...]
-    counts: tuple[Counts, ...]
-    failure: str = ""
-
-
-class Residual(NamedTuple):
-    """One requirement on one channel: the statistics by the order of `STATISTICS` (None: none, or not observable), in
-    ppm or deg/h, and the verdict: "met", "missed", "unobservable" or "" without a target.
-    """
-
-    requirement: int
-    channel: str
-    values: tuple[float | None, ...]
-    verdict: str
-
-
-class Result(NamedTuple):
-    """A point. `failure` is a sentence where there is no result; `note` and `spec` are an optimised point's."""
-
-    point: int
-    failure: str = ""
-    duration_s: float = 0.0
-    soak_s: float = 0.0
-    motion_s: float = 0.0
-    residuals: tuple[Residual, ...] = ()
-    before: float | None = None
-    note: str = ""
-    spec: str = ""
 
 
 # --- survey -----------------------------------------------------------------------------------------------------------
@@ -255,16 +218,17 @@ def _box(requirement: Requirement) -> tuple[np.ndarray, np.ndarray]:
 def _values(of: Map, which: str, points: np.ndarray) -> np.ndarray:
     """A basis on a grid; the same for a whole sweep, mostly."""
     basis = of.temperature if which == "temperature" else of.rate
-    key = (repr(basis), points[0], points[-1], len(points))
+    # The basis itself is kept beside its values, so that no other can take its place in memory.
+    key = (id(basis), points[0], points[-1], len(points))
     if key not in _BASES:
         if len(_BASES) > 256:
             _BASES.clear()
         assert basis is not None
-        _BASES[key] = np.asarray(basis(jnp.asarray(points)))
-    return _BASES[key]
+        _BASES[key] = (basis, np.asarray(basis(jnp.asarray(points))))
+    return _BASES[key][1]
 
 
-_BASES: dict[Any, np.ndarray] = {}
+_BASES: dict[Any, tuple[Any, np.ndarray]] = {}
 
 
 # --- optimised points -------------------------------------------------------------------------------------------------
@@ -294,28 +258,12 @@ def _optimised(index: int, spec: Spec) -> Result:
     return done._replace(before=found.before, note=found.sentence, spec=to_toml(found.spec))
 
 
-def one_line(error: BaseException) -> str:
-    """An error's sentence, without line breaks."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {text}"
+def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """One case of a catalogue: see `gradcal_jax.jobs.recommend`."""
+    from gradcal_jax.jobs import recommend as cases
+
+    return cases.recommend(tables)
 
 
-def as_json(results: list[Result]) -> str:
-    """Results as text that reads back exactly."""
-    return json.dumps([[*r[:5], [list(row) for row in r.residuals], *r[6:]] for r in results], allow_nan=False)
-
-
-def from_json(text: str) -> list[Result]:
-    """What `as_json` wrote."""
-    rows = json.loads(text)
-    found: list[Result] = []
-    for point, failure, duration, soak, motion, residuals, before, note, spec in rows:
-        of_requirements = tuple(Residual(a, b, tuple(c), d) for a, b, c, d in residuals)
-        found.append(Result(point, failure, duration, soak, motion, of_requirements, before, note, spec))
-    return found
-
-
-TASKS: Final = {"survey": survey, "predict": predict_points, "optimise": optimise_points}
+TASKS: Final = {"survey": survey, "predict": predict_points, "optimise": optimise_points, "recommend": recommend}
 """What a worker can be asked to do."""
-
-__all__ = ["OWN_SHAPE", "TASKS", "Residual", "Result", "Surveyed", "as_json", "from_json", "survey"]

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.jobs.evaluate import Result, as_json, from_json
+from gradcal_jax.jobs.results import Result, as_json, from_json
 
 
 class Store:

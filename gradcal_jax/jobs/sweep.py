@@ -18,10 +18,10 @@ from typing import Any, Final, NamedTuple
 import gradcal_jax
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.sweep import Sweep, tables_of_sweep
-from gradcal_jax.jobs.evaluate import OWN_SHAPE, Result, Surveyed
-from gradcal_jax.jobs.layout import Counts, room_for
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.pool import LocalPool, Runner, Task
+from gradcal_jax.jobs.results import Result
+from gradcal_jax.jobs.room import OWN_SHAPE, Counts, Surveyed, room_for
 from gradcal_jax.jobs.store import Store
 
 CHUNK: Final = {"predict": 64, "optimise": 1}

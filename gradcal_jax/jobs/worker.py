@@ -121,7 +121,8 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     questions = sys.stdin.buffer
-    from gradcal_jax.jobs.evaluate import TASKS, one_line
+    from gradcal_jax.jobs.evaluate import TASKS
+    from gradcal_jax.jobs.results import one_line
 
     while True:
         try:

@@ -8,11 +8,14 @@ import pytest
 from jobs_small import SPEC
 
 from gradcal_jax.assemble import assemble, knowledge
+from gradcal_jax.assemble.knowledge import UNIT_OF
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.information import STATISTICS, posterior, residual, statistic
+from gradcal_jax.jobs import results
 from gradcal_jax.jobs.batch import informations, timeline
 from gradcal_jax.jobs.evaluate import model_of, residual_values, structure
-from gradcal_jax.jobs.layout import Counts, Layout, filled, plans_of, room_for, rounded_up, sizes
+from gradcal_jax.jobs.layout import filled, plans_of
+from gradcal_jax.jobs.room import Counts, Layout, room_for, rounded_up, sizes
 
 GAP = {
     "plan.temperature": None,
@@ -105,4 +108,5 @@ def test_the_residual_by_small_tables_is_the_residual():
         found = residual_values(known, built.model, requirement)
         np.testing.assert_allclose(found, expected, rtol=1e-10)
         assert statistic("max", found) == pytest.approx(statistic("max", expected), rel=1e-10)
-    assert len(STATISTICS) == 4
+    assert results.STATISTICS == STATISTICS
+    assert {quantity: unit for quantity, (unit, _) in UNIT_OF.items()} == results.UNIT_OF

@@ -1,0 +1,211 @@
+"""gradcal-catalogue/1: sensors, rigs, requirements and plans, of which every combination gets a recipe.
+
+    format = "gradcal-catalogue/1"
+    [design]                                  # as in a spec; `minimise` is the requirement's
+    free   = ["duration", "peak_rate"]
+    starts = 8
+    [[sensor]]
+    name   = "tactical"
+    base   = "tactical-mems"                  # a preset, or the path of a spec, seen from this file: its [sensor]
+    change = { angle_random_walk = "0.1 deg/sqrt(h)" }        # keys below [sensor]
+    [[rig]]
+    name   = "30 arcsec"
+    base   = "rig-30arcsec"
+    [[requirement]]
+    name     = "scale factor"
+    base     = "tactical-mems"                # all its [[requirement]]; or written here as `of = [ { … } ]`
+    minimise = "scale factor"
+    [[plan]]
+    name   = "100 min"
+    base   = "tactical-mems"
+    change = { gradient = "1 K/min" }
+    design = { starts = 16 }                  # beyond [design], for this plan
+
+A plan is where a search begins: it says how long, from where to where, and what kind of motion.
+"""
+
+import itertools
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, cast
+
+from pydantic import Field, ValidationError, model_validator
+
+from gradcal_jax.files.changes import changed, tables_of
+from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.quantity import Text
+from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.sweep import named_spec
+
+FORMAT: Final = "gradcal-catalogue/1"
+MOST_CASES: Final = 10_000
+_SPEC: Final = "gradcal-spec/1"
+
+
+class Entry(Section):
+    """A sensor, a rig or a plan: a section of a base spec, with some of its keys changed."""
+
+    name: Text
+    base: Text
+    change: dict[str, Any] = Field(default_factory=dict)
+
+
+class PlanEntry(Entry):
+    """A plan, and what its search may do beyond the catalogue's [design]."""
+
+    design: dict[str, Any] = Field(default_factory=dict)
+
+
+class RequirementEntry(Section):
+    """What the calibration must serve: a base spec's requirements, or those written here; `minimise` names one."""
+
+    name: Text
+    minimise: Text
+    base: Text | None = None
+    of: Annotated[tuple[dict[str, Any], ...], Field(min_length=1, max_length=100)] | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "RequirementEntry":
+        if (self.base is None) == (self.of is None):
+            refuse(Problem(("base",), 'give either "base" or "of"', kind="missing"))
+        return self
+
+
+class CatalogueFile(Section):
+    """A whole catalogue."""
+
+    format: Literal["gradcal-catalogue/1"]
+    title: Text | None = None
+    design: dict[str, Any] = Field(default_factory=dict)
+    sensor: Annotated[tuple[Entry, ...], Field(min_length=1, max_length=1000)]
+    rig: Annotated[tuple[Entry, ...], Field(min_length=1, max_length=1000)]
+    requirement: Annotated[tuple[RequirementEntry, ...], Field(min_length=1, max_length=1000)]
+    plan: Annotated[tuple[PlanEntry, ...], Field(min_length=1, max_length=1000)]
+
+    @model_validator(mode="after")
+    def _distinct(self) -> "CatalogueFile":
+        problems: list[Problem] = []
+        kinds: tuple[str, ...] = ("sensor", "rig", "requirement", "plan")
+        count = 1
+        for kind in kinds:
+            names = [slug(entry.name) for entry in getattr(self, kind)]
+            count *= len(names)
+            problems += [
+                Problem((kind, i, "name"), "another one is called this, or nearly this", name)
+                for i, name in enumerate(names)
+                if name in names[:i]
+            ]
+        if count > MOST_CASES:
+            problems.append(Problem((), f"makes {count} recipes; at most {MOST_CASES}"))
+        refuse(*problems)
+        return self
+
+
+@dataclass(frozen=True)
+class Case:
+    """One combination. `spec` is its spec, or None with the `failure` that says why it has none."""
+
+    names: tuple[str, str, str, str]
+    spec: Spec | None
+    failure: str = ""
+
+    @property
+    def slug(self) -> str:
+        """The name of its files."""
+        return "__".join(slug(name) for name in self.names)
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """A catalogue file, read, with its cases in order: sensor, rig, requirement, plan, the last fastest."""
+
+    file: CatalogueFile
+    text: str
+    cases: tuple[Case, ...]
+
+
+def slug(name: str) -> str:
+    """A name for files: small letters, digits, hyphens; units' signs in words."""
+    words = {"°": " deg", "″": " arcsec", "′": " arcmin", "√": " sqrt ", "µ": "u"}
+    for sign, word in words.items():
+        name = name.replace(sign, word)
+    return re.sub(r"[^a-z0-9.]+", "-", name.casefold()).strip("-.") or "case"
+
+
+def read_catalogue(path: str | Path) -> Catalogue:
+    """Read a catalogue and all its bases. Raises `SpecError` that lists everything wrong with them."""
+    return parse_catalogue(read_text(path), str(path), Path(path).parent)
+
+
+def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Catalogue:
+    """A catalogue from the text of a TOML file; `folder` is where relative bases begin. Raises `SpecError`.
+
+    A combination that is no spec (a table too slow for the sensor's range, say) is a case with a failure, not an error.
+    """
+    document = read_toml(text, source)
+    problem = format_problem(document, FORMAT)
+    if problem is not None:
+        raise SpecError([problem], source)
+    try:
+        file = CatalogueFile.model_validate(document)
+    except ValidationError as error:
+        raise SpecError(from_validation(error), source) from None
+    except SpecError as error:
+        raise SpecError(error.problems, source) from None
+    return Catalogue(file, text, tuple(_cases(file, Path(folder), source)))
+
+
+def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Case]:
+    bases: dict[str, Spec] = {}
+
+    def base_of(name: str) -> Spec:
+        if name not in bases:
+            bases[name] = named_spec(name, folder, source)
+        return bases[name]
+
+    def section(entry: Entry, kind: str, place: int) -> Any:
+        base = base_of(entry.base)
+        try:
+            found = changed(base, {f"{kind}.{key}": value for key, value in entry.change.items()})
+        except SpecError as error:
+            raise SpecError([p.under(kind, place, "change") for p in error.problems], source) from None
+        return tables_of(found)[kind]
+
+    sensors, rigs, plans = (
+        [section(entry, kind, i) for i, entry in enumerate(getattr(file, kind))] for kind in ("sensor", "rig", "plan")
+    )
+    requirements: list[Any] = []
+    for i, entry in enumerate(file.requirement):
+        rows = (
+            [dict(row) for row in entry.of] if entry.of is not None else _requirements(base_of(cast("str", entry.base)))
+        )
+        names = [row.get("name") for row in rows]
+        if entry.minimise not in names:
+            said = f"is none of its requirements: {', '.join(map(str, names)) or 'there are none'}"
+            raise SpecError([Problem(("requirement", i, "minimise"), said, entry.minimise)], source)
+        requirements.append(rows)
+    places = itertools.product(*(range(len(x)) for x in (sensors, rigs, requirements, plans)))
+    for s, r, q, p in places:
+        names = (file.sensor[s].name, file.rig[r].name, file.requirement[q].name, file.plan[p].name)
+        design = {**file.design, **file.plan[p].design, "minimise": file.requirement[q].minimise}
+        document: Mapping[str, Any] = {
+            "format": _SPEC,
+            "title": ", ".join(names),
+            "sensor": sensors[s],
+            "rig": rigs[r],
+            "requirement": requirements[q],
+            "plan": plans[p],
+            "design": design,
+        }
+        try:
+            yield Case(names, spec_of(document))
+        except SpecError as error:
+            yield Case(names, None, " ".join(str(error).split()))
+
+
+def _requirements(base: Spec) -> list[dict[str, Any]]:
+    return [dict(row) for row in tables_of(base).get("requirement", [])]

@@ -1,0 +1,185 @@
+"""Recipes for every case of a catalogue, and one table of them; killed at any time it goes on where it was."""
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from gradcal_jax.files import tables_of
+from gradcal_jax.files.catalogue import Case, Catalogue
+from gradcal_jax.jobs.pool import LocalPool, Runner, Task
+from gradcal_jax.jobs.store import write_safely
+from gradcal_jax.jobs.sweep import versions
+
+_COLUMNS: Final[tuple[str, ...]] = (
+    "sensor", "rig", "requirement", "plan", "objective", "unit", "before", "now", "limit", "efficiency", "hours",
+    "verdict", "limited_by", "converged", "recipe", "remark",
+)  # fmt: skip
+
+
+class Progress(NamedTuple):
+    """`done` of `total` cases, `kept` of them from an earlier run; `last` says of the newest what came out."""
+
+    done: int
+    total: int
+    kept: int
+    last: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """The rows of a summary, by sensor, rig, requirement and what is left; `failed` have no recipe."""
+
+    rows: tuple[dict[str, Any], ...]
+    kept: int
+
+    @property
+    def failed(self) -> int:
+        """Cases without a recipe; the remark says why."""
+        return sum(not row["recipe"] for row in self.rows)
+
+
+def recipes(
+    job: Catalogue,
+    folder: Path,
+    *,
+    runner: Runner | None = None,
+    progress: Callable[[Progress], None] = lambda found: None,
+) -> Table:
+    """Write `<case>.toml` for every case, `summary.csv` and `summary.md` into `folder`.
+
+    What is finished is kept in `folder/.finished`, and is not done again while the case and the versions are the same.
+    Errors: `ValueError` where `folder` cannot be written to.
+    """
+    kept_in = folder / ".finished"
+    try:
+        kept_in.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{folder} cannot be a folder for recipes: {error.strerror}") from None
+    identities = [identity_of(case) for case in job.cases]
+    rows: dict[int, dict[str, Any]] = {}
+    for number, case in enumerate(job.cases):
+        if case.spec is None:
+            rows[number] = _failed(case, case.failure)
+            continue
+        row = _kept(kept_in / f"{case.slug}.json", identities[number])
+        if row is not None and (not row["recipe"] or (folder / row["recipe"]).is_file()):
+            rows[number] = row
+    kept = len(rows)
+    progress(Progress(kept, len(job.cases), kept))
+    tasks = [
+        Task(number, "recommend", (tables_of(case.spec),))
+        for number, case in enumerate(job.cases)
+        if number not in rows and case.spec is not None
+    ]
+    own = runner is None
+    runner = runner or LocalPool()
+    try:
+        for number, found in runner.run(tasks):
+            case = job.cases[number]
+            if isinstance(found, Exception):
+                row = _failed(case, str(found))
+            else:
+                name = f"{case.slug}.toml"
+                write_safely(folder / name, found.pop("toml"))
+                row = _row(case, recipe=name, remark=found.pop("sentence"), **found)
+            write_safely(kept_in / f"{case.slug}.json", json.dumps([identities[number], row], indent=1))
+            rows[number] = row
+            said = row["remark"] if not row["recipe"] else f"{row['now']:.4g} {row['unit']}"
+            progress(Progress(len(rows), len(job.cases), kept, f"{', '.join(case.names)}: {said}"))
+    finally:
+        if own:
+            runner.close()
+    table = Table(_ordered([rows[number] for number in range(len(job.cases))]), kept)
+    write_safely(folder / "summary.csv", as_csv(table))
+    write_safely(folder / "summary.md", as_markdown(table, job.file.title))
+    return table
+
+
+def identity_of(case: Case) -> str:
+    """The same for the same case, computed by the same versions."""
+    tables = None if case.spec is None else tables_of(case.spec)
+    text = json.dumps([tables, versions()], sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _kept(path: Path, identity: str) -> dict[str, Any] | None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return found[1] if found[0] == identity else None
+    except (OSError, ValueError, TypeError, LookupError):
+        return None
+
+
+def _row(case: Case, **values: Any) -> dict[str, Any]:
+    named = dict(zip(("sensor", "rig", "requirement", "plan"), case.names, strict=True))
+    return {column: {**named, **values}.get(column) for column in _COLUMNS}
+
+
+def _failed(case: Case, reason: str) -> dict[str, Any]:
+    return _row(case, recipe="", remark=reason, verdict="", limited_by="", objective="", unit="")
+
+
+def _ordered(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
+    """By requirement and sensor, then the best first; cases without a recipe last."""
+    place = {name: k for k, name in enumerate(dict.fromkeys((r["requirement"], r["sensor"]) for r in rows))}
+    return tuple(
+        sorted(
+            rows,
+            key=lambda r: (
+                place[r["requirement"], r["sensor"]],
+                r["now"] is None,
+                r["now"] or 0.0,
+                r["rig"],
+                r["plan"],
+            ),
+        )
+    )
+
+
+def as_csv(table: Table) -> str:
+    """The rows for other programs: numbers in full."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for row in table.rows:
+        writer.writerow({key: "" if value is None else value for key, value in row.items()})
+    return stream.getvalue()
+
+
+def as_markdown(table: Table, title: str | None) -> str:
+    """The rows for people: four digits."""
+    several = len({row["plan"] for row in table.rows}) > 1
+    head = ["sensor", "rig", "requirement", *(["plan"] if several else []), "as written", "optimised", "hours"]
+    limits = any(row["limit"] is not None for row in table.rows)
+    head += ["no plan below", "efficiency"] if limits else []
+    head += ["verdict", "limited by"]
+    lines = [f"# {title or 'Recommended recipes'}", "", f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for row in table.rows:
+        recipe = f"[{_number(row['now'], row['unit'])}]({row['recipe']})" if row["recipe"] else "no recipe"
+        cells = [row["sensor"], row["rig"], row["requirement"], *([row["plan"]] if several else [])]
+        cells += [_number(row["before"], row["unit"]), recipe, _number(row["hours"], "h", 3)]
+        if limits:
+            share = row["efficiency"]
+            cells += [_number(row["limit"], row["unit"]), "–" if share is None else f"{share:.0%}"]
+        remark = row["limited_by"] if row["recipe"] else row["remark"]
+        if row["recipe"] and not row["converged"]:
+            remark = f"{remark}; {row['remark']}"
+        lines.append(f"| {' | '.join(_cell(c) for c in [*cells, row['verdict'], remark])} |")
+    lines += [
+        "",
+        "Residuals are predictions, one standard deviation, of the plans as rounded to the rigs' controllers.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: float | None, unit: str, digits: int = 4) -> str:
+    return "–" if value is None else f"{value:.{digits}g} {unit}"
+
+
+def _cell(text: object) -> str:
+    return str(text or "").replace("|", "/").replace("\n", " ")

@@ -1,0 +1,54 @@
+"""What is kept of a point; plain data, without JAX, for whoever hands out the work."""
+
+import json
+from typing import Final, Literal, NamedTuple
+
+STATISTICS: Final = ("mean of max", "max", "mean", "rms")
+"""The order of a residual's values: `information.STATISTICS`."""
+UNIT_OF: Final[dict[str, Literal["ppm", "deg/h"]]] = {"scale_factor": "ppm", "bias": "deg/h"}
+
+
+class Residual(NamedTuple):
+    """One requirement on one channel: the statistics by the order of `STATISTICS` (None: none, or not observable), in
+    ppm or deg/h, and the verdict: "met", "missed", "unobservable" or "" without a target.
+    """
+
+    requirement: int
+    channel: str
+    values: tuple[float | None, ...]
+    verdict: str
+
+
+class Result(NamedTuple):
+    """A point. `failure` is a sentence where there is no result; `note` and `spec` are an optimised point's."""
+
+    point: int
+    failure: str = ""
+    duration_s: float = 0.0
+    soak_s: float = 0.0
+    motion_s: float = 0.0
+    residuals: tuple[Residual, ...] = ()
+    before: float | None = None
+    note: str = ""
+    spec: str = ""
+
+
+def as_json(results: list[Result]) -> str:
+    """Results as text that reads back exactly."""
+    return json.dumps([[*r[:5], [list(row) for row in r.residuals], *r[6:]] for r in results], allow_nan=False)
+
+
+def from_json(text: str) -> list[Result]:
+    """What `as_json` wrote."""
+    rows = json.loads(text)
+    found: list[Result] = []
+    for point, failure, duration, soak, motion, residuals, before, note, spec in rows:
+        of_requirements = tuple(Residual(a, b, tuple(c), d) for a, b, c, d in residuals)
+        found.append(Result(point, failure, duration, soak, motion, of_requirements, before, note, spec))
+    return found
+
+
+def one_line(error: BaseException) -> str:
+    """An error's sentence, without line breaks."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {text}"

@@ -1,0 +1,99 @@
+"""`gradcal sweep` as a user calls it."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gradcal_jax.cli import main
+from gradcal_jax.files import presets
+
+SWEEP = """
+format = "gradcal-sweep/1"
+title  = "how fast, how long"
+base   = "base.toml"
+[[axis]]
+key    = "plan.gradient"
+values = ["1 K/min", "5 K/min"]
+[[axis]]
+name   = "walk"
+key    = "sensor.angle_random_walk"
+start  = "0.05 deg/sqrt(h)"
+stop   = "0.2 deg/sqrt(h)"
+count  = 3
+spacing = "logarithmic"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    found = tmp_path_factory.mktemp("sweep")
+    (found / "base.toml").write_text(presets.text("paper-static-gradient"), encoding="utf-8")
+    (found / "sweep.toml").write_text(SWEEP, encoding="utf-8")
+    return found
+
+
+@pytest.fixture(scope="module")
+def done(folder):
+    """The command in a process of its own, with a picture: what it printed."""
+    script = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", script, "sweep", "sweep.toml", "-o", "results.nc", "--plot", "results.png"]
+    return subprocess.run([*command, "--workers", "1"], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_the_answer_says_what_is_least_and_what_failed(done, folder):
+    assert done.returncode == 1, done.stderr
+    assert "6 points, 3 of them failed" in done.stdout
+    assert "exceeds rig.chamber.max_heating" in done.stdout
+    assert "least at gradient 1, walk 0.05" in done.stdout
+    assert "\x1b" not in done.stdout + done.stderr
+    assert (folder / "results.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_finished_sweep_is_not_done_again(done, folder, capsys):
+    before = (folder / "results.nc").stat().st_mtime_ns
+    assert main(["sweep", str(folder / "sweep.toml"), "-o", str(folder / "results.nc"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert (folder / "results.nc").stat().st_mtime_ns == before
+    assert (found["points"], found["failed"]) == (6, 3)
+    (row,) = found["requirements"]
+    assert row["unit"] == "deg/h"
+    assert row["least"] < row["median"] < row["most"]
+    assert row["least_at"] == {"gradient": 1.0, "walk": 0.05}
+
+
+def test_the_picture_shows_every_curve(done, folder):
+    from gradcal_jax.jobs.dataset import read_dataset
+    from gradcal_jax.plots.sweep import draw_sweep
+
+    results = read_dataset(folder / "results.nc")
+    (axes,) = draw_sweep(results).axes
+    assert axes.get_xlabel() == "walk, deg/sqrt(h)"
+    assert axes.get_ylabel() == "mean of the residual (1σ), deg/h"
+    slow, fast = axes.get_lines()
+    np.testing.assert_allclose(slow.get_ydata(), results["full_range_mean"].sel(gradient=1.0).values)
+    assert np.isnan(fast.get_ydata()).all()
+    with pytest.raises(ValueError, match="hold no variable"):
+        draw_sweep(results, "nothing")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["sweep.toml"], "-o results.nc, or ask for --dry-run"),
+        (["none.toml", "-o", "r.nc"], 'does not exist; nearest: "base.toml"'),
+        (["base.toml", "-o", "r.nc"], 'expected "gradcal-sweep/1"'),
+        (["sweep.toml", "-o", "nowhere/r.nc"], "there is no directory"),
+        (["sweep.toml", "-o", "base.toml"], "exists and is not of this sweep"),
+        (["sweep.toml", "-o", "r.nc", "--workers", "0"], "from 1 to 1024"),
+        (["sweep.toml", "-o", "r.nc", "--workers", "2", "--scheduler", "tcp://x:1"], "--workers or --scheduler"),
+        (["sweep.toml", "-o", "r.nc", "--plot", "r.doc"], "ends in .png, .svg or .pdf"),
+    ],
+)
+def test_wrong_input_is_a_sentence_and_status_2(arguments, said, folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert main(["sweep", *arguments]) == 2
+    assert said in capsys.readouterr().err
+    assert not (folder / "r.nc").exists()

@@ -30,7 +30,6 @@ _MODELS: Final[Mapping[str, type[Section]]] = {
     "sweep": SweepFile,
     "catalogue": CatalogueFile,
 }
-_PLANNED: Final[tuple[str, ...]] = ()
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -52,8 +51,6 @@ def schema(name: str) -> dict[str, Any]:
     if plain in _MODELS:
         body = _MODELS[plain].model_json_schema(mode="validation", schema_generator=_WithTexts)
         return {"$schema": _DIALECT, "$id": f"gradcal-{plain}/1", **body}
-    if plain in _PLANNED:
-        raise ValueError(f"gradcal-{plain}/1 is planned, but this version does not read or write it yet")
-    close = nearest(plain, [*_MODELS, *_PLANNED])
+    close = nearest(plain, _MODELS)
     ending = f'; nearest: "{close}"' if close else f"; known: {', '.join(_MODELS)}"
     raise ValueError(f'there is no file or contract named "{name}"{ending}')

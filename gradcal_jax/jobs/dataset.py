@@ -42,7 +42,7 @@ def dataset_of(job: Sweep, points: Points, results: tuple[Result, ...], identity
     for k, (axis, name) in enumerate(zip(job.file.axis, names, strict=True)):
         of_axis = axis.listed() if grid else [row[k] for row in values]
         numbers = [axis.number_of(value) for value in of_axis]
-        attributes = {"long_name": axis.label, "keys": ", ".join(axis.changes)}
+        attributes = {"long_name": axis.label, "keys": ", ".join(axis.changes), "spacing": axis.spacing}
         if any(number is None for number in numbers):
             column: Any = np.array([str(value) for value in of_axis], dtype=object)
         else:

@@ -83,8 +83,7 @@ def _grid(results: "xarray.Dataset", name: str) -> list[Any]:
                 else:
                     ax.plot(range(len(x)), y, label=label, marker="o", **style_of(index))
                     ax.set_xticks(range(len(x)), x, rotation=30, ha="right")
-            title = [results[name].attrs["requirement"]] if which == chosen[0] else []
-            title += [_named(results, panels, which)] if panels else []
+            title = [_named(results, panels, which)] if panels else [results[name].attrs["requirement"]]
             ax.set_title(", ".join([*title, *said]), fontsize="medium")
             _label(ax, results, across, name)
             from_zero(ax)
@@ -122,7 +121,9 @@ def _drawn(results: "xarray.Dataset", name: str) -> list[Any]:
 def _label(ax: Any, results: "xarray.Dataset", across: str, name: str) -> None:
     attributes = results[name].attrs
     ax.set_xlabel(_with_unit(results, across))
-    ax.set_ylabel(f"{attributes['statistic']} of the residual (1σ), {attributes['units']}")
+    ax.set_ylabel(f"{attributes['requirement']}: {attributes['statistic']} (1σ), {attributes['units']}")
+    if results[across].attrs.get("spacing") == "logarithmic":
+        ax.set_xscale("log")
 
 
 def _with_unit(results: "xarray.Dataset", name: str) -> str:

@@ -71,7 +71,8 @@ def test_the_picture_shows_every_curve(done, folder):
     results = read_dataset(folder / "results.nc")
     (axes,) = draw_sweep(results).axes
     assert axes.get_xlabel() == "walk, deg/sqrt(h)"
-    assert axes.get_ylabel() == "mean of the residual (1σ), deg/h"
+    assert axes.get_ylabel() == "full range: mean (1σ), deg/h"
+    assert axes.get_xscale() == "log"
     slow, fast = axes.get_lines()
     np.testing.assert_allclose(slow.get_ydata(), results["full_range_mean"].sel(gradient=1.0).values)
     assert np.isnan(fast.get_ydata()).all()

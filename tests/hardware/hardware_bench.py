@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from gradcal_jax.files import Quantity, changed, parse_spec, presets
+from gradcal_jax.files import Quantity, Spec, changed, parse_spec, presets
 from gradcal_jax.files.recipe import Made, Predicted, Recipe
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.files.rounding import rounded, steps_of
@@ -183,7 +183,7 @@ class Rig:
 
 
 def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict[str, Any] | None = None) -> Recipe:
-    """A recipe of minutes: a soak, then a ramp of 2 K/min with turns, of the paper's gyro. Its prediction is empty."""
+    """A recipe of minutes: a soak, then a ramp of 2 K/min with turns, of the paper's gyro."""
     moves = [
         {"rest": "4 s", "read_every": "1 s"},
         {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"},
@@ -197,8 +197,14 @@ def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict
         "plan.cycle.moves": moves,
         "plan.cycle.other_axes": {"duration": "2 s", "read": True},
     }
-    spec = rounded(changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | (changes or {}))).spec
-    chamber, motion = tracks_of(spec)
+    spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | (changes or {}))
+    return unpredicted(spec, stable_for=stable_for)
+
+
+def unpredicted(spec: Spec, *, stable_for: str = "20 s") -> Recipe:
+    """A recipe whose prediction is empty: what can be made without compiling anything."""
+    result = rounded(spec).spec
+    chamber, motion = tracks_of(result)
     return Recipe(
         format="gradcal-recipe/1",
         status="not optimised",
@@ -208,5 +214,5 @@ def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict
         chamber=chamber,
         motion=motion,
         prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
-        spec=spec,
+        spec=result,
     )

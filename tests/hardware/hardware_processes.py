@@ -1,7 +1,7 @@
 """Processes for the tests: a simulated laboratory that outlives the runs on it, and a run that can be killed.
 
-    python hardware_processes.py serve FOLDER SPEED     serves until its input closes; writes FOLDER/rig.toml
-    python hardware_processes.py run FOLDER RUN SPEED [guard]
+python hardware_processes.py serve FOLDER SPEED     serves until its input closes; writes FOLDER/rig.toml
+python hardware_processes.py run FOLDER RUN SPEED [guard]
 """
 
 import os

@@ -1,0 +1,145 @@
+"""From a recipe to a calibration: the run on simulated devices, the log, the estimate, and the hidden truth."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hardware_bench import short_recipe
+from hardware_evidence import record
+from scipy.stats import chi2
+
+from gradcal_jax.files import presets
+from gradcal_jax.files.calibration import Calibration, read_calibration
+from gradcal_jax.files.log import Log, write_log
+from gradcal_jax.files.recipe import Recipe, read_recipe
+from gradcal_jax.hardware.clock import VirtualClock
+from gradcal_jax.hardware.recording import log_of
+from gradcal_jax.hardware.run_folder import new_folder
+from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware.simulate.lab import SimulatedLab
+
+SMALL = {
+    "sensor.scale_factor.temperature.degree": 1,
+    "sensor.scale_factor.rate.degree": 1,
+    "sensor.sample_clock_error": "20 ppm",
+    "requirement": None,
+}
+
+
+def rehearsed(made: Recipe, folder: Path, seed: int) -> tuple[Log, dict[str, Any]]:
+    """The log of a simulated run, and the hidden truth."""
+    clock = VirtualClock()
+    with SimulatedLab(made.spec, clock, seed=seed) as lab:
+        run = new_folder(folder, made, lab.rig, simulated={"seed": seed})
+        result = run_session(run, lab.rig, clock, simulated=True)
+        assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
+        truth = lab.truth.tables(lab.axes)
+    return log_of(run.contents(), run.recipe(), run.rig()), truth
+
+
+def distance(calibration: Calibration, truth: dict[str, Any]) -> tuple[float, int]:
+    """χ² of the estimate's errors in its own covariance, and its degrees of freedom."""
+    (axis,) = calibration.axis
+    values, hidden = axis.values(), truth["x"] | {"bias_temperature_gradient": truth["x"]["gradient"]}
+    assert axis.covariance is not None
+    names = axis.covariance.names
+    error = np.array([values[name] - hidden[name] for name in names])
+    matrix = np.array(axis.covariance.matrix)
+    scale = np.sqrt(np.diag(matrix))
+    whitened = np.linalg.solve(np.linalg.cholesky(matrix / np.outer(scale, scale)), error / scale)
+    return float(whitened @ whitened), len(names)
+
+
+def test_a_log_holds_what_the_table_did(tmp_path: Path) -> None:
+    made = short_recipe()
+    log, truth = rehearsed(made, tmp_path / "run", seed=2)
+    assert log.standstill is not None
+    assert log.table_angle_rad is not None
+    assert int(log.standstill.max()) == 2 * made.motion[0].repeat
+    step = 1.0 / 125.0
+    factor = truth["x"]["b00"]
+    turned = []
+    for number in range(int(log.standstill.max())):
+        last, first = (np.flatnonzero(log.standstill == n) for n in (number, number + 1))
+        rows = slice(int(last[-1]) + 1, int(first[0]) + 1)
+        measured = float(log.rate_rad_per_s[0, rows, 0].sum()) * step
+        angle = log.table_angle_rad[first[0], 0] - log.table_angle_rad[last[-1], 0]
+        turned.append(round(float(np.degrees(angle))))
+        # The paper's table reads to 0.05 deg; the map is some 1000 ppm.
+        assert np.degrees(measured - angle) == pytest.approx(0.0, abs=0.3 + abs(factor) * 360.0 + 2.0)
+        assert abs(np.degrees(angle)) == pytest.approx(360.0, abs=0.4)
+    assert turned == [360, -360] * made.motion[0].repeat
+    assert log.rows_removed["not in a stretch of data"] > 0
+    assert log.provenance["recipe"] == made.fingerprint
+
+
+def gradcal(*words: object) -> subprocess.CompletedProcess[str]:
+    """The command line in a process of its own, as users have it."""
+    program = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
+    return subprocess.run(
+        [sys.executable, "-c", program, *map(str, words)], capture_output=True, text=True, check=False
+    )
+
+
+def test_a_short_run_gives_back_the_hidden_parameters_within_its_covariance(tmp_path: Path) -> None:
+    made = short_recipe(changes=SMALL)
+    log, truth = rehearsed(made, tmp_path / "run", seed=5)
+    assert log.simulated
+    assert log.axes == ("x", "y", "z")
+    write_log(log, tmp_path / "log.nc")
+    # In a process of its own: compiling under the tests' type checks would take a minute.
+    said = gradcal(
+        "estimate", tmp_path / "log.nc", "--recipe", tmp_path / "run/recipe.toml", "-o", tmp_path / "found.toml"
+    )
+    assert said.returncode in (0, 1), said.stderr
+    calibration = read_calibration(tmp_path / "found.toml")
+    assert calibration.simulated
+    found, degrees = distance(calibration, truth)
+    assert degrees == 4
+    assert chi2.sf(found, degrees) > 1e-4
+    # The test can fail: a truth that is ten deviations away is not consistent.
+    wrong = truth["x"] | {"b00": truth["x"]["b00"] + 10.0 * float(np.sqrt(calibration.axis[0].covariance.matrix[0][0]))}
+    assert chi2.sf(distance(calibration, {"x": wrong})[0], degrees) < 1e-4
+
+
+@pytest.mark.evidence
+def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path: Path) -> None:
+    """Three hours on simulated chamber, table and STIM300, eight seeds: χ² of all coefficients together."""
+    spec, made = tmp_path / "spec.toml", tmp_path / "recipe.toml"
+    spec.write_text(presets.text("tactical-mems"), encoding="utf-8")
+    assert gradcal("recipe", spec, "-o", made).returncode == 0
+    predicted = {row.quantity: row for row in read_recipe(made).prediction.requirements}
+    total, freedom = 0.0, 0
+    each: list[float] = []
+    took: list[float] = []
+    ratios: list[float] = []
+    for seed in range(1, 9):
+        run, began = tmp_path / f"run{seed}", time.monotonic()
+        assert gradcal("run", made, "--simulate", "--seed", seed, "-o", run).returncode == 0
+        took.append(time.monotonic() - began)
+        assert gradcal("log", run).returncode == 0
+        said = gradcal("estimate", run / "log.nc", "--recipe", made, "-o", run / "calibration.toml")
+        assert said.returncode in (0, 1), said.stderr
+        calibration = read_calibration(run / "calibration.toml")
+        found, degrees = distance(calibration, json.loads((run / "hidden_truth.json").read_text(encoding="utf-8")))
+        each.append(found)
+        total, freedom = total + found, freedom + degrees
+        reached = next(r.value for r in calibration.result if r.quantity == "scale_factor")
+        ratios.append(reached / predicted["scale_factor"].mean_of_max)
+        (run / "journal").unlink()
+        (run / "log.nc").unlink()
+    chance = float(chi2.sf(total, freedom))
+    assert 0.001 < chance < 0.999, each
+    assert np.all(np.abs(np.array(ratios) - 1.0) < 0.1), ratios
+    record(
+        "headline recipe end to end",
+        f"8 seeds: χ² {total:.0f} of {freedom} degrees (chance {chance:.2f}; each {min(each):.0f} to {max(each):.0f} "
+        f"of {freedom // 8}); residual over prediction {min(ratios):.3f} to {max(ratios):.3f}; the run, hours of "
+        f"virtual time, took {np.median(took):.0f} s",
+        "tests/hardware/test_end_to_end.py",
+    )

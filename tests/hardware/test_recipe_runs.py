@@ -1,0 +1,331 @@
+"""Recipes on rigs: what becomes of them when they are resumed, killed, aborted, or have no business there."""
+
+import json
+import signal
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hardware_bench import short_recipe, unpredicted
+from hardware_evidence import record
+from hardware_processes import laboratory, start_run
+
+from gradcal_jax.files import changed, parse_spec, presets
+from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.writing import write_toml
+from gradcal_jax.hardware.binding import track_of
+from gradcal_jax.hardware.clock import VirtualClock
+from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.journal import read_journal
+from gradcal_jax.hardware.recording import log_of
+from gradcal_jax.hardware.run_folder import (
+    RunFolder,
+    RunFolderError,
+    exit_status,
+    new_folder,
+    prepare_resume,
+    sessions,
+)
+from gradcal_jax.hardware.runner import Progress, Runner, RunResult
+from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware.simulate.lab import SimulatedLab
+
+SPEED = 20.0
+
+
+# ------------------------------------------------------------------------------------------------------- the binding
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name: str) -> None:
+    made = unpredicted(parse_spec(presets.text(name)))
+    track = track_of(made, ["table"])
+    assert track.duration_s == pytest.approx(made.duration_s, rel=1e-9)
+    readings = sum(len(step.read_at_s) for step in track.steps)
+    schedule = made.spec.schedule
+    if hasattr(schedule, "stretches"):
+        # The first reading of each stretch is not among the plan's.
+        assert readings == pytest.approx(schedule.readings + len(schedule.stretches), abs=2)
+    assert track.steps[0].ready is not None
+    for step in track.steps:
+        ends = [move.start_s + move.duration_s for move in step.moves]
+        following = ([move.start_s for move in step.moves] + [step.duration_s])[1:]
+        for move, end, after in zip(step.moves, ends, following, strict=True):
+            assert move.kind != "turn" or end <= after + 1e-6
+
+
+def test_steps_carry_where_they_begin_by_themselves() -> None:
+    spec = changed(
+        parse_spec(presets.text("paper-dynamic-gradient")),
+        {
+            "plan.cycle.moves[1]": {"turn": "450 deg", "peak_rate": "10 deg/s", "shape": "linear ramps"},
+            "plan.cycle.moves[5]": {"rest": "1 s", "read": "none"},
+        },
+    )
+    track = track_of(unpredicted(spec), ["table"])
+    cycles = [step for step in track.steps if step.moves]
+    net = sum(move.angle_deg for move in cycles[0].moves)
+    assert net == pytest.approx(450.0)
+    for number, step in enumerate(cycles):
+        assert step.follows == (number > 0)
+        assert step.start_deg == {"table": pytest.approx(number * net)}
+        # The ramp is 1 K/min.
+        assert step.start_c == pytest.approx(-30.0 + number * cycles[0].duration_s / 60.0)
+
+
+def test_axes_that_the_rig_does_not_have_are_named() -> None:
+    made = short_recipe(changes={"plan.cycle.moves[1].axis": "z"})
+    with pytest.raises(HardwareError, match=r"turns axis x, z, and the rig's axes are table: name the rig's axes"):
+        track_of(made, ["table"])
+
+
+def test_a_spline_ends_at_its_angle_and_an_oscillation_where_it_began() -> None:
+    moves = [
+        {"rest": "5 s", "read_every": "1 s"},
+        {"shape": "spline", "duration": "20 s", "rates": ["50 deg/s", "120 deg/s", "-30 deg/s"]},
+    ]
+    made = short_recipe(20.0, changes={"plan.cycle.moves": moves})
+    step = next(step for step in track_of(made, ["x"]).steps if step.moves)
+    spins = [move for move in step.moves if move.kind == "spin"]
+    assert len(spins) > 20
+    angle = made.spec.schedule.cycle.moves[1].angle
+    assert step.moves[-1].kind == "turn"
+    assert step.moves[-1].angle_deg == pytest.approx(np.degrees(angle))
+
+
+# --------------------------------------------------------------------------------------------- ended, and gone on with
+
+
+def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, begins_s: float = 0.0) -> RunResult:
+    """A session on a fresh simulated laboratory; it is asked to stop in the middle of a step."""
+    clock = VirtualClock(begins_s)
+    made = read_recipe(folder.path / "recipe.toml")
+    first = prepare_resume(folder) if folder.journal_path.exists() else 0
+    runners: list[Runner] = []
+
+    def look(progress: Progress) -> None:
+        left = progress.step_left_s
+        if progress.steps_done == stop_at_step and left is not None and left < 8.0:
+            runners[0].request("stop", "enough")
+
+    with SimulatedLab(made.spec, clock, seed=seed) as lab:
+        return run_session(
+            folder, lab.rig, clock, first_step=first, simulated=True, on_progress=look, with_runner=runners.append
+        )
+
+
+def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
+    made = short_recipe()
+    with SimulatedLab(made.spec, VirtualClock()) as lab:
+        folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
+        whole = new_folder(tmp_path / "whole", made, lab.rig, simulated={})
+    assert executed(whole, 4).exit_status == "success"
+    assert executed(folder, 4, stop_at_step=4).exit_status == "stopped"
+    before = folder.journal_path.read_bytes()
+    latest = max(entry.time_s for entry in folder.contents().records)
+    assert executed(folder, 4, begins_s=latest + 100.0).exit_status == "success"
+    assert folder.journal_path.read_bytes().startswith(before)
+    contents = folder.contents()
+    assert contents.damaged_bytes == 0
+    assert (sessions(contents), exit_status(contents)) == (2, "success")
+    done = [event.data["number"] for event in contents.events if event.name == "step done"]
+    assert done == list(range(len(track_of(made, ["x"]).steps)))
+    log, uninterrupted = (log_of(f.contents(), made, f.rig()) for f in (folder, whole))
+    assert log.provenance["seams"] == "1"
+    assert len(log.stretch_starts) == 2
+    # The interrupted cycle was made again: one more of it, up to where it was interrupted.
+    more = len(log.time_s) - len(uninterrupted.time_s)
+    assert 0 < more < 14 * 125
+    with pytest.raises(RunFolderError, match="is complete"):
+        prepare_resume(folder)
+
+
+def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_path: Path) -> None:
+    made = short_recipe()
+    with SimulatedLab(made.spec, VirtualClock()) as lab:
+        folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
+        with pytest.raises(RunFolderError, match="name a new folder"):
+            new_folder(tmp_path / "run", made, lab.rig)
+    assert executed(folder, 4, stop_at_step=1).exit_status == "stopped"
+    with pytest.raises(RunFolderError, match="gradcal run --resume"):
+        new_folder(tmp_path / "run", made, folder.rig())
+    clock = VirtualClock(1e4)
+    with SimulatedLab(made.spec, clock) as lab:
+        lab.imu.options.serial = "N1"
+        with pytest.raises(HardwareError, match=r"unit1 at .* N1 .*the run began with .*N25582405002002"):
+            run_session(folder, lab.rig, clock, first_step=1, simulated=True)
+    notes = json.loads((folder.path / "run.json").read_text())
+    (folder.path / "run.json").write_text(json.dumps(notes | {"version": "0.0.1"}))
+    with pytest.raises(RunFolderError, match=r"begun by gradcal 0\.0\.1"):
+        prepare_resume(folder)
+    (folder.path / "run.json").write_text(json.dumps(notes | {"recipe": "other"}))
+    with pytest.raises(RunFolderError, match="not the one that the run began with"):
+        prepare_resume(folder)
+
+
+# ------------------------------------------------------------------------------------------------- killed and aborted
+
+
+def killed_runs(folder: Path, kills: int, seed: int) -> tuple[int, int]:
+    """Kill runs at random instants, resuming each, until enough were killed; how many kills and completed runs."""
+    random = np.random.default_rng(seed)
+    done = runs = 0
+    with laboratory(folder, SPEED):
+        while done < kills:
+            run, torn = folder / f"run{runs}", b""
+            while True:
+                process = start_run(folder, run, SPEED)
+                wait = random.uniform(0.3, 4.0) if done < kills else 60.0
+                try:
+                    process.wait(timeout=wait)
+                except Exception:
+                    process.send_signal(signal.SIGKILL)
+                    process.wait()
+                    done += 1
+                said = process.stdout.read() if process.stdout is not None else ""
+                if process.stdout is not None:
+                    process.stdout.close()
+                journal = (run / "journal").read_bytes() if (run / "journal").exists() else b""
+                # Nothing that was on the disk is ever lost or changed.
+                assert journal.startswith(torn)
+                torn = journal
+                if process.returncode == 0:
+                    break
+                assert process.returncode == -signal.SIGKILL, said
+                if not (run / "run.json").exists():
+                    for entry in run.glob("*"):
+                        entry.unlink()
+            runs += 1
+            check_complete(run)
+    return done, runs
+
+
+def check_complete(run: Path) -> None:
+    """Every step was done once and to its end, and its turns are the recipe's."""
+    made = read_recipe(run / "recipe.toml")
+    contents = read_journal(run / "journal")
+    track = track_of(made, ["x"])
+    assert exit_status(contents) == "success"
+    finished = [event.data["number"] for event in contents.events if event.name == "step done"]
+    assert finished == list(range(len(track.steps)))
+    seams = sum(event.name == "seam" for event in contents.events)
+    assert seams == sum(event.name == "session" and event.data["first_step"] > 0 for event in contents.events)
+    since: dict[int, list[float]] = {}
+    number = -1
+    for event in contents.events:
+        if event.name == "step begins":
+            number = event.data["number"]
+            since[number] = []
+        elif event.name == "move" and event.data["kind"] == "turn":
+            since[number].append(event.data["angle_deg"])
+    for place, step in enumerate(track.steps):
+        assert since[place] == [move.angle_deg for move in step.moves]
+    log = log_of(contents, made, RunFolder(run).rig())
+    used = sum(step.duration_s for step in track.steps if step.read_at_s)
+    # A busy computer may let the pseudo-terminal overflow; it never invents samples.
+    assert used * 125.0 * 0.5 < len(log.time_s)
+
+
+def prepared(folder: Path, ramp_k: float = 1.0) -> Path:
+    write_toml(short_recipe(ramp_k), folder / "recipe.toml")
+    return folder
+
+
+def test_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path) -> None:
+    done, runs = killed_runs(prepared(tmp_path), 2, seed=3)
+    assert done == 2
+    assert runs >= 1
+
+
+@pytest.mark.evidence
+def test_a_hundred_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path) -> None:
+    began = time.monotonic()
+    done, runs = killed_runs(prepared(tmp_path), 100, seed=7)
+    record(
+        "runs killed at random (SIGKILL) and resumed",
+        f"{done} kills, {runs} runs, all complete; every journal a continuation of what the kill left; every step done "
+        f"once to its end; {time.monotonic() - began:.0f} s",
+        "tests/hardware/test_recipe_runs.py",
+    )
+
+
+def test_a_guard_makes_the_rig_safe_when_the_run_is_killed(tmp_path: Path) -> None:
+    with laboratory(prepared(tmp_path), SPEED) as process:
+        run = start_run(tmp_path, tmp_path / "run", SPEED, guard=True)
+        end = time.monotonic() + 60.0
+        while time.monotonic() < end and b"step begins" not in (_bytes(tmp_path / "run/journal")):
+            time.sleep(0.1)
+        run.kill()
+        run.wait()
+        assert run.stdout is not None
+        run.stdout.close()
+        while time.monotonic() < end and _bytes(tmp_path / "run/journal").count(b"made safe") < 3:
+            time.sleep(0.2)
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write("state\n")
+        process.stdin.flush()
+        assert process.stdout.readline().split() == ["STANDBY", "0.0"]
+    safe = [event.data for event in read_journal(tmp_path / "run/journal").events if event.name == "made safe"]
+    assert [(entry["by"], entry["verified"]) for entry in safe] == [("guard", True)] * 3
+
+
+def _bytes(path: Path) -> bytes:
+    return path.read_bytes() if path.exists() else b""
+
+
+def aborted(folder: Path, after_s: float, *, mute: int | None) -> RunResult:
+    """A whole run that is aborted at an instant of its clock, with one device silent from then on."""
+    clock = VirtualClock()
+    made = short_recipe(2.0)
+    with SimulatedLab(made.spec, clock) as lab:
+        run = new_folder(folder, made, lab.rig, simulated={})
+        threads: list[threading.Thread] = []
+
+        def attend(runner: Runner) -> None:
+            def abort() -> None:
+                clock.sleep_until(after_s)
+                if mute is not None:
+                    lab.ports[mute].faults.mute = True
+                runner.request("abort", "now")
+
+            threads.append(threading.Thread(target=abort, daemon=True))
+            threads[0].start()
+
+        result = run_session(run, lab.rig, clock, simulated=True, with_runner=attend, safe_deadline_s=4.0)
+        clock.sleep(0.0)
+        assert lab.axis_plants[0].state(clock.now())[1] == 0.0 or mute == 1
+        assert lab.chamber.mode == "STANDBY" or mute == 0
+    return result
+
+
+def check_aborts(folder: Path, count: int, seed: int) -> float:
+    """Random instants, every third with a chamber and every third with a table that never answers again."""
+    random = np.random.default_rng(seed)
+    longest = 0.0
+    for number in range(count):
+        mute = (None, 0, 1)[number % 3]
+        result = aborted(folder / f"abort{number}", float(random.uniform(2.0, 110.0)), mute=mute)
+        assert result.exit_status == "aborted"
+        names = {None: set[str](), 0: {"chamber"}, 1: {"x"}}[mute]
+        assert {outcome.name for outcome in result.outcomes if not outcome.verified} <= names
+        longest = max(longest, *(o.took_s for o in result.outcomes if o.name not in names))
+    return longest
+
+
+def test_whole_runs_aborted_at_random_end_safe(tmp_path: Path) -> None:
+    assert check_aborts(tmp_path, 3, seed=1) < 4.0
+
+
+@pytest.mark.evidence
+def test_fifty_aborts_end_safe_also_with_a_device_that_never_answers(tmp_path: Path) -> None:
+    longest = check_aborts(tmp_path, 50, seed=2)
+    assert longest < 4.0
+    record(
+        "aborts at random instants",
+        "50 whole runs, of them 17 with a chamber and 16 with a table that never answers again: every device that "
+        f"answers verified safe, the slowest after {longest:.1f} s of the 4 s allowed",
+        "tests/hardware/test_recipe_runs.py",
+    )

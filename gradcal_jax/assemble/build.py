@@ -2,7 +2,6 @@
 
 from typing import NamedTuple, cast
 
-import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax import errormodel, plans
@@ -90,11 +89,11 @@ def _model(spec: Spec, processes: Processes) -> GyroModel:
     return GyroModel(
         None if sensor.bias is None else bias_map(sensor.bias),
         None if sensor.scale_factor is None else scale_factor_map(sensor.scale_factor),
-        jnp.asarray(float(sensor.angle_random_walk)),
+        np.asarray(float(sensor.angle_random_walk)),
         processes,
         reference,
-        jnp.asarray(float(sensor.turn_on_bias or 0.0)),
-        jnp.asarray(np.inf if gradient is None or gradient.prior is None else float(gradient.prior)),
+        np.asarray(float(sensor.turn_on_bias or 0.0)),
+        np.asarray(np.inf if gradient is None or gradient.prior is None else float(gradient.prior)),
         has_gradient=gradient is not None,
         has_gradient_prior=gradient is not None and gradient.prior is not None,
     )

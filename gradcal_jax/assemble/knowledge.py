@@ -11,7 +11,7 @@ from gradcal_jax.assemble.build import Assembled
 from gradcal_jax.errormodel import GyroModel
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
 from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.information import Posterior, SquareRootInformation, information, posterior, residual, unweighted
+from gradcal_jax.information import Posterior, information, posterior, residual, unweighted
 
 PPM = 1e6
 DEG_PER_H = 3600.0 * 180.0 / np.pi
@@ -22,19 +22,26 @@ UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h"], float]]] = {
 }
 
 
+# In parts that are compiled once each: the timeline serves every model, the survey and the unweighted estimator.
 @eqx.filter_jit
-def _information(plan: plans.Plan, model: GyroModel, channel: str, thermal_lag) -> SquareRootInformation:
-    return information(plan.timeline(channel, thermal_lag), model)
+def _timeline(plan: plans.Plan, channel: str, thermal_lag) -> plans.Timeline:
+    return plan.timeline(channel, thermal_lag)
+
+
+_information = eqx.filter_jit(information)
+
+
+def _line(built: Assembled, channel: str) -> plans.Timeline:
+    return _timeline(built.plan, channel, None if built.thermal_lag is None else np.asarray(built.thermal_lag))
 
 
 def knowledge(built: Assembled, channel: str = "x", model: GyroModel | None = None) -> Posterior:
     """What is known after the plan, by the estimator that the spec names. `model` replaces the assembled one."""
     model = built.model if model is None else model
-    lag = None if built.thermal_lag is None else jnp.asarray(built.thermal_lag)
-    section = built.spec.plan
+    line, section = _line(built, channel), built.spec.plan
     if isinstance(section, StandardPlanSection) and section.estimator == "least squares":
-        return unweighted(built.plan.timeline(channel, lag), model)
-    return posterior(_information(built.plan, model, channel, lag))
+        return unweighted(line, model)
+    return posterior(_information(line, model))
 
 
 class Survey(NamedTuple):
@@ -46,8 +53,7 @@ class Survey(NamedTuple):
 
 
 @eqx.filter_jit
-def _survey(plan: plans.Plan, channel: str, thermal_lag):
-    line = plan.timeline(channel, thermal_lag)
+def _survey(line: plans.Timeline):
     moving = line.moving_pieces.values
     grid = jnp.broadcast_to(jnp.linspace(0.0, 1.0, 33), (len(moving), 33))
     ends = line.temperature(jnp.broadcast_to(jnp.array([0.0, 1.0]), (line.piece_count, 2)))
@@ -56,8 +62,7 @@ def _survey(plan: plans.Plan, channel: str, thermal_lag):
 
 def survey(built: Assembled, channel: str = "x") -> Survey:
     """Where the plan takes the sensor on one axis."""
-    lag = None if built.thermal_lag is None else jnp.asarray(built.thermal_lag)
-    return Survey(*(float(v) for v in _survey(built.plan, channel, lag)))
+    return Survey(*(float(v) for v in _survey(_line(built, channel))))
 
 
 def residual_map(

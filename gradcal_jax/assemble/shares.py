@@ -75,7 +75,7 @@ def _with_source(built: Assembled, name: str, factor: float) -> GyroModel:
         "timing": lambda m: m.reference.timing_error,
         "angle error of the encoder": lambda m: m.reference.harmonic_amplitudes,
     }[name]
-    return eqx.tree_at(field, model, field(model) * factor)
+    return eqx.tree_at(field, model, np.asarray(field(model) * factor))
 
 
 def _statistics(built: Assembled, known: Posterior) -> dict[str, float]:

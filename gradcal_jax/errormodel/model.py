@@ -34,9 +34,9 @@ class Map(eqx.Module):
 
     temperature: Basis
     rate: Basis | None
-    prior_std: Float[Array, ""]
-    smoothness_std: Float[Array, ""]
-    discrepancy_std: Float[Array, ""]
+    prior_std: Float[Array | np.ndarray, ""]
+    smoothness_std: Float[Array | np.ndarray, ""]
+    discrepancy_std: Float[Array | np.ndarray, ""]
     discrepancy_temperature: HigherPolynomials | None = None
     discrepancy_rate: HigherPolynomials | None = None
     has_prior: bool = eqx.field(static=True, default=False)
@@ -125,7 +125,7 @@ def make_map(
         beyond_w = others[0] if others else None
         if beyond_t.size == 0 and (beyond_w is None or beyond_w.size == 0):
             raise ValueError("the discrepancy's degrees must exceed the model's, otherwise it describes nothing new")
-    scalar = lambda v: jnp.asarray(v, dtype=float)  # noqa: E731
+    scalar = lambda v: np.asarray(v, dtype=float)  # noqa: E731
     return Map(
         temperature,
         rate,
@@ -162,11 +162,11 @@ class GyroModel(eqx.Module):
 
     bias: Map | None
     scale: Map | None
-    angle_random_walk: Float[Array, ""]
+    angle_random_walk: Float[Array | np.ndarray, ""]
     processes: Processes
     reference: Reference
-    turn_on_std: Float[Array, ""]
-    gradient_std: Float[Array, ""]
+    turn_on_std: Float[Array | np.ndarray, ""]
+    gradient_std: Float[Array | np.ndarray, ""]
     has_gradient: bool = eqx.field(static=True, default=False)
     has_gradient_prior: bool = eqx.field(static=True, default=False)
 
@@ -192,7 +192,7 @@ class GyroModel(eqx.Module):
         columns = self.columns
         rows: list[Array] = []
 
-        def add(where: slice, block: Array) -> None:
+        def add(where: slice, block: Array | np.ndarray) -> None:
             rows.append(jnp.zeros((block.shape[0], columns.count)).at[:, where].set(block))
 
         if self.bias is not None:
@@ -216,7 +216,7 @@ class GyroModel(eqx.Module):
         return jnp.concatenate(rows) if rows else jnp.zeros((0, columns.count))
 
 
-def _prior_of_bias(bias: Map, turn_on_std: Float[Array, ""]) -> Float[Array, "size size"]:
+def _prior_of_bias(bias: Map, turn_on_std: Float[Array | np.ndarray, ""]) -> Float[Array, "size size"]:
     """Rows of the prior `diag(σ²) + σ_on² v vᵀ` on the reported coefficients, `v` being the constant function's.
 
     A rank-one update of the identity has the square root `1 − γ v vᵀ`, so no factorisation is needed:

@@ -18,18 +18,18 @@ The rate random walk is thus the limit of the first row, not another code path.
 """
 
 import equinox as eqx
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 
 class Processes(eqx.Module):
     """`m` independent scalar noise processes; every field has the shape `(m,)` and SI units."""
 
-    initial_std: Float[Array, " m"]
-    decay: Float[Array, " m"]
-    diffusion: Float[Array, " m"]
-    bias_gain: Float[Array, " m"]
-    rate_gain: Float[Array, " m"]
+    initial_std: Float[Array | np.ndarray, " m"]
+    decay: Float[Array | np.ndarray, " m"]
+    diffusion: Float[Array | np.ndarray, " m"]
+    bias_gain: Float[Array | np.ndarray, " m"]
+    rate_gain: Float[Array | np.ndarray, " m"]
 
     @property
     def count(self) -> int:
@@ -37,7 +37,7 @@ class Processes(eqx.Module):
 
     def __add__(self, other: "Processes") -> "Processes":
         joined = (
-            jnp.concatenate([getattr(self, name), getattr(other, name)])
+            np.concatenate([getattr(self, name), getattr(other, name)])
             for name in ("initial_std", "decay", "diffusion", "bias_gain", "rate_gain")
         )
         return Processes(*joined)
@@ -45,20 +45,20 @@ class Processes(eqx.Module):
 
 def _process(initial_std, decay, diffusion, bias_gain, rate_gain) -> Processes:
     fields = (initial_std, decay, diffusion, bias_gain, rate_gain)
-    return Processes(*(jnp.reshape(jnp.asarray(v, dtype=float), (1,)) for v in fields))
+    return Processes(*(np.reshape(np.asarray(v, dtype=float), (1,)) for v in fields))
 
 
 def no_processes() -> Processes:
     """The empty set, to add to."""
-    return Processes(*(jnp.zeros(0) for _ in range(5)))
+    return Processes(*(np.zeros(0) for _ in range(5)))
 
 
 def gauss_markov(standard_deviation, correlation_time, *, bias_gain=1.0, rate_gain=0.0) -> Processes:
     """First-order Gauss–Markov process, stationary: σ in rad/s (or 1, or K, as the gains say), τ in s (`inf`:
     a constant).
     """
-    decay = 1.0 / jnp.asarray(correlation_time, dtype=float)
-    return _process(standard_deviation, decay, standard_deviation * jnp.sqrt(2.0 * decay), bias_gain, rate_gain)
+    decay = 1.0 / np.asarray(correlation_time, dtype=float)
+    return _process(standard_deviation, decay, standard_deviation * np.sqrt(2.0 * decay), bias_gain, rate_gain)
 
 
 def rate_random_walk(coefficient) -> Processes:
@@ -80,11 +80,11 @@ class Reference(eqx.Module):
     encoder's repeatable error.
     """
 
-    reading_noise: Float[Array, ""]
-    standstill_offset: Float[Array, ""]
-    timing_error: Float[Array, ""]
-    rate_accuracy: Float[Array, ""]
-    harmonic_amplitudes: Float[Array, " h"]
+    reading_noise: Float[Array | np.ndarray, ""]
+    standstill_offset: Float[Array | np.ndarray, ""]
+    timing_error: Float[Array | np.ndarray, ""]
+    rate_accuracy: Float[Array | np.ndarray, ""]
+    harmonic_amplitudes: Float[Array | np.ndarray, " h"]
     harmonic_orders: tuple[int, ...] = eqx.field(static=True, default=())
     has_offset: bool = eqx.field(static=True, default=False)
 
@@ -102,13 +102,13 @@ def angle_reference(
 ) -> Reference:
     """A `Reference` from plain numbers (SI). An offset of exactly 0 gets no noise state."""
     harmonics = harmonics or {}
-    as_array = lambda v: jnp.asarray(v, dtype=float)  # noqa: E731
+    as_array = lambda v: np.asarray(v, dtype=float)  # noqa: E731
     return Reference(
         as_array(reading_noise),
         as_array(standstill_offset),
         as_array(timing_error),
         as_array(rate_accuracy),
-        jnp.asarray(list(harmonics.values()), dtype=float),
+        np.asarray(list(harmonics.values()), dtype=float),
         tuple(harmonics),
         has_offset=bool(standstill_offset != 0.0),
     )

@@ -31,6 +31,7 @@ not: σ = 0 is the answer, with a sentence that says how large a drift could hid
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -212,7 +213,7 @@ def fit_direct_bound(
         mean_error = rate_in_words(angle_random_walk / float(np.sqrt(delta)))
         messages.append(_no_drift_shows(delta, mean_error, hidden, rate_in_words(hidden), chosen_tau, advised))
     elif correlation_times_s is None and inside:
-        found = optimize.minimize_scalar(
+        found: Any = optimize.minimize_scalar(
             lambda log_tau: float(boundary(np.exp(np.array([log_tau])))[1][0]),
             bounds=(np.log(tau[best - 1]), np.log(tau[best + 1])),
             method="bounded",

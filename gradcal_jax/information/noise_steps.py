@@ -75,7 +75,7 @@ def noise_steps(timeline: Timeline, model: GyroModel) -> NoiseSteps:
     initial = initial.at[states, states].set(p.initial_std**2)
 
     if timeline.rate_reference:
-        held = (reference.rate_accuracy * timeline.turned()) ** 2
+        held = jnp.square(reference.rate_accuracy * timeline.turned())
         transition = jnp.where(timeline.reset[:, None, None], 0.0, transition)
         # An independent point: its processes start afresh, and drive its angle over the piece as over any other.
         fresh = jnp.zeros((count, n, n)).at[:, 0, 0].set(1.0)
@@ -103,7 +103,7 @@ def noise_steps(timeline: Timeline, model: GyroModel) -> NoiseSteps:
         transition = transition.at[gaps, 0, :].set(jnp.zeros(n).at[n - 1].set(-1.0) if offset else 0.0)
         covariance = covariance.at[gaps, 0, :].set(0.0).at[gaps, :, 0].set(0.0).at[gaps, 0, 0].set(white)
     on_the_move = jnp.where(timeline.at_rest, 0.0, timeline.end_rate() * reference.timing_error)
-    variance = white / timeline.share + on_the_move**2
+    variance = jnp.asarray(white / timeline.share + on_the_move**2)
     return NoiseSteps(transition, covariance, observation, variance, timeline.read, initial)
 
 
@@ -112,10 +112,10 @@ def _constant_drive(
 ) -> tuple[Array, Array, Array, Array]:
     """F_θx, Q_θθ, Q_θx, Q_xx of shape (P, m) for a constant c = α + γω: closed forms that stay exact as λD → 0."""
     d = duration[:, None]
-    drive = p.bias_gain[None, :] + p.rate_gain[None, :] * rate[:, None]
-    x = p.decay[None, :] * d
+    drive = jnp.asarray(p.bias_gain[None, :] + p.rate_gain[None, :] * rate[:, None])
+    x = jnp.asarray(p.decay[None, :] * d)
     g1, g2, g3 = _phi1(x), _phi1(2.0 * x), _chi(x)
-    diffusion = p.diffusion[None, :] ** 2
+    diffusion = jnp.square(p.diffusion)[None, :]
     to_angle = drive * d * g1
     q_angle = diffusion * drive**2 * d**3 * g3
     q_cross = diffusion * drive * d**2 * 0.5 * g1**2
@@ -162,7 +162,7 @@ def _varying_drive(p: Processes, timeline: Timeline, pieces: np.ndarray) -> tupl
     h = duration * jnp.einsum("us,kmus,kms->kmu", tails, fading, drive)
     d = duration[..., 0]
     at = jnp.asarray(nodes)[None, None]
-    diffusion = p.diffusion[None, :] ** 2
+    diffusion = jnp.square(p.diffusion)[None, :]
     to_angle = d * jnp.einsum("s,kms,kms->km", w, drive, jnp.exp(-x * at))
     q_angle = diffusion * d * jnp.einsum("u,kmu->km", w, h**2)
     q_cross = diffusion * d * jnp.einsum("u,kmu,kmu->km", w, h, jnp.exp(-x * (1.0 - at)))

@@ -27,6 +27,8 @@ _STANDING_NODES = 8
 _PANELS = 8
 # Halvings that locate a crossing: to 2^-45 of a panel.
 _HALVINGS = 45
+# In units of rounding: more than the temperature's at the end of a long ramp, less than any integral notices.
+_HAIR = 1e3
 
 
 def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -113,17 +115,26 @@ def _integrals(timeline: Timeline, of: Map, pieces: np.ndarray, nodes: int) -> t
     else:
         v = jnp.broadcast_to(jnp.asarray(x), (len(pieces), nodes))
         weight = jnp.broadcast_to(jnp.asarray(w), (len(pieces), nodes))
-    temperature = timeline.temperature(v, pieces)
+    temperature = timeline.temperature(v, pieces) + _hair(temperature_breaks)
     weight = weight * duration[:, None]
     if of.rate is None:
         inside = jnp.einsum("kq,kqa->ka", weight, of.temperature(temperature))
         return inside, jnp.einsum("kq,kqa->ka", weight, of.discrepancy_values(temperature, temperature))
     rate = timeline.rate(v, pieces)
     weight = weight * rate
-    by_rate = of.rate(rate) * weight[..., None]
+    by_rate = of.rate(rate + _hair(rate_breaks)) * weight[..., None]
     inside = jnp.einsum("kqa,kqb->kab", of.temperature(temperature), by_rate)
     outside = jnp.einsum("kq,kqa->ka", weight, of.discrepancy_values(temperature, rate))
     return jnp.reshape(inside, (len(pieces), -1)), outside
+
+
+def _hair(breaks: tuple[float, ...]) -> float:
+    """By how much all breaks are taken lower than they are, a rounding error or some.
+
+    A piece that ends on a break and the next, which begins there, must agree on who crosses it, or the crossing's
+    derivative is lost; plans in round numbers do end there, and nothing is so round as a break less a hair.
+    """
+    return float(_HAIR * jnp.finfo(float).eps * (1.0 + max(abs(b) for b in breaks))) if breaks else 0.0
 
 
 def _smooth_panels(
@@ -138,7 +149,7 @@ def _smooth_panels(
     bounds = [a, b]
     for variable, breaks in ((timeline.temperature, temperature_breaks), (timeline.rate, rate_breaks)):
         at = lambda v, f=variable: f(v, pieces)  # noqa: E731
-        bounds += [_crossing(at, level, a, b) for level in breaks]
+        bounds += [_crossing(at, level - _hair(breaks), a, b) for level in breaks]
     ordered = jnp.sort(jnp.stack(bounds, axis=-1), axis=-1)
     flat = lambda x: jnp.reshape(x, (count, -1))  # noqa: E731
     return flat(ordered[..., :-1]), flat(ordered[..., 1:])

@@ -39,7 +39,7 @@ def contrasts(
     beyond = columns.bias_discrepancy if quantity == "bias" else columns.scale_discrepancy
     outside = of.discrepancy_values(temperature, rate)
     rows = jnp.zeros((temperature.shape[0], columns.count)).at[:, where].set(of.values(temperature, rate))
-    return rows.at[:, beyond].set(outside), of.discrepancy_std**2 * jnp.sum(outside**2, axis=1)
+    return rows.at[:, beyond].set(outside), jnp.square(of.discrepancy_std) * jnp.sum(outside**2, axis=1)
 
 
 _contrasts = eqx.filter_jit(contrasts)

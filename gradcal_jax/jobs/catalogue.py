@@ -144,10 +144,10 @@ def _ordered(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
 def as_csv(table: Table) -> str:
     """The rows for other programs: numbers in full."""
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, _COLUMNS, lineterminator="\n")
-    writer.writeheader()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_COLUMNS)
     for row in table.rows:
-        writer.writerow({key: "" if value is None else value for key, value in row.items()})
+        writer.writerow("" if row[column] is None else row[column] for column in _COLUMNS)
     return stream.getvalue()
 
 

@@ -36,7 +36,9 @@ class Cluster:
         from distributed import as_completed
 
         futures = {self._client.submit(do, task, pure=False, retries=2): task.key for task in tasks}
-        for future in as_completed(futures):
+        with self._client.as_current():
+            completed = as_completed(futures)
+        for future in completed:
             error = future.exception() if future.status != "finished" else None
             yield futures[future], future.result() if error is None else error
             future.release()

@@ -69,17 +69,17 @@ class Move(eqx.Module):
     time for an axis that stands meanwhile, `spacing` the true spacing of its readings where it is relaxed (`standing`).
     """
 
-    peak_rate: Float[Array, ""]
-    duration: Float[Array, ""]
-    ramp: Float[Array, ""]
-    controls: Float[Array, " c"]
-    unevenness: Float[Array, ""]
+    peak_rate: Float[Array | np.ndarray, ""]
+    duration: Float[Array | np.ndarray, ""]
+    ramp: Float[Array | np.ndarray, ""]
+    controls: Float[Array | np.ndarray, " c"]
+    unevenness: Float[Array | np.ndarray, ""]
     shape: str = eqx.field(static=True)
     axis: str = eqx.field(static=True)
     cycles: int = eqx.field(static=True)
     divisions: tuple[Division, ...] = eqx.field(static=True)
     division_at_rest: Division = eqx.field(static=True)
-    spacing: Float[Array, ""] | None = None
+    spacing: Float[Array | np.ndarray, ""] | None = None
 
     @property
     def angle(self) -> Float[Array, ""]:
@@ -116,26 +116,31 @@ class Move(eqx.Module):
 
     def _parts(self) -> list[tuple[Array, Array, bool]]:
         """(duration, coefficients for unit peak rate, whether the rate varies) of each smooth part; differentiable."""
+        duration, ramp = jnp.asarray(self.duration), jnp.asarray(self.ramp)
         if self.shape == "hand":
             by_hand = formulas.shape_pieces("hand", unevenness=1.0)[0][2]
             even = jnp.asarray(formulas.shape_pieces("hand")[0][2])
-            return [(self.duration, even + self.unevenness * (jnp.asarray(by_hand) - even), True)]
+            return [(duration, even + self.unevenness * (jnp.asarray(by_hand) - even), True)]
         if self.shape == "spline":
             count = self.controls.shape[0]
             unit = [formulas.shape_pieces("spline", controls=tuple(np.eye(count)[k])) for k in range(count)]
             spans = jnp.asarray([[piece[2] for piece in control] for control in unit])
             shares = [piece[1] for piece in unit[0]]
             coefficients = jnp.einsum("c,csm->sm", self.controls, spans)
-            return [(share * self.duration, coefficients[s], True) for s, share in enumerate(shares)]
-        lasting = {"ramp": self.ramp, "flat": self.duration - 2.0 * self.ramp}
+            return [(share * duration, coefficients[s], True) for s, share in enumerate(shares)]
+        lasting = {"ramp": ramp, "flat": duration - 2.0 * ramp}
         return [
-            (lasting[what] if what in lasting else share * self.duration, jnp.asarray(coefficients), what != "flat")
+            (lasting[what] if what in lasting else share * duration, jnp.asarray(coefficients), what != "flat")
             for what, share, coefficients in formulas.shape_pieces(self.shape, cycles=self.cycles)
         ]
 
 
 def standing(
-    duration: Float[Array, ""], division: Division, *, spacing: Float[Array, ""] | None = None, gap: bool = False
+    duration: Float[Array | np.ndarray, ""],
+    division: Division,
+    *,
+    spacing: Float[Array | np.ndarray, ""] | None = None,
+    gap: bool = False,
 ) -> Pieces:
     """Standing for `duration`, divided as told; `gap`: a time whose data are not used.
 
@@ -225,5 +230,5 @@ def turn(
 def _move(
     shape, peak_rate, duration, divisions, at_rest, ramp=0.0, controls=(), unevenness=0.0, *, axis="x", cycles=1
 ) -> Move:
-    numbers = (jnp.asarray(v, dtype=float) for v in (peak_rate, duration, ramp, controls, unevenness))
+    numbers = (np.asarray(v, dtype=float) for v in (peak_rate, duration, ramp, controls, unevenness))
     return Move(*numbers, shape=shape, axis=axis, cycles=cycles, divisions=divisions, division_at_rest=at_rest)

@@ -43,7 +43,7 @@ class GradientPlan(eqx.Module):
     after: tuple[Move, ...]
     stretches: tuple[Stretch, ...] = eqx.field(static=True)
     cuts: tuple[tuple[str, tuple[tuple[int, int], ...]], ...] = eqx.field(static=True, default=())
-    tail_spacing: Float[Array, ""] | None = None
+    tail_spacing: Float[Array | np.ndarray, ""] | None = None
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -172,7 +172,7 @@ def gradient_plan(
     readings while the axis stands for what the cycles leave; None: unread. Errors: `ValueError` when the moves fit
     nowhere.
     """
-    times = np.asarray(programme.knots()[0])
+    times = np.concatenate([[0.0], np.cumsum(np.asarray(programme.durations))])
     own = sum(float(m.duration) for m in moves)
     period = own + sum(float(m.duration) for m in after)
     stretches = []
@@ -190,8 +190,8 @@ def gradient_plan(
     inner += [j for a, b in pairwise(stretches) for j in range(a.last + 1, b.first)]
     cuts = []
     for channel in plan.channels if inner else ():
-        line = plan.timeline(channel)
-        begin, end = np.asarray(line.start), np.asarray(line.start + line.duration)
+        end = times[plan.stretches[0].first] + np.cumsum(np.asarray(plan._pieces(channel)[0].duration))
+        begin = np.concatenate([times[[plan.stretches[0].first]], end[:-1]])
         found = [
             (int(k), j) for j in inner for k in np.flatnonzero((begin < times[j] - 1e-6) & (end > times[j] + 1e-6))
         ]
@@ -207,10 +207,10 @@ class StandardPlan(eqx.Module):
     to the point, so splitting a point into several readings would buy nothing.
     """
 
-    temperatures: Float[Array, " t"]
-    rates: Float[Array, " r"]
-    soak: Float[Array, ""]
-    integration: Float[Array, ""]
+    temperatures: Float[Array | np.ndarray, " t"]
+    rates: Float[Array | np.ndarray, " r"]
+    soak: Float[Array | np.ndarray, ""]
+    integration: Float[Array | np.ndarray, ""]
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -218,7 +218,7 @@ class StandardPlan(eqx.Module):
 
     @property
     def total_time(self) -> Float[Array, ""]:
-        return self.temperatures.shape[0] * (self.soak + self.rates.shape[0] * self.integration)
+        return jnp.asarray(self.temperatures.shape[0] * (self.soak + self.rates.shape[0] * self.integration))
 
     def timeline(self, channel: str = "x", thermal_lag: Float[Array, ""] | float | None = None) -> Timeline:
         """One piece a point. With a thermal lag, each temperature's step decays through its soak and points."""
@@ -264,7 +264,7 @@ class StandardPlan(eqx.Module):
 
 def standard_plan(temperatures, soak: float, integration: float, rates=(0.0,)) -> StandardPlan:
     """A standard plan from plain numbers: °C, s, s, rad/s."""
-    as_array = lambda v: jnp.asarray(v, dtype=float)  # noqa: E731
+    as_array = lambda v: np.asarray(v, dtype=float)  # noqa: E731
     return StandardPlan(as_array(temperatures), as_array(rates), as_array(soak), as_array(integration))
 
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 
@@ -23,9 +24,9 @@ class Programme(eqx.Module):
     A soak has slope 0; a step is a ramp as fast as the chamber goes.
     """
 
-    start: Float[Array, ""]
-    durations: Float[Array, " S"]
-    slopes: Float[Array, " S"]
+    start: Float[Array | np.ndarray, ""]
+    durations: Float[Array | np.ndarray, " S"]
+    slopes: Float[Array | np.ndarray, " S"]
 
     def __check_init__(self):
         if self.durations.shape != self.slopes.shape:
@@ -39,26 +40,26 @@ class Programme(eqx.Module):
         """Times (s) and chamber temperatures (°C) at the ends of the stretches."""
         zero = jnp.zeros(1)
         times = jnp.concatenate([zero, jnp.cumsum(self.durations)])
-        temperatures = self.start + jnp.concatenate([zero, jnp.cumsum(self.durations * self.slopes)])
+        temperatures = jnp.asarray(self.start) + jnp.concatenate([zero, jnp.cumsum(self.durations * self.slopes)])
         return times, temperatures
 
     def trail(self, thermal_lag: Float[Array, ""] | float | None = None) -> Trail:
         """What the sensor follows, for a first-order lag (s) between chamber and die; in equilibrium at the start."""
         times, chamber = self.knots()
+        slopes = jnp.asarray(self.slopes)
         if thermal_lag is None:
-            zeros = jnp.zeros_like(self.slopes)
-            return Trail(times, chamber[:-1], self.slopes, zeros, jnp.zeros(()))
+            return Trail(times, chamber[:-1], slopes, jnp.zeros_like(slopes), jnp.zeros(()))
         lag = jnp.asarray(thermal_lag, dtype=self.durations.dtype)
-        trail = chamber[:-1] - self.slopes * lag
+        trail = chamber[:-1] - slopes * lag
         sensor, excess = chamber[0], []
         for k in range(self.durations.shape[0]):
             excess.append(sensor - trail[k])
-            sensor = trail[k] + self.slopes[k] * self.durations[k] + excess[k] * jnp.exp(-self.durations[k] / lag)
-        return Trail(times, trail, self.slopes, jnp.stack(excess), 1.0 / lag)
+            sensor = trail[k] + slopes[k] * self.durations[k] + excess[k] * jnp.exp(-self.durations[k] / lag)
+        return Trail(times, trail, slopes, jnp.stack(excess), 1.0 / lag)
 
 
 def programme(start: float, stretches: list[tuple[float, float]]) -> Programme:
     """A programme from plain numbers: `stretches` are (duration s, slope K/s)."""
     durations, slopes = zip(*stretches, strict=True)
-    as_array = lambda v: jnp.asarray(v, dtype=float)  # noqa: E731
+    as_array = lambda v: np.asarray(v, dtype=float)  # noqa: E731
     return Programme(as_array(start), as_array(durations), as_array(slopes))

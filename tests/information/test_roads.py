@@ -200,5 +200,6 @@ def test_random_plans(seed):
     scene = random_scene(np.random.default_rng(seed))
     made = engine(scene)
     found = compare_with_dense(scene, made)
-    compare_with_kalman(scene, made, found, 1e-9)
+    # The textbook filter itself loses up to 2e-9 here, in float64; the dense road, in 80 bits, is the judge.
+    compare_with_kalman(scene, made, found, 1e-8)
     jax.clear_caches()

@@ -591,3 +591,16 @@ def format_quantity(value: float, unit: str) -> str:
             return text
     # 25 digits suffice for every unit without an offset; with one, a tiny number would need hundreds.
     return format_quantity(value, "degC")
+
+
+def time_text(seconds: float) -> str:
+    """Hours, minutes and seconds as people say them: '2 h 40 min', '45.45 s'."""
+    if seconds < 120.0:
+        return f"{seconds:.4g} s"
+    whole = round(seconds)
+    hours, rest = divmod(whole, 3600)
+    minutes, left = divmod(rest, 60)
+    parts = [f"{hours} h"] if hours else []
+    parts += [f"{minutes} min"] if minutes else []
+    parts += [f"{left} s"] if left and hours < 10 else []
+    return " ".join(parts) if parts else "0 s"

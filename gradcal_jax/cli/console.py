@@ -5,6 +5,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from gradcal_jax.units import time_text as time_text
+
 
 def is_plain(stream: Any) -> bool:
     """Whether a stream gets text without any escape sequences."""
@@ -34,16 +36,3 @@ def columns(rows: Sequence[Sequence[str]], *, indent: str = "  ", right: Sequenc
         cells = [cell.rjust(widths[i]) if i in right else cell.ljust(widths[i]) for i, cell in enumerate(row)]
         lines.append((indent + "  ".join(cells)).rstrip())
     return "\n".join(lines)
-
-
-def time_text(seconds: float) -> str:
-    """Hours, minutes and seconds as people say them: '2 h 40 min', '45.45 s'."""
-    if seconds < 120.0:
-        return f"{seconds:.4g} s"
-    whole = round(seconds)
-    hours, rest = divmod(whole, 3600)
-    minutes, left = divmod(rest, 60)
-    parts = [f"{hours} h"] if hours else []
-    parts += [f"{minutes} min"] if minutes else []
-    parts += [f"{left} s"] if left and hours < 10 else []
-    return " ".join(parts) if parts else "0 s"

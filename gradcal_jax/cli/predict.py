@@ -145,8 +145,7 @@ def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
 
 def value(row: "RequirementRow") -> str:
     """The decisive statistic with its unit, or the words that it cannot be observed."""
-    decisive = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[row.statistic]
-    return "not observable" if decisive is None else f"{decisive:.4g} {row.unit}"
+    return "not observable" if row.decisive is None else f"{row.decisive:.4g} {row.unit}"
 
 
 def _times(prediction: "Prediction") -> str:

@@ -163,6 +163,11 @@ class RequirementRow(Section):
     verdict: Literal["met", "missed", "unobservable"] | None = None
     limited_by: str | None = None
 
+    @property
+    def decisive(self) -> float | None:
+        """The value of the requirement's own statistic; None: not observable."""
+        return {"mean of max": self.mean_of_max, "max": self.max, "mean": self.mean, "rms": self.rms}[self.statistic]
+
 
 class ParameterRow(Section):
     """A coefficient in the paper's names: ``a0…`` (bias), ``b{rate power}{temperature power}`` (scale factor)."""

@@ -1,0 +1,98 @@
+"""A recipe's tracks as rows of text, for whoever stands at the bench: the same on a terminal and on a page."""
+
+from typing import Final
+
+from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.tracks import ChamberSegment, MotionBlock, TrackMove
+from gradcal_jax.units import time_text
+
+CHAMBER_HEAD: Final = ("", "begins", "plan's clock", "lasts", "what", "data")
+MOVES_HEAD: Final = ("at", "axis", "what", "lasts", "angle", "rate", "acceleration", "read")
+
+
+def clock_text(seconds: float) -> str:
+    """``1:05:00`` or ``1:05:00.5``: hours, minutes, seconds on the plan's clock."""
+    tenths = round(seconds * 10.0)
+    whole, tenth = divmod(tenths, 10)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}" + (f".{tenth}" if tenth else "")
+
+
+def chamber_rows(recipe: Recipe) -> list[tuple[str, ...]]:
+    """A row of `CHAMBER_HEAD` for each segment of the chamber's track."""
+    rows: list[tuple[str, ...]] = []
+    for segment in recipe.chamber.programme:
+        rows.append(
+            (
+                segment.name,
+                "when stable" if segment.begins == "when stable" else "at once",
+                clock_text(segment.start),
+                time_text(segment.duration),
+                _course(segment),
+                "used" if segment.used else "",
+            )
+        )
+    return rows
+
+
+def chamber_words(recipe: Recipe) -> list[str]:
+    """How long it takes, and what is waited for, in sentences."""
+    stable = recipe.stability
+    lines = [f"in all {time_text(recipe.duration_s)}, and what is waited for stable temperatures"]
+    if any(segment.begins == "when stable" for segment in recipe.chamber.programme):
+        lines.append(
+            f"stable: within {stable.within} of the temperature where the segment begins, and steady by as much, "
+            f"for {stable.for_at_least}; give up after {stable.timeout}, at the first after {stable.first_timeout}"
+        )
+    return lines
+
+
+def _course(segment: ChamberSegment) -> str:
+    if segment.kind == "soak":
+        return f"stay at {segment.temperature_end}"
+    way = f"from {segment.temperature_start} to {segment.temperature_end}"
+    return f"{way} at {segment.slope}" if segment.slope is not None else f"{way} as fast as the chamber can"
+
+
+def block_heading(block: MotionBlock) -> str:
+    """When a block of motion begins and how often it repeats."""
+    if block.repeat == 1:
+        said = f"{block.name}: begins with {block.begins_with}"
+    else:
+        said = f"{block.name}: begins with {block.begins_with}, {block.repeat} times, one every {block.period}"
+    if block.standing_after > 0.0:
+        read = "not read" if block.read_every_after is None else f"read every {block.read_every_after}"
+        said += f"; then stand for {block.standing_after} ({read})"
+    return said
+
+
+def move_rows(block: MotionBlock) -> list[tuple[str, ...]]:
+    """A row of `MOVES_HEAD` for each move; times count from the beginning of a repetition."""
+    rows: list[tuple[str, ...]] = []
+    for move in block.moves:
+        times = f"{move.repeat} × " if move.repeat > 1 else ""
+        rows.append(
+            (
+                clock_text(move.start),
+                move.axis,
+                f"{times}{move.do}",
+                str(move.duration),
+                _signed(move.angle),
+                _signed(move.rate),
+                "" if move.acceleration is None else str(move.acceleration),
+                _read(move),
+            )
+        )
+    return rows
+
+
+def _signed(quantity: Quantity | None) -> str:
+    if quantity is None:
+        return ""
+    return f"+{quantity}" if quantity > 0.0 else str(quantity)
+
+
+def _read(move: TrackMove) -> str:
+    if move.read_every is not None:
+        return f"every {move.read_every}"
+    return "at the end" if move.read == "end" else ""

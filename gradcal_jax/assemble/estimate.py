@@ -19,7 +19,7 @@ from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.identify import lagged
-from gradcal_jax.information import noise_steps, to_reported, unweighted
+from gradcal_jax.information import to_reported, unweighted
 
 _ROUNDS = 8
 # A change of the parameters, in standard deviations, that no longer matters.
@@ -150,8 +150,15 @@ def _rows(built: Assembled, log: Log, axis: str, unit: int, options: Options) ->
         number = room.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
         standing = number >= 0
         messages.append(f"the log marks no standstills: {int(number.max()) + 1} were found where the rates are quiet")
-    if angle is not None and not np.isfinite(angle[standing]).all():
-        raise LogError("the table's angle is missing in rows in which it stands: it is the reference")
+    if angle is not None:
+        known = np.isfinite(angle)
+        if standing.any() and not known[standing].any():
+            raise LogError("the table's angle is missing wherever it stands: it is the reference")
+        if not known[standing].all():
+            count = int(np.count_nonzero(standing & ~known))
+            messages.append(f"{count} rows of rest without a table angle are no reference, and are not read")
+            standing = standing & known
+        angle = angle if known.all() else np.interp(time, time[known], angle[known])
     return _Rows(
         time,
         np.diff(time, prepend=time[0]),
@@ -163,6 +170,12 @@ def _rows(built: Assembled, log: Log, axis: str, unit: int, options: Options) ->
         usable,
         tuple(messages),
     )
+
+
+def _repeats(angle: np.ndarray, standing: np.ndarray) -> bool:
+    """Whether most rows at rest repeat the angle of the row before, to the last digit."""
+    both = standing[1:] & standing[:-1]
+    return bool(np.mean(angle[1:][both] == angle[:-1][both]) > 0.5) if both.any() else False
 
 
 def _host_time(log: Log) -> tuple[np.ndarray, str]:
@@ -221,8 +234,11 @@ def _gradient(
     model = built.model
     rest_bias = float(np.mean(first.rate[first.standing & first.usable])) if first.standing.any() else 0.0
     stands = first.standing
+    reading_rows = None
     if first.angle is not None:
-        stands = stands | room.momentary_stops(first.rate - rest_bias, stands)
+        if float(model.reference.reading_noise) > 0.0 and _repeats(first.angle, stands):
+            reading_rows = room.distinct_readings(first.time, first.angle, stands, options.read_every)
+        stands = stands | room.momentary_stops(first.rate - rest_bias, stands, first.angle, first.step)
     done = room.executed(
         first.time,
         first.temperature,
@@ -233,13 +249,14 @@ def _gradient(
         axis=axis,
         read_every=options.read_every,
         longest_piece=_longest_piece(model),
+        reading_rows=reading_rows,
     )
     messages = list(first.messages)
     if first.angle is None:
         messages.append(
             "the log has no table angle: only what the sensor says at rest is used, and no scale factor can be seen"
         )
-    steps = noise_steps(done.timeline, model)
+    steps = room.steps_of(done.timeline, model)
     readings = np.stack([_integrated(rows[u], done, options.earth_rate) for u in members], axis=1)
     moving = np.asarray(done.timeline.moving)
     temperature, mean_rate = _means(first, done)
@@ -511,7 +528,7 @@ def _standard(built: Assembled, log: Log, axis: str, unit: int, rows: _Rows, opt
     readings = (sums[found_points.last + 1] - sums[found_points.first + 1])[:, None]
     mean_rate = np.asarray(line.terms)[:, 0]
     time = rows.time[found_points.last]
-    observations = Observations(noise_steps(line, model), columns, readings, time, np.asarray(line.trail), mean_rate)
+    observations = Observations(room.steps_of(line, model), columns, readings, time, np.asarray(line.trail), mean_rate)
     white = room.whitened(observations, model)
     used = np.zeros(len(log.time_s), bool)
     for a, b in zip(found_points.first, found_points.last, strict=True):

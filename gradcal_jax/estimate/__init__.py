@@ -11,8 +11,8 @@ from gradcal_jax.estimate.consistency import (
     split,
     whiteness,
 )
-from gradcal_jax.estimate.executed import Executed, executed, momentary_stops
-from gradcal_jax.estimate.observations import Observations, on_timeline
+from gradcal_jax.estimate.executed import Executed, distinct_readings, executed, momentary_stops
+from gradcal_jax.estimate.observations import Observations, on_timeline, steps_of
 from gradcal_jax.estimate.plateaus import Plateaus, plateaus
 from gradcal_jax.estimate.robust import HUBER, RobustEstimate, estimate_robustly
 from gradcal_jax.estimate.samples import (
@@ -42,6 +42,7 @@ __all__ = [
     "choose_smoothness",
     "columns_at_readings",
     "consistency",
+    "distinct_readings",
     "estimate",
     "estimate_robustly",
     "executed",
@@ -56,6 +57,7 @@ __all__ = [
     "since_gap",
     "solve",
     "split",
+    "steps_of",
     "true_rate",
     "whitened",
     "whiteness",

@@ -24,6 +24,8 @@ _MOVE_PARTS = 8
 # A valley of the speed this many times below both its sides is a stop; what is this much below the fastest is noise.
 _DIP = 10.0
 _SLOWEST = 1e-4
+# A table that is read on the move is within this share of a move's extent of what the sensor says.
+_FOLLOWS = 0.02
 
 
 class Executed(NamedTuple):
@@ -48,20 +50,23 @@ def executed(
     axis: str = "x",
     read_every: float = 1.0,
     longest_piece: float = np.inf,
+    reading_rows: np.ndarray | None = None,
 ) -> Executed:
     """The timeline of a log's rows, all arrays `(n,)`.
 
     `standing`: whether the axis stands (rows of one standstill are neighbours); `usable`: whether the row's sample may
     be integrated (it is not where rows are missing before it, either); `angle_rad` of the table, None where nothing
     but standing is known: then no move has a reference, and every move is a gap. `rate_rad_per_s` need only be good
-    enough for the noise. Errors: `ValueError` where the log never stands for two readings.
+    enough for the noise. `reading_rows` `(n,)`: where the table was really read, where that is known; a standstill
+    without any is read at its first row. Errors: `ValueError` where the log never stands for two readings.
     """
     if not read_every > 0.0:
         raise ValueError(f"the spacing of readings must be positive, not {read_every}")
     spans = _runs(standing)
     if not spans or not any(last > first for first, last in spans):
         raise ValueError("the log never stands still for two rows, so nothing can be read from it")
-    rows, read, rest, gap, moving, broken = [spans[0][0]], [], [], [], [], []
+    at = [_readings(time_s, first, last, read_every, reading_rows) for first, last in spans]
+    rows, read, rest, gap, moving, broken = [at[0][0]], [], [], [], [], []
 
     def add(row: int, *, reads: bool, stands: bool, is_gap: bool = False, moves: bool = False, lost: bool = False):
         rows.append(row)
@@ -77,7 +82,7 @@ def executed(
         """Whether every row after `first` up to `last` may be integrated."""
         return bool(np.searchsorted(bad, first, side="right") == np.searchsorted(bad, last, side="right"))
 
-    for number, (first, last) in enumerate(spans):
+    for number, (first, *others) in enumerate(at):
         if number:
             before = rows[-1]
             if angle_rad is not None and whole(before, first):
@@ -87,20 +92,23 @@ def executed(
                 # The move itself draws the next standstill's offset; the origin is read anew after it.
                 add(first, reads=False, stands=True, moves=True, lost=True)
                 add(first, reads=False, stands=True, is_gap=True, lost=True)
-        for row in _readings(time_s, first, last, read_every):
+        for row in others:
             unbroken = whole(rows[-1], row)
             add(row, reads=unbroken, stands=True, is_gap=not unbroken, lost=not unbroken)
-    at = np.array(rows)
+    where = np.array(rows)
     lost = np.array(broken)
-    timeline = _timeline(time_s, temperature_c, rate_rad_per_s, angle_rad, at, axis, read, rest, gap, moving)
-    return Executed(timeline, at, lost, int(spans[0][0] + len(time_s) - 1 - spans[-1][1]))
+    timeline = _timeline(time_s, temperature_c, rate_rad_per_s, angle_rad, where, axis, read, rest, gap, moving)
+    return Executed(timeline, where, lost, int(where[0] + len(time_s) - 1 - where[-1]))
 
 
-def momentary_stops(rate_rad_per_s: np.ndarray, standing: np.ndarray) -> np.ndarray:
+def momentary_stops(
+    rate_rad_per_s: np.ndarray, standing: np.ndarray, angle_rad: np.ndarray, step_s: np.ndarray
+) -> np.ndarray:
     """`(n,)`: rows within moves at which the table stops for an instant between two turns.
 
     Those are the slowest rows of valleys from which the speed rises tenfold on both sides. The integrated error is
-    read there as well as at rest: it hardly changes within a row, whatever the angle does.
+    read there as well as at rest: it hardly changes within a row, whatever the angle does. Moves in which the table's
+    angle does not follow the sensor's (it was not read, but drawn straight between readings) have none.
     """
     result = np.zeros(len(standing), bool)
     speed = np.abs(rate_rad_per_s)
@@ -110,7 +118,12 @@ def momentary_stops(rate_rad_per_s: np.ndarray, standing: np.ndarray) -> np.ndar
     depth = -np.log(np.maximum(speed, _SLOWEST * float(moving.max()) + np.finfo(float).tiny))
     for first, last in _runs(~standing):
         valleys, _ = find_peaks(depth[first : last + 1], prominence=np.log(_DIP))
-        result[first + valleys] = True
+        if len(valleys):
+            turned = np.cumsum(rate_rad_per_s[first : last + 1] * step_s[first : last + 1])
+            apart = angle_rad[first : last + 1] - turned
+            apart = apart - np.linspace(apart[0], apart[-1], len(apart))
+            if np.all(np.abs(apart) < _FOLLOWS * np.ptp(turned)):
+                result[first + valleys] = True
     return result
 
 
@@ -162,13 +175,34 @@ def _as_the_table(turned: np.ndarray, angle: np.ndarray, moves: np.ndarray) -> n
     return result
 
 
-def _readings(time: np.ndarray, first: int, last: int, every: float) -> list[int]:
-    """Rows of one standstill that are read, but for the first, at which the piece before ends."""
+def _readings(time: np.ndarray, first: int, last: int, every: float, known: np.ndarray | None) -> list[int]:
+    """Rows of one standstill that are read: the first, the last, and what lies `every` apart between; or the known."""
+    if known is not None:
+        given = np.flatnonzero(known[first : last + 1]) + first
+        return [int(r) for r in given] or [first]
     if last == first:
-        return []
+        return [first]
     goals = np.arange(time[first] + every, time[last] - 0.5 * every, every) if np.isfinite(every) else np.zeros(0)
     rows = np.searchsorted(time[first : last + 1], goals - 1e-9) + first
-    return [*dict.fromkeys(int(r) for r in rows if first < r < last), last]
+    return [first, *dict.fromkeys(int(r) for r in rows if first < r < last), last]
+
+
+def distinct_readings(time_s: np.ndarray, angle_rad: np.ndarray, standing: np.ndarray, read_every: float) -> np.ndarray:
+    """`(n,)`: one row for each reading of the table, where a log repeats every reading over the rows about it.
+
+    Rows that repeat one reading share its error: to count them apart would count them as more than they are. What is
+    repeated for longer than three times `read_every` is read at its first and its last row.
+    """
+    result = np.zeros(len(time_s), bool)
+    for first, last in _runs(standing):
+        begins = np.flatnonzero(np.diff(angle_rad[first : last + 1], prepend=np.nan) != 0.0) + first
+        ends = np.append(begins[1:] - 1, last)
+        for a, b in zip(begins, ends, strict=True):
+            if time_s[b] - time_s[a] > 3.0 * read_every:
+                result[[a, b]] = True
+            else:
+                result[(a + b) // 2] = True
+    return result
 
 
 def _parts(time: np.ndarray, before: int, after: int, longest: float) -> list[int]:

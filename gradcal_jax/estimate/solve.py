@@ -16,12 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.errormodel import GyroModel
-from gradcal_jax.estimate.observations import Observations
-from gradcal_jax.information import NoiseSteps, Posterior, posterior, square_root, whiten
+from gradcal_jax.estimate.observations import PIECES_AT_ONCE, Observations
+from gradcal_jax.information import NoiseSteps, Posterior, SquareRootInformation, posterior, whiten
 from gradcal_jax.information.posterior import OBSERVABLE
 
 # Columns that are whitened together; more would not stay in the cache.
 _COLUMNS_AT_ONCE = 256
+_COLUMNS_TOGETHER = 8
 
 
 class Whitened(NamedTuple):
@@ -75,15 +76,28 @@ def whitened(observations: Observations, model: GyroModel, steps: NoiseSteps | N
     if not np.isfinite(readings).all():
         raise ValueError("a reading that is used is not finite: mark its step as not used")
     both = np.concatenate([columns, readings], axis=1)
-    # Parts of one width, so that one compilation serves them all.
+    # Parts of one size, so that one compilation serves them all, and the next log too.
     parts = -(-both.shape[1] // _COLUMNS_AT_ONCE)
-    width = -(-both.shape[1] // parts)
-    padded = np.pad(both, ((0, 0), (0, parts * width - both.shape[1])))
+    width = -(-both.shape[1] // (parts * _COLUMNS_TOGETHER)) * _COLUMNS_TOGETHER
+    filled = _filled(steps, -len(both) % PIECES_AT_ONCE)
+    padded = np.pad(both, ((0, -len(both) % PIECES_AT_ONCE), (0, parts * width - both.shape[1])))
     rows = np.concatenate(
-        [np.asarray(_whiten(steps, jnp.asarray(part)))[used] for part in np.split(padded, parts, axis=1)], axis=1
+        [np.asarray(_whiten(filled, jnp.asarray(part)))[: len(both)][used] for part in np.split(padded, parts, axis=1)],
+        axis=1,
     )[:, : both.shape[1]]
     by_unit = np.moveaxis(rows[:, :count].reshape(len(rows), shared, -1), 1, 0)
     return Whitened(by_unit, rows[:, count:].T, np.asarray(model.prior_rows()))
+
+
+def _filled(steps: NoiseSteps, extra: int) -> NoiseSteps:
+    """The steps with as many at the end that change nothing and read nothing."""
+    n = steps.observation.shape[1]
+    blank = (np.broadcast_to(np.eye(n), (extra, n, n)), np.zeros((extra, n, n)), np.zeros((extra, n)), np.ones(extra))
+    values = [
+        jnp.asarray(np.concatenate([np.asarray(field), filling]))
+        for field, filling in zip(steps, (*blank, np.zeros(extra, bool)), strict=False)
+    ]
+    return NoiseSteps._make([*values, jnp.asarray(steps.initial)])
 
 
 def solve(white: Whitened) -> Estimate:
@@ -115,8 +129,13 @@ def solve(white: Whitened) -> Estimate:
 
 
 def _posterior(design: np.ndarray) -> tuple[Posterior, np.ndarray]:
-    info = square_root(jnp.asarray(design))
-    return posterior(info), np.asarray(info.scale)
+    """As `information.square_root` has it, by NumPy's QR: the shapes vary, and nothing is differentiated."""
+    norm = np.linalg.norm(design, axis=0)
+    scale = np.where(norm > 0.0, norm, 1.0)
+    rows = design / scale
+    if len(rows) < rows.shape[1]:
+        rows = np.pad(rows, ((0, rows.shape[1] - len(rows)), (0, 0)))
+    return posterior(SquareRootInformation(np.linalg.qr(rows, mode="r"), scale)), scale  # pyright: ignore
 
 
 def _least_squares(design: np.ndarray, data: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, int]:

@@ -1,15 +1,23 @@
 """Where a gyro stands still, from its own rates: for recordings without a table that says so.
 
 Two quantities are looked at over a window about each row: the spread of the rates in it, and how far its mean is from
-the mean at rest. At rest the first is the noise, whose level is taken from the quietest tenth of the record; a row
-stands still where the spread of *every* axis is below `factor` times that level and the mean rate is within what a
-bias may be. Runs that are too short are no standstills.
+nothing. The spread at rest is the noise, or the vibration of a drive that holds its place, which differs from
+standstill to standstill; the spread of moves is larger by orders of magnitude. So the question is asked twice:
+
+1. which stretches are quiet at all: the spread of all axes together is below the geometric mean of the
+   quietest tenth and the liveliest row (but not below `factor` times the quiet level: a record may hold no move), and
+   the mean within what a bias may be;
+2. where each of them begins and ends: as long as the spread stays within `factor` times the stretch's own.
+
+Stretches that are too short are no standstills.
 """
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 _QUIETEST = 0.10
+# Of a count of a quantised sensor, the spread where it flickers between two values half of the time or less.
+_FLICKER = 0.3
 
 
 def find_standstills(
@@ -32,30 +40,46 @@ def find_standstills(
     if len(rate_rad_per_s) < 2 * width:
         raise ValueError("the record is shorter than two windows: nothing can be said of standstills")
     usable = np.ones(len(rate_rad_per_s), bool) if valid is None else valid
-    rates = np.where(usable[:, None], rate_rad_per_s, 0.0)
-    share = np.maximum(uniform_filter1d(usable.astype(float), width), 1.0 / width)[:, None]
-    mean = uniform_filter1d(rates, width, axis=0) / share
-    square = uniform_filter1d((rates - np.median(rates[usable], axis=0)) ** 2, width, axis=0) / share
-    spread = np.sqrt(np.maximum(square - (mean - np.median(rates[usable], axis=0)) ** 2, 0.0))
-    level = np.quantile(spread[usable], _QUIETEST, axis=0)
-    # A quantised sensor may be perfectly quiet: then one count is the level.
-    counts = np.array([_least_step(rates[usable, k]) for k in range(rates.shape[1])])
-    level = np.maximum(level, 0.3 * counts)
-    still = usable & np.all(spread <= factor * level, axis=1) & np.all(np.abs(mean) <= largest_bias, axis=1)
-    # A window that touches a move is restless half its width too early and too late, on the safe side.
+    mean, spread = _about_each_row(rate_rad_per_s, usable, width)
+    # A quantised sensor may be perfectly quiet: then a share of one count is the level.
+    counts = [_least_step(rate_rad_per_s[usable, k]) for k in range(rate_rad_per_s.shape[1])]
+    least = _FLICKER * float(np.linalg.norm(counts))
+    level = max(float(np.quantile(spread[usable], _QUIETEST)), least)
+    quiet = max(factor * level, float(np.sqrt(level * np.max(spread[usable]))))
+    still = usable & (spread <= quiet) & np.all(np.abs(mean) <= largest_bias, axis=1)
     number = np.full(len(still), -1, np.int64)
-    padded = np.zeros(len(still) + 2, np.int8)
-    padded[1:-1] = still
-    edges = np.flatnonzero(np.diff(padded)).reshape(-1, 2)
-    lasting = [(a, b) for a, b in edges if (b - a) * sample_interval_s >= shortest_s]
-    if not lasting:
+    count = 0
+    for first, end in _runs(still):
+        calm = np.flatnonzero(spread[first:end] <= factor * max(float(np.median(spread[first:end])), least))
+        # A window that touches a move is restless half its width too early and too late, on the safe side.
+        first, end = first + int(calm[0]), first + int(calm[-1]) + 1
+        if (end - first) * sample_interval_s >= shortest_s:
+            number[first:end] = count
+            count += 1
+    if not count:
         raise ValueError(
             f"nothing in the record is quiet for {shortest_s:g} s: is the sensor ever at rest? Otherwise mark the "
             "standstills yourself"
         )
-    for k, (a, b) in enumerate(lasting):
-        number[a:b] = k
     return number
+
+
+def _about_each_row(rate: np.ndarray, usable: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of the usable rates in a window about each row: means `(n, axes)`, standard deviation of all axes `(n,)`."""
+    share = np.maximum(uniform_filter1d(usable.astype(float), width), 1.0 / width)[:, None]
+    # About the middle value, so that nothing is lost where a large constant is squared.
+    middle = np.median(rate[usable], axis=0)
+    apart = np.where(usable[:, None], rate - middle, 0.0)
+    mean = uniform_filter1d(apart, width, axis=0) / share
+    square = uniform_filter1d(apart**2, width, axis=0) / share
+    return mean + middle, np.sqrt(np.sum(np.maximum(square - mean**2, 0.0), axis=1))
+
+
+def _runs(mask: np.ndarray) -> np.ndarray:
+    """First row and row after the last of each run of true, `(runs, 2)`."""
+    padded = np.zeros(len(mask) + 2, np.int8)
+    padded[1:-1] = mask
+    return np.flatnonzero(np.diff(padded)).reshape(-1, 2)
 
 
 def _least_step(values: np.ndarray) -> float:

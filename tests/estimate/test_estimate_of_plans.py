@@ -26,10 +26,18 @@ def simulated(name, units, seed=0):
     return built, observations._replace(readings=readings), truth
 
 
-@pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-dynamic-standard", "paper-static-gradient"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "paper-static-standard",
+        *(
+            pytest.param(name, marks=pytest.mark.evidence)
+            for name in ("paper-dynamic-gradient", "paper-dynamic-standard", "paper-static-gradient")
+        ),
+    ],
+)
 def test_a_thousand_units_err_as_predicted(name):
-    units = UNITS if name == "paper-dynamic-gradient" else 400
-    built, observations, truth = simulated(name, units)
+    built, observations, truth = simulated(name, UNITS)
     found = estimate(observations, built.model)
 
     # The covariance is the prediction's own, to rounding.
@@ -37,13 +45,15 @@ def test_a_thousand_units_err_as_predicted(name):
     reported = to_reported(built.model)
     ours, theirs = found.known[0].covariance(reported), predicted.covariance(reported)
     scale = np.sqrt(np.outer(np.diag(theirs), np.diag(theirs)))
-    assert np.max(np.abs(ours - theirs) / scale) < 1e-8
+    # Where the angle is read without any noise, the blocks of the whitening, which are cut differently here, differ.
+    rounding = 1e-8 if float(built.model.reference.reading_noise) or built.spec.plan.method == "standard" else 1e-7
+    assert np.max(np.abs(ours - theirs) / scale) < rounding
 
     # Mean squared normalised error, and the fit's own chi-square, within their 99 % bands.
     p = truth.shape[1]
-    low, high = nees_band(units, p)
+    low, high = nees_band(UNITS, p)
     assert low < np.mean(normalised_errors(found, truth)) / p < high
-    low, high = nees_band(units, int(found.degrees[0]))
+    low, high = nees_band(UNITS, int(found.degrees[0]))
     assert low < np.mean(found.chi_squared) / found.degrees[0] < high
 
     # What is left of the maps is what was promised.

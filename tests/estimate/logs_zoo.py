@@ -1,0 +1,73 @@
+"""Short specs for logs: a gyro that turns and rests while the temperature ramps, small enough to be simulated often."""
+
+from gradcal_jax.files import parse_spec
+
+GRADIENT = """
+format = "gradcal-spec/1"
+title = "short ramp"
+[sensor]
+quantity = "gyro"
+angle_random_walk = "0.5 deg/sqrt(h)"
+[[sensor.drift]]
+standard_deviation = "5 deg/h"
+correlation_time = "60 s"
+[sensor.bias]
+temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "20 K" }
+[sensor.scale_factor]
+temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "20 K" }
+rate = { basis = "polynomial", degree = 1, scale = "300 deg/s" }
+[rig.table]
+max_rate = "300 deg/s"
+max_acceleration = "600 deg/s^2"
+[rig.table.angle]
+reading_noise = "1 arcsec"
+[rig.chamber]
+range = ["-40 degC", "85 degC"]
+max_heating = "5 K/min"
+max_cooling = "5 K/min"
+[[requirement]]
+name = "map"
+quantity = "scale_factor"
+temperature = ["0 degC", "40 degC"]
+rate = ["-300 deg/s", "300 deg/s"]
+target = "2000 ppm"
+[[requirement]]
+name = "bias"
+quantity = "bias"
+temperature = ["0 degC", "40 degC"]
+[plan]
+method = "gradient"
+temperature = ["0 degC", "40 degC"]
+gradient = "4 K/min"
+[plan.cycle]
+moves = [
+  { rest = "10 s", read_every = "1 s" },
+  { turns = 4, peak_rate = "300 deg/s", shape = "cosine ramps" },
+  { rest = "5 s", read_every = "1 s" },
+  { turns = -2, peak_rate = "120 deg/s", shape = "cosine ramps" },
+  { turns = 2, peak_rate = "120 deg/s", shape = "cosine ramps" },
+  { rest = "5 s", read_every = "1 s" },
+  { turns = -4, peak_rate = "300 deg/s", shape = "cosine ramps" },
+]
+"""
+
+STANDARD = (
+    GRADIENT[: GRADIENT.index("[plan]")].replace(
+        'max_rate = "300 deg/s"', 'max_rate = "300 deg/s"\nrate_accuracy = "50 ppm"'
+    )
+    + """[plan]
+method = "standard"
+temperatures = ["0 degC", "20 degC", "40 degC"]
+soak = "10 min"
+rates = ["-300 deg/s", "-100 deg/s", "0 deg/s", "100 deg/s", "300 deg/s"]
+integration = "60 s"
+"""
+)
+
+
+def spec_of(text: str = GRADIENT, **changes: str):
+    """A spec with some texts in the place of others: `old=new`, underscores for spaces in `old`."""
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    return parse_spec(text)

@@ -1,0 +1,246 @@
+"""Raw samples through the whole door: simulated logs of both methods whose truth is known, and what can go wrong."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+import pytest
+from logs_zoo import GRADIENT, STANDARD, spec_of
+
+from gradcal_jax.assemble import assemble, knowledge
+from gradcal_jax.assemble.calibration import estimate_calibration
+from gradcal_jax.assemble.estimate import Options, estimate_channels
+from gradcal_jax.assemble.simulation import simulate_log
+from gradcal_jax.estimate import nees_band
+from gradcal_jax.files.correction import bias, scale_factor
+from gradcal_jax.files.log import Log, LogError, Reason
+from gradcal_jax.information import information, to_reported
+from gradcal_jax.information import posterior as posterior_of
+
+
+def errors(channel, truth):
+    """Of the reported parameters, in standard deviations, and their NEES."""
+    rows = to_reported(channel.model)
+    known = channel.found.known[0]
+    error = channel.found.parameters[0] - truth
+    white = np.linalg.lstsq(known.spread, error, rcond=None)[0]
+    return rows @ error / known.deviations(rows), float(white @ white)
+
+
+@pytest.fixture(scope="module")
+def many():
+    spec = spec_of()
+    return spec, simulate_log(spec, units=24, sample_rate_hz=20.0, seed=5)
+
+
+def test_raw_samples_of_many_units_err_as_they_say(many):
+    """The table's own noise is small here, so that the units of one log are independent."""
+    spec, made = many
+    channels = estimate_channels(spec, made.log)
+    squares = [errors(c, t)[1] for c, t in zip(channels, made.truth["x"], strict=True)]
+    p = made.truth["x"].shape[1]
+    low, high = nees_band(len(squares), p)
+    assert low < np.mean(squares) / p < high
+    fits = np.array([c.consistency.fit.statistic / c.consistency.fit.degrees for c in channels])
+    low, high = nees_band(len(fits), channels[0].consistency.fit.degrees)
+    assert low < fits.mean() < high
+    assert np.mean([c.consistency.whiteness.probability > 0.01 for c in channels]) > 0.9
+    for channel in channels:
+        assert sum(channel.counts.values()) == made.log.rows_read
+    # What was executed is what was planned, so what is known is what was predicted, within how readings are spaced.
+    predicted = knowledge(assemble(spec))
+    rows = to_reported(channels[0].model)
+    ratio = channels[0].found.known[0].deviations(rows) / predicted.deviations(rows)
+    assert np.all((ratio > 0.85) & (ratio < 1.03))  # the log is read for a little longer than the plan
+
+
+def test_the_covariance_is_the_prediction_of_the_executed_timeline(many):
+    """The executed timeline put through the prediction: its pieces turn at mean rates, hence the small difference."""
+    from gradcal_jax import estimate as room
+
+    spec, made = many
+    log, model = made.log, assemble(spec).model
+    done = room.executed(
+        log.time_s,
+        log.temperature_c[0],
+        log.rate_rad_per_s[0, :, 0],
+        log.table_angle_rad[:, 0],
+        log.standstill >= 0,
+        np.arange(len(log.time_s)) > 0,
+    )
+    observations = room.on_timeline(done.timeline, model, np.zeros((done.timeline.piece_count, 1)))
+    ours = room.estimate(observations, model).known[0]
+    theirs = posterior_of(eqx.filter_jit(information)(done.timeline, model))
+    rows = to_reported(model)
+    np.testing.assert_allclose(ours.deviations(rows), theirs.deviations(rows), rtol=1e-9)
+    np.testing.assert_allclose(ours.covariance(rows), theirs.covariance(rows), rtol=1e-6, atol=1e-16)
+    (channel,) = estimate_channels(spec, log, units=[log.units[0]])
+    plain = replace(
+        log, units=log.units[:1], rate_rad_per_s=log.rate_rad_per_s[:1], temperature_c=log.temperature_c[:1]
+    )
+    (alone,) = estimate_channels(spec, plain)
+    np.testing.assert_allclose(alone.found.parameters, channel.found.parameters, rtol=1e-6)
+
+
+@pytest.mark.parametrize("text", [GRADIENT, STANDARD], ids=["gradient", "standard"])
+def test_without_noise_the_maps_come_back(text):
+    """What is left is the sampling of the motion alone."""
+    spec = spec_of(text)
+    made = simulate_log(spec, sample_rate_hz=50.0, seed=2, noiseless=True)
+    report = estimate_calibration(spec, made.log)
+    (calibration,) = report.calibrations
+    axis = calibration.axis[0]
+    model = assemble(spec).model
+    t, w = np.array([5.0, 20.0, 35.0]), np.radians(np.array([-250.0, 40.0, 250.0]))
+    rows = np.asarray(model.scale.values(t_(t), t_(w)))
+    truth = made.truth["x"][0]
+    np.testing.assert_allclose(scale_factor(axis, t, w), rows @ truth[model.columns.scale], atol=0.2e-6)
+    of_bias = np.asarray(model.bias.values(t_(t), t_(t))) @ truth[model.columns.bias]
+    np.testing.assert_allclose(bias(axis, t), of_bias, atol=np.radians(0.02) / 3600)
+    assert calibration.simulated
+    assert made.log.simulated
+
+
+def t_(values):
+    import jax.numpy as jnp
+
+    return jnp.asarray(values)
+
+
+def test_a_log_of_the_standard_method_errs_as_it_says():
+    spec = spec_of(STANDARD)
+    squares = []
+    for seed in range(6):
+        made = simulate_log(spec, units=5, sample_rate_hz=2.0, seed=seed)
+        channels = estimate_channels(spec, made.log)
+        squares += [errors(c, t)[1] for c, t in zip(channels, made.truth["x"], strict=True)]
+    p = made.truth["x"].shape[1]
+    low, high = nees_band(len(squares), p, 0.9999)  # the five of a log share the table's rates
+    assert low < np.mean(squares) / p < high
+    (planned,) = {len(c.weights) for c in channels}
+    assert planned == 15
+    rows = to_reported(channels[0].model)
+    ratio = channels[0].found.known[0].deviations(rows) / knowledge(assemble(spec)).deviations(rows)
+    np.testing.assert_allclose(ratio, 1.0, rtol=2e-5)  # the table turned at other rates than told, by up to 100 ppm
+
+
+def test_gaps_and_masked_rows_are_bridged_by_new_origins_and_counted():
+    spec = spec_of()
+    made = simulate_log(spec, sample_rate_hz=20.0, seed=9)
+    log = made.log
+    rows = len(log.time_s)
+    status = np.zeros((1, rows), np.uint16)
+    rng = np.random.default_rng(1)
+    bad = rng.choice(rows, 30, replace=False)
+    status[0, bad] = Reason.SATURATED
+    rates = log.rate_rad_per_s.copy()
+    rates[0, bad] = 50.0
+    kept = np.ones(rows, bool)
+    kept[4000:4100] = False
+    starts = np.array([0, 4000])
+    holed = Log(
+        log.time_s[kept],
+        rates[:, kept],
+        log.units,
+        log.axes,
+        temperature_c=log.temperature_c[:, kept],
+        table_axes=log.table_axes,
+        table_angle_rad=log.table_angle_rad[kept],
+        standstill=log.standstill[kept],
+        status=status[:, kept],
+        stretch_starts=starts,
+        rows_read=rows,
+        rows_removed={"duplicate stamp": 100},
+        simulated=True,
+    )
+    (channel,) = estimate_channels(spec, holed)
+    off, square = errors(channel, made.truth["x"][0])
+    assert square / len(off) < nees_band(1, len(off), 0.9999)[1]
+    assert channel.counts["saturated"] == np.count_nonzero(status[0, kept])
+    assert channel.counts["duplicate stamp"] == 100
+    assert sum(channel.counts.values()) == rows
+    whole = estimate_channels(spec, log)[0]
+    rows_ = to_reported(channel.model)
+    assert np.all(channel.found.known[0].deviations(rows_) >= whole.found.known[0].deviations(rows_))
+
+
+def test_a_lag_of_the_temperature_is_found():
+    spec = spec_of(
+        **{
+            'temperature = ["0 degC", "40 degC"]\ngradient = "4 K/min"': PROGRAMME,
+            '"0.5 deg/sqrt(h)"': '"0.01 deg/sqrt(h)"',
+        }
+    )
+    made = simulate_log(spec, sample_rate_hz=10.0, seed=4)
+    # The thermometer leads: what the maps followed is the log's temperature, what is measured is ahead of it.
+    log = made.log
+    lag = 40.0
+    true = log.temperature_c[0]
+    ahead = true + lag * np.gradient(true, log.time_s)
+    (channel,) = estimate_channels(spec, replace(log, temperature_c=ahead[None]), options=Options(lag="fit"))
+    assert channel.lag_s == pytest.approx(lag, abs=max(5 * channel.lag_std_s, 2.0))
+    assert channel.lag_std_s < 5.0
+    (without,) = estimate_channels(spec, replace(log, temperature_c=ahead[None]))
+    assert without.consistency.fit.statistic > channel.consistency.fit.statistic + 100.0
+    split = next(s for s in without.consistency.splits if s.name == "heating against cooling")
+    assert not split.agreement.passed
+
+
+PROGRAMME = """programme = [
+  { soak = "1 min", at = "0 degC" }, { ramp_to = "30 degC", rate = "5 K/min" },
+  { ramp_to = "0 degC", rate = "5 K/min" } ]"""
+
+
+def test_the_earths_rate_is_taken_off():
+    spec = spec_of()
+    made = simulate_log(spec, sample_rate_hz=20.0, seed=3)
+    earth = np.radians(10.4) / 3600
+    turned = replace(made.log, rate_rad_per_s=made.log.rate_rad_per_s + earth)
+    plain = estimate_channels(spec, made.log)[0].found.parameters
+    corrected = estimate_channels(spec, turned, options=Options(earth_rate=earth))[0].found.parameters
+    np.testing.assert_allclose(corrected, plain, atol=1e-10)
+
+
+def test_the_computers_clock_in_the_place_of_the_sensors():
+    spec = spec_of()
+    made = simulate_log(spec, sample_rate_hz=20.0, seed=3, noiseless=True)
+    slow = replace(made.log, host_time_s=made.log.time_s.copy(), time_s=made.log.time_s * (1 - 500e-6))
+    (right,) = estimate_channels(spec, slow, options=Options(clock="host"))
+    (wrong,) = estimate_channels(spec, slow)
+    b00 = 2  # after the two of the bias
+    rows = to_reported(right.model)
+    truth = (rows @ made.truth["x"][0])[b00]
+    assert (rows @ right.found.parameters[0])[b00] == pytest.approx(truth, abs=1e-6)
+    assert (rows @ wrong.found.parameters[0])[b00] == pytest.approx(truth - 500e-6, abs=5e-6)
+    with pytest.raises(LogError, match="no host time"):
+        estimate_channels(spec, made.log, options=Options(clock="host"))
+
+
+def test_what_a_log_lacks_is_a_sentence():
+    spec = spec_of()
+    log = simulate_log(spec, sample_rate_hz=10.0, noiseless=True).log
+    with pytest.raises(LogError, match="no temperature"):
+        estimate_channels(spec, replace(log, temperature_c=None))
+    with pytest.raises(LogError, match="no table axis 'q'"):
+        estimate_channels(spec, log, options=Options(table_axis="q"))
+    with pytest.raises(ValueError, match="never stands still"):
+        estimate_channels(spec, replace(log, standstill=np.full(len(log.time_s), -1)))
+    with pytest.raises(LogError, match="no axis 'roll'"):
+        estimate_channels(spec, log, axes=["roll"])
+    standard = spec_of(STANDARD)
+    with pytest.raises(ValueError, match="none of the plan's points"):
+        estimate_channels(standard, replace(log, temperature_c=log.temperature_c + 200.0))
+
+
+def test_without_a_table_only_the_bias_is_seen():
+    spec = spec_of()
+    log = simulate_log(spec, sample_rate_hz=20.0, seed=3).log
+    alone = replace(log, table_axes=(), table_angle_rad=None)
+    report = estimate_calibration(spec, alone)
+    assert not report.as_wished
+    (axis,) = report.calibrations[0].axis
+    assert axis.covariance.names == ("a0", "a1")
+    assert len(axis.unobservable) == 4
+    assert any("no scale factor can be seen" in message for message in report.messages[log.units[0]])
+    verdicts = {v.requirement.name: v.verdict for v in report.verdicts[log.units[0]]}
+    assert verdicts["map"] == "unobservable"

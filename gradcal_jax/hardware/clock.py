@@ -4,7 +4,8 @@ Nobody in this room calls `time.sleep` to let a chamber soak or a table turn: th
 that is ordinary waiting. With `VirtualClock` the time stands still while any party works and jumps to the next wake-up
 when all parties wait and no byte is on its way between a driver and a simulated device. A run of hours then takes as
 long as its computing, with the same code, the same bytes and the same order of events. Time-outs of a serial line are
-never virtual: a driver that waits for a reply holds the time still and gives up after real seconds.
+never virtual: a driver gives up after real seconds. It holds the time still until its line has been silent for a
+moment; from then on virtual time passes as fast as the real one: a device that does not answer stops nobody else.
 """
 
 import heapq
@@ -14,6 +15,8 @@ import time
 from collections.abc import Generator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol, runtime_checkable
+
+_PACE_S = 0.005
 
 
 @runtime_checkable
@@ -48,6 +51,10 @@ class Clock(Protocol):
 
     def aside(self) -> AbstractContextManager[None]:
         """While inside, a party lets time go on: for waiting on something that is not this clock."""
+        ...
+
+    def real_pace(self) -> AbstractContextManager[None]:
+        """While inside, a party lets time go on as fast as the real one: for waiting on a silent line."""
         ...
 
     def link(self, url: str) -> Link: ...
@@ -102,6 +109,10 @@ class RealClock:
 
     @contextmanager
     def aside(self) -> Generator[None, None, None]:
+        yield
+
+    @contextmanager
+    def real_pace(self) -> Generator[None, None, None]:
         yield
 
     def link(self, url: str) -> Link:
@@ -174,6 +185,9 @@ class VirtualClock:
         self._working = 0
         self._members: dict[int, int] = {}
         self._accounts: dict[str, _Account] = {}
+        self._real_waiters = 0
+        self._paced_from = self._origin
+        self._pacer: threading.Thread | None = None
 
     def now(self) -> float:
         return self._now
@@ -234,6 +248,36 @@ class VirtualClock:
                     self._members[thread] = depth
                     self._working += 1
 
+    @contextmanager
+    def real_pace(self) -> Generator[None, None, None]:
+        with self.lock:
+            member = threading.get_ident() in self._members
+            if member:
+                if not self._real_waiters:
+                    self._paced_from = (self._now, time.monotonic())
+                self._working -= 1
+                self._real_waiters += 1
+                if self._pacer is None:
+                    self._pacer = threading.Thread(target=self._pace, daemon=True, name="real pace")
+                    self._pacer.start()
+        try:
+            yield
+        finally:
+            if member:
+                with self.lock:
+                    self._working += 1
+                    self._real_waiters -= 1
+
+    def _pace(self) -> None:
+        """Wakes the sleepers in time for as long as somebody waits on a silent line."""
+        while True:
+            with self.lock:
+                if not self._real_waiters:
+                    self._pacer = None
+                    return
+                self.advance_if_all_wait()
+            time.sleep(_PACE_S)
+
     def link(self, url: str) -> Link:
         with self.lock:
             return self._accounts.setdefault(url, _Account(self))
@@ -244,6 +288,10 @@ class VirtualClock:
             return
         if any(account.attached and (account.to_device or account.to_host) for account in self._accounts.values()):
             return
+        if self._real_waiters:
+            virtual, real = self._paced_from
+            if self._sleepers[0][0] > virtual + time.monotonic() - real:
+                return
         self._now = max(self._now, self._sleepers[0][0])
         while self._sleepers and self._sleepers[0][0] <= self._now:
             _, _, gate = heapq.heappop(self._sleepers)

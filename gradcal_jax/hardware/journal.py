@@ -10,6 +10,9 @@ A file of records, little-endian:
 Nothing is ever rewritten. A record that a crash has torn fails its CRC; the next run appends behind it, and the reader
 goes on at the next record that fits. Events reach the disk before `event` returns (unless it is told not to wait),
 everything else at least once a second.
+
+One thread writes, in the order in which things happened; nobody but those who wait for an event waits for the disk. A
+disk that stalls for seconds therefore costs memory and not bytes of a line whose buffer holds a quarter of a second.
 """
 
 import errno
@@ -18,6 +21,7 @@ import os
 import shutil
 import struct
 import threading
+import time
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -32,6 +36,7 @@ _SYNC = b"\xa7\x4a"
 _HEAD = struct.Struct("<BBId")
 _EVENT, _RECEIVED, _SENT = 1, 2, 3
 _LONGEST = 1 << 26
+_MOST_WAITING = 1 << 28
 LINE_EVENT = "line"
 
 
@@ -80,10 +85,8 @@ class Journal:
 
     def __init__(self, path: Path, *, sync_every_s: float = 1.0) -> None:
         self.path = path
-        self._lock = threading.Lock()
+        self._sync_every_s = sync_every_s
         self._lines: dict[str, int] = {}
-        self._dirty = False
-        self._stop = threading.Event()
         if path.exists():
             # Numbers of lines go on where the last run stopped: one number never means two lines.
             known = [event.data["number"] for event in read_journal(path).events if event.name == LINE_EVENT]
@@ -92,20 +95,29 @@ class Journal:
             self._first_number = 0
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
         self._problem: JournalFull | None = None
-        self._syncer = threading.Thread(target=self._sync_regularly, args=(sync_every_s,), daemon=True, name="journal")
-        self._syncer.start()
+        self._closing = False
+        # Guards what follows: the records that wait, and how many were put in, are wanted on the disk, and are there.
+        self._change = threading.Condition()
+        self._waiting: list[bytes] = []
+        self._waiting_bytes = 0
+        self._put_in = self._wanted = self._on_disk = 0
+        self._writer = threading.Thread(target=self._write_on, daemon=True, name="journal")
+        self._writer.start()
 
     def event(self, time_s: float, name: str, /, *, at_once: bool = True, **data: Any) -> None:
         """Write an event; with `at_once` wait until the disk has it. Raises `JournalFull`."""
         payload = json.dumps({"event": name, **data}, separators=(",", ":"), allow_nan=False).encode()
-        with self._lock:
+        with self._change:
             self._append(_EVENT, 0, time_s, payload)
             if at_once:
-                self._sync()
+                mine = self._wanted = self._put_in
+                self._change.wait_for(lambda: self._on_disk >= mine or self._problem is not None)
+                if self._on_disk < mine and self._problem is not None:
+                    raise self._problem
 
     def bytes_of(self, line: str, time_s: float, data: bytes, *, received: bool) -> None:
         """Write bytes of a line; they are on the disk within `sync_every_s`. Raises `JournalFull`."""
-        with self._lock:
+        with self._change:
             number = self._lines.get(line)
             if number is None:
                 number = self._lines[line] = self._first_number + len(self._lines)
@@ -120,14 +132,11 @@ class Journal:
         return LineRecorder(self, line)
 
     def close(self) -> None:
-        self._stop.set()
-        self._syncer.join(timeout=5.0)
-        with self._lock:
-            if self._file >= 0:
-                if self._problem is None:
-                    self._sync()
-                os.close(self._file)
-                self._file = -1
+        """Write what waits and close the file; idempotent."""
+        with self._change:
+            self._closing = True
+            self._change.notify_all()
+        self._writer.join()
 
     def __enter__(self) -> "Journal":
         return self
@@ -140,50 +149,64 @@ class Journal:
     # -------------------------------------------------------------------------------------------------------- parts
 
     def _append(self, kind: int, line: int, time_s: float, payload: bytes) -> None:
+        """Put a record in line for the disk. The caller holds the lock."""
         if self._problem is not None:
             raise self._problem
-        if self._file < 0:
+        if self._closing:
             raise JournalFull("The journal is closed.")
         body = _HEAD.pack(kind, line, len(payload), time_s) + payload
         record = _SYNC + body + zlib.crc32(body).to_bytes(4, "little")
-        try:
-            while record:
-                record = record[os.write(self._file, record) :]
-        except OSError as problem:
-            raise self._failed(problem) from None
-        self._dirty = True
+        if self._waiting_bytes + len(record) > _MOST_WAITING:
+            self._problem = JournalFull(
+                f"The disk does not keep up with the journal {self.path}: {_MOST_WAITING >> 20} MB wait to be written. "
+                "Use a faster disk; what was written before is sound and the run can be resumed."
+            )
+            raise self._problem
+        self._waiting.append(record)
+        self._waiting_bytes += len(record)
+        self._put_in += 1
+        self._change.notify_all()
 
-    def _sync(self) -> None:
-        try:
-            os.fsync(self._file)
-        except OSError as problem:
-            raise self._failed(problem) from None
-        self._dirty = False
-
-    def _sync_regularly(self, every_s: float) -> None:
-        while not self._stop.wait(every_s):
-            # On a duplicate and outside the lock: a slow disk must not hold up those who write.
-            with self._lock:
-                if self._file < 0 or not self._dirty or self._problem is not None:
-                    continue
-                self._dirty = False
-                duplicate = os.dup(self._file)
+    def _write_on(self) -> None:
+        """The writer's life: write what waits in one go, sync where somebody waits for it and once a second."""
+        synced_s, dirty = time.monotonic(), False
+        while True:
+            with self._change:
+                left = self._sync_every_s - (time.monotonic() - synced_s) if dirty else None
+                if left is None or left > 0.0:
+                    self._change.wait_for(
+                        lambda: self._waiting or self._closing or self._wanted > self._on_disk, timeout=left
+                    )
+                batch, self._waiting, self._waiting_bytes = b"".join(self._waiting), [], 0
+                upto, closing = self._put_in, self._closing
+                at_once = closing or self._wanted > self._on_disk
             try:
-                os.fsync(duplicate)
+                dirty = dirty or bool(batch)
+                while batch:
+                    batch = batch[os.write(self._file, batch) :]
+                if dirty and (at_once or time.monotonic() - synced_s >= self._sync_every_s):
+                    os.fsync(self._file)
+                    synced_s, dirty = time.monotonic(), False
             except OSError as problem:
-                with self._lock:
-                    self._failed(problem)
-            finally:
-                os.close(duplicate)
+                self._fail(problem)
+                break
+            with self._change:
+                if not dirty:
+                    self._on_disk = upto
+                self._change.notify_all()
+                if closing and not self._waiting:
+                    break
+        os.close(self._file)
 
-    def _failed(self, problem: OSError) -> JournalFull:
+    def _fail(self, problem: OSError) -> None:
         full = problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         what = "the disk is full" if full else f"{problem.strerror or problem}"
-        self._problem = JournalFull(
-            f"The journal {self.path} cannot be written: {what}. Free some space or choose another folder; what was "
-            "written before is sound and the run can be resumed."
-        )
-        return self._problem
+        with self._change:
+            self._problem = JournalFull(
+                f"The journal {self.path} cannot be written: {what}. Free some space or choose another folder; what "
+                "was written before is sound and the run can be resumed."
+            )
+            self._change.notify_all()
 
 
 class LineRecorder:

@@ -12,6 +12,7 @@ Resuming after a crash is a runner with `first_step` (see `run_folder`); what ma
 killed is `guard`.
 """
 
+import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -55,6 +56,8 @@ Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25
 _POLL_S = 0.05
 _LONGEST_MOVE_S = 120.0
+_ARRIVAL_S = 0.1
+_LONGEST_ARRIVAL_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -125,8 +128,10 @@ class Runner:
         self._looked_for_s: dict[str, float] = {}
         self._spinning: set[str] = set()
         self._imu_heard_s: dict[str, float] = {}
+        self._unconfirmed: list[tuple[float, str, int]] = []
         self._problem: str = ""
         self._working = threading.Event()
+        self._watching = threading.Event()
         self._shown_s = -float("inf")
         self._steps_done = self.first_step
         self._step_ends_s = 0.0
@@ -154,6 +159,7 @@ class Runner:
             try:
                 self._prepare()
                 self._working.set()
+                self._watching.set()
                 self._start_helpers(helpers)
                 self._enter(State.RUNNING)
                 self._execute()
@@ -232,8 +238,10 @@ class Runner:
     def _watch_chamber(self, duty: ChamberDuty) -> None:
         failures = 0
         with self.clock.party():
-            while self._working.is_set():
+            while self._watching.is_set():
                 self.clock.sleep(self.chamber_every_s)
+                if not self._watching.is_set():
+                    return
                 try:
                     duty.step_soft_ramp()
                     reading = duty.chamber.read()
@@ -292,14 +300,35 @@ class Runner:
                 again = True
                 continue
             again = False
+            self._unconfirmed.append((self.clock.now(), step.name, self._steps_done))
             self._steps_done += 1
-            self._event("step done", step=step.name, number=self._steps_done - 1)
+            self._confirm_steps()
             if self.state is State.PAUSING and self._steps_done < len(self.track.steps):
                 self._wait_paused()
                 after = self.track.steps[self._steps_done]
                 if after.follows:
                     self._event("seam", step=after.name, why="the run was paused before it")
                     again = True
+        self._await_confirmation()
+
+    def _confirm_steps(self) -> None:
+        """A step is done when its samples are in the journal too: what a resumed run does not do again is whole."""
+        heard = min(self._imu_heard_s.values(), default=math.inf)
+        while self._unconfirmed and self._unconfirmed[0][0] + _ARRIVAL_S <= heard:
+            _, name, number = self._unconfirmed.pop(0)
+            self._event("step done", step=name, number=number)
+
+    def _await_confirmation(self) -> None:
+        until = self.clock.now() + _LONGEST_ARRIVAL_S
+        while self._unconfirmed:
+            try:
+                self._duties(None, None)
+            except _Interrupted:
+                self._wait_paused()
+                until = self.clock.now() + _LONGEST_ARRIVAL_S
+            if self.clock.now() > until:
+                raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: see the units.")
+            self.clock.sleep(_SLICE_S)
 
     def _run_step(self, step: Step, again: bool) -> None:
         self._event("step", step=step.name, number=self._steps_done)
@@ -435,6 +464,7 @@ class Runner:
     def _duties(self, step: Step | None, end_s: float | None) -> None:
         """Whatever recurs: requests, readings, interlocks."""
         self._obey_requests()
+        self._confirm_steps()
         now = self.clock.now()
         if now - self._shown_s >= self.chamber_every_s:
             self._shown_s = now
@@ -481,6 +511,7 @@ class Runner:
                 self._requests.pop(0)
                 self._reasons.pop(0)
             self._obey_requests()
+            self._confirm_steps()
             if self._problem:
                 raise HardwareError(self._problem)
             self.clock.sleep(_SLICE_S)
@@ -529,6 +560,8 @@ class Runner:
 
     def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
         """Make safe, and say so in the journal if it can still be written."""
+        # A chamber that is being made safe is asked nothing else.
+        self._watching.clear()
         self._enter(State.ABORTING if status == "aborted" else State.STOPPING, quietly=True)
         self._event("ending", quietly=True, exit_status=status, reason=reason)
         outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s))

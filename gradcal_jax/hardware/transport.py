@@ -104,6 +104,7 @@ class Transport:
         self._is_socket = url.startswith("socket://")
         self._link = clock.link(url)
         self._link.attach()
+        self._silent = False
         self._closed = False
 
     @property
@@ -115,6 +116,7 @@ class Transport:
         if self._recorder is not None:
             self._recorder.record(self._clock.now(), ">", data)
         self._link.host_wrote(len(data))
+        self._silent = False
         try:
             self._port.write(data)
         except serial.SerialTimeoutException:
@@ -133,7 +135,12 @@ class Transport:
         """Like `read`, with the clock's time at which the bytes were in hand."""
         try:
             self._set_timeout(timeout_s)
-            data: bytes = self._port.read(1)
+            if self._silent and timeout_s > 0.0:
+                with self._clock.real_pace():
+                    data: bytes = self._port.read(1)
+            else:
+                data = self._port.read(1)
+            self._silent = not data
             if data:
                 if self._is_socket:
                     self._set_timeout(0.0)

@@ -1,17 +1,24 @@
 """Figures of the long proofs, kept in a committed file: one row each, with its date and the command that made it."""
 
+import os
+import platform
 import time
 from pathlib import Path
 
-REPORT = Path(__file__).with_name("evidence.md")
+REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "hardware.md"
 _HEAD = """# Evidence of the hardware room
 
-Made by `pytest -m evidence tests/hardware`; each row is written when its proof has passed. Devices are simulated: over
-pseudo-terminals, byte for byte, but none of the figures comes from hardware.
+Made by `pytest -m evidence tests/hardware`; each row is written when its proof has passed. Every device is simulated:
+byte for byte, over pseudo-terminals, but none of the figures comes from hardware.
 
-| proof | figure | date | command |
-|---|---|---|---|
+| proof | figures | date | command | machine |
+|---|---|---|---|---|
 """
+
+
+def machine() -> str:
+    """The computer in general words."""
+    return f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
 def record(proof: str, figure: str, test: str) -> None:
@@ -20,7 +27,9 @@ def record(proof: str, figure: str, test: str) -> None:
     if REPORT.exists():
         for line in REPORT.read_text(encoding="utf-8").splitlines():
             cells = [cell.strip() for cell in line.strip("|").split("|")]
-            if len(cells) == 4 and cells[0] not in ("proof", "---"):
+            if len(cells) == 5 and cells[0] not in ("proof", "---"):
                 rows[cells[0]] = line
-    rows[proof] = f"| {proof} | {figure} | {time.strftime('%Y-%m-%d')} | `pytest -m evidence {test}` |"
+    cells = (proof, figure, time.strftime("%Y-%m-%d"), f"`pytest -m evidence {test}`", machine())
+    rows[proof] = f"| {' | '.join(cells)} |"
+    REPORT.parent.mkdir(parents=True, exist_ok=True)
     REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n", encoding="utf-8")

@@ -3,9 +3,6 @@
 The vendor's old client zaber.serial, which shares nothing with this package, checks the simulated stage.
 """
 
-import threading
-import time
-
 import numpy as np
 import pytest
 import zaber.serial
@@ -468,40 +465,6 @@ def test_vectornav_register_that_does_not_take_is_noticed() -> None:
         device._write_binary = lambda fields: 0  # it says yes and keeps its old output
         with pytest.raises(NotVerified, match="Register 75"):
             unit.start()
-
-
-@pytest.mark.evidence  # In real time: a busy machine may not keep up, whatever the code does.
-def test_three_units_at_full_rate_in_real_time_lose_nothing() -> None:
-    """Three STIM300 at 2000 samples/s each for two seconds; the ten-minute proof is in the evidence run."""
-    clock = RealClock()
-    config = Stim300Config(sample_rate_hz=2000.0, baudrate=1_843_200, reply_timeout_s=1.0)
-    gathered: dict[int, list[tuple[bytes, float]]] = {0: [], 1: [], 2: []}
-    with (
-        stim300_bench(clock, Stim300Options(baudrate=1_843_200), config) as (first, _, _),
-        stim300_bench(clock, Stim300Options(baudrate=1_843_200), config) as (second, _, _),
-        stim300_bench(clock, Stim300Options(baudrate=1_843_200), config) as (third, _, _),
-    ):
-        units = (first, second, third)
-        for unit in units:
-            unit.configure()
-        stop = time.monotonic() + 3.0
-
-        def gather(index: int) -> None:
-            units[index].start()
-            while time.monotonic() < stop:
-                gathered[index].append(units[index].read_bytes(0.1))
-
-        threads = [threading.Thread(target=gather, args=(index,)) for index in range(3)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        for index, unit in enumerate(units):
-            decoder = unit.decoder()
-            samples = join([decoder.push(*chunk) for chunk in gathered[index]])
-            assert len(samples) > 4000
-            assert np.all(samples.gap_before[1:] == 0)
-            assert decoder.bad_bytes <= 20 + 20 + 26  # the start-up datagrams, before the decoder had locked
 
 
 def test_transport_is_named_in_every_message_about_silence() -> None:

@@ -19,7 +19,7 @@ from gradcal_jax.files.log import Log, write_log
 from gradcal_jax.files.recipe import Recipe, read_recipe
 from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.recording import log_of
-from gradcal_jax.hardware.run_folder import new_folder
+from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
 
@@ -107,23 +107,35 @@ def test_a_short_run_gives_back_the_hidden_parameters_within_its_covariance(tmp_
     assert chi2.sf(distance(calibration, {"x": wrong})[0], degrees) < 1e-4
 
 
+DESIGN = """
+[design]
+minimise = "scale factor"
+free     = ["peak_rate", "duration", "rest"]
+starts   = 1
+"""
+
+
 @pytest.mark.evidence
 def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path: Path) -> None:
-    """Three hours on simulated chamber, table and STIM300, eight seeds: χ² of all coefficients together."""
-    spec, made = tmp_path / "spec.toml", tmp_path / "recipe.toml"
-    spec.write_text(presets.text("tactical-mems"), encoding="utf-8")
-    assert gradcal("recipe", spec, "-o", made).returncode == 0
-    predicted = {row.quantity: row for row in read_recipe(made).prediction.requirements}
+    """An optimised recipe of hours on simulated chamber, table and STIM300, eight seeds: χ² of all coefficients."""
+    spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
+    spec.write_text(presets.text("tactical-mems") + DESIGN, encoding="utf-8")
+    # Status 1: thirty steps are not always enough to converge; what was found is a sound recipe.
+    assert gradcal("optimise", spec, "--steps", 30, "-o", recipe).returncode in (0, 1)
+    made = read_recipe(recipe)
+    assert not made.status.startswith("not optimised")
+    predicted = {row.quantity: row for row in made.prediction.requirements}
     total, freedom = 0.0, 0
     each: list[float] = []
     took: list[float] = []
     ratios: list[float] = []
+    hours = 0.0
     for seed in range(1, 9):
         run, began = tmp_path / f"run{seed}", time.monotonic()
-        assert gradcal("run", made, "--simulate", "--seed", seed, "-o", run).returncode == 0
+        assert gradcal("run", recipe, "--simulate", "--seed", seed, "-o", run).returncode == 0
         took.append(time.monotonic() - began)
         assert gradcal("log", run).returncode == 0
-        said = gradcal("estimate", run / "log.nc", "--recipe", made, "-o", run / "calibration.toml")
+        said = gradcal("estimate", run / "log.nc", "--recipe", recipe, "-o", run / "calibration.toml")
         assert said.returncode in (0, 1), said.stderr
         calibration = read_calibration(run / "calibration.toml")
         found, degrees = distance(calibration, json.loads((run / "hidden_truth.json").read_text(encoding="utf-8")))
@@ -131,15 +143,18 @@ def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path
         total, freedom = total + found, freedom + degrees
         reached = next(r.value for r in calibration.result if r.quantity == "scale_factor")
         ratios.append(reached / predicted["scale_factor"].mean_of_max)
+        hours = max(entry.time_s for entry in RunFolder(run).contents().records) / 3600.0
         (run / "journal").unlink()
         (run / "log.nc").unlink()
+    took_s = float(np.median(took))
     chance = float(chi2.sf(total, freedom))
     assert 0.001 < chance < 0.999, each
     assert np.all(np.abs(np.array(ratios) - 1.0) < 0.1), ratios
     record(
-        "headline recipe end to end",
-        f"8 seeds: χ² {total:.0f} of {freedom} degrees (chance {chance:.2f}; each {min(each):.0f} to {max(each):.0f} "
-        f"of {freedom // 8}); residual over prediction {min(ratios):.3f} to {max(ratios):.3f}; the run, hours of "
-        f"virtual time, took {np.median(took):.0f} s",
+        "headline recipe end to end, STIM300 at 125 samples/s",
+        f"recipe by `gradcal optimise`, {predicted['scale_factor'].mean_of_max:.2f} ppm predicted; 8 seeds: χ² of the "
+        f"hidden truth {total:.0f} of {freedom} degrees (chance {chance:.2f}; each {min(each):.1f} to {max(each):.1f} "
+        f"of {freedom // 8}); residual over prediction {min(ratios):.3f} to {max(ratios):.3f}; {hours:.2f} h of "
+        f"virtual time took {took_s:.0f} s, {3600.0 * hours / took_s:.0f} times faster than real time",
         "tests/hardware/test_end_to_end.py",
     )

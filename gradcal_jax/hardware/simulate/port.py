@@ -2,7 +2,8 @@
 
 A device is a class with `receive(data) -> replies`; one that speaks by itself has `next_emission_s()` and `emit()` too.
 The port keeps its own descriptor of the terminal's other side open, because reading a terminal that nobody has open is
-an error; it never blocks on a host that does not read, but drops bytes and counts them, as a UART does.
+an error; a host that does not read does not stop it: it drops bytes and counts them, as a UART does. A terminal holds
+some twenty kilobytes, so a burst of more (a device that was held up itself) is given a moment to be fetched.
 
 A terminal knows no baud rate: a wrong one cannot be simulated here.
 """
@@ -24,6 +25,9 @@ from .faults import Faults
 if sys.platform != "win32":
     import pty
     import tty
+
+
+_TO_FETCH_S = 0.2
 
 
 @runtime_checkable
@@ -66,6 +70,7 @@ class SimulatedPort:
         self._folder = tempfile.TemporaryDirectory(prefix="gradcal-sim-")
         self._device_lock = threading.Lock()
         self._send_lock = threading.Lock()
+        self._nobody_reads = False
         self._stop = threading.Event()
         self._speaks = threading.Event()
         self._master = self._slave = -1
@@ -217,7 +222,7 @@ class SimulatedPort:
             unsent = data
             try:
                 while unsent and self._master >= 0:
-                    unsent = unsent[os.write(self._master, unsent) :]
+                    unsent = unsent[self._write(unsent) :]
                 if unsent and self._connection is not None:
                     self._connection.sendall(unsent)
                     unsent = b""
@@ -226,3 +231,15 @@ class SimulatedPort:
             if unsent:
                 self.lost_bytes += len(unsent)
                 self._link.device_wrote(-len(unsent))
+
+    def _write(self, data: bytes) -> int:
+        """How much the terminal took. Raises `BlockingIOError` where it is full and nobody fetches anything."""
+        try:
+            count = os.write(self._master, data)
+        except BlockingIOError:
+            if self._nobody_reads or not select.select([], [self._master], [], _TO_FETCH_S)[1]:
+                self._nobody_reads = True
+                raise
+            return 0
+        self._nobody_reads = False
+        return count

@@ -1,0 +1,138 @@
+"""`gradcal rig`, `run` and `log` as users have them: statuses, sentences, Ctrl-C."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gradcal_jax.cli import main
+from gradcal_jax.files import parse_spec, presets, to_toml
+from gradcal_jax.files.log import read_log
+from gradcal_jax.files.recipe import Made, Predicted, Recipe
+from gradcal_jax.files.rounding import rounded, steps_of
+from gradcal_jax.files.tracks import Stability, tracks_of
+from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.journal import read_journal
+from gradcal_jax.hardware.simulate.lab import SimulatedLab
+
+CHANGES = {
+    "plan.temperature": ["23 degC", "24 degC"],
+    "plan.gradient": "2 K/min",
+    "plan.soak.duration": "2 s",
+    "plan.cycle.moves": [
+        {"rest": "3 s", "read_every": "1 s"},
+        {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"},
+    ],
+    "plan.cycle.other_axes": None,
+}
+
+
+def a_recipe(folder: Path) -> Path:
+    from gradcal_jax.files import changed
+
+    spec = rounded(changed(parse_spec(presets.text("paper-dynamic-gradient")), CHANGES)).spec
+    chamber, motion = tracks_of(spec)
+    made = Recipe(
+        format="gradcal-recipe/1",
+        status="not optimised",
+        made=Made(by="a test", versions={}),
+        resolution=steps_of(spec),
+        stability=Stability(),
+        chamber=chamber,
+        motion=motion,
+        prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
+        spec=spec,
+    )
+    path = folder / "recipe.toml"
+    path.write_text(to_toml(made), encoding="utf-8")
+    return path
+
+
+def test_a_rehearsal_from_recipe_to_log(tmp_path, capsys):
+    recipe, run = a_recipe(tmp_path), tmp_path / "run"
+    assert main(["run", str(recipe), "--simulate", "--seed", "4", "-o", str(run)]) == 0
+    said = capsys.readouterr().out
+    assert "simulated devices: a rehearsal, not a measurement" in said
+    assert "step 1 of" in said
+    assert "chamber: safe (standby" in said
+    assert "b00" in json.loads((run / "hidden_truth.json").read_text())["x"]
+    assert main(["log", str(run)]) == 0
+    assert "(simulated devices)" in capsys.readouterr().out
+    first = (run / "log.nc").read_bytes()
+    log = read_log(run / "log.nc")
+    assert log.simulated
+    assert main(["log", str(run), "-o", str(tmp_path / "again.nc")]) == 0
+    assert len((tmp_path / "again.nc").read_bytes()) == len(first)
+    assert (read_log(tmp_path / "again.nc").rate_rad_per_s == log.rate_rad_per_s).all()
+    capsys.readouterr()
+    assert main(["run", "--resume", str(run)]) == 2
+    assert "is complete" in capsys.readouterr().err
+
+
+def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
+    path = tmp_path / "rig.toml"
+    assert main(["rig", "new", "-o", str(path)]) == 0
+    assert main(["rig", "new", "-o", str(path)]) == 2
+    assert main(["rig", "check", str(path)]) == 3
+    assert "cannot be opened" in capsys.readouterr().err
+    with SimulatedLab(parse_spec(presets.text("paper-dynamic-gradient")), RealClock()) as lab:
+        path.write_text(to_toml(lab.rig), encoding="utf-8")
+        assert main(["rig", "check", str(path)]) == 0
+        said = capsys.readouterr().out
+        assert "N25582405002002" in said
+        assert "every device answers as the rig file says" in said
+        # The chamber's driver on the table's port: what was sent and what came back.
+        wrong = to_toml(lab.rig).replace(lab.ports[0].url, "X").replace(lab.ports[1].url, lab.ports[0].url)
+        path.write_text(wrong.replace('"X"', f'"{lab.ports[1].url}"'), encoding="utf-8")
+        assert main(["rig", "check", str(path), "--json"]) == 3
+        reports = {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)}
+        assert "was sent" in reports["chamber"]["problem"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["recipe.toml"], "what to run, and where to"),
+        (["recipe.toml", "-o", "run"], "Give either --rig RIG, or --simulate"),
+        (["--resume", "run", "--simulate"], "--resume takes nothing but the folder"),
+        (["--resume", "run"], "is not the folder of a run"),
+        (["recipe.toml", "--simulate", "-o", "run", "--sample-rate", "100 Hz"], "does not sample at 100 Hz"),
+    ],
+)
+def test_slips_are_sentences(words, said, tmp_path, capsys, monkeypatch):
+    a_recipe(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_ctrl_c_pauses_and_again_makes_safe_and_ends(tmp_path):
+    recipe, run = a_recipe(tmp_path), tmp_path / "run"
+    program = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
+    words = [sys.executable, "-c", program, "run", str(recipe), "--simulate", "--speed", "30", "-o", str(run)]
+    process = subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
+    )
+
+    def wait_for(text):
+        end = time.monotonic() + 90.0
+        while time.monotonic() < end:
+            if (run / "journal").exists() and text in (run / "journal").read_bytes():
+                return
+            time.sleep(0.1)
+        raise AssertionError(f"never came: {text}")
+
+    wait_for(b'"step begins"')
+    process.send_signal(signal.SIGINT)
+    wait_for(b'"state":"paused"')
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=90.0)
+    assert process.returncode == 130, err
+    assert "chamber: safe" in out
+    assert f"gradcal run --resume {run}" in err
+    states = [event.data["state"] for event in read_journal(run / "journal").events if event.name == "state"]
+    assert states == ["running", "pausing", "paused", "aborting", "safe"]

@@ -1,4 +1,4 @@
-"""What a calibration file says of its own uncertainty: residual maps, as predictions have them, and the standards' terms.
+"""What a calibration file says of its own uncertainty: residual maps as predictions have, and the standards' terms.
 
 Everything follows from the file's coefficients and covariance `C`: a quantity that is linear in the coefficients,
 `cᵀβ`, has the standard deviation `√(cᵀCc)`. The names of terms are those of IEEE 952, 1431 and 1780; each says in
@@ -74,19 +74,22 @@ def grid_of(axis: AxisCalibration, requirement: Requirement | None, quantity: st
 def prior_map(spec: Spec, requirement: Requirement) -> Box | None:
     """What is known before any calibration: the spec's priors on a requirement's box; None where they are flat."""
     unit, factor = UNIT_OF[requirement.quantity]
-    section = spec.sensor.bias if requirement.quantity == "bias" else spec.sensor.scale_factor
-    if section is None or section.prior is None:
+    bias, scale = spec.sensor.bias, spec.sensor.scale_factor
+    cold, warm = (float(end) for end in requirement.temperature)
+    temperatures = np.linspace(cold, warm, requirement.grid[0])
+    if requirement.quantity == "bias":
+        if bias is None or bias.prior is None:
+            return None
+        squares = np.sum(basis_values(bias.temperature, temperatures) ** 2, axis=1)[:, None]
+        return Box(temperatures, np.zeros(1), np.sqrt(squares) * float(bias.prior) * factor, unit)
+    if scale is None or scale.prior is None:
         return None
-    temperatures = np.linspace(
-        float(requirement.temperature[0]), float(requirement.temperature[1]), requirement.grid[0]
-    )
-    squares = np.sum(basis_values(section.temperature, temperatures) ** 2, axis=1)[:, None]
-    rates = np.zeros(1)
-    if requirement.quantity == "scale_factor":
-        slow, fast = requirement.rate
-        rates = np.linspace(float(slow), float(fast), requirement.grid[1])
-        squares = squares * np.sum(basis_values(section.rate, rates) ** 2, axis=1)[None, :]
-    return Box(temperatures, rates * DEG_PER_S, np.sqrt(squares) * float(section.prior) * factor, unit)
+    slow, fast = requirement.rate
+    rates = np.linspace(float(slow), float(fast), requirement.grid[1])
+    over_temperature = np.sum(basis_values(scale.temperature, temperatures) ** 2, axis=1)
+    over_rate = np.sum(basis_values(scale.rate, rates) ** 2, axis=1)
+    values = np.sqrt(np.outer(over_temperature, over_rate)) * float(scale.prior) * factor
+    return Box(temperatures, rates * DEG_PER_S, values, unit)
 
 
 def standard_terms(axis: AxisCalibration) -> list[Term]:

@@ -19,6 +19,7 @@ from gradcal_jax.cli import (
     predict,
     recipe,
     recipes,
+    report,
     rig,
     schema,
     show,
@@ -63,6 +64,7 @@ def build() -> App:
         instability,
         estimate,
         calibrated,
+        report,
         sweep,
         schema,
     ):

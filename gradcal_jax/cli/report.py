@@ -1,0 +1,79 @@
+"""`gradcal report`: one page of what was planned, predicted, done and found, for people; and the words they meet."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from gradcal_jax.cli.console import columns
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(report)
+    app.command(glossary)
+
+
+def report(
+    sources: Annotated[tuple[Path, ...], Parameter(negative="")],
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
+    before: Path | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
+) -> int:
+    """Make one HTML page of a recipe, a run or a calibration: nothing is fetched by it, and it prints well.
+
+    Parameters
+    ----------
+    sources
+        The folder of a run, a recipe, a calibration, or those of them that belong together. A calibration.toml in the
+        folder of a run is taken with it.
+    output
+        The page (.html).
+    before
+        A spec or recipe whose plan to compare with; without it, what the spec's priors say.
+    force
+        Overwrite an existing file.
+    json
+        Print every number of the page as JSON.
+    """
+    from gradcal_jax.cli.precision import use_float64
+    from gradcal_jax.cli.recipe import writable
+    from gradcal_jax.files.writing import write_whole
+    from gradcal_jax.report.sources import read_sources
+
+    writable(output, force)
+    found = read_sources(sources, before=before)
+    use_float64()
+    from gradcal_jax.report.facts import as_tables, facts_of
+    from gradcal_jax.report.page import page
+
+    facts = facts_of(found)
+    write_whole(output, page(found, facts))
+    if json:
+        from json import dumps
+
+        print(dumps(as_tables(facts), indent=2, allow_nan=False))
+    else:
+        print(f"wrote {output}")
+    return 0
+
+
+def glossary(*term: str) -> int:
+    """Explain the words that commands, files and pages use.
+
+    Parameters
+    ----------
+    term
+        Only terms with these words in them; all, without it.
+    """
+    from gradcal_jax.report.glossary import TERMS
+
+    wanted = " ".join(term).lower()
+    rows = [(name, meaning) for name, meaning in sorted(TERMS.items(), key=str) if wanted in name.lower()]
+    if not rows:
+        raise ValueError(f'the glossary has no term with "{wanted}" in it; gradcal glossary lists all of them')
+    print(columns(rows, indent=""))
+    return 0

@@ -1,0 +1,35 @@
+"""Maps of a calibration file with one standard deviation."""
+
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from gradcal_jax.assemble.achieved import found_map, grid_of
+from gradcal_jax.files.calibration import AxisCalibration
+from gradcal_jax.plots.style import PALETTE, new_axes, style_of
+
+
+def draw_found_scale_factor(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
+    """M over rate at the coldest, the middle and the warmest temperature that the data cover."""
+    ax = new_axes(ax)
+    temperatures, rates = grid_of(axis, None, "scale_factor")
+    chosen = temperatures[[0, len(temperatures) // 2, -1]]
+    value, deviation = found_map(axis, "scale_factor", chosen, rates)
+    lines: list[Line2D] = []
+    for index, temperature in enumerate(chosen):
+        middle, spread = value.values[index], deviation.values[index]
+        lines += ax.plot(rates, middle, label=f"{temperature:.4g} °C", **style_of(index))
+        ax.fill_between(rates, middle - spread, middle + spread, alpha=0.25, color=PALETTE[index])
+    ax.set(xlabel="rate, deg/s", ylabel="scale-factor error M ± 1σ, ppm")
+    ax.legend()
+    return ax, lines
+
+
+def draw_found_bias(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """B over temperature."""
+    ax = new_axes(ax)
+    value, deviation = found_map(axis, "bias", *grid_of(axis, None, "bias"))
+    middle, spread = value.values[:, 0], deviation.values[:, 0]
+    (line,) = ax.plot(value.temperature_c, middle, **style_of(0))
+    ax.fill_between(value.temperature_c, middle - spread, middle + spread, alpha=0.25, color=PALETTE[0])
+    ax.set(xlabel="temperature, °C", ylabel="bias B ± 1σ, deg/h")
+    return ax, line

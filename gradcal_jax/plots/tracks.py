@@ -1,0 +1,72 @@
+"""Tracks of a recipe and of the run of it: temperature and rate against time."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.tracks import TrackMove
+from gradcal_jax.plots.style import new_axes, style_of
+
+_WAVE = 24
+
+
+def draw_planned_temperature(recipe: Recipe, *, label: str = "planned", ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """The chamber's track on the plan's clock, which does not count waiting."""
+    ax = new_axes(ax, (6.4, 3.2))
+    time: list[float] = []
+    temperature: list[float] = []
+    for segment in recipe.chamber.programme:
+        time += [float(segment.start), float(segment.start) + float(segment.duration)]
+        temperature += [float(segment.temperature_start), float(segment.temperature_end)]
+    (line,) = ax.plot(np.array(time) / 3600.0, temperature, label=label, **style_of(0))
+    ax.set(xlabel="time, h", ylabel="chamber, °C")
+    return ax, line
+
+
+def draw_planned_rate(recipe: Recipe, axis: str, *, label: str = "", ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """The rate of an axis as controllers turn it, by trapezoids, on the plan's clock."""
+    ax = new_axes(ax, (6.4, 3.2))
+    time, rate = planned_rate(recipe, axis)
+    (line,) = ax.plot(time / 3600.0, rate, label=label, linewidth=0.8, **style_of(0))
+    ax.set(xlabel="time, h", ylabel="rate, deg/s")
+    return ax, line
+
+
+def turned_axes(recipe: Recipe) -> tuple[str, ...]:
+    """The axes that any move of a recipe turns."""
+    return tuple(sorted({m.axis for b in recipe.motion for m in b.moves if m.do not in ("rest", "wait")}))
+
+
+def planned_rate(recipe: Recipe, axis: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times (s) on the plan's clock and rates (deg/s) between which the rate is a straight line."""
+    begins = {segment.name: float(segment.start) for segment in recipe.chamber.programme}
+    points: list[tuple[float, float]] = [(0.0, 0.0)]
+    for block in recipe.motion:
+        for repetition in range(block.repeat):
+            start = begins[block.begins_with] + repetition * float(block.period)
+            for move in block.moves:
+                if move.axis != axis or move.rate is None:
+                    continue
+                for again in range(move.repeat):
+                    begin = start + float(move.start) + again * float(move.duration)
+                    points += [(begin + t, rate) for t, rate in _shape(move)]
+    points.append((recipe.duration_s, 0.0))
+    time, rate = np.array(points).T
+    return time, np.degrees(rate)
+
+
+def _shape(move: TrackMove) -> list[tuple[float, float]]:
+    """Times within a move and rates (rad/s)."""
+    assert move.rate is not None
+    lasting, peak = float(move.duration), float(move.rate)
+    if move.rates is not None:
+        inner = np.linspace(0.0, lasting, len(move.rates) + 2)
+        return list(zip(inner.tolist(), [0.0, *(float(r) for r in move.rates), 0.0], strict=True))
+    if move.cycles is not None:
+        time = np.linspace(0.0, lasting, _WAVE * move.cycles + 1)
+        return list(
+            zip(time.tolist(), (peak * np.sin(2.0 * np.pi * move.cycles * time / lasting)).tolist(), strict=True)
+        )
+    ramp = 0.0 if move.acceleration is None else min(abs(peak) / float(move.acceleration), lasting / 2.0)
+    return [(0.0, 0.0), (ramp, peak), (lasting - ramp, peak), (lasting, 0.0)]

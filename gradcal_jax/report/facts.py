@@ -1,0 +1,515 @@
+"""Every number of a page, once: from the recipe, the run and the calibration, by the functions that commands use."""
+
+import re
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax import assemble
+from gradcal_jax.assemble.achieved import Box, Term, found_map, grid_of, prior_map, standard_terms
+from gradcal_jax.assemble.knowledge import DEG_PER_H, PPM
+from gradcal_jax.files import Spec, correction, exports
+from gradcal_jax.files.calibration import AxisCalibration, Calibration, Result
+from gradcal_jax.files.contracts import RequirementRow
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.information import statistic
+from gradcal_jax.report.course import Course, course_of
+from gradcal_jax.report.sources import Sources
+
+# Gradient sensitivity has one name in a calibration, another among predicted parameters and in a hidden truth.
+_GRADIENT: Final = "bias_temperature_gradient"
+_SUPERSCRIPTS: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+class RequirementFact(NamedTuple):
+    """A requirement before, as predicted, as achieved (1σ, in `unit`); None: not observable, or not there to tell.
+
+    `verdict`: of what was achieved, otherwise of what is predicted; `limit`: proven for any plan.
+    """
+
+    name: str
+    axis: str
+    quantity: str
+    statistic: str
+    unit: str
+    temperature_c: tuple[float, float] | None
+    rate_dps: tuple[float, float] | None
+    before: float | None
+    predicted: float | None
+    achieved: float | None
+    target: float | None
+    verdict: str | None
+    limited_by: str | None
+    limit: float | None
+
+
+class ParameterFact(NamedTuple):
+    """A coefficient in `unit`, what it multiplies, its one sigma found and predicted, and a simulation's truth."""
+
+    name: str
+    axis: str
+    multiplies: str
+    unit: str
+    value: float | None
+    std: float | None
+    predicted_std: float | None
+    truth: float | None
+    off_by_sigma: float | None
+
+
+class AxisFact(NamedTuple):
+    """What was found of one axis. `agreement`: χ² of found against hidden truth, its degrees, its chance."""
+
+    axis: str
+    terms: tuple[Term, ...]
+    valid_temperature: tuple[str, str]
+    valid_rate: tuple[str, str]
+    unobservable: tuple[str, ...]
+    agreement: tuple[float, int, float] | None
+
+
+class ExampleFact(NamedTuple):
+    """What a calibration makes of one reading: rates in deg/s."""
+
+    axis: str
+    temperature_c: float
+    measured_dps: float
+    bias_dps: float
+    scale_factor_ppm: float
+    corrected_dps: float
+
+
+class ExportFact(NamedTuple):
+    """A program that takes the calibration, and what it cannot carry."""
+
+    target: str
+    command: str
+    losses: tuple[str, ...]
+
+
+class MapFact(NamedTuple):
+    """Residual maps of one requirement and axis, in order: before, predicted, achieved, as far as they are known."""
+
+    name: str
+    axis: str
+    quantity: str
+    maps: tuple[tuple[str, Box], ...]
+
+
+class Facts(NamedTuple):
+    """A whole page's numbers. `before_is`: what "before" means here; empty without it."""
+
+    title: str
+    simulated: bool
+    before_is: str
+    requirements: tuple[RequirementFact, ...]
+    parameters: tuple[ParameterFact, ...]
+    axes: tuple[AxisFact, ...]
+    examples: tuple[ExampleFact, ...]
+    exports: tuple[ExportFact, ...]
+    assumed: tuple[tuple[str, str], ...]
+    course: Course | None
+    provenance: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
+    maps: tuple[MapFact, ...]
+
+    @property
+    def verdict(self) -> str:
+        """ "met", "missed" or "unobservable" of all requirements together; empty where none has a target."""
+        found = {row.verdict for row in self.requirements}
+        for word in ("unobservable", "missed", "met"):
+            if word in found:
+                return word
+        return ""
+
+
+def facts_of(sources: Sources) -> Facts:
+    """Work out everything that a page says. Raises `ValueError` for a run that never began."""
+    recipe, calibration = sources.recipe, sources.calibration
+    course = None if sources.run is None else course_of(sources.run)
+    before_is, requirements, maps = _requirements(sources)
+    axes = () if calibration is None else tuple(_axis(axis, sources.hidden_truth) for axis in calibration.axis)
+    notes = [*sources.notes]
+    if recipe is not None:
+        notes += [*recipe.notes, *recipe.prediction.warnings]
+    notes += [
+        f"axis {axis.axis}: the data say nothing of {', '.join(axis.unobservable)}"
+        for axis in axes
+        if axis.unobservable
+    ]
+    simulated = bool(course is not None and course.simulated) or bool(calibration is not None and calibration.simulated)
+    title = (recipe.title if recipe is not None else None) or (calibration.title if calibration is not None else None)
+    return Facts(
+        title=title or "Calibration",
+        simulated=simulated,
+        before_is=before_is,
+        requirements=tuple(requirements),
+        parameters=tuple(_parameters(recipe, calibration, sources.hidden_truth)),
+        axes=axes,
+        examples=() if calibration is None else tuple(_example(axis) for axis in calibration.axis),
+        exports=() if calibration is None else tuple(_exports(calibration, sources.calibration_name)),
+        assumed=tuple(_assumed(recipe, calibration)),
+        course=course,
+        provenance=tuple(_provenance(sources)),
+        notes=tuple(dict.fromkeys(notes)),
+        maps=tuple(maps),
+    )
+
+
+def as_tables(facts: Facts) -> dict[str, Any]:
+    """The facts as plain numbers and texts for other programs; maps and tracks are left out."""
+    course = facts.course
+    done = None
+    if course is not None:
+        done = {
+            name: value
+            for name, value in course._asdict().items()
+            if name not in ("chamber_s", "chamber_c", "angles", "waited", "devices")
+        }
+        done["waited"] = [row._asdict() for row in course.waited]
+        done["devices"] = [row._asdict() for row in course.devices]
+    return {
+        "title": facts.title,
+        "simulated": facts.simulated,
+        "verdict": facts.verdict or None,
+        "before_is": facts.before_is or None,
+        "requirements": [row._asdict() for row in facts.requirements],
+        "parameters": [row._asdict() for row in facts.parameters],
+        "axes": [row._asdict() | {"terms": [term._asdict() for term in row.terms]} for row in facts.axes],
+        "examples": [row._asdict() for row in facts.examples],
+        "exports": [row._asdict() for row in facts.exports],
+        "assumed": dict(facts.assumed),
+        "run": done,
+        "provenance": dict(facts.provenance),
+        "notes": list(facts.notes),
+    }
+
+
+# ------------------------------------------------------------------------------------------------------- requirements
+
+
+def _requirements(sources: Sources) -> tuple[str, list[RequirementFact], list[MapFact]]:
+    recipe, calibration = sources.recipe, sources.calibration
+    if recipe is None:
+        assert calibration is not None
+        maps = [_found_alone(axis, quantity) for axis in calibration.axis for quantity in _quantities(axis)]
+        return "", [_result_alone(row) for row in calibration.result], maps
+    built = assemble.assemble(recipe.spec)
+    known = {channel: assemble.knowledge(built, channel) for channel in built.channels}
+    other = _other_plan(sources.before)
+    rows: list[RequirementFact] = []
+    maps: list[MapFact] = []
+    before_is = ""
+    for row in recipe.prediction.requirements:
+        requirement = next(r for r in recipe.spec.requirement if r.name == row.name)
+        drawn: list[tuple[str, Box]] = []
+        earlier = _before(other, recipe.spec, requirement, row.axis)
+        if earlier is not None:
+            before_is = (
+                sources.before_name if other is not None else "what the spec's priors say, without a calibration"
+            )
+            drawn.append(("before", earlier))
+        values = assemble.residual_map(built, known[row.axis], requirement)
+        drawn.append(("predicted", Box(*values, row.unit)))
+        axis = _axis_of(calibration, row.axis)
+        if axis is not None and requirement.quantity in _quantities(axis):
+            _, deviation = found_map(axis, requirement.quantity, *grid_of(axis, requirement, requirement.quantity))
+            drawn.append(("achieved", deviation))
+        maps.append(MapFact(row.name, row.axis, row.quantity, tuple(drawn)))
+        rows.append(_requirement(row, requirement, recipe, calibration, earlier))
+    if not before_is and (given := _optimised_before(recipe)):
+        before_is = "the plan that the optimisation began with"
+        rows = [row._replace(before=given.get(row.name)) for row in rows]
+    return before_is, rows, maps
+
+
+def _requirement(
+    row: RequirementRow,
+    requirement: Requirement,
+    recipe: Recipe,
+    calibration: Calibration | None,
+    before: Box | None,
+) -> RequirementFact:
+    result = _result_of(calibration, row)
+    return RequirementFact(
+        row.name,
+        row.axis,
+        row.quantity,
+        row.statistic,
+        row.unit,
+        row.temperature_c,
+        row.rate_dps,
+        None if before is None else _finite(statistic(requirement.statistic, before.values)),
+        row.decisive,
+        None if result is None else result.value,
+        row.target,
+        row.verdict if result is None else result.verdict,
+        row.limited_by,
+        _limit(recipe, row),
+    )
+
+
+def _other_plan(spec: Spec | None):
+    if spec is None:
+        return None
+    built = assemble.assemble(spec)
+    return built, {channel: assemble.knowledge(built, channel) for channel in built.channels}
+
+
+def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | None:
+    """The residual of another plan, or of none where the spec has priors, on the same box."""
+    if other is None:
+        return prior_map(spec, requirement)
+    built, known = other
+    section = built.spec.sensor.bias if requirement.quantity == "bias" else built.spec.sensor.scale_factor
+    if channel not in known or section is None:
+        return None
+    return Box(*assemble.residual_map(built, known[channel], requirement), _unit(requirement.quantity))
+
+
+def _optimised_before(recipe: Recipe) -> dict[str, float]:
+    record = recipe.optimisation or {}
+    objective, value = str(record.get("objective", "")), record.get("before")
+    name = re.sub(r" \([^)]*\)$", "", objective)
+    return {name: float(value)} if isinstance(value, float | int) and name else {}
+
+
+def _limit(recipe: Recipe, row: RequirementRow) -> float | None:
+    """The proven limit that the recipe's optimisation recorded."""
+    for entry in (recipe.optimisation or {}).get("limits", ()):
+        if entry.get("requirement") == row.name and entry.get("unit") == row.unit:
+            return float(entry["certified"])
+    return None
+
+
+def _result_of(calibration: Calibration | None, row: RequirementRow) -> Result | None:
+    results = () if calibration is None else calibration.result
+    return next((r for r in results if (r.name, r.axis, r.quantity) == (row.name, row.axis, row.quantity)), None)
+
+
+def _result_alone(row: Result) -> RequirementFact:
+    words = row.statistic.removesuffix(", 1 sigma")
+    found = (None, None, None, None, row.value, row.target, row.verdict, None, None)
+    return RequirementFact(row.name, row.axis, row.quantity, words, row.unit, *found)
+
+
+def _found_alone(axis: AxisCalibration, quantity: str) -> MapFact:
+    _, deviation = found_map(axis, quantity, *grid_of(axis, None, quantity))
+    return MapFact("all that the data cover", axis.name, quantity, (("achieved", deviation),))
+
+
+def _axis_of(calibration: Calibration | None, name: str) -> AxisCalibration | None:
+    axes = () if calibration is None else calibration.axis
+    return next((axis for axis in axes if axis.name == name), None)
+
+
+def _quantities(axis: AxisCalibration) -> list[str]:
+    return [name for name, part in (("scale_factor", axis.scale_factor), ("bias", axis.bias)) if part is not None]
+
+
+def _unit(quantity: str) -> str:
+    return "ppm" if quantity == "scale_factor" else "deg/h"
+
+
+# --------------------------------------------------------------------------------------------------------- parameters
+
+
+def _parameters(
+    recipe: Recipe | None, calibration: Calibration | None, truth: dict[str, Any] | None
+) -> list[ParameterFact]:
+    predicted = {} if recipe is None else {(row.axis, _own_name(row.name)): row for row in recipe.prediction.parameters}
+    if calibration is None:
+        return [
+            ParameterFact(
+                name, axis, _multiplies(name), _factor(name)[0], None, None, _in_unit(row.std, name), None, None
+            )
+            for (axis, name), row in predicted.items()
+        ]
+    rows: list[ParameterFact] = []
+    for axis in calibration.axis:
+        hidden = (truth or {}).get(axis.name, {})
+        deviations: dict[str, float] = {}
+        if axis.covariance is not None:
+            variances = np.diag(np.array(axis.covariance.matrix))
+            deviations = dict(zip(axis.covariance.names, np.sqrt(variances).tolist(), strict=True))
+        for name, value in axis.values().items():
+            row, std = predicted.get((axis.name, name)), deviations.get(name)
+            real = hidden.get("gradient" if name == _GRADIENT else name)
+            off = None if real is None or not std else (value - real) / std
+            rows.append(
+                ParameterFact(
+                    name,
+                    axis.name,
+                    _multiplies(name),
+                    _factor(name)[0],
+                    _in_unit(value, name),
+                    _in_unit(std, name),
+                    None if row is None else _in_unit(row.std, name),
+                    _in_unit(real, name),
+                    off,
+                )
+            )
+    return rows
+
+
+def _in_unit(number: float | None, name: str) -> float | None:
+    return None if number is None else number * _factor(name)[1]
+
+
+def _own_name(name: str) -> str:
+    return name if re.match(r"[ab][\d_]", name) else _GRADIENT
+
+
+def _factor(name: str) -> tuple[str, float]:
+    if name == _GRADIENT:
+        return "deg/h/(°C/min)", DEG_PER_H / 60.0
+    return ("deg/h", DEG_PER_H) if name.startswith("a") else ("ppm", PPM)
+
+
+def _multiplies(name: str) -> str:
+    """What a coefficient of the paper stands before: powers of T′ and ω′; other bases count their functions."""
+    if name == _GRADIENT:
+        return "dT/dt"
+    if (found := re.fullmatch(r"a(\d+)", name)) is not None:
+        return _power("T′", found[1]) or "1"
+    if (found := re.fullmatch(r"b(\d)(\d)", name)) or (found := re.fullmatch(r"b(\d+)_(\d+)", name)):
+        return "·".join(part for part in (_power("ω′", found[1]), _power("T′", found[2])) if part) or "1"
+    return "function " + name[1:].strip("_").replace("_", " × ")
+
+
+def _power(symbol: str, exponent: str) -> str:
+    return "" if exponent == "0" else symbol if exponent == "1" else symbol + exponent.translate(_SUPERSCRIPTS)
+
+
+def _axis(axis: AxisCalibration, truth: dict[str, Any] | None) -> AxisFact:
+    return AxisFact(
+        axis.name,
+        tuple(standard_terms(axis)),
+        (str(axis.valid_temperature[0]), str(axis.valid_temperature[1])),
+        (str(axis.valid_rate[0]), str(axis.valid_rate[1])),
+        axis.unobservable,
+        _agreement(axis, (truth or {}).get(axis.name)),
+    )
+
+
+def _agreement(axis: AxisCalibration, hidden: dict[str, float] | None) -> tuple[float, int, float] | None:
+    """χ² of the errors of all coefficients in the estimate's own covariance."""
+    if hidden is None or axis.covariance is None or axis.unobservable:
+        return None
+    from scipy.stats import chi2
+
+    values, names = axis.values(), axis.covariance.names
+    real = [hidden.get("gradient" if name == _GRADIENT else name) for name in names]
+    if any(value is None for value in real):
+        return None
+    error = np.array([values[name] for name in names]) - np.array(real, dtype=np.float64)
+    matrix = np.array(axis.covariance.matrix)
+    size = np.sqrt(np.diag(matrix))
+    whitened = np.linalg.solve(np.linalg.cholesky(matrix / np.outer(size, size)), error / size)
+    found = float(whitened @ whitened)
+    return found, len(names), float(chi2.sf(found, len(names)))
+
+
+# -------------------------------------------------------------------------------------------- use, noise and provenance
+
+
+def _example(axis: AxisCalibration) -> ExampleFact:
+    """A reading at a third of the largest rate, at room temperature where that is covered."""
+    cold, warm = (float(end) for end in axis.valid_temperature)
+    at = 25.0 if cold <= 25.0 <= warm else 0.5 * (cold + warm)
+    said_dps = float(f"{np.degrees(max(abs(float(end)) for end in axis.valid_rate)) / 3.0:.1g}")
+    temperature, said = np.array([at]), np.array([np.radians(said_dps)])
+    true = correction.correct(axis, said, temperature)
+    return ExampleFact(
+        axis.name,
+        at,
+        said_dps,
+        float(np.degrees(correction.bias(axis, temperature)[0])),
+        float(correction.scale_factor(axis, temperature, true)[0]) * PPM,
+        float(np.degrees(true[0])),
+    )
+
+
+def _exports(calibration: Calibration, name: str) -> list[ExportFact]:
+    endings = {"ardupilot": "parm", "px4": "params", "kalibr": "yaml", "c-header": "h", "csv": "csv"}
+    found: list[ExportFact] = []
+    for target in exports.FORMATS:
+        warm = _example(calibration.axis[0]).temperature_c
+        option = f' --temperature "{warm:g} degC"' if target == "kalibr" else ""
+        command = f"gradcal export {name} --format {target}{option} -o calibration.{endings.get(target, 'txt')}"
+        try:
+            done = exports.export(calibration, target, temperature_c=warm if option else None)
+        except ValueError as error:
+            found.append(ExportFact(target, "", (f"not for this calibration: {error}",)))
+            continue
+        losses = tuple(f"axis {x.axis}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
+        found.append(ExportFact(target, command, losses))
+    return found
+
+
+def _assumed(recipe: Recipe | None, calibration: Calibration | None) -> list[tuple[str, str]]:
+    """The noise figures that numbers rest on: the spec's, or those that the calibration keeps."""
+    rows: list[tuple[str, str]] = []
+    if recipe is not None:
+        sensor, angle = recipe.spec.sensor, recipe.spec.rig.table.angle
+        rows.append(("angle random walk", str(sensor.angle_random_walk)))
+        for drift in sensor.drift:
+            rows.append(("bias instability", f"{drift.standard_deviation}, correlation time {drift.correlation_time}"))
+        for wander in sensor.scale_factor_instability:
+            words = f"{wander.standard_deviation}, correlation time {wander.correlation_time}"
+            rows.append(("scale-factor instability", words))
+        given = (
+            ("rate random walk", sensor.rate_random_walk),
+            ("turn-on bias", sensor.turn_on_bias),
+            ("sample clock error", sensor.sample_clock_error),
+            ("thermal lag", sensor.thermal_lag),
+            ("reading noise", angle.reading_noise or None),
+            ("standstill offset", angle.standstill_offset or None),
+            ("timing error", angle.timing_error or None),
+        )
+        return rows + [(name, str(value)) for name, value in given if value is not None]
+    if calibration is not None and calibration.noise is not None:
+        rows.append(("angle random walk", str(calibration.noise.angle_random_walk)))
+        if calibration.noise.rate_random_walk is not None:
+            rows.append(("rate random walk", str(calibration.noise.rate_random_walk)))
+    return rows
+
+
+def _provenance(sources: Sources) -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    recipe, calibration, run = sources.recipe, sources.calibration, sources.run
+    if recipe is not None:
+        rows += [
+            ("recipe", recipe.fingerprint),
+            ("recipe made by", recipe.made.by),
+            ("versions", ", ".join(f"{name} {number}" for name, number in recipe.made.versions.items())),
+            ("plan", recipe.status),
+        ]
+        if recipe.made.seed is not None:
+            rows.append(("seed of the optimisation", str(recipe.made.seed)))
+    if run is not None:
+        notes = run.notes()
+        rows += [
+            ("run", run.path.name),
+            ("run begun", str(notes.get("begun", ""))),
+            ("run by", f"gradcal {notes['version']}"),
+        ]
+        if notes.get("simulated"):
+            rows.append(("seed of the simulation", str(notes["simulation"]["seed"])))
+    if calibration is not None:
+        rows += [("unit", calibration.serial_number), ("frame", calibration.frame), ("order", calibration.order)]
+        names = {
+            "program": "estimated by",
+            "estimator": "estimator",
+            "readings": "readings",
+            "log": "log",
+            "spec": "model",
+        }
+        rows += [(words, calibration.provenance[key]) for key, words in names.items() if key in calibration.provenance]
+    rows += [(f"SHA-256 of {name}", digest) for name, digest in sources.paths]
+    return rows
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,236 @@
+"""The figures of a page as SVG with real text, each standing alone in a column that a telephone shows."""
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+
+from gradcal_jax import plots
+from gradcal_jax.assemble.achieved import Box
+from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor
+from gradcal_jax.plots.style import style_of
+from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, turned_axes
+from gradcal_jax.report.course import Course, rates_of
+from gradcal_jax.report.facts import MapFact
+
+# Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
+_WIDE, _HIGH, _LOW = 5.2, 3.7, 2.9
+_STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "gradcal",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Helvetica", "Arial"],
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+}
+# Residuals that differ by more than this are shown on logarithmic scales.
+_LOGARITHMIC = 4.0
+# Of labels on a map, as shares of its sides: how far from the edge, and from one another.
+_INSIDE, _APART = 0.06, np.array([0.15, 0.09])
+
+
+class Picture(NamedTuple):
+    """An SVG with its caption; `key` is its id on the page."""
+
+    key: str
+    caption: str
+    svg: str
+
+
+def map_pictures(facts: Sequence[MapFact]) -> list[list[Picture]]:
+    """For each requirement whose box no earlier one holds: its maps on one scale of colours, then their curves."""
+    found: list[list[Picture]] = []
+    drawn: list[MapFact] = []
+    for fact in facts:
+        if any(_holds(other, fact) for other in drawn):
+            continue
+        drawn.append(fact)
+        where = fact.name if len({f.axis for f in facts}) == 1 else f"{fact.name}, axis {fact.axis}"
+        key = f"{_key(fact.name)}-{fact.axis}-{fact.quantity}"
+        if fact.quantity == "bias":
+            found.append([_curves(fact, f"{key}-curves", where)])
+            continue
+        norm = _norm([box for _, box in fact.maps])
+        group = [_map(box, label, f"{key}-{label}", where, norm) for label, box in fact.maps]
+        found.append([*group, _curves(fact, f"{key}-curves", where)])
+    return found
+
+
+def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture]:
+    """Temperature and motion: planned, and done where a run is known."""
+    found: list[Picture] = []
+    if recipe is not None:
+
+        def temperatures(ax: Axes) -> None:
+            draw_planned_temperature(recipe, ax=ax)
+            if course is not None and len(course.chamber_s):
+                ax.plot(course.chamber_s / 3600.0, course.chamber_c, label="done", **style_of(1))
+                ax.legend()
+
+        caption = "Temperature of the chamber on the plan's clock."
+        if course is not None:
+            caption = "Temperature: planned, on the plan's clock, and done, on the run's, which counts waiting too."
+        found.append(_picture("temperature", caption, temperatures, _LOW))
+        for axis in turned_axes(recipe):
+            words = f"Rate of table axis {axis} as planned."
+            found.append(
+                _picture(f"planned-{axis}", words, lambda ax, a=axis: draw_planned_rate(recipe, a, ax=ax), _LOW)
+            )
+    if course is not None:
+        for axis, (time, angle) in course.angles.items():
+            if np.ptp(angle) < 1.0:
+                continue
+            step, rate = rates_of(time, angle)
+
+            def rates(ax: Axes, step=step, rate=rate) -> None:
+                ax.plot(step / 3600.0, rate, linewidth=0.8, color=style_of(1)["color"])
+                ax.set(xlabel="time since the run began, h", ylabel="rate, deg/s")
+
+            words = f"Rate of table axis {axis} as done: the mean between two readings of its angle."
+            found.append(_picture(f"done-{axis}", words, rates, _LOW))
+    return found
+
+
+def found_pictures(calibration: Calibration) -> list[Picture]:
+    """The maps that were found."""
+    found: list[Picture] = []
+    for axis in calibration.axis:
+        draw: list[tuple[str, str, Callable[[AxisCalibration, Axes], object]]] = []
+        if axis.scale_factor is not None:
+            words = f"Scale factor of axis {axis.name} as found; the band is one standard deviation."
+            draw.append(("scale-factor", words, lambda a, ax: draw_found_scale_factor(a, ax=ax)))
+        if axis.bias is not None:
+            words = f"Bias of axis {axis.name} as found; the band is one standard deviation."
+            draw.append(("bias", words, lambda a, ax: draw_found_bias(a, ax=ax)))
+        found += [
+            _picture(f"found-{name}-{axis.name}", words, lambda ax, a=axis, d=function: d(a, ax), _HIGH)
+            for name, words, function in draw
+        ]
+    return found
+
+
+# ---------------------------------------------------------------------------------------------------------------- maps
+
+
+def _holds(outer: MapFact, inner: MapFact) -> bool:
+    if (outer.axis, outer.quantity) != (inner.axis, inner.quantity):
+        return False
+    one, other = outer.maps[0][1], inner.maps[0][1]
+    return bool(
+        one.temperature_c[0] <= other.temperature_c[0]
+        and one.temperature_c[-1] >= other.temperature_c[-1]
+        and one.rate_dps[0] <= other.rate_dps[0]
+        and one.rate_dps[-1] >= other.rate_dps[-1]
+    )
+
+
+def _norm(boxes: Sequence[Box]) -> Normalize:
+    """One scale of colours for all maps of a requirement."""
+    seen = np.concatenate([box.values[np.isfinite(box.values)].ravel() for box in boxes])
+    if not len(seen):
+        return Normalize(0.0, 1.0)
+    low, high = float(seen.min()), float(seen.max())
+    if low > 0.0 and high > _LOGARITHMIC * low:
+        return LogNorm(low, high)
+    return Normalize(low, high if high > low else low + 1.0)
+
+
+def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture:
+    def draw(ax: Axes) -> None:
+        drawn = plots.draw_map(box.temperature_c, box.rate_dps, box.values, box.unit, title=label, ax=ax)
+        drawn.mesh.set_norm(norm)
+        bar = drawn.mesh.colorbar
+        assert bar is not None
+        logarithmic = isinstance(norm, LogNorm)
+        bar.locator = LogLocator(10.0, subs=(1.0, 2.0, 5.0)) if logarithmic else MaxNLocator(5)
+        bar.formatter = StrMethodFormatter("{x:.4g}")
+        bar.minorformatter = NullFormatter()
+        bar.update_ticks()
+        if drawn.contours is not None:
+            _label_once(ax, drawn.contours.labelTexts)
+
+    caption = f"{where}: residual {label}, one standard deviation."
+    if not np.all(np.isfinite(box.values)):
+        caption += " Blank: not observable."
+    return _picture(key, caption, draw, _HIGH)
+
+
+def _label_once(ax: Axes, texts: Sequence[Text]) -> None:
+    """One label a level, well inside and apart from the others; legible on dark and bright colours alike."""
+    kept: list[np.ndarray] = []
+    levels: set[str] = set()
+    for text in texts:
+        at = ax.transAxes.inverted().transform(ax.transData.transform(text.get_position()))
+        apart = all(np.any(np.abs(at - other) > _APART) for other in kept)
+        if text.get_text() in levels or not np.all((at > _INSIDE) & (at < 1.0 - _INSIDE)) or not apart:
+            text.set_visible(False)
+            continue
+        kept.append(at)
+        levels.add(text.get_text())
+        text.set(color="black", rotation=0.0, bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 1.0})
+
+
+def _curves(fact: MapFact, key: str, where: str) -> Picture:
+    bias = fact.quantity == "bias"
+
+    def draw(ax: Axes) -> None:
+        values = []
+        for index, (label, box) in enumerate(fact.maps):
+            if bias:
+                plots.draw_over_temperature(box.temperature_c, box.values, box.unit, label=label, index=index, ax=ax)
+            else:
+                plots.draw_worst_over_temperature(box.rate_dps, box.values, box.unit, label=label, index=index, ax=ax)
+            values.append(np.max(box.values, axis=1 if bias else 0))
+        seen = np.concatenate(values)
+        seen = seen[np.isfinite(seen) & (seen > 0.0)]
+        if len(seen) and seen.max() > _LOGARITHMIC * seen.min():
+            ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))
+            ax.yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
+            ax.yaxis.set_major_formatter("{x:.4g}")
+            ax.yaxis.set_minor_formatter(NullFormatter())
+        if not bias:
+            ax.set_ylabel(f"worst residual over temperature, {fact.maps[0][1].unit}")
+        ax.legend()
+
+    words = "over temperature" if bias else "the worst over temperature, against rate"
+    return _picture(key, f"{where}: residual, {words}, one standard deviation.", draw, _HIGH)
+
+
+def _key(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "requirement"
+
+
+# ----------------------------------------------------------------------------------------------------------------- SVG
+
+
+def _picture(key: str, caption: str, draw: Callable[[Axes], object], height: float) -> Picture:
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(_WIDE, height), layout="constrained")
+        draw(figure.add_subplot())
+        return Picture(key, caption, svg_of(figure, key))
+
+
+def svg_of(figure: Figure, key: str) -> str:
+    """The figure as an `<svg>` to stand in a page: as wide as its column, its ids its own, nothing fetched."""
+    stream = io.StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    figure.savefig(stream, format="svg", metadata=nothing)
+    text = stream.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    head, rest = text.split(">", 1)
+    head = re.sub(r' (width|height)="[^"]*"', "", head)
+    text = f'{head} role="img" aria-labelledby="{key}-caption">{rest}'
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{key}-\1"', text)
+    text = re.sub(r'((?:xlink:)?href)="#([^"]+)"', rf'\1="#{key}-\2"', text)
+    return re.sub(r"url\(#([^)]+)\)", rf"url(#{key}-\1)", text).strip()

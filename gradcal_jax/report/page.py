@@ -1,0 +1,259 @@
+"""The page: facts and figures set by a template; nothing is computed here, and nothing is fetched by it."""
+
+import os
+from datetime import UTC, datetime
+from importlib import resources
+from typing import Any
+
+import gradcal_jax
+from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.report.facts import Facts, ParameterFact, RequirementFact
+from gradcal_jax.report.figures import found_pictures, map_pictures, track_pictures
+from gradcal_jax.report.glossary import TERMS
+from gradcal_jax.report.sources import Sources
+from gradcal_jax.units import time_text
+
+
+def page(sources: Sources, facts: Facts) -> str:
+    """The whole page as HTML, in one file: styles and figures inside, no scripts."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["figures"] = figures
+    environment.filters["sentence"] = sentence
+    room = resources.files(__name__.rsplit(".", 1)[0])
+    template = environment.from_string((room / "page.html").read_text(encoding="utf-8"))
+    recipe, calibration = sources.recipe, sources.calibration
+    given: dict[str, Any] = {
+        "facts": facts,
+        "recipe": recipe,
+        "calibration_name": sources.calibration_name,
+        "css": (room / "style.css").read_text(encoding="utf-8"),
+        "words": _words(facts, recipe),
+        "map_groups": map_pictures(facts.maps),
+        "tracks": track_pictures(recipe, facts.course),
+        "found": [] if calibration is None else found_pictures(calibration),
+        "chamber_head": ["segment", *CHAMBER_HEAD[1:]],
+        "chamber": [] if recipe is None else chamber_rows(recipe),
+    }
+    # Only the words that the page uses are explained on it.
+    said = template.render(**given, glossary=()).lower()
+    return template.render(**given, glossary=[(term, words) for term, words in TERMS.items() if term.lower() in said])
+
+
+def figures(value: float, digits: int = 4) -> str:
+    """A number with so many digits, as people write it."""
+    text = f"{value:.{digits}g}"
+    if "e+" in text:
+        text = f"{float(text):.0f}"
+    return text.replace("-", "−")
+
+
+def sentence(text: str) -> str:
+    """Text that begins with a capital and ends with a full stop."""
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
+
+
+def _words(facts: Facts, recipe: Recipe | None) -> dict[str, Any]:
+    """Rows of cells and sentences for the template."""
+    return {
+        "verdict": _verdict(facts),
+        "times": "" if recipe is None else _times(recipe),
+        "chamber": [] if recipe is None else chamber_words(recipe),
+        "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
+        "optimised": [] if recipe is None else _optimised(recipe),
+        "has_gradient": any(p.multiplies == "dT/dt" for p in facts.parameters),
+        "done": _done(facts),
+        "waited": _waited(facts),
+        "devices": [] if facts.course is None else [tuple(device) for device in facts.course.devices],
+        "terms": [
+            [
+                (t.name, figures(t.value), "not observable" if t.std is None else figures(t.std, 3), t.unit, t.computed)
+                for t in axis.terms
+            ]
+            for axis in facts.axes
+        ],
+        "basis": _basis(recipe, facts),
+        "exports": [(row.target, row.command, "; ".join(row.losses) or "nothing is lost") for row in facts.exports],
+        "provenance": [*facts.provenance, ("page made", _made())],
+        **_requirements(facts),
+        **_parameters(facts),
+    }
+
+
+def _verdict(facts: Facts) -> str:
+    achieved = any(row.achieved is not None for row in facts.requirements)
+    with_target = [row for row in facts.requirements if row.target is not None]
+    done = "achieved" if achieved else "predicted"
+    if facts.verdict == "met":
+        return f"Met: every target of the requirements is kept by what is {done} ({_against(with_target)})."
+    if facts.verdict == "missed":
+        missed = [row for row in with_target if row.verdict == "missed"]
+        return f"Missed: what is {done} exceeds a target ({_against(missed)})."
+    if facts.verdict == "unobservable":
+        names = ", ".join(dict.fromkeys(row.name for row in facts.requirements if row.verdict == "unobservable"))
+        return f"Unobservable: this plan does not tell {names}."
+    return "No requirement has a target, so there is no verdict."
+
+
+def _against(rows: list[RequirementFact]) -> str:
+    parts: list[str] = []
+    for row in rows:
+        value = row.predicted if row.achieved is None else row.achieved
+        assert row.target is not None
+        said = "not observable" if value is None else f"{figures(value)} {row.unit}"
+        parts.append(f"{row.name}: {said} against {figures(row.target)} {row.unit}")
+    return "; ".join(parts)
+
+
+def _requirements(facts: Facts) -> dict[str, Any]:
+    rows = facts.requirements
+    several = len({row.axis for row in rows}) > 1
+    kept = {
+        "before": any(row.before is not None for row in rows),
+        "predicted": any(row.predicted is not None for row in rows),
+        "achieved": any(row.achieved is not None for row in rows),
+        "no plan leaves less than": any(row.limit is not None for row in rows),
+        "target": any(row.target is not None for row in rows),
+        "verdict": any(row.verdict is not None for row in rows),
+        "limited by": any(row.limited_by for row in rows),
+    }
+    head = ["requirement", "statistic", *(name for name, there in kept.items() if there)]
+    cells: list[list[str]] = []
+    for row in rows:
+        all_cells = {
+            "before": _value(row.before, row.unit),
+            "predicted": _value(row.predicted, row.unit),
+            "achieved": _value(row.achieved, row.unit),
+            "no plan leaves less than": _value(row.limit, row.unit),
+            "target": _value(row.target, row.unit),
+            "verdict": row.verdict or "",
+            "limited by": row.limited_by or "",
+        }
+        name = f"{row.name} ({_box(row)})" + (f", axis {row.axis}" if several else "")
+        cells.append([name, row.statistic, *(all_cells[column] for column in head[2:])])
+    return {"requirement_head": head, "requirement_rows": cells}
+
+
+def _value(value: float | None, unit: str) -> str:
+    return "" if value is None else f"{figures(value)}\N{NO-BREAK SPACE}{unit}"
+
+
+def _box(row: RequirementFact) -> str:
+    words = row.quantity.replace("_", " ")
+    if row.temperature_c is None:
+        return words
+    words += f", {figures(row.temperature_c[0])} to {figures(row.temperature_c[1])} °C"
+    if row.rate_dps is None:
+        return words
+    return words + f", {figures(row.rate_dps[0])} to {figures(row.rate_dps[1])} deg/s"
+
+
+def _parameters(facts: Facts) -> dict[str, Any]:
+    rows = facts.parameters
+    several = len({row.axis for row in rows}) > 1
+    columns = {
+        "value": any(row.value is not None for row in rows),
+        "1σ": any(row.value is not None for row in rows),
+        "1σ predicted": any(row.predicted_std is not None for row in rows),
+        "hidden truth": any(row.truth is not None for row in rows),
+        "off by": any(row.off_by_sigma is not None for row in rows),
+    }
+    kept = [name for name, there in columns.items() if there]
+    head = ["parameter", "stands before", *kept, "unit"]
+    return {
+        "parameter_head": head,
+        "parameter_rows": [
+            [f"{row.name}, axis {row.axis}" if several else row.name, row.multiplies, *_numbers(row, kept), row.unit]
+            for row in rows
+        ],
+        "parameter_numbers": tuple(range(2, 2 + len(kept))),
+    }
+
+
+def _numbers(row: ParameterFact, kept: list[str]) -> list[str]:
+    cells = {
+        "value": "" if row.value is None else figures(row.value, 6),
+        "1σ": "not observable" if row.std is None else figures(row.std),
+        "1σ predicted": "" if row.predicted_std is None else figures(row.predicted_std),
+        "hidden truth": "" if row.truth is None else figures(row.truth, 6),
+        "off by": "" if row.off_by_sigma is None else f"{figures(row.off_by_sigma, 2)} σ",
+    }
+    return [cells[name] for name in kept]
+
+
+def _basis(recipe: Recipe | None, facts: Facts) -> str:
+    """What T′ and ω′ are."""
+    if recipe is None:
+        return (
+            "T′ and ω′ are temperature and rate less their centre, over their scale, as the calibration file has them."
+        )
+    parts: list[str] = []
+    sensor = recipe.spec.sensor
+    of_temperature = next((m.temperature for m in (sensor.scale_factor, sensor.bias) if m is not None), None)
+    if of_temperature is not None and of_temperature.basis == "polynomial":
+        parts.append(f"T′ = (T − {of_temperature.centre}) / {of_temperature.scale}")
+    if sensor.scale_factor is not None and sensor.scale_factor.rate.basis == "polynomial":
+        rate = sensor.scale_factor.rate
+        parts.append(f"ω′ = (ω − {rate.centre}) / {rate.scale}")
+    said = "In the paper's basis: " + ", ".join(parts) + "." if parts else "Coefficients of the spec's bases."
+    return said + (" The plan's own uncertainty of each." if not facts.axes else "")
+
+
+def _times(recipe: Recipe) -> str:
+    times = recipe.prediction
+    return f"{time_text(times.duration_s)} in all: soak {time_text(times.soak_s)}, motion {time_text(times.motion_s)}."
+
+
+def _optimised(recipe: Recipe) -> list[str]:
+    record = recipe.optimisation
+    if not record:
+        return []
+    unit = record.get("unit", "")
+    lines: list[str] = []
+    now, before = record.get("now"), record.get("before")
+    if isinstance(now, float | int):
+        begun = f"{figures(float(before))} {unit} → " if isinstance(before, float | int) else ""
+        lines.append(f"{record.get('objective', 'objective')}: {begun}{figures(float(now))} {unit}.")
+    if record.get("structure"):
+        lines.append(sentence(str(record["structure"])))
+    if record.get("active_limits"):
+        lines.append("Limits that bind: " + "; ".join(str(said) for said in record["active_limits"]) + ".")
+    for entry in record.get("limits", ()):
+        share = entry.get("efficiency")
+        near = "" if not isinstance(share, float | int) else f", {float(share):.0%} of what this plan leaves"
+        lines.append(
+            f"Proven: no plan on this rig in this time leaves less than {figures(float(entry['certified']))} "
+            f"{entry['unit']} of {entry['requirement']}{near}."
+        )
+    return lines
+
+
+def _done(facts: Facts) -> list[str]:
+    course = facts.course
+    if course is None:
+        return []
+    parts = "in one part" if course.sessions == 1 else f"in {course.sessions} parts"
+    waited = sum(row.waited_s for row in course.waited)
+    lines = [
+        f"Run begun {course.begun}, {parts}: {course.status}, {course.steps} steps, {time_text(course.duration_s)} in "
+        f"all, of which {time_text(waited)} waited for stable temperatures.",
+        "Every device was left verified safe." if course.verified_safe else "NOT verified safe at the end.",
+    ]
+    if course.seams:
+        lines.append(f"The run was paused or resumed {course.seams} times.")
+    if course.damaged_bytes:
+        lines.append(f"{course.damaged_bytes} bytes of the journal belong to no sound record.")
+    return lines
+
+
+def _waited(facts: Facts) -> list[tuple[str, str, str]]:
+    rows = () if facts.course is None else facts.course.waited
+    return [(row.step, time_text(row.waited_s), f"{figures(row.temperature_c)} °C") for row in rows]
+
+
+def _made() -> str:
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    now = datetime.fromtimestamp(int(epoch), UTC) if epoch and epoch.isdigit() else datetime.now(UTC)
+    return f"{now:%Y-%m-%d %H:%M} UTC by gradcal {gradcal_jax.__version__}"

@@ -1,0 +1,116 @@
+"""What a page is made from: a recipe, the run of it, a calibration, and a plan to compare with."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gradcal_jax.files import Spec, spec_of
+from gradcal_jax.files.calibration import FORMAT as CALIBRATION
+from gradcal_jax.files.calibration import Calibration, read_calibration
+from gradcal_jax.files.document import read_text, read_toml
+from gradcal_jax.files.recipe import Recipe, is_recipe, recipe_of
+from gradcal_jax.hardware.run_folder import RunFolder
+
+CALIBRATION_IN_RUN = "calibration.toml"
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What was read. `paths`: name of each file or folder, with the SHA-256 of a file; `notes`: what does not fit."""
+
+    recipe: Recipe | None = None
+    run: RunFolder | None = None
+    calibration: Calibration | None = None
+    before: Spec | None = None
+    before_name: str = ""
+    calibration_name: str = ""
+    hidden_truth: dict[str, Any] | None = None
+    paths: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def read_sources(paths: Sequence[Path], *, before: Path | None = None) -> Sources:
+    """Read whatever the paths are: the folder of a run (with the calibration in it), a recipe, a calibration.
+
+    `before`: a spec, or a recipe, whose plan is compared with. Raises `ValueError`s that say what to do.
+    """
+    found: dict[str, Any] = {}
+    named: list[tuple[str, str]] = []
+
+    def take(kind: str, value: Any, path: Path) -> None:
+        if kind in found:
+            raise ValueError(f"{path} is a second {kind}: a page is made of one run, one recipe and one calibration")
+        found[kind] = value
+        if path.is_file():
+            named.append((path.name, hashlib.sha256(path.read_bytes()).hexdigest()))
+
+    for path in paths:
+        if path.is_dir():
+            folder = RunFolder(path)
+            folder.notes()
+            take("run", folder, path)
+            continue
+        document = read_toml(read_text(path), str(path))
+        if is_recipe(document):
+            take("recipe", recipe_of(document, str(path)), path)
+        elif document.get("format") == CALIBRATION:
+            take("calibration", read_calibration(path), path)
+            found["calibration_name"] = str(path)
+        else:
+            raise ValueError(
+                f"{path} is none of a run's folder, a recipe or a calibration. Of a spec make a recipe first: "
+                "gradcal recipe SPEC -o recipe.toml"
+            )
+    run: RunFolder | None = found.get("run")
+    if run is not None:
+        own = run.path / CALIBRATION_IN_RUN
+        if "recipe" not in found:
+            take("recipe", run.recipe(), run.path / "recipe.toml")
+        if "calibration" not in found and own.is_file():
+            take("calibration", read_calibration(own), own)
+            found["calibration_name"] = str(own)
+        found["hidden_truth"] = _hidden_truth(run)
+    if not found:
+        raise ValueError("a report of what? Name the folder of a run, a recipe, or a calibration")
+    if before is not None:
+        found["before"], found["before_name"] = _plan(before), before.name
+        named.append((before.name, hashlib.sha256(before.read_bytes()).hexdigest()))
+    return Sources(**found, paths=tuple(named), notes=tuple(_misfits(found)))
+
+
+def _plan(path: Path) -> Spec:
+    document = read_toml(read_text(path), str(path))
+    return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
+
+
+def _hidden_truth(run: RunFolder) -> dict[str, Any] | None:
+    path = run.path / "hidden_truth.json"
+    if not path.is_file() or not run.notes().get("simulated"):
+        return None
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        raise ValueError(f"{path} cannot be read: take it out of the folder, or run the rehearsal anew") from None
+
+
+def _misfits(found: dict[str, Any]) -> list[str]:
+    """Sources that do not belong together."""
+    recipe: Recipe | None = found.get("recipe")
+    calibration: Calibration | None = found.get("calibration")
+    run: RunFolder | None = found.get("run")
+    notes: list[str] = []
+    if recipe is not None and calibration is not None:
+        made_by = calibration.provenance.get("recipe")
+        if made_by is None:
+            notes.append("the calibration does not say which recipe its log was made by")
+        elif made_by != recipe.fingerprint:
+            notes.append(
+                f"the calibration's log was made by another recipe ({made_by[:12]}) than the one here "
+                f"({recipe.fingerprint[:12]}): predicted and achieved are not of one plan"
+            )
+    if run is not None and recipe is not None and run.notes().get("recipe") != recipe.fingerprint:
+        notes.append("the run was begun with another recipe than the one here")
+    return notes

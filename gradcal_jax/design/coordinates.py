@@ -215,7 +215,7 @@ class Coordinates(eqx.Module):
         factor = jnp.where(angles > 0.0, share(there, back), share(back, there))
         excursion = jnp.max(jnp.abs(jnp.cumsum(angles * factor)))
         factor = factor * jnp.minimum(1.0, self.limits.travel / jnp.where(excursion > 0.0, excursion, 1.0))
-        return cycle._replace(peak_rates=cycle.peak_rates.at[self._turns].multiply(factor))
+        return cycle._replace(peak_rates=cycle.peak_rates.at[self._turns].multiply(factor, unique_indices=True))
 
     def _angle(self, cycle: Cycle, i: int) -> Array:
         return formulas.turned_angle(self.elements[i].shape, cycle.peak_rates[i], cycle.durations[i], cycle.ramps[i])

@@ -261,15 +261,16 @@ def _gradient(
     moving = np.asarray(done.timeline.moving)
     temperature, mean_rate = _means(first, done)
     time = first.time[done.rows[1:]]
+    turning = _within(done.rows, moving & ~done.broken, len(first.time))
 
     def observe(lag: float, parameters: np.ndarray | None) -> Observations:
         columns = []
         for k, unit in enumerate(members):
             one = rows[unit]
             followed = _followed(one, lag)
-            rates = one.rate - rest_bias if parameters is None else one.rate - options.earth_rate
+            rates = one.rate - (rest_bias if parameters is None else options.earth_rate)
             if parameters is not None:
-                rates = room.true_rate(model, parameters[k], rates, followed)
+                rates[turning] = room.true_rate(model, parameters[k], rates[turning], followed[turning])
             turned = None if one.angle is None else np.diff(one.angle[done.rows])
             increments = room.increments_of_samples(
                 model,
@@ -337,7 +338,7 @@ def _finished(
     tests = room.consistency(found, white, 0, _subsets(observations, rows), to_reported(model))
     if lag_std is not None and lag > 0.99 * _LONGEST_LAG_S:
         messages.append(f"the lag stands at the longest looked at, {lag:.0f} s: the data do not tell it")
-    inside = rows.temperature[_integrated_rows(done)]
+    inside = rows.temperature[_integrated_rows(done, len(rows.time))]
     return UnitChannel(
         axis,
         log.units[unit],
@@ -440,20 +441,22 @@ def _fitted_lag(settle) -> tuple[float, float]:
     return lag, float(1.0 / np.sqrt(bend)) if bend > 0.0 else float("inf")
 
 
-def _integrated_rows(done: room.Executed) -> np.ndarray:
-    """Numbers of the rows whose samples were integrated."""
-    kept = [
-        np.arange(a + 1, b + 1)
-        for a, b, lost in zip(done.rows[:-1], done.rows[1:], done.broken, strict=True)
-        if not lost and b > a
-    ]
-    return np.concatenate(kept) if kept else np.array([int(done.rows[0])])
+def _within(rows: np.ndarray, pieces: np.ndarray, count: int) -> np.ndarray:
+    """`(count,)`: whether a row lies in one of the chosen pieces."""
+    change = np.zeros(count + 1, np.int64)
+    np.add.at(change, rows[:-1][pieces] + 1, 1)
+    np.add.at(change, rows[1:][pieces] + 1, -1)
+    return np.cumsum(change[:-1]) > 0
+
+
+def _integrated_rows(done: room.Executed, count: int) -> np.ndarray:
+    """`(count,)`: the rows whose samples were integrated."""
+    return _within(done.rows, ~done.broken, count)
 
 
 def _counts(log: Log, members: list[int], done: room.Executed) -> dict[int, dict[str, int]]:
     """Every row read: used, or why not."""
-    used = np.zeros(len(log.time_s), bool)
-    used[_integrated_rows(done)] = True
+    used = _integrated_rows(done, len(log.time_s))
     return {unit: count_rows(log, unit, used) for unit in members}
 
 

@@ -98,12 +98,13 @@ def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarra
     """Readings in `subset` against the others, of one unit; None where either side is empty."""
     if subset.all() or not subset.any():
         return None
-    first, second = solve(white.only(subset)), solve(white.only(~subset))
-    both = solve(white)
+    halves = white.only(subset).condensed(), white.only(~subset).condensed()
+    three = (*halves, halves[0].joined(halves[1]))
+    first, second, both = (solve(part) for part in three)
     # The prior's rows are in both halves and would count twice: what is known beforehand is no news of either.
-    without = [solve(w._replace(prior=w.prior[:0])) for w in (white.only(subset), white.only(~subset), white)]
+    without = [solve(part._replace(prior=part.prior[:0])) for part in three]
     squares = [float(s.chi_squared[0]) for s in without]
-    ranks = [w.data.shape[1] - int(s.degrees[0]) for w, s in zip(_parts(white, subset), without, strict=True)]
+    ranks = [part.data.shape[1] - int(s.degrees[0]) for part, s in zip(three, without, strict=True)]
     agreement = _test(max(squares[2] - squares[0] - squares[1], 0.0), ranks[0] + ranks[1] - ranks[2])
     held_out = _test(float(both.chi_squared[0] - first.chi_squared[0]), int((~subset).sum()))
     apart = to_reported @ (first.parameters[0] - second.parameters[0])
@@ -111,10 +112,6 @@ def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarra
     seen = np.isfinite(variance) & (variance > 0.0)
     differences = np.where(seen, apart / np.sqrt(np.where(seen, variance, 1.0)), np.nan)
     return Split(name, (int(subset.sum()), int((~subset).sum())), agreement, held_out, differences)
-
-
-def _parts(white: Whitened, subset: np.ndarray) -> tuple[Whitened, Whitened, Whitened]:
-    return white.only(subset), white.only(~subset), white
 
 
 def nees_band(runs: int, parameters: int, confidence: float = 0.99) -> tuple[float, float]:

@@ -42,6 +42,22 @@ class Whitened(NamedTuple):
         """Some of the readings `(n,)`: whitened rows are independent, so any subset is an experiment of its own."""
         return Whitened(self.rows[:, subset], self.data[:, subset], self.prior)
 
+    def condensed(self) -> "Whitened":
+        """As many rows as there are parameters, and one, with the same least squares and the same χ² (of any subset and
+        its complement together, too); what each reading left is lost."""
+        rows, data = [], []
+        for unit in range(len(self.data)):
+            both = np.concatenate([self.rows_of(unit), self.data[unit][:, None]], axis=1)
+            triangle = np.linalg.qr(both, mode="r")
+            rows.append(triangle[:, :-1])
+            data.append(triangle[:, -1])
+        return Whitened(np.stack(rows), np.stack(data), self.prior)
+
+    def joined(self, other: "Whitened") -> "Whitened":
+        """The readings of both."""
+        rows, data = ((self.rows, other.rows), (self.data, other.data))
+        return Whitened(np.concatenate(rows, axis=1), np.concatenate(data, axis=1), self.prior)
+
 
 class Estimate(NamedTuple):
     """Of `U` units. `parameters` `(U, p)`, in the engine's coordinates; `known`: what they are uncertain by, one for
@@ -102,45 +118,38 @@ def _filled(steps: NoiseSteps, extra: int) -> NoiseSteps:
 
 def solve(white: Whitened) -> Estimate:
     """Least squares of every unit. What cannot be observed gets the smallest parameters, and is `known.hidden`."""
-    units = len(white.data)
+    units, priors = len(white.data), len(white.prior)
     parameters, known, squares, degrees = [], [], [], []
-    shared: Posterior | None = None
-    if len(white.rows) == 1:
-        design = np.concatenate([white.rows[0], white.prior])
-        shared, scale = _posterior(design)
-        data = np.concatenate([white.data, np.zeros((units, len(white.prior)))], axis=1).T
-        found, rank = _least_squares(design, data, scale)
-        parameters = list(found.T)
-        squares = list(np.sum((data - design @ found) ** 2, axis=0))
-        known, degrees = [shared] * units, [len(design) - rank] * units
-    else:
-        for unit in range(units):
-            design = np.concatenate([white.rows[unit], white.prior])
-            one, scale = _posterior(design)
-            data = np.append(white.data[unit], np.zeros(len(white.prior)))
-            found, rank = _least_squares(design, data[:, None], scale)
-            parameters.append(found[:, 0])
-            known.append(one)
-            squares.append(float(np.sum((data - design @ found[:, 0]) ** 2)))
-            degrees.append(len(design) - rank)
+    for rows, members in (
+        [(white.rows[0], range(units))] if len(white.rows) == 1 else [(white.rows[u], [u]) for u in range(units)]
+    ):
+        design = np.concatenate([rows, white.prior])
+        data = np.concatenate([white.data[list(members)], np.zeros((len(members), priors))], axis=1).T
+        factor, rotated, scale = _factor(design, data)
+        one = posterior(SquareRootInformation(factor, scale))  # pyright: ignore[reportArgumentType]
+        solution, _, rank, _ = np.linalg.lstsq(factor, rotated, rcond=OBSERVABLE)
+        found = solution / scale[:, None]
+        parameters += list(found.T)
+        squares += list(np.sum((data - design @ found) ** 2, axis=0))
+        known += [one] * len(members)
+        degrees += [len(design) - int(rank)] * len(members)
     beta = np.array(parameters)
     residuals = np.stack([white.data[u] - white.rows_of(u) @ beta[u] for u in range(units)])
     return Estimate(beta, tuple(known), residuals, np.array(squares), np.array(degrees))
 
 
-def _posterior(design: np.ndarray) -> tuple[Posterior, np.ndarray]:
-    """As `information.square_root` has it, by NumPy's QR: the shapes vary, and nothing is differentiated."""
+def _factor(design: np.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`R` `(p, p)` of the design with columns of length one, `Qᵀ data`, and the columns' lengths.
+
+    As `information.square_root` has it, by NumPy's QR: the shapes vary, and nothing is differentiated.
+    """
     norm = np.linalg.norm(design, axis=0)
     scale = np.where(norm > 0.0, norm, 1.0)
     rows = design / scale
-    if len(rows) < rows.shape[1]:
-        rows = np.pad(rows, ((0, rows.shape[1] - len(rows)), (0, 0)))
-    return posterior(SquareRootInformation(np.linalg.qr(rows, mode="r"), scale)), scale  # pyright: ignore
-
-
-def _least_squares(design: np.ndarray, data: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, int]:
-    solution, _, rank, _ = np.linalg.lstsq(design / scale, data, rcond=OBSERVABLE)
-    return solution / scale[:, None], int(rank)
+    if missing := max(0, rows.shape[1] - len(rows)):
+        rows, data = np.pad(rows, ((0, missing), (0, 0))), np.pad(data, ((0, missing), (0, 0)))
+    orthogonal, factor = np.linalg.qr(rows)
+    return factor, orthogonal.T @ data, scale
 
 
 def estimate(observations: Observations, model: GyroModel) -> Estimate:

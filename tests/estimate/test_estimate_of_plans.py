@@ -69,7 +69,7 @@ def test_a_thousand_units_err_as_predicted(name):
 
 
 def test_units_share_one_whitening_and_may_have_columns_of_their_own():
-    built, observations, _ = simulated("paper-dynamic-standard", 3)
+    built, observations, _ = simulated("paper-static-standard", 3)
     shared = estimate(observations, built.model)
     own = observations._replace(columns=np.stack([observations.columns * f for f in (1.0, 2.0, 0.5)]))
     apart = estimate(own, built.model)
@@ -79,7 +79,7 @@ def test_units_share_one_whitening_and_may_have_columns_of_their_own():
 
 
 def test_a_reading_that_is_not_finite_is_refused():
-    built, observations, _ = simulated("paper-dynamic-standard", 2)
+    built, observations, _ = simulated("paper-static-standard", 2)
     observations.readings[3, 1] = np.nan
     with pytest.raises(ValueError, match="not finite"):
         estimate(observations, built.model)

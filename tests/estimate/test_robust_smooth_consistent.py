@@ -1,0 +1,252 @@
+"""Outliers, smoothness, tests of the fit: the parts of the estimator on whitened rows, against brute force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from logs_zoo import GRADIENT, spec_of
+from scipy import stats
+
+from gradcal_jax.assemble import assemble
+from gradcal_jax.assemble.estimate import Options, estimate_channels
+from gradcal_jax.assemble.simulation import simulate_log
+from gradcal_jax.estimate import (
+    Whitened,
+    choose_smoothness,
+    consistency,
+    find_standstills,
+    increments_of_samples,
+    solve,
+    split,
+    whiteness,
+    with_smoothness,
+)
+from gradcal_jax.information import to_reported
+
+BINS = 'temperature = { basis = "bins", edges = [%s] }\nsmoothness = "%s"' % (  # noqa: UP031
+    ", ".join(f'"{t} degC"' for t in range(0, 41, 2)),
+    "30 deg/h",
+)
+POLYNOMIAL = 'temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "20 K" }'
+DEG_PER_H = np.radians(1.0) / 3600.0
+
+
+@pytest.fixture(scope="module")
+def small():
+    spec = spec_of()
+    return spec, simulate_log(spec, sample_rate_hz=20.0, seed=11)
+
+
+def random_rows(rng, n=300, p=6, units=1):
+    rows = rng.standard_normal((1, n, p)) * np.geomspace(1.0, 1e6, p)
+    truth = rng.standard_normal((units, p)) / np.geomspace(1.0, 1e6, p)
+    return Whitened(rows, truth @ rows[0].T + rng.standard_normal((units, n)), np.zeros((0, p))), truth
+
+
+# --- least squares ----------------------------------------------------------------------------------------------------
+
+
+def test_condensed_rows_are_the_same_least_squares():
+    white, _ = random_rows(np.random.default_rng(0), units=2)
+    whole = solve(white)
+    subset = np.arange(300) < 120
+    halves = white.only(subset).condensed(), white.only(~subset).condensed()
+    for small in (white.condensed(), halves[0].joined(halves[1])):
+        assert small.data.shape[1] <= 14
+        again = solve(small)
+        np.testing.assert_allclose(again.parameters, whole.parameters, rtol=1e-9)
+        np.testing.assert_allclose(again.chi_squared, whole.chi_squared, rtol=1e-9)
+        rows = np.eye(6)
+        np.testing.assert_allclose(again.known[0].covariance(rows), whole.known[0].covariance(rows), rtol=1e-9)
+
+
+def test_what_nothing_is_said_of_is_hidden_and_gets_the_smallest_parameters():
+    rng = np.random.default_rng(1)
+    rows = rng.standard_normal((1, 50, 3))
+    rows[:, :, 2] = rows[:, :, 0] + rows[:, :, 1]
+    found = solve(Whitened(rows, rows[0].sum(axis=1)[None], np.zeros((0, 3))))
+    assert found.known[0].hidden.shape == (3, 1)
+    assert found.degrees[0] == 50 - 2
+    assert found.chi_squared[0] < 1e-20
+    known = solve(Whitened(rows, rows[0].sum(axis=1)[None], np.array([[0.0, 0.0, 10.0]])))
+    assert known.known[0].hidden.shape == (3, 0)
+
+
+# --- robust -----------------------------------------------------------------------------------------------------------
+
+
+def test_clean_data_are_estimated_as_without_robustness(small):
+    spec, made = small
+    (plain,) = estimate_channels(spec, made.log)
+    (robust,) = estimate_channels(spec, made.log, options=Options(robust=True, threshold=1e3))
+    np.testing.assert_array_equal(robust.found.parameters, plain.found.parameters)
+    assert np.all(robust.weights == 1.0)
+
+
+def test_bad_readings_count_for_less_and_are_named(small):
+    spec, made = small
+    log = made.log
+    rng = np.random.default_rng(3)
+    standing = np.flatnonzero(log.standstill >= 0)
+    slipped = np.sort(rng.choice(standing[::20], 8, replace=False))
+    angle = log.table_angle_rad.copy()
+    angle[slipped] += np.radians(0.5) * rng.choice([-1.0, 1.0], (8, 1))  # the encoder slips for one reading
+    bad = replace(log, table_angle_rad=angle)
+    (clean,) = estimate_channels(spec, log)
+    (plain,) = estimate_channels(spec, bad)
+    (robust,) = estimate_channels(spec, bad, options=Options(robust=True))
+    rows = to_reported(clean.model)
+    std = clean.found.known[0].deviations(rows)
+    off = [np.abs(rows @ (c.found.parameters[0] - clean.found.parameters[0])) / std for c in (plain, robust)]
+    assert off[0].max() > 3.0
+    assert off[1].max() < 1.0
+    assert not plain.consistency.fit.passed
+    low = int(np.count_nonzero(robust.weights < 0.2))
+    assert 1 <= low <= 10  # those of the eight at which the table was read
+    assert any("count for less" in message for message in robust.messages)
+
+
+# --- smoothness -------------------------------------------------------------------------------------------------------
+
+
+def bins_model():
+    text = GRADIENT.replace(POLYNOMIAL, BINS, 1)
+    return assemble(spec_of(text)).model
+
+
+def test_the_marginal_likelihood_is_that_of_the_data():
+    """Against the density of the data with the parameters integrated out, at several strengths; a proper prior."""
+    from gradcal_jax.estimate.smoothing import _minus_twice_log
+
+    rng = np.random.default_rng(4)
+    model = bins_model()
+    prior = np.asarray(with_smoothness(model, 30 * DEG_PER_H, None).prior_rows())
+    p = prior.shape[1]
+    proper = np.concatenate([prior, np.diag(rng.uniform(0.5, 2.0, p)) * np.abs(prior).max()])
+    design = rng.standard_normal((60, p)) * np.abs(prior).max()
+    data = rng.standard_normal(60) * 3.0
+    triangle, rotated = np.linalg.qr(design, mode="r"), np.linalg.qr(design)[0].T @ data
+    values, truth = [], []
+    for factor in (0.3, 1.0, 4.0):
+        rows = proper * factor
+        values.append(_minus_twice_log(triangle, rotated, rows))
+        covariance = np.eye(60) + design @ np.linalg.solve(rows.T @ rows, design.T)
+        truth.append(float(data @ np.linalg.solve(covariance, data)) + np.linalg.slogdet(covariance)[1])
+    np.testing.assert_allclose(np.diff(values), np.diff(truth), rtol=1e-6)
+
+
+def test_the_strength_chosen_leaves_less_than_too_little_or_too_much():
+    """A curved bias in twenty bins, seen with noise that hides the steps between neighbours."""
+    rng = np.random.default_rng(5)
+    model = bins_model()
+    columns = model.columns
+    where = np.arange(20)
+    truth = 40 * DEG_PER_H * np.sin(where / 4.0)
+    rows = np.zeros((1, 400, columns.count))
+    rows[0, np.arange(400), rng.integers(0, 20, 400)] = 1.0 / (60 * DEG_PER_H)
+    data = rows[0][:, columns.bias] @ truth + rng.standard_normal(400)
+    white = Whitened(rows, data[None], np.asarray(model.prior_rows()))
+    chosen = choose_smoothness(white, model)
+    assert not chosen.at_edge
+    assert 3 * DEG_PER_H < chosen.bias < 60 * DEG_PER_H  # true neighbours are 7 deg/h rms apart
+
+    def left(std):
+        smooth = with_smoothness(model, std, None)
+        found = solve(white._replace(prior=np.asarray(smooth.prior_rows())))
+        return float(np.sqrt(np.mean((found.parameters[0][columns.bias] - truth) ** 2)))
+
+    assert left(chosen.bias) < 0.8 * left(1e4 * DEG_PER_H)
+    assert left(chosen.bias) < 0.5 * left(0.05 * DEG_PER_H)
+    with pytest.raises(ValueError, match="no map of this model has a smoothness prior"):
+        choose_smoothness(white, assemble(spec_of()).model)
+
+
+# --- tests of the fit -------------------------------------------------------------------------------------------------
+
+
+def test_halves_agree_as_chance_has_it_and_a_change_is_named():
+    rng = np.random.default_rng(6)
+    white, _ = random_rows(rng, units=200)
+    subset = np.arange(300) < 150
+    chances = []
+    for unit in range(200):
+        one = split(Whitened(white.rows, white.data[unit : unit + 1], white.prior), "halves", subset, np.eye(6))
+        assert one.agreement.degrees == 6
+        chances.append((one.agreement.probability, one.held_out.probability))
+    for column in np.array(chances).T:
+        assert stats.kstest(column, "uniform").pvalue > 1e-3
+    changed = white.data[:1] + np.where(subset, 0.0, white.rows[0, :, 2] * 1e-2)
+    one = split(Whitened(white.rows, changed, white.prior), "halves", subset, np.eye(6))
+    assert not one.agreement.passed
+    assert np.argmax(np.abs(one.differences)) == 2
+
+
+def test_whiteness_notices_what_lasts():
+    rng = np.random.default_rng(7)
+    shocks = rng.standard_normal(2000)
+    assert whiteness(shocks).passed
+    assert not whiteness(np.convolve(shocks, [1.0, 0.3], "valid")).passed
+    white, _ = random_rows(rng)
+    quiet = consistency(solve(white), white, 0, {"none": np.ones(300, bool)}, np.eye(6))
+    assert quiet.splits == ()
+    assert quiet.noise_scale == pytest.approx(1.0, abs=0.15)
+
+
+# --- samples ----------------------------------------------------------------------------------------------------------
+
+
+def test_noisy_rates_do_not_bias_the_regressors():
+    """Errors in variables: cubic regressors of a rate with noise as large as itself, summed over many samples."""
+    model = assemble(
+        spec_of(GRADIENT.replace('degree = 1, scale = "300 deg/s"', 'degree = 3, scale = "300 deg/s"'))
+    ).model
+    rng = np.random.default_rng(8)
+    count, noise = 400_000, np.radians(30.0)
+    truth = np.radians(60.0) * np.sin(np.linspace(0.0, 40.0, count)) + np.radians(40.0)
+    said = truth + noise * rng.standard_normal(count)
+    steps, rows = np.full(count, 0.01), np.array([0, count - 1])
+    temperature, yes, no = np.full(count, 25.0), np.ones(1, bool), np.zeros(1, bool)
+
+    def sums(rate, level):
+        found = increments_of_samples(model, rate, temperature, steps, rows, yes, no, rate_noise=level)
+        return (found @ np.linalg.inv(to_reported(model)))[0, model.columns.scale]
+
+    want, corrected, naive = sums(truth, 0.0), sums(said, noise), sums(said, 0.0)
+    spread = 6.0 * np.sqrt(count) * 0.01 * noise  # what the noise itself does to a sum
+    assert np.all(np.abs(corrected - want) < spread)
+    assert np.max(np.abs(naive - want)) > 5.0 * np.max(np.abs(corrected - want))
+
+
+# --- standstills ------------------------------------------------------------------------------------------------------
+
+
+def test_standstills_are_found_in_noise_and_in_vibration():
+    rng = np.random.default_rng(9)
+    rate_hz, rest, turn = 100, 500, 300
+    profile = np.tile(np.concatenate([np.zeros(rest), np.sin(np.linspace(0, np.pi, turn)) ** 2]), 12)
+    moving = np.tile(np.r_[np.zeros(rest, bool), np.ones(turn, bool)], 12)
+    rates = np.zeros((len(profile), 3))
+    rates[:, 1] = np.radians(200.0) * profile
+    rates += np.radians(0.05) * rng.standard_normal(rates.shape) + np.radians([0.3, -0.2, 0.1])
+    time = np.arange(len(profile)) / rate_hz
+    shaking = np.where(np.arange(len(profile)) < 4000, 1.0, 0.0) * np.radians(1.0) * np.sin(2 * np.pi * 31.0 * time)
+    for more in (0.0, shaking):
+        number = find_standstills(rates + np.multiply.outer(more * np.ones(len(profile)), [1.0, 0.2, 0.5]), 0.01)
+        assert number.max() + 1 == 12
+        inside = number >= 0
+        assert np.mean(profile[inside] > 0.01) < 0.02  # only the slow ends of moves pass for rest
+        assert inside[~moving].mean() > 0.85
+    valid = rng.random(len(profile)) > 0.01
+    assert find_standstills(np.where(valid[:, None], rates, 1e3), 0.01, valid=valid).max() + 1 >= 12
+    still = find_standstills(rates[: rest - 10], 0.01)
+    assert np.all(still == 0)
+
+
+def test_what_is_never_quiet_or_too_short_is_a_sentence():
+    rng = np.random.default_rng(10)
+    with pytest.raises(ValueError, match="nothing in the record is quiet"):
+        find_standstills(5.0 + rng.standard_normal((1000, 1)), 0.01)
+    with pytest.raises(ValueError, match="fewer than four rows"):
+        find_standstills(rng.standard_normal((1000, 1)), 0.5)
+    with pytest.raises(ValueError, match="shorter than two windows"):
+        find_standstills(rng.standard_normal((60, 1)), 0.01)

@@ -48,7 +48,7 @@ class Whitened(NamedTuple):
         rows, data = [], []
         for unit in range(len(self.data)):
             both = np.concatenate([self.rows_of(unit), self.data[unit][:, None]], axis=1)
-            triangle = np.linalg.qr(both, mode="r")
+            triangle = np.asarray(np.linalg.qr(both, mode="r"))
             rows.append(triangle[:, :-1])
             data.append(triangle[:, -1])
         return Whitened(np.stack(rows), np.stack(data), self.prior)

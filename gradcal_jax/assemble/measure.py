@@ -112,18 +112,18 @@ def _leaves(tables: dict[str, Any], before: str):
 
 
 def _criterion(built: Assembled, requirement: Requirement) -> Criterion:
-    temperature, rate = box(requirement)
+    temperature, rate = box(requirement, _GRID)
     return criterion(built.model, requirement.quantity, temperature, rate, requirement.statistic)
 
 
-def box(requirement: Requirement, most: int = _GRID) -> tuple[np.ndarray, np.ndarray]:
-    """A requirement's temperatures (°C) and rates (rad/s) on a grid no finer than the search needs."""
+def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side."""
     cold, warm = requirement.temperature
-    temperatures = np.linspace(float(cold), float(warm), min(most, requirement.grid[0]))
+    temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
     if requirement.quantity == "bias":
         return temperatures, np.zeros(1)
     slow, fast = requirement.rate
-    return temperatures, np.linspace(float(slow), float(fast), min(most, requirement.grid[1]))
+    return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
 
 
 def _optimality(built: Assembled, name: str) -> Optimality:

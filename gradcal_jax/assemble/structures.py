@@ -203,21 +203,21 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
     if "duration" not in free:
         return [_given(spec, scenarios, cycle, free, time)]
     if "cycle" in design.free:
-        # The last turn at the table ends with the ramp, so that both ends are visited.
-        choices = [(n, time / (n + (n - 1) * (1.0 / share - 1.0))) for n in _FREE_VISITS]
+        # The axis keeps its share of the time; its last turn at the table ends with the ramp: both ends are seen.
+        choices = [(n, share * time / n, (1.0 - share) * time / (n - 1)) for n in _FREE_VISITS]
     else:
-        choices = [(repetitions(time, own, own + other)[0], own)]
+        choices = [(repetitions(time, own, own + other)[0], own, other)]
         if choices[0][0] == 0:
             raise ValueError(f"one turn at the table takes {own:.4g} s, the ramp only {time:.4g} s: give it more time")
     found = []
-    for visits, each in choices:
+    for visits, each, between in choices:
         alike = design.cycles == "alike"
         groups = 1 if alike else -(-visits // max(1, -(-visits // _MOST_OWN)))
         cycles = visits if alike else max(1, visits // groups)
         groups = 1 if alike else visits // cycles
         moves = design.moves or max(_LEAST_MOVES, -(-_MOVES // groups))
         rest = float(_read_every(cycle))
-        ends_moving = abs(cycles * groups * (each / share) - each * (1.0 / share - 1.0) - time) < 1e-6
+        ends_moving = abs(cycles * groups * (each + between) - between - time) < 1e-6
         shape = next((m.shape for m in cycle.moves if m.shape in RAMPED_SHAPES), "cosine ramps")
         elements = _elements(
             shape, groups, moves, rest, not_shared=other <= 0.0, ends=ends_moving, bands=_bands(design, groups)
@@ -225,7 +225,7 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
         coordinates = make_coordinates(
             elements,
             limits_of(spec, scenarios),
-            _frame(spec, cycle, each, each * (1.0 / share - 1.0), time),
+            _frame(spec, cycle, each, between, time),
             cycles=cycles,
             others_read=cycle.other_read_every is not None,
             free=free,

@@ -73,7 +73,7 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
     moves: list[dict[str, object]] = []
     for i, element in enumerate(coordinates.elements):
         if i and element.group != coordinates.elements[i - 1].group and coordinates.shared:
-            moves.append({"rest": _s(float(frame.other_time)), **reading})
+            moves.append({"rest": _s(float(frame.other_time)), "other_axes": True, **reading})
         if element.shape == "rest":
             moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
             continue

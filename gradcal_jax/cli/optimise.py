@@ -71,17 +71,25 @@ def optimise(
     from gradcal_jax.assemble import checkpoints
     from gradcal_jax.assemble.optimise import Optimised
     from gradcal_jax.assemble.optimise import optimise as search
+    from gradcal_jax.assemble.quickest import quickest
+    from gradcal_jax.files.design import TIMES
 
+    shortest = found.design is not None and found.design.minimise in TIMES
+    if shortest and resume:
+        raise ValueError("a search for the shortest plan is not kept: start anew, without --resume")
     kept = output.with_name(output.name + ".search.npz")
     checkpoint = checkpoints.read(kept, found) if resume else None
     with _Interrupt() as interrupt:
         best: Optimised | None = None
-        for event in search(found, steps=steps, checkpoint=checkpoint, stop=lambda: interrupt.asked):
+        options = {"steps": steps, "stop": lambda: interrupt.asked}
+        events = quickest(found, **options) if shortest else search(found, **options, checkpoint=checkpoint)
+        for event in events:
             if isinstance(event, Optimised):
                 best = event
-            else:
+                continue
+            if not shortest:
                 checkpoints.write(kept, found, event.checkpoint)
-                _show(event)
+            _show(event)
         assert best is not None
     record = record_of(best)
     status = best.sentence if not interrupt.asked else f"interrupted, the best so far: {best.sentence}"
@@ -102,7 +110,7 @@ def optimise(
         print(text(best))
         print(f"wrote {output}; read it with: gradcal show {output}" + (f"\nwrote {plot}" if plot is not None else ""))
     if interrupt.asked:
-        complain(f"interrupted; go on with: gradcal optimise {spec} -o {output} --resume")
+        complain("interrupted" + ("" if shortest else f"; go on with: gradcal optimise {spec} -o {output} --resume"))
         return INTERRUPTED
     return CONVERGED if best.converged else NOT_CONVERGED
 

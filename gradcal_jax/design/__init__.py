@@ -2,7 +2,7 @@
 
 from gradcal_jax.design.coordinates import Coordinates, Cycle, Element, Frame, Limits, make_coordinates
 from gradcal_jax.design.criteria import Criterion, Optimality, criterion
-from gradcal_jax.design.limit import Limit, least_noise_density, limit
+from gradcal_jax.design.limit import Limit, gated_noise_density, least_noise_density, limit
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, StandardCoordinates
 from gradcal_jax.design.search import Found, Progress, State, polish, search
 
@@ -21,6 +21,7 @@ __all__ = [
     "StandardCoordinates",
     "State",
     "criterion",
+    "gated_noise_density",
     "least_noise_density",
     "limit",
     "make_coordinates",

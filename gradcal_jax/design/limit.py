@@ -14,9 +14,10 @@ largest `tr(G·I(m))` over the measures, every feasible I' and every c > 0 satis
 
     Ψ_w(I') = c^½ Ψ_w(cI') ≥ c^½ (Ψ_w + Ψ_w/2 − c·d),      best for c = Ψ_w/(2d):      Ψ_w(I') ≥ Ψ_w·√(Ψ_w/(2d)).
 
-Any I certifies; a good one certifies much. A prior I₀ adds `tr(G·I₀)` to d. The largest integrand over ω is a
-polynomial's, of degree n, sampled at m Chebyshev points: its true maximum is at most the sampled one over
-`cos(nπ/2m)` (Ehlich and Zeller, 1964), and d is enlarged by that.
+Any I certifies; a good one certifies much. A prior I₀ adds `tr(G·I₀)` to d. For fixed T the integrand is a polynomial
+in ω, whose largest value is found from its derivative's roots. The root mean square is handled likewise, with the
+weights `w = s/(nΨ)` of its own gradient (Cauchy–Schwarz). For D-optimality, `Ψ = det(I)^(−1/2p)`: log det is concave,
+and `Ψ* ≥ Ψ·√(p/d)` with `d` the largest `tr(I⁻¹I(m))` (Kiefer and Wolfowitz, 1960).
 
 **Drift and readings.** With readings at least Δ apart, of variance R each, N² may be replaced by the least over λ of
 
@@ -25,23 +26,38 @@ polynomial's, of degree n, sampled at m Chebyshev points: its true maximum is at
 the integrated error is seen through a window of frequencies in which drift and readings cost the more the slower, and
 the faster, the motion is. A design that stays below every frequency cannot be (large-sieve inequality); the best ε is
 taken.
+
+**Turns at the table.** An axis that turns only in given windows of time cannot have all its motion at the best
+frequency. For every combination of columns, `x(t)` supported in the windows, `∫|X|²/S dλ/2π ≤ μ ∫x²dt` with μ the
+largest eigenvalue of the kernel k(t − t'), the transform of 1/S, restricted to the windows: 1/μ replaces the least S.
+1/S is rational in λ², so k is a point mass 1/S(∞) and a sum of exponentials, by partial fractions; the eigenvalue is
+that of a midpoint rule.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+import scipy.linalg
+from jaxtyping import Array, Float
+from numpy.polynomial import chebyshev
 from scipy.optimize import minimize
 
-from gradcal_jax.design.criteria import Criterion
+from gradcal_jax.design.criteria import Criterion, Optimality
 from gradcal_jax.errormodel import GyroModel, Polynomial
-from gradcal_jax.information import square_root
 
-_SHARPNESS = (20.0, 100.0, 500.0, 2000.0)
-_RATES = 161
+# The maximum hardens; between the stages the rates that would help most join the grid.
+_SHARPNESS = (8.0, 30.0, 100.0, 400.0, 2000.0, 10000.0)
+_RATES = 25
+# The logarithm of the weight of a place that is still empty: its rate is zero, which brings nothing.
+_EMPTY = -30.0
+# A maximum over temperature is searched on so many.
+_TEMPERATURES = 26
+# The eigenvalue's midpoint rule has at most so many points.
+_POINTS = 1500
 
 
 class Limit(NamedTuple):
@@ -56,7 +72,7 @@ class Limit(NamedTuple):
 
 
 def limit(
-    criterion: Criterion,
+    criterion: Criterion | Optimality,
     model: GyroModel,
     *,
     motion_time: float,
@@ -64,86 +80,213 @@ def limit(
     fixed_programme: bool,
     max_rate: float,
     noise_density: float,
+    tolerance: float = 2e-3,
 ) -> Limit:
     """The limit for a scale-factor criterion, B(T) known or not (knowing it only helps, so the limit holds).
 
-    `motion_time` s: of the axis; `temperatures` °C: a grid on which the motion time is spread evenly
-    (`fixed_programme`) or as it likes. `noise_density` rad²/s: N², or `least_noise_density`.
+    `motion_time` s: of the axis; `temperatures` °C: points over which the motion time is spread evenly
+    (`fixed_programme`) or as it likes. `noise_density` rad²/s: N², `least_noise_density` or `gated_noise_density`.
+    `tolerance`: how far apart, relatively, what is certified and what is reached may stay.
+    Errors: `ValueError` for a criterion or a map that the proof does not cover.
     """
     if model.scale is None or not isinstance(model.scale.rate, Polynomial):
         raise ValueError("the limit is for a scale factor that is polynomial in rate: give the model such a map")
-    rates = max_rate * np.cos(np.pi * (np.arange(_RATES) + 0.5) / _RATES)
-    grid_t, grid_w = np.meshgrid(temperatures, rates, indexing="ij")
-    columns = model.columns
-    moments = np.zeros((grid_t.size, columns.count))
-    values = np.asarray(model.scale.values(jnp.asarray(grid_t.ravel()), jnp.asarray(grid_w.ravel())))
-    moments[:, columns.scale] = values * grid_w.reshape(-1, 1) * np.sqrt(motion_time / noise_density)
-    prior = np.asarray(model.prior_rows())
-    # Columns other than M's are taken as known: that is information added, never taken away.
-    other = np.setdiff1d(np.arange(columns.count), np.arange(columns.scale.start, columns.scale.stop))
-    known = np.zeros((len(other), columns.count))
-    known[np.arange(len(other)), other] = 1.0
-    fixed = jnp.asarray(np.concatenate([prior, known]))
-    shape = grid_t.shape
-    points = jnp.asarray(moments)
-
-    def weights(z: Array) -> Array:
-        """The measure: for each temperature a distribution over rate, or one distribution over both."""
-        z = jnp.reshape(z, shape)
-        if fixed_programme:
-            return jnp.reshape(jax.nn.softmax(z, axis=1) / shape[0], (-1,))
-        return jax.nn.softmax(jnp.reshape(z, (-1,)))
-
-    def root(z: Array):
-        return square_root(jnp.concatenate([points * jnp.sqrt(weights(z))[:, None], fixed]))
-
-    smooth = eqx.filter_jit(jax.value_and_grad(lambda z, k: jnp.log(criterion(root(z), k))))
-    z = np.zeros(grid_t.size)
+    if isinstance(criterion, Optimality) and criterion.kind == "E":
+        raise ValueError("there is no limit for E-optimality: ask for A- or D-optimality, or a residual")
+    given = model, motion_time / noise_density, np.asarray(temperatures), fixed_programme
+    # A maximum over fewer temperatures is no larger, so what is certified for it is certified.
+    problem, whole = _Problem(_thinned(criterion), *given), _Problem(criterion, *given)
+    # Rates that turn out useful take empty places, so that every stage has the same shape and is compiled once.
+    grid = max_rate * np.cos(np.pi * np.arange(_RATES) / (_RATES - 1))
+    rates = np.tile(np.concatenate([grid, np.zeros(2 * len(_SHARPNESS))]), (len(temperatures), 1))
+    logs = np.where(np.arange(rates.shape[1]) < _RATES, 0.0, _EMPTY) + np.zeros_like(rates)
     best = Limit(0.0, np.inf, noise_density)
-    for sharpness in _SHARPNESS:
-        k = jnp.asarray(sharpness)
-
-        def both(z, k=k):
-            value, gradient = smooth(jnp.asarray(z), k)
-            return float(value), np.asarray(gradient)
-
-        z = minimize(both, z, jac=True, method="L-BFGS-B", options={"maxiter": 300, "maxfun": 400}).x
-        certified, reached = _certificate(
-            criterion, root(jnp.asarray(z)), moments, shape, fixed, k, 2 * model.scale.rate.size, fixed_programme
-        )
-        best = Limit(max(best.certified, certified), min(best.reached, reached), noise_density)
+    for stage, sharpness in enumerate(_SHARPNESS):
+        logs = problem.solve(rates, logs, sharpness)
+        certified, peaks = problem.certify(rates, logs, sharpness, max_rate)
+        best = Limit(max(best.certified, float(certified)), min(best.reached, whole.value(rates, logs)), noise_density)
+        if best.reached <= best.certified * (1.0 + tolerance):
+            break
+        # Most requirements do not tell left from right, so that the mirrored rate would be next.
+        new = slice(_RATES + 2 * stage, _RATES + 2 * stage + 2)
+        rates[:, new] = np.stack([peaks, -peaks], axis=1)
+        logs[:, new] = np.max(logs, axis=1, keepdims=True) + np.log(1e-3)
     return best
 
 
-def _certificate(criterion, info, moments, shape, fixed, sharpness, degree: int, fixed_programme: bool):
-    """`Ψ_w·√(Ψ_w/(2d))` and the exact Ψ at an information matrix; see the module's head."""
-    values = criterion.map(info)
-    peak = jnp.max(values, axis=0)
-    if criterion.statistic in ("mean of max", "max"):
-        near = jax.nn.softmax(sharpness * (values - peak[None]) / peak[None], axis=0) / values.shape[1]
-        if criterion.statistic == "max":
-            top = jnp.max(values)
-            near = jax.nn.softmax(jnp.ravel(sharpness * (values - top) / top)).reshape(values.shape)
-        exact = float(jnp.mean(peak)) if criterion.statistic == "mean of max" else float(jnp.max(values))
-    elif criterion.statistic == "mean":
-        near, exact = jnp.full(values.shape, 1.0 / values.size), float(jnp.mean(values))
-    else:
-        raise ValueError(
-            f"there is no limit for the statistic {criterion.statistic!r}: ask for mean of max, max or mean"
-        )
-    weighted = float(jnp.sum(near * values))
-    # G = Σ w/(2s)·(I⁻¹φ)(I⁻¹φ)ᵀ, by two triangular solves.
-    scaled = (criterion.rows / info.scale[None, :]).T
-    half = jax.scipy.linalg.solve_triangular(info.factor, scaled, trans=1, lower=False)
-    solved = jax.scipy.linalg.solve_triangular(info.factor, half, lower=False) / info.scale[:, None]
-    share = jnp.ravel(near / (2.0 * values))
-    rows = jnp.asarray(moments)
-    density = jnp.reshape(jnp.sum((rows @ solved) ** 2 * share[None, :], axis=1), shape)
-    largest = jnp.max(density, axis=1) / np.cos(degree * np.pi / (2 * shape[1]))
-    attained = jnp.mean(largest) if fixed_programme else jnp.max(largest)
-    given = jnp.sum(jnp.sum((fixed @ solved) ** 2, axis=0) * share)
-    most = float(attained + given)
-    return weighted * np.sqrt(min(weighted / (2.0 * most), 1.0)), exact
+class _Problem:
+    """The relaxed problem in columns of about unit size."""
+
+    def __init__(self, criterion, model: GyroModel, gain: float, temperatures: np.ndarray, fixed_programme: bool):
+        self.criterion, self.model, self.gain = criterion, model, gain
+        self.temperatures, self.fixed_programme = temperatures, fixed_programme
+        where = model.columns.scale
+        self.columns = where
+        # Columns other than M's are taken as known: that is information added, never taken away.
+        self.rows = np.asarray(criterion.rows)[:, where.start : where.stop]
+        prior = np.asarray(model.prior_rows())[:, where.start : where.stop]
+        self.prior = prior.T @ prior
+        self.beyond = np.asarray(getattr(criterion, "beyond", np.zeros(len(self.rows))))
+
+    def moments(self, temperature: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Rows whose squares are the information of the whole motion time at a point."""
+        assert self.model.scale is not None
+        values = self.model.scale.values(jnp.asarray(temperature), jnp.asarray(rate))
+        return np.asarray(values) * rate[:, None] * np.sqrt(self.gain)
+
+    def solve(self, rates: np.ndarray, logs: np.ndarray, sharpness: float) -> np.ndarray:
+        """Logarithms of better weights `(n_T, m)` on given rates, by L-BFGS."""
+        arrays = [jnp.asarray(a) for a in (self._points(rates), self.prior, self.rows, self.beyond, sharpness)]
+
+        def both(z):
+            found, gradient = _value(
+                jnp.asarray(z.reshape(logs.shape)),
+                *arrays,
+                self.fixed_programme,
+                _statistic(self.criterion),
+                self._shape,
+            )
+            return float(found), np.asarray(gradient).ravel()
+
+        options = {"maxiter": 500, "maxfun": 700, "maxcor": 30, "ftol": 1e-14, "gtol": 1e-11}
+        return minimize(both, logs.ravel(), jac=True, method="L-BFGS-B", options=options).x.reshape(logs.shape)
+
+    def _points(self, rates: np.ndarray) -> np.ndarray:
+        return self.moments(np.repeat(self.temperatures, rates.shape[1]), rates.ravel())
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return getattr(self.criterion, "shape", (len(self.rows), 1))
+
+    def _halves(self, rates, logs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Columns' sizes, the triangular factor R of the scaled information, and R⁻ᵀ of the criterion's rows."""
+        weights = np.asarray(_shares(jnp.asarray(logs), self.fixed_programme))
+        # Of the weighted rows themselves: their squares would lose half the digits.
+        weighted = np.concatenate([self._points(rates) * np.sqrt(weights).reshape(-1, 1), _root(self.prior)])
+        size = np.linalg.norm(weighted, axis=0)
+        factor = np.asarray(np.linalg.qr(weighted / size, mode="r"))
+        return size, factor, scipy.linalg.solve_triangular(factor, (self.rows / size).T, trans=1)
+
+    def value(self, rates, logs) -> float:
+        """The exact criterion at given weights."""
+        half = self._halves(rates, logs)[2]
+        if _statistic(self.criterion) == "D":
+            return float(np.exp(np.linalg.slogdet(half.T @ half)[1] / (2 * len(half))))
+        return _dual(self._deviations(half), _statistic(self.criterion), np.inf)[0]
+
+    def _deviations(self, half: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.sum(half**2, axis=0) + self.beyond).reshape(self._shape)
+
+    def certify(self, rates, logs, sharpness: float, max_rate: float) -> tuple[float, np.ndarray]:
+        """What an information matrix certifies, and the most useful rate at each temperature."""
+        size, factor, half = self._halves(rates, logs)
+        count = len(half)
+        if _statistic(self.criterion) == "D":
+            # tr(I⁻¹ m) = |R⁻ᵀ m|²
+            useful = scipy.linalg.solve_triangular(factor, np.eye(count), trans=1) / size[None, :]
+            share, value = np.ones(count), self.value(rates, logs)
+        else:
+            values = self._deviations(half)
+            near = _dual(values, _statistic(self.criterion), sharpness)[1]
+            useful = scipy.linalg.solve_triangular(factor, half).T / size[None, :]
+            share, value = (near / (2.0 * values)).ravel(), float(np.sum(near * values))
+        density, peaks = self._largest(useful, share, max_rate)
+        most = float(np.mean(density)) if self.fixed_programme else float(np.max(density))
+        most += float(share @ np.einsum("gi,ij,gj->g", useful, self.prior, useful))
+        enough = count if _statistic(self.criterion) == "D" else value / 2.0
+        return value * np.sqrt(min(enough / most, 1.0)), peaks
+
+    def _largest(self, useful: np.ndarray, share: np.ndarray, max_rate: float) -> tuple[np.ndarray, np.ndarray]:
+        """At each temperature the largest of `Σ share·(useful·m)²` over the rates, and where it is."""
+        assert self.model.scale is not None
+        assert self.model.scale.rate is not None
+        degree = 2 * self.model.scale.rate.size
+        nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+        largest, where = [], []
+        for temperature in self.temperatures:
+            rows = self.moments(np.full(degree + 1, temperature), max_rate * nodes)
+            values = ((rows @ useful.T) ** 2) @ share
+            polynomial = chebyshev.chebfit(nodes, values, degree)
+            inner = np.asarray(chebyshev.chebroots(chebyshev.chebder(polynomial)), dtype=complex)
+            real = np.real(inner[np.abs(np.imag(inner)) < 1e-6])
+            tried = np.concatenate([[-1.0, 1.0], real[np.abs(real) < 1.0]])
+            found = chebyshev.chebval(tried, polynomial)
+            at = int(np.argmax(found))
+            largest.append(float(found[at]))
+            where.append(max_rate * float(tried[at]))
+        return np.array(largest), np.array(where)
+
+
+def _statistic(criterion: Criterion | Optimality) -> str:
+    if isinstance(criterion, Optimality):
+        return "rms" if criterion.kind == "A" else criterion.kind
+    return criterion.statistic
+
+
+def _thinned(criterion: Criterion | Optimality) -> Criterion | Optimality:
+    """A maximum over temperature on fewer temperatures, ends included; what is no maximum as it is."""
+    if _statistic(criterion) not in ("max", "mean of max"):
+        return criterion
+    assert isinstance(criterion, Criterion)
+    every, across = criterion.shape
+    kept = np.unique(np.round(np.linspace(0, every - 1, min(every, _TEMPERATURES))).astype(int))
+    some = lambda v: v.reshape(every, across, -1)[kept].reshape(len(kept) * across, -1)  # noqa: E731
+    return Criterion(some(criterion.rows), some(criterion.beyond)[:, 0], (len(kept), across), criterion.statistic)
+
+
+def _shares(logs: Float[Array, "n m"], fixed_programme: bool) -> Float[Array, "n m"]:
+    """The measure: for each temperature a distribution over rate, or one distribution over both."""
+    if fixed_programme:
+        return jax.nn.softmax(logs, axis=1) / logs.shape[0]
+    return jax.nn.softmax(logs)
+
+
+def _relaxed(logs, points, prior, rows, beyond, sharpness, fixed_programme: bool, statistic: str, shape) -> Array:
+    """The logarithm of the smooth criterion at given weights."""
+    weights = jnp.reshape(_shares(logs, fixed_programme), (-1, 1))
+    information = (points * weights).T @ points + prior
+    size = jnp.sqrt(jnp.diag(information))
+    factor = jnp.linalg.cholesky(information / size[:, None] / size[None, :])
+    # The inverse of a small factor and one product: many right-hand sides would be solved one after another.
+    half = jax.scipy.linalg.solve_triangular(factor, jnp.eye(len(size)), lower=True) @ (rows / size[None, :]).T
+    if statistic == "D":
+        return jnp.linalg.slogdet(half.T @ half)[1] / (2 * rows.shape[1])
+    values = jnp.reshape(jnp.sqrt(jnp.sum(half**2, axis=0) + beyond), shape)
+    if statistic == "mean":
+        return jnp.log(jnp.mean(values))
+    if statistic == "rms":
+        return 0.5 * jnp.log(jnp.mean(values**2))
+    if statistic == "max":
+        values = jnp.reshape(values, (-1, 1))
+    top = jnp.max(values, axis=0)
+    return jnp.log(jnp.mean(top * jnp.sum((values / top[None, :]) ** sharpness, axis=0) ** (1.0 / sharpness)))
+
+
+_value = eqx.filter_jit(jax.value_and_grad(_relaxed))
+
+
+def _dual(values: np.ndarray, statistic: str, sharpness: float) -> tuple[float, np.ndarray]:
+    """The exact statistic Ψ, and weights with `Σ w·s ≤ Ψ(s)` for every s."""
+    if statistic == "mean":
+        return float(np.mean(values)), np.full(values.shape, 1.0 / values.size)
+    if statistic == "rms":
+        value = float(np.sqrt(np.mean(values**2)))
+        return value, values / (values.size * value)
+    if statistic == "max":
+        near = (values / np.max(values)) ** (sharpness - 1.0)
+        return float(np.max(values)), near / np.sum(near)
+    top = np.max(values, axis=0)
+    near = (values / top) ** (sharpness - 1.0)
+    return float(np.mean(top)), near / np.sum(near, axis=0) / values.shape[1]
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    """Rows with `rowsᵀ rows = matrix`, which may be singular."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+
+
+# --- the least noise that motion meets --------------------------------------------------------------------------------
 
 
 def least_noise_density(model: GyroModel, spacing: float) -> float:
@@ -151,21 +294,75 @@ def least_noise_density(model: GyroModel, spacing: float) -> float:
 
     Only processes that drive the angle at any rate (bias_gain) count, and only the white noise of a reading.
     """
-    walk = float(model.angle_random_walk) ** 2
-    p = model.processes
-    decay, diffusion = np.asarray(p.decay), np.asarray(p.diffusion)
-    gain = np.where(np.asarray(p.rate_gain) == 0.0, np.asarray(p.bias_gain), 0.0)
-    variance = float(model.reference.reading_noise) ** 2
-    frequency = np.concatenate([[0.0], np.geomspace(1e-7, 1e3, 4001)])[:, None]
-    # q²/(λ² + 1/τ²): for a Gauss-Markov process 2σ²τ/(1 + λ²τ²).
-    below = np.maximum(frequency**2 + decay[None] ** 2, 1e-300)
-    drift = np.sum((gain * diffusion)[None] ** 2 / below, axis=1)
-
-    def worst(log_epsilon: float) -> float:
-        epsilon = np.exp(log_epsilon)
-        square = frequency[:, 0] ** 2
-        window = 1.0 / spacing + epsilon / 2.0 + square / (2.0 * epsilon)
-        return float(np.min(walk + drift + variance * square / window))
-
+    spectrum = _Spectrum(model)
     # Any ε gives a valid limit, so a grid is enough.
-    return max(walk, *(worst(x) for x in np.linspace(-15.0, 10.0, 251)))
+    return max(spectrum.walk, *(spectrum.least(np.exp(x), spacing) for x in np.linspace(-15.0, 10.0, 251)))
+
+
+def gated_noise_density(model: GyroModel, spacing: float, windows: Sequence[tuple[float, float]]) -> float:
+    """1/μ in rad²/s for an axis that turns only in `windows` (begin, end; s); never below `least_noise_density`."""
+    spectrum = _Spectrum(model)
+    total = sum(end - begin for begin, end in windows)
+    step = max(total / _POINTS, 0.5)
+    times, widths = [], []
+    for begin, end in windows:
+        count = max(1, round((end - begin) / step))
+        times.append(begin + (end - begin) * (np.arange(count) + 0.5) / count)
+        widths.append(np.full(count, (end - begin) / count))
+    t, root = np.concatenate(times), np.sqrt(np.concatenate(widths))
+    lags = np.abs(t[:, None] - t[None, :])
+
+    def density(log_epsilon: float) -> float:
+        flat, kernel = spectrum.kernel(np.exp(log_epsilon), spacing)
+        matrix = kernel(lags) * root[:, None] * root[None, :]
+        last = len(t) - 1
+        largest = scipy.linalg.eigh(matrix, eigvals_only=True, subset_by_index=[last, last])[0]
+        return 1.0 / (flat + max(float(largest), 0.0))
+
+    free = least_noise_density(model, spacing)
+    if spectrum.variance == 0.0 or not spectrum.decay.size:
+        return free
+    # The best ε of the free problem is a good one here; any is valid.
+    at = max(np.linspace(-15.0, 10.0, 251), key=lambda x: spectrum.least(np.exp(x), spacing))
+    return max(free, *(density(at + shift) for shift in (0.0, 0.5, 1.0)))
+
+
+class _Spectrum:
+    """S(λ) of a model: see the module's head."""
+
+    def __init__(self, model: GyroModel):
+        p = model.processes
+        gain = np.where(np.asarray(p.rate_gain) == 0.0, np.asarray(p.bias_gain), 0.0)
+        keep = gain * np.asarray(p.diffusion) != 0.0
+        self.walk = float(model.angle_random_walk) ** 2
+        self.variance = float(model.reference.reading_noise) ** 2
+        self.decay = np.asarray(p.decay)[keep]
+        # q²/(λ² + 1/τ²): for a Gauss-Markov process 2σ²τ/(1 + λ²τ²).
+        self.drive = (gain * np.asarray(p.diffusion))[keep] ** 2
+
+    def least(self, epsilon: float, spacing: float) -> float:
+        square = np.concatenate([[0.0], np.geomspace(1e-7, 1e3, 4001)]) ** 2
+        drift = np.sum(self.drive / np.maximum(square[:, None] + self.decay**2, 1e-300), axis=1)
+        window = 1.0 / spacing + epsilon / 2.0 + square / (2.0 * epsilon)
+        return float(np.min(self.walk + drift + self.variance * square / window))
+
+    def kernel(self, epsilon: float, spacing: float):
+        """The transform of 1/S: its point mass, and the rest as a function of the lag (s)."""
+        # In x = λ²: S = walk + Σ drive/(x + decay²) + 2εR·x/(x + b), over the common denominator Q.
+        b = 2.0 * epsilon * (1.0 / spacing + epsilon / 2.0)
+        poles = np.concatenate([-(self.decay**2), [-b]])
+        flat = self.walk + 2.0 * epsilon * self.variance
+        q = np.poly(poles)
+        numerators = np.concatenate([self.drive, [-2.0 * epsilon * self.variance * b]])
+        p = flat * q
+        for k, value in enumerate(numerators):
+            p = np.polyadd(p, value * np.poly(np.delete(poles, k)))
+        roots = np.roots(p).astype(complex)
+        residues = np.polyval(q, roots) / np.polyval(np.polyder(p), roots)
+        rates = np.sqrt(-roots)
+
+        def smooth(lag: np.ndarray) -> np.ndarray:
+            terms = [(r / (2.0 * a)) * np.exp(-a * lag) for r, a in zip(residues, rates, strict=True)]
+            return np.real(np.sum(terms, axis=0))
+
+        return 1.0 / flat, smooth

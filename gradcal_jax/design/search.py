@@ -5,6 +5,7 @@ steps at a time, so that whoever drives the search sees its progress and may sto
 """
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
@@ -79,9 +80,7 @@ def search(
     as that gains something, `hops` times at most. `state`: go on from there. Errors: `ValueError` when no start gives a
     finite objective.
     """
-    merit = _merit(objective)
-    exact = eqx.filter_jit(lambda z: jax.lax.map(lambda one: merit(one, None), z))
-    advance = eqx.filter_jit(lambda z, k: _advance(merit, z, k, chunk))
+    exact, advance = _compiled(objective, chunk)
     generator = np.random.default_rng(seed)
     stage = max(1, round(steps / (chunk * len(SHARPNESS)))) * chunk
     total = stage * (len(SHARPNESS) + hops)
@@ -114,6 +113,15 @@ def search(
             best, best_point = float(values[at]), points[at]
         state = State(points, values, state.step + chunk, state.first, best, best_point)
         yield Progress(state.first, best, state.step, total, state)
+
+
+# The last objective's programs are kept for whoever searches it again.
+@lru_cache(maxsize=1)
+def _compiled(objective: Objective, chunk: int):
+    """The exact merit of points, and a few steps from each of them at a sharpness."""
+    merit = _merit(objective)
+    exact = eqx.filter_jit(lambda z: jax.lax.map(lambda one: merit(one, None), z))
+    return exact, eqx.filter_jit(lambda z, k: _advance(merit, z, k, chunk))
 
 
 def _merit(objective: Objective) -> Callable[[Array, Array | None], Array]:

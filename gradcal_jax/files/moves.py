@@ -25,7 +25,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax import formulas
 from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
-from gradcal_jax.files.quantity import Angle, Count, Number, Rate, Time
+from gradcal_jax.files.quantity import Angle, Count, Flag, Number, Rate, Time
 from gradcal_jax.files.section import Section, a_table, choose, refuse
 
 Axis = Literal["x", "y", "z"]
@@ -42,7 +42,8 @@ class ResolvedMove:
     `gradcal_jax.formulas.shape_pieces`: `controls` are rates relative to `peak_rate`.
     `fastest` and `peak_acceleration` are true maxima of the magnitude.
     `low` and `high` bound the angle during the move, from its start. The move is made `repeat` times.
-    A reading is taken at the end (`read_end`), or every `read_every` seconds from the start.
+    A reading is taken at the end (`read_end`), or every `read_every` seconds from the start. `other_axes`: a rest
+    during which the table is other axes'.
     """
 
     shape: str
@@ -61,6 +62,7 @@ class ResolvedMove:
     repeat: int = 1
     read_end: bool = True
     read_every: float | None = None
+    other_axes: bool = False
 
     @property
     def is_rest(self) -> bool:
@@ -93,9 +95,10 @@ class _Move(Section):
 
 
 class Rest(_Move):
-    """Standing still."""
+    """Standing still. `other_axes`: because the table turns other axes meanwhile."""
 
     rest: Time
+    other_axes: Flag = False
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """The rest in SI."""
@@ -104,6 +107,7 @@ class Rest(_Move):
             "rest",
             self.axis,
             float(self.rest),
+            other_axes=self.other_axes,
             repeat=self.repeat,
             read_end=self.read_end,
             read_every=_number(self.read_every),

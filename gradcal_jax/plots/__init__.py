@@ -1,5 +1,6 @@
 """One file a family of figures. Functions take `ax=None`, label with units, return what they drew and never show it."""
 
+from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.spec import draw_comparison, draw_prediction
 from gradcal_jax.plots.style import save, style_of
@@ -7,9 +8,11 @@ from gradcal_jax.plots.timeline import draw_temperature
 
 __all__ = [
     "draw_comparison",
+    "draw_frontier",
     "draw_map",
     "draw_over_temperature",
     "draw_prediction",
+    "draw_sensitivities",
     "draw_temperature",
     "draw_worst_over_temperature",
     "save",

@@ -5,12 +5,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.polynomial import legendre
+from scipy.optimize import minimize
 
 from gradcal_jax.design import (
     Coordinates,
     Element,
     Frame,
     Limits,
+    Optimality,
     criterion,
     least_noise_density,
     limit,
@@ -82,23 +85,56 @@ def test_the_gradient_is_the_difference():
     assert np.max(np.abs(gradient - difference)) < 1e-6 * np.linalg.norm(gradient)
 
 
-def test_the_limit_meets_a_known_optimum():
-    """M = b0 + b1·x, x = ω/ω_max: all the time at x = ±1 is best, and leaves √2·N/(ω_max·√time) at the ends."""
-    constant_in_t = model(0, 1)
-    worst = criterion(constant_in_t, "scale_factor", np.array([20.0]), np.linspace(-MAX, MAX, 21), "max")
-    found = limit(
-        worst,
+def limit_of(criterion_, constant_in_t: GyroModel, seconds: float):
+    return limit(
+        criterion_,
         constant_in_t,
-        motion_time=1000.0,
+        motion_time=seconds,
         temperatures=np.array([20.0]),
         fixed_programme=True,
         max_rate=MAX,
         noise_density=WALK**2,
+        tolerance=1e-7,
     )
+
+
+def test_the_limit_meets_the_known_g_optimum():
+    """M = b0 + b1·x, x = ω/ω_max: all the time at x = ±1 is best, and leaves √2·N/(ω_max·√time) at the ends."""
+    constant_in_t = model(0, 1)
+    worst = criterion(constant_in_t, "scale_factor", np.array([20.0]), np.linspace(-MAX, MAX, 21), "max")
+    found = limit_of(worst, constant_in_t, 1000.0)
     known = np.sqrt(2.0) * WALK / (MAX * np.sqrt(1000.0))
     assert found.certified <= known * (1 + 1e-12)
-    assert found.certified == pytest.approx(known, rel=1e-3)
-    assert found.reached == pytest.approx(known, rel=1e-3)
+    assert found.certified == pytest.approx(known, rel=1e-6)
+    assert found.reached == pytest.approx(known, rel=1e-6)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_the_limit_meets_the_known_d_optimum(degree):
+    """Polynomials without a constant, x … x^(d+1): their D-optimal weights and places are found here by a search of
+    their own, over symmetric designs, of which one is optimal."""
+    constant_in_t = model(0, degree)
+    found = limit_of(Optimality(jnp.eye(degree + 1), "D"), constant_in_t, 1000.0)
+    powers = np.arange(1, degree + 2)
+
+    def negative(z):
+        inner = 1.0 / (1.0 + np.exp(-z[:1]))
+        places = np.concatenate([[1.0], inner])
+        weights = np.exp(np.append(z[1:], 0.0))
+        weights = np.repeat(weights / np.sum(weights) / 2.0, 2)
+        rows = np.stack([places, -places], axis=1).ravel()[:, None] ** powers
+        return -np.linalg.slogdet((rows * weights[:, None]).T @ rows)[1]
+
+    best = min(
+        minimize(negative, z, method="Nelder-Mead", options={"xatol": 1e-11, "fatol": 1e-14}).fun
+        for z in ([0.0, 0.0], [-1.0, 1.0], [1.0, -1.0])
+    )
+    # The model's columns are Legendre polynomials: their leading coefficients are the change of determinant.
+    leading = np.prod([legendre.leg2poly(np.eye(degree + 1)[k])[-1] for k in range(degree + 1)])
+    known = WALK / (MAX * np.sqrt(1000.0)) * np.exp((best - 2 * np.log(leading)) / (2 * (degree + 1)))
+    assert found.certified <= known * (1 + 1e-9)
+    assert found.certified == pytest.approx(known, rel=1e-6)
+    assert found.reached == pytest.approx(known, rel=1e-6)
 
 
 def test_drift_and_readings_only_raise_the_limit():
@@ -108,12 +144,20 @@ def test_drift_and_readings_only_raise_the_limit():
     assert least_noise_density(quiet, 1.0) == pytest.approx(WALK**2, rel=1e-3)
 
 
-def test_the_search_improves_and_never_beats_the_limit():
-    both = lambda z, sharpness: (objective(z, sharpness), jnp.zeros(0))  # noqa: E731
-    reports = list(search(both, PLAN.size, starts=3, seed=0, steps=80, chunk=20, hops=1))
-    best = reports[-1].state
-    found = polish(both, best.best_point)
-    assert found.value <= best.best <= reports[0].first
+def without_limits(z, sharpness):
+    return objective(z, sharpness), jnp.zeros(0)
+
+
+def test_the_search_improves_goes_on_where_it_was_and_never_beats_the_limit():
+    options = {"starts": 2, "seed": 0, "steps": 80, "chunk": 20, "hops": 1}
+    whole = [p.state for p in search(without_limits, PLAN.size, **options)]
+    rest = [p.state for p in search(without_limits, PLAN.size, **options, state=whole[1])]
+    best = whole[-1]
+    assert len(rest) == len(whole) - 2
+    assert rest[-1].best == best.best
+    assert np.array_equal(rest[-1].best_point, best.best_point)
+    found = polish(without_limits, best.best_point)
+    assert found.value <= best.best <= best.first
     assert found.value == pytest.approx(float(objective(jnp.asarray(found.point), None)), rel=1e-12)
     assert found.converged, found.sentence
     proven = limit(
@@ -127,16 +171,6 @@ def test_the_search_improves_and_never_beats_the_limit():
     )
     assert proven.certified <= proven.reached * (1 + 1e-12)
     assert proven.certified * 1e6 <= found.value
-
-
-def test_a_search_that_goes_on_ends_where_the_whole_one_does():
-    both = lambda z, sharpness: (objective(z, sharpness), jnp.zeros(0))  # noqa: E731
-    options = {"starts": 2, "seed": 1, "steps": 80, "chunk": 20, "hops": 1}
-    whole = [p.state for p in search(both, PLAN.size, **options)]
-    rest = [p.state for p in search(both, PLAN.size, **options, state=whole[1])]
-    assert rest[-1].best == whole[-1].best
-    assert np.array_equal(rest[-1].best_point, whole[-1].best_point)
-    assert len(rest) == len(whole) - 2
 
 
 def test_a_limit_that_binds_is_held_and_priced():

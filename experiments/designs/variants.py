@@ -1,0 +1,128 @@
+"""The headline case and its variants, each optimised and set beside its limit: recipes, and a table.
+
+    python experiments/designs/variants.py [NAME …]
+
+Without names all are run (some minutes each); with names, those alone, and the others keep their rows. Recipes go to
+experiments/recipes, figures to results.json and table.md here.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import jax
+
+from gradcal_jax.files import Spec, changed, read_spec, to_toml
+
+HERE = Path(__file__).parent
+RECIPES = HERE.parent / "recipes"
+FREE = ["duration", "peak_rate", "ramp"]
+BIAS = {"temperature": {"basis": "polynomial", "degree": 3, "centre": "20 degC", "scale": "50 K"}}
+REALISTIC = {
+    "rig.table.angle.reading_noise": "0 deg",
+    "rig.table.angle.standstill_offset": "0.05 deg",
+    "sensor.scale_factor_instability": [{"standard_deviation": "20 ppm", "correlation_time": "20 min"}],
+    "sensor.thermal_lag": "5 min",
+    # The map's slope is a draw, too: 20 ppm/K is a usual figure of such gyros.
+    "sensor.temperature_error": {"standard_deviation": "0.1 K", "scale_factor_slope": "20 ppm/K"},
+}
+HARMONICS = [{"order": 1, "amplitude": "0.05 deg"}, {"order": 2, "amplitude": "0.02 deg"}]
+STATIC = {
+    "2h40": {"plan.gradient": "1 K/min", "design.max_total": "160 min"},
+    "9h": {"plan.gradient": "1 K/min", "design.max_total": "540 min"},
+}
+MOVING: dict[str, dict[str, object]] = {
+    "headline": {},
+    "cycle-length-free": {"design.free": [*FREE, "cycle"]},
+    "bias-unknown": {"sensor.bias": BIAS},
+    "six-distinct-rates": {"design.min_distinct_rates": 6},
+    "whole-turns": {"design.whole_turns": True, "rig.table.angle.harmonics": HARMONICS},
+    "realistic-budget": REALISTIC,
+    "shortest-for-77ppm": {
+        "requirement[0].target": "77 ppm",
+        "design.minimise": "motion time",
+        "design.max_motion": "100 min",
+    },
+}
+
+
+def spec_of(name: str) -> Spec:
+    """The spec of a variant."""
+    if name in STATIC:
+        base = read_spec(HERE.parent / "paper" / "static_gradient.toml")
+        design = {"minimise": "full range", "free": ["programme"], "starts": 16}
+        return changed(base, {"design": design} | STATIC[name])
+    return changed(read_spec(HERE / "headline.toml"), MOVING[name])
+
+
+def run(name: str) -> dict[str, object]:
+    """Optimise a variant, write its recipe, and say what is to be said of it."""
+    from gradcal_jax import assemble
+    from gradcal_jax.assemble.limit import limits
+    from gradcal_jax.assemble.optimise import Optimised, optimise
+    from gradcal_jax.assemble.quickest import quickest
+    from gradcal_jax.cli.optimise import record_of
+
+    spec = spec_of(name)
+    begun = time.perf_counter()
+    assert spec.design is not None
+    find = quickest if spec.design.minimise == "motion time" else optimise
+    best = next(event for event in find(spec) if isinstance(event, Optimised))
+    took = time.perf_counter() - begun
+    made = assemble.recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
+    folder = RECIPES if name == "headline" else RECIPES / "headline"
+    folder.mkdir(exist_ok=True)
+    (folder / f"{name}.toml").write_text(to_toml(made), encoding="utf-8")
+    proven = limits(made.spec)[0] if name in MOVING else None
+    shares = assemble.predict(made.spec).requirements[0]
+    return record_of(best) | {
+        "seconds": round(took),
+        "residual": getattr(shares, "mean_of_max" if name in MOVING else "mean"),
+        "limit": None if proven is None else proven.certified,
+        "relaxed": [] if proven is None else list(proven.relaxed),
+    }
+
+
+def table(results: dict[str, dict]) -> str:
+    """The rows as Markdown."""
+    lines = [
+        "# The headline case and its variants",
+        "",
+        "`python experiments/designs/variants.py`; what each changes is in that file. All values are 1σ, exact for the "
+        "rounded recipe; a variant's `before` is the plan of headline.toml, which is ours, under the variant's sensor "
+        "and rig.",
+        "",
+        "| variant | objective | before | now | no plan below | ratio | converged | search, s |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, r in results.items():
+        unit = r["unit"]
+        before = "—" if r.get("before") is None else f"{r['before']:.4g} {unit}"
+        limit = "—" if r["limit"] is None else f"{r['limit']:.4g} ppm"
+        ratio = "—" if r["limit"] is None else f"{r['residual'] / r['limit']:.2f}"
+        lines.append(
+            f"| {name} | {r['objective']} | {before} | {r['now']:.4g} {unit} | {limit} | {ratio} | "
+            f"{'yes' if r['converged'] else 'no'} | {r['seconds']} |"
+        )
+    lines += ["", "What the limits relax:", ""]
+    lines += [f"* {name}: {'; '.join(r['relaxed'])}" for name, r in results.items() if r["relaxed"]]
+    return "\n".join(lines) + "\n"
+
+
+def main(names: list[str]) -> None:
+    """Run the named variants, or all."""
+    jax.config.update("jax_enable_x64", True)
+    kept = HERE / "results.json"
+    results = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
+    for name in names or [*MOVING, *STATIC]:
+        print(f"{name} …", flush=True)
+        results[name] = run(name)
+        print(f"  {results[name]['now']:.4g} {results[name]['unit']}, limit {results[name]['limit']}", flush=True)
+        ordered = {name: results[name] for name in [*MOVING, *STATIC] if name in results}
+        kept.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
+        (HERE / "table.md").write_text(table(ordered), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,154 @@
+"""The proven limit on any plan that does what a spec's plan is allowed to, and how near that plan comes."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from gradcal_jax.assemble.build import Assembled, assemble
+from gradcal_jax.assemble.knowledge import UNIT_OF
+from gradcal_jax.assemble.measure import box, design_of
+from gradcal_jax.assemble.prediction import predict
+from gradcal_jax.assemble.structures import LEAST_TURN, largest_rate, motion_time
+from gradcal_jax.design import criterion, gated_noise_density, least_noise_density, limit
+from gradcal_jax.files import Spec
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule
+
+# Temperatures in each turn at the table, or over a ramp.
+_IN_A_WINDOW = 2
+_OVER_A_RAMP = 48
+_MOST_WINDOWS = 40
+
+
+class PlanLimit(NamedTuple):
+    """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: what the relaxed problem attains.
+
+    `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: what
+    the proof lets a plan do that the rig does not, in words.
+    """
+
+    name: str
+    statistic: str
+    unit: str
+    certified: float
+    reached: float
+    value: float | None
+    efficiency: float | None
+    relaxed: tuple[str, ...]
+
+
+def limits(spec: Spec) -> list[PlanLimit]:
+    """The limit of every scale-factor requirement of a gradient plan with motion.
+
+    Errors: `ValueError` where there is no such requirement, or the plan is of another kind.
+    """
+    if isinstance(spec.schedule, StandardSchedule) or spec.schedule.cycle is None:
+        raise ValueError("a limit is proven for gradient plans with moves; this plan has none")
+    wanted = [r for r in spec.requirement if r.quantity == "scale_factor"]
+    if not wanted:
+        raise ValueError("a limit is proven for the scale factor; the spec has no requirement on it")
+    built = assemble(spec)
+    predicted = {row.name: row for row in predict(spec).requirements if row.axis == built.channels[0]}
+    window = _window(spec, built)
+    return [window.limit(r, predicted[r.name]) for r in wanted]
+
+
+class _Window(NamedTuple):
+    """When and where the axis may turn, and the noise that its motion meets at least."""
+
+    spec: Spec
+    built: Assembled
+    time: float
+    temperatures: np.ndarray
+    fixed: bool
+    density: float
+    relaxed: tuple[str, ...]
+
+    def limit(self, requirement: Requirement, row) -> PlanLimit:
+        found = limit(
+            criterion(self.built.model, requirement.quantity, *box(requirement), requirement.statistic),
+            self.built.model,
+            motion_time=self.time,
+            temperatures=self.temperatures,
+            fixed_programme=self.fixed,
+            max_rate=largest_rate(self.spec, []),
+            noise_density=self.density,
+        )
+        unit, factor = UNIT_OF[requirement.quantity]
+        left = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[requirement.statistic]
+        certified = found.certified * factor
+        efficiency = None if left is None else certified / left
+        return PlanLimit(
+            requirement.name,
+            requirement.statistic,
+            unit,
+            certified,
+            found.reached * factor,
+            left,
+            efficiency,
+            self.relaxed,
+        )
+
+
+def _window(spec: Spec, built: Assembled) -> _Window:
+    schedule = spec.gradient_schedule
+    design = spec.design
+    free = set() if design is None else set(design.free)
+    time = schedule.motion if design is None else motion_time(spec, design_of(spec))
+    ramp = [s for s in schedule.segments if s.used and s.kind == "ramp"]
+    start, end_temperature = ramp[0].temperature_start, ramp[-1].temperature_end
+    windows = _windows(schedule, time)
+    cycle = schedule.cycle
+    assert cycle is not None
+    # A cycle of another length may have a little more or less of the same share.
+    total = max(sum(end - begin for begin, end in windows), time * cycle.moving / cycle.duration)
+    reference = built.model.reference
+    rests = [m.read_every for m in cycle.moves if m.read_every is not None]
+    spacing = min([*rests, cycle.other_read_every or np.inf, LEAST_TURN])
+    relaxed = ["acceleration and travel", "readings are taken on the move, too"]
+    if len(built.channels) > 1:
+        relaxed.append("the axis turns whenever any axis does")
+    tied = "cycle" not in free and len(windows) <= _MOST_WINDOWS
+    if tied and float(reference.reading_noise) > 0.0:
+        density = gated_noise_density(built.model, spacing, windows)
+    else:
+        density = least_noise_density(built.model, spacing)
+        if not tied:
+            relaxed.append("the axis has its time at the table when it likes")
+    if float(reference.standstill_offset) > 0.0:
+        # An offset is one draw a standstill; two standstills are a turn apart at least.
+        other = eqx.tree_at(lambda m: m.reference.reading_noise, built.model, reference.standstill_offset)
+        density = max(density, least_noise_density(other, LEAST_TURN))
+        relaxed.append(f"standstills as little as {LEAST_TURN:.3g} s apart")
+    for name in ("scale_factor_instability", "temperature_error", "sample_clock_error"):
+        if getattr(spec.sensor, name):
+            relaxed.append(f"{name.replace('_', ' ')} is left out")
+    fixed = "gradient" not in free
+    if not fixed:
+        temperatures = np.linspace(start, end_temperature, _OVER_A_RAMP)
+        relaxed.append("the time is spread over the temperatures as is best")
+    elif tied:
+        inside = (np.arange(_IN_A_WINDOW) + 0.5) / _IN_A_WINDOW
+        at = np.array([begin + (end - begin) * inside for begin, end in windows]).ravel()
+        temperatures = start + (end_temperature - start) * at / time
+    else:
+        temperatures = start + (end_temperature - start) * (np.arange(_OVER_A_RAMP) + 0.5) / _OVER_A_RAMP
+    return _Window(spec, built, total, temperatures, fixed, density, tuple(relaxed))
+
+
+def _windows(schedule: GradientSchedule, time: float) -> list[tuple[float, float]]:
+    """When the axis has the table (begin, end; s after the ramp's begin)."""
+    cycle = schedule.cycle
+    assert cycle is not None
+    period = cycle.duration
+    visits = int((time + period - cycle.moving + 1e-6) // period)
+    found: list[tuple[float, float]] = []
+    for begin in period * np.arange(visits):
+        here = float(begin)
+        found.append((here, here))
+        for move in cycle.moves:
+            there = here + move.repeat * move.duration
+            found.append((there, there)) if move.other_axes else found.append((found.pop()[0], there))
+            here = there
+    return [(begin, end) for begin, end in found if end > begin]

@@ -1,0 +1,51 @@
+"""`gradcal limit`: what no plan can do better than."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from gradcal_jax.cli.console import columns, strong
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(limit)
+
+
+def limit(spec: Path, /, *, json: Annotated[bool, Parameter(name="--json", negative="")] = False) -> int:
+    """Prove a lower limit on the residual of any plan on this rig in this time, and say how near the plan comes.
+
+    The limit relaxes what the rig can do (it says what), so it may lie below what any real plan reaches; no plan lies
+    below it. An efficiency of 67 % means that no plan leaves less than 0.67 of what this one does.
+
+    Parameters
+    ----------
+    spec
+        The spec file, or a recipe. Its [design] says what a better plan might change.
+    json
+        Print the limits for other programs.
+    """
+    from gradcal_jax.cli.precision import use_float64
+    from gradcal_jax.cli.specs import read_spec
+
+    found = read_spec(spec)
+    use_float64()
+    from gradcal_jax.assemble.limit import limits
+
+    rows = limits(found)
+    if json:
+        from json import dumps
+
+        print(dumps([row._asdict() for row in rows], indent=2))
+        return 0
+    table = [("requirement", "no plan leaves less than", "relaxed problem reaches", "this plan leaves", "efficiency")]
+    for row in rows:
+        value = "not observable" if row.value is None else f"{row.value:.4g} {row.unit}"
+        share = "" if row.efficiency is None else f"{row.efficiency:.0%}"
+        bounds = f"{row.certified:.4g} {row.unit}", f"{row.reached:.4g} {row.unit}"
+        table.append((f"{row.name} ({row.statistic})", *bounds, value, share))
+    print(strong(found.title or str(spec)))
+    print(columns(table, indent=""))
+    print("the proof relaxes: " + "; ".join(rows[0].relaxed))
+    return 0

@@ -102,7 +102,8 @@ def _window(spec: Spec, built: Assembled) -> _Window:
     cycle = schedule.cycle
     assert cycle is not None
     # A cycle of another length may have a little more or less of the same share.
-    total = max(sum(end - begin for begin, end in windows), time * cycle.moving / cycle.duration)
+    own = sum(move.repeat * move.duration for move in cycle.moves if not move.other_axes)
+    total = max(sum(end - begin for begin, end in windows), time * own / cycle.duration)
     reference = built.model.reference
     rests = [m.read_every for m in cycle.moves if m.read_every is not None]
     spacing = min([*rests, cycle.other_read_every or np.inf, LEAST_TURN])

@@ -215,8 +215,8 @@ def shadow_prices(of: Measure, coordinates: Coordinates, found: Found) -> tuple[
     """The objective's derivatives in the limits. At an optimum the free numbers need not move (envelope theorem)."""
 
     @eqx.filter_jit
-    def slopes(eased: Array):
-        return jax.grad(lambda e: of.of(_eased(coordinates, e).decode(jnp.asarray(found.point)), None)[0])(eased)
+    def slopes(by: Array):
+        return jax.grad(lambda e: of.of(eased(coordinates, e).decode(jnp.asarray(found.point)), None)[0])(by)
 
     given = np.asarray(slopes(jnp.zeros(len(_PRICED))))
     bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
@@ -227,7 +227,7 @@ def shadow_prices(of: Measure, coordinates: Coordinates, found: Found) -> tuple[
     )
 
 
-def _eased(coordinates: Coordinates, by: Array) -> Coordinates:
+def eased(coordinates: Coordinates, by: Array) -> Coordinates:
     """The same structure with its ramp time and limits eased by SI amounts."""
     frame, limits = coordinates.frame, coordinates.limits
     stretch = 1.0 + by[0] / frame.motion_time

@@ -145,8 +145,9 @@ def _advance(merit, points: Float[Array, "s n"], sharpness: Array, steps: int) -
     return jax.lax.map(one, points)
 
 
-def polish(objective: Objective, point: np.ndarray, *, steps: int = 300) -> Found:
-    """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly."""
+@lru_cache(maxsize=1)
+def _hardest(objective: Objective):
+    """The exact objective; and logarithms of the hardest soft maximum and of the limits' excess, with their rows."""
     hardest = jnp.asarray(SHARPNESS[-1])
 
     def logs(z):
@@ -158,7 +159,12 @@ def polish(objective: Objective, point: np.ndarray, *, steps: int = 300) -> Foun
         values, pull = jax.vjp(logs, z)
         return values, jax.lax.map(lambda e: pull(e)[0], jnp.eye(values.shape[0]))
 
-    exact = eqx.filter_jit(lambda z: objective(z, None))
+    return eqx.filter_jit(lambda z: objective(z, None)), both
+
+
+def polish(objective: Objective, point: np.ndarray, *, steps: int = 300) -> Found:
+    """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly."""
+    exact, both = _hardest(objective)
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
     def at(z):

@@ -11,6 +11,7 @@ import gradcal_jax
 from gradcal_jax.cli import (
     calibrated,
     check,
+    demo,
     estimate,
     frontier,
     instability,
@@ -53,6 +54,7 @@ def build() -> App:
         help_formatter="plain" if is_plain(sys.stdout) else "default",
     )
     for family in (
+        demo,
         new,
         check,
         predict,

@@ -20,6 +20,7 @@ def report(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
     before: Path | None = None,
+    limits: Path | None = None,
     force: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(name="--json", negative="")] = False,
 ) -> int:
@@ -34,6 +35,8 @@ def report(
         The page (.html).
     before
         A spec or recipe whose plan to compare with; without it, what the spec's priors say.
+    limits
+        What `gradcal limit --json` printed of the plan, kept in a file: the page says how near the plan comes.
     force
         Overwrite an existing file.
     json
@@ -45,7 +48,7 @@ def report(
     from gradcal_jax.report.sources import read_sources
 
     writable(output, force)
-    found = read_sources(sources, before=before)
+    found = read_sources(sources, before=before, limits=limits)
     use_float64()
     from gradcal_jax.report.facts import as_tables, facts_of
     from gradcal_jax.report.page import page

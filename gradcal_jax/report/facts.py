@@ -217,7 +217,7 @@ def _requirements(sources: Sources) -> tuple[str, list[RequirementFact], list[Ma
             _, deviation = found_map(axis, requirement.quantity, *grid_of(axis, requirement, requirement.quantity))
             drawn.append(("achieved", deviation))
         maps.append(MapFact(row.name, row.axis, row.quantity, tuple(drawn)))
-        rows.append(_requirement(row, requirement, recipe, calibration, earlier))
+        rows.append(_requirement(row, requirement, calibration, earlier, sources.limits))
     if not before_is and (given := _optimised_before(recipe)):
         before_is = "the plan that the optimisation began with"
         rows = [row._replace(before=given.get(row.name)) for row in rows]
@@ -227,9 +227,9 @@ def _requirements(sources: Sources) -> tuple[str, list[RequirementFact], list[Ma
 def _requirement(
     row: RequirementRow,
     requirement: Requirement,
-    recipe: Recipe,
     calibration: Calibration | None,
     before: Box | None,
+    limits: dict[str, float],
 ) -> RequirementFact:
     result = _result_of(calibration, row)
     return RequirementFact(
@@ -246,7 +246,7 @@ def _requirement(
         row.target,
         row.verdict if result is None else result.verdict,
         row.limited_by,
-        _limit(recipe, row),
+        limits.get(row.name),
     )
 
 
@@ -273,14 +273,6 @@ def _optimised_before(recipe: Recipe) -> dict[str, float]:
     objective, value = str(record.get("objective", "")), record.get("before")
     name = re.sub(r" \([^)]*\)$", "", objective)
     return {name: float(value)} if isinstance(value, float | int) and name else {}
-
-
-def _limit(recipe: Recipe, row: RequirementRow) -> float | None:
-    """The proven limit that the recipe's optimisation recorded."""
-    for entry in (recipe.optimisation or {}).get("limits", ()):
-        if entry.get("requirement") == row.name and entry.get("unit") == row.unit:
-            return float(entry["certified"])
-    return None
 
 
 def _result_of(calibration: Calibration | None, row: RequirementRow) -> Result | None:

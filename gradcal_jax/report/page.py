@@ -220,13 +220,6 @@ def _optimised(recipe: Recipe) -> list[str]:
         lines.append(sentence(str(record["structure"])))
     if record.get("active_limits"):
         lines.append("Limits that bind: " + "; ".join(str(said) for said in record["active_limits"]) + ".")
-    for entry in record.get("limits", ()):
-        share = entry.get("efficiency")
-        near = "" if not isinstance(share, float | int) else f", {float(share):.0%} of what this plan leaves"
-        lines.append(
-            f"Proven: no plan on this rig in this time leaves less than {figures(float(entry['certified']))} "
-            f"{entry['unit']} of {entry['requirement']}{near}."
-        )
     return lines
 
 

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,9 @@ CALIBRATION_IN_RUN = "calibration.toml"
 
 @dataclass(frozen=True)
 class Sources:
-    """What was read. `paths`: name of each file or folder, with the SHA-256 of a file; `notes`: what does not fit."""
+    """What was read. `limits`: what no plan can leave less than, by requirement. `paths`: name and SHA-256 of each
+    file; `notes`: what does not fit.
+    """
 
     recipe: Recipe | None = None
     run: RunFolder | None = None
@@ -28,14 +30,16 @@ class Sources:
     before_name: str = ""
     calibration_name: str = ""
     hidden_truth: dict[str, Any] | None = None
+    limits: dict[str, float] = field(default_factory=dict[str, float])
     paths: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
 
-def read_sources(paths: Sequence[Path], *, before: Path | None = None) -> Sources:
+def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: Path | None = None) -> Sources:
     """Read whatever the paths are: the folder of a run (with the calibration in it), a recipe, a calibration.
 
-    `before`: a spec, or a recipe, whose plan is compared with. Raises `ValueError`s that say what to do.
+    `before`: a spec, or a recipe, whose plan is compared with; `limits`: what `gradcal limit --json` printed. Raises
+    `ValueError`s that say what to do.
     """
     found: dict[str, Any] = {}
     named: list[tuple[str, str]] = []
@@ -78,12 +82,21 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None) -> Source
     if before is not None:
         found["before"], found["before_name"] = _plan(before), before.name
         named.append((before.name, hashlib.sha256(before.read_bytes()).hexdigest()))
+    if limits is not None:
+        found["limits"] = _limits(limits)
     return Sources(**found, paths=tuple(named), notes=tuple(_misfits(found)))
 
 
 def _plan(path: Path) -> Spec:
     document = read_toml(read_text(path), str(path))
     return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
+
+
+def _limits(path: Path) -> dict[str, float]:
+    try:
+        return {str(row["name"]): float(row["certified"]) for row in json.loads(read_text(path))}
+    except (ValueError, TypeError, KeyError):
+        raise ValueError(f"{path} is not what `gradcal limit --json` prints") from None
 
 
 def _hidden_truth(run: RunFolder) -> dict[str, Any] | None:

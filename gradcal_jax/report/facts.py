@@ -206,9 +206,9 @@ def _requirements(sources: Sources) -> tuple[str, list[RequirementFact], list[Ma
         drawn: list[tuple[str, Box]] = []
         earlier = _before(other, recipe.spec, requirement, row.axis)
         if earlier is not None:
-            before_is = (
-                sources.before_name if other is not None else "what the spec's priors say, without a calibration"
-            )
+            before_is = "what the spec's priors say, without a calibration"
+            if other is not None:
+                before_is = f"the plan of {sources.before_name}, on the rig of that file"
             drawn.append(("before", earlier))
         values = assemble.residual_map(built, known[row.axis], requirement)
         drawn.append(("predicted", Box(*values, row.unit)))

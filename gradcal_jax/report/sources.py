@@ -94,7 +94,8 @@ def _plan(path: Path) -> Spec:
 
 def _limits(path: Path) -> dict[str, float]:
     try:
-        return {str(row["name"]): float(row["certified"]) for row in json.loads(read_text(path))}
+        rows: list[dict[str, Any]] = json.loads(read_text(path))
+        return {str(row["name"]): float(row["certified"]) for row in rows[:]}
     except (ValueError, TypeError, KeyError):
         raise ValueError(f"{path} is not what `gradcal limit --json` prints") from None
 

@@ -1,0 +1,133 @@
+"""A small recipe, the rehearsed run of it, and a calibration of known numbers: pages of them take no minute."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gradcal_jax import assemble
+from gradcal_jax.files import Spec, changed, parse_spec, presets
+from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, bias_names, scale_factor_names
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.hardware.clock import VirtualClock
+from gradcal_jax.hardware.run_folder import new_folder
+from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware.simulate.lab import SimulatedLab
+
+TURN = {"turn": "720 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"}
+BACK = {"turn": "-720 deg", "peak_rate": "100 deg/s", "shape": "cosine ramps"}
+
+
+def spec(**changes: object) -> Spec:
+    """The paper's sensor with maps of degree one, for six minutes at room temperature."""
+    return changed(
+        parse_spec(presets.text("paper-dynamic-gradient")),
+        {
+            "title": "A small plan <of & for> a page",
+            "sensor.scale_factor.temperature.degree": 1,
+            "sensor.scale_factor.rate.degree": 1,
+            "sensor.scale_factor.prior": "5000 ppm",
+            "sensor.bias": {
+                "temperature": {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"},
+                "prior": "200 deg/h",
+            },
+            "rig.table.max_acceleration": "300 deg/s^2",
+            "requirement": [
+                {
+                    "name": "all rates",
+                    "quantity": "scale_factor",
+                    "temperature": ["20 degC", "26 degC"],
+                    "rate": ["-200 deg/s", "200 deg/s"],
+                    "target": "2000 ppm",
+                    "grid": [11, 21],
+                },
+                {
+                    "name": "slow",
+                    "quantity": "scale_factor",
+                    "temperature": ["21 degC", "25 degC"],
+                    "rate": ["-50 deg/s", "50 deg/s"],
+                    "grid": [5, 11],
+                },
+                {"name": "at rest", "quantity": "bias", "temperature": ["20 degC", "26 degC"], "grid": [11]},
+            ],
+            "plan.temperature": ["20 degC", "26 degC"],
+            "plan.soak": {"duration": "60 s", "used": False},
+            "plan.cycle": {
+                "moves": [{"rest": "5 s", "read_every": "1 s"}, TURN, {"rest": "5 s", "read_every": "1 s"}, BACK]
+            },
+            **changes,
+        },
+    )
+
+
+def recipe() -> Recipe:
+    """Of `spec`, as it stands."""
+    return assemble.recipe(spec(), optimisation={"objective": "all rates (mean of max)", "unit": "ppm", "now": 3.25})
+
+
+def rehearse(made: Recipe, folder: Path, seed: int = 3) -> dict[str, Any]:
+    """Run a recipe on simulated devices into a folder; the hidden truth."""
+    clock = VirtualClock()
+    with SimulatedLab(made.spec, clock, seed=seed) as lab:
+        run = new_folder(folder, made, lab.rig, simulated={"seed": seed, "speed": None, "sample_rate_hz": 125.0})
+        truth = lab.truth.tables(lab.axes)
+        (folder / "hidden_truth.json").write_text(json.dumps(truth), encoding="utf-8")
+        result = run_session(run, lab.rig, clock, simulated=True)
+        assert result.exit_status == "success", result.reason
+    return truth
+
+
+def calibration(made: Recipe, seed: int = 7) -> Calibration:
+    """Coefficients and covariance of the recipe's bases, drawn; their results are those of that covariance."""
+    random = np.random.default_rng(seed)
+    sensor = made.spec.sensor
+    assert sensor.bias is not None
+    assert sensor.scale_factor is not None
+    bias = bias_names(sensor.bias.temperature)
+    scale = scale_factor_names(sensor.scale_factor.temperature, sensor.scale_factor.rate)
+    sizes = np.array([1e-4] * len(bias) + [1e-3] * len(scale))
+    values = sizes * random.standard_normal(len(sizes))
+    mixed = random.standard_normal((len(sizes), 2 * len(sizes)))
+    covariance = np.outer(sizes, sizes) * 1e-3 * (mixed @ mixed.T)
+    tables: dict[str, Any] = {
+        "format": FORMAT,
+        "title": made.title,
+        "serial_number": "unit <7>",
+        "quantity": "gyro",
+        "simulated": True,
+        "frame": "the sensor's own axes x",
+        "order": ORDER,
+        "axis": [
+            {
+                "name": "x",
+                "bias": {
+                    "temperature": sensor.bias.temperature,
+                    "coefficients": dict(zip(bias, values[: len(bias)].tolist(), strict=True)),
+                },
+                "scale_factor": {
+                    "temperature": sensor.scale_factor.temperature,
+                    "rate": sensor.scale_factor.rate,
+                    "coefficients": dict(zip(scale, values[len(bias) :].tolist(), strict=True)),
+                },
+                "valid_temperature": ("20 degC", "26 degC"),
+                "valid_rate": ("-200 deg/s", "200 deg/s"),
+                "covariance": {"names": (*bias, *scale), "matrix": tuple(map(tuple, covariance.tolist()))},
+            }
+        ],
+        "noise": {"angle_random_walk": "0.1 deg/sqrt(h)"},
+        "result": [
+            {
+                "name": "all rates",
+                "axis": "x",
+                "quantity": "scale_factor",
+                "statistic": "mean of max, 1 sigma",
+                "value": 123.456,
+                "unit": "ppm",
+                "target": 2000.0,
+                "verdict": "met",
+            }
+        ],
+        "provenance": {"program": "gradcal", "estimator": "least squares", "recipe": made.fingerprint},
+    }
+    return Calibration.model_validate(tables)

@@ -1,0 +1,76 @@
+"""Pages in a real browser, at the width of a telephone and of a desk."""
+
+import pytest
+from headless_chromium import BOXES, Chromium, browser, overlaps
+from report_samples import calibration, recipe, rehearse
+
+from gradcal_jax.files.calibration import write_calibration
+from gradcal_jax.report.facts import facts_of
+from gradcal_jax.report.page import page
+from gradcal_jax.report.sources import read_sources
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(
+        browser() is None, reason="there is no Chromium on the path: install one, or set GRADCAL_BROWSER"
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def html(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("browser")
+    plan = recipe()
+    rehearse(plan, folder / "run")
+    write_calibration(calibration(plan), folder / "run" / "calibration.toml")
+    sources = read_sources([folder / "run"])
+    path = folder / "page.html"
+    path.write_text(page(sources, facts_of(sources)), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with Chromium(browser()) as running:
+        yield running
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+def test_a_page_shows_every_figure_and_no_text_lies_on_another(html, chromium, width):
+    chromium.open(html, width)
+    assert chromium.messages == []
+    assert all(url.startswith(("file:", "data:")) for url in chromium.requests)
+    sizes = chromium.evaluate(
+        "[...document.querySelectorAll('figure svg')].map(s => [s.getBoundingClientRect().width,"
+        " s.getBoundingClientRect().height, s.querySelectorAll('text').length])"
+    )
+    assert len(sizes) == html.read_text(encoding="utf-8").count("<figure") >= 10
+    for wide, high, texts in sizes:
+        assert wide > 250.0
+        assert high > 150.0
+        assert texts > 5
+    loaded = chromium.evaluate("[...document.querySelectorAll('svg image')].map(i => i.getBoundingClientRect().width)")
+    assert loaded
+    assert min(loaded) > 5.0
+    boxes = chromium.evaluate(BOXES)
+    assert len(boxes) > 300
+    assert overlaps(boxes) == []
+    visible = chromium.evaluate("document.documentElement.clientWidth")
+    assert chromium.evaluate("document.documentElement.scrollWidth") <= visible
+    assert max(box[3] for box in boxes) <= visible + 1.0
+    assert min(box[1] for box in boxes) >= 0.0
+
+
+def test_the_check_of_overlaps_finds_one(tmp_path, chromium):
+    path = tmp_path / "wrong.html"
+    path.write_text('<p>one line</p><p style="margin-top:-1.6em">another line</p>', encoding="utf-8")
+    chromium.open(path, 400)
+    assert overlaps(chromium.evaluate(BOXES)) == [("one line", "another line")]
+
+
+def test_a_page_prints(html, chromium, tmp_path):
+    chromium.open(html, 1400)
+    chromium.print_pdf(tmp_path / "page.pdf")
+    data = (tmp_path / "page.pdf").read_bytes()
+    assert data.startswith(b"%PDF")
+    assert 2 <= data.count(b"/Type /Page\n") + data.count(b"/Type /Page ") <= 12

@@ -1,0 +1,304 @@
+"""Pages against what they are made of: every number of a page is one of its recipe, run or calibration."""
+
+import dataclasses
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report_samples import calibration, recipe, rehearse, spec
+
+from gradcal_jax.assemble.achieved import found_map, prior_map, standard_terms
+from gradcal_jax.cli import main
+from gradcal_jax.files import to_toml
+from gradcal_jax.files.calibration import write_calibration
+from gradcal_jax.files.correction import measured
+from gradcal_jax.files.writing import write_toml
+from gradcal_jax.information import statistic
+from gradcal_jax.plots.tracks import planned_rate
+from gradcal_jax.report.course import course_of, rates_of
+from gradcal_jax.report.facts import as_tables, facts_of
+from gradcal_jax.report.page import figures, page
+from gradcal_jax.report.sources import read_sources
+
+DEG_PER_H = float(np.degrees(1.0)) * 3600.0
+
+
+class Page(HTMLParser):
+    """Rows of every table by section, ids, and the text that a reader sees."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.rows: dict[str, list[dict[str, str]]] = {}
+        self.ids: list[str] = []
+        self.tags: list[str] = []
+        self.text = ""
+        self._section, self._cell, self._quiet = "", "", False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.tags.append(tag)
+        if given.get("id"):
+            self.ids.append(str(given["id"]))
+        if tag == "section":
+            self._section = str(given["id"])
+        elif tag == "tr":
+            self.rows.setdefault(self._section, []).append({})
+        elif tag == "td":
+            self._cell = str(given["data-label"])
+            self.rows[self._section][-1][self._cell] = ""
+        self._quiet = tag == "style"
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag == "td":
+            self._cell = ""
+
+    def handle_data(self, data: str) -> None:
+        if not self._quiet:
+            self.text += data
+        if self._cell:
+            self.rows[self._section][-1][self._cell] += data
+
+    def table(self, section: str, first: str) -> list[dict[str, str]]:
+        """Rows of a section whose first column has a name."""
+        return [row for row in self.rows.get(section, []) if row and next(iter(row)) == first]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Folder with recipe, run and calibration, the recipe itself, the calibration, the truth."""
+    folder = tmp_path_factory.mktemp("report")
+    plan = recipe()
+    write_toml(plan, folder / "recipe.toml")
+    truth = rehearse(plan, folder / "run")
+    found = calibration(plan)
+    write_calibration(found, folder / "run" / "calibration.toml")
+    return folder, plan, found, truth
+
+
+@pytest.fixture(scope="module")
+def whole(made):
+    """Facts and the page of the run."""
+    sources = read_sources([made[0] / "run"])
+    facts = facts_of(sources)
+    return facts, Page(page(sources, facts)), page(sources, facts)
+
+
+def number(text: str) -> float:
+    return float(text.replace("−", "-").split("\N{NO-BREAK SPACE}")[0].split()[0])
+
+
+def test_the_requirements_of_a_page_are_those_of_recipe_and_calibration(made, whole):
+    _, plan, found, _ = made
+    facts, shown, _ = whole
+    rows = shown.table("requirements", "requirement")
+    assert [row["requirement"].split(" (")[0] for row in rows] == ["all rates", "slow", "at rest"]
+    for row, fact, predicted in zip(rows, facts.requirements, plan.prediction.requirements, strict=True):
+        assert fact.predicted == predicted.decisive
+        assert row["predicted"] == f"{figures(predicted.decisive)}\N{NO-BREAK SPACE}{predicted.unit}"
+        assert row["statistic"] == predicted.statistic
+        assert row["limited by"] == predicted.limited_by
+    assert facts.requirements[0].achieved == found.result[0].value
+    assert rows[0]["achieved"] == "123.5\N{NO-BREAK SPACE}ppm"
+    assert rows[1]["achieved"] == ""
+    assert (rows[0]["verdict"], number(rows[0]["target"])) == ("met", 2000.0)
+    assert "Met: every target" in shown.text
+
+
+def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covariances(made, whole):
+    _, plan, found, _ = made
+    for fact, predicted, requirement in zip(
+        whole[0].maps, plan.prediction.requirements, plan.spec.requirement, strict=True
+    ):
+        maps = dict(fact.maps)
+        assert statistic(requirement.statistic, maps["predicted"].values) == pytest.approx(predicted.decisive, rel=1e-9)
+        prior = prior_map(plan.spec, requirement)
+        assert prior is not None
+        np.testing.assert_array_equal(maps["before"].values, prior.values)
+    # One point by hand: ψ of the monomials, the file's covariance between.
+    maps = dict(whole[0].maps[0].maps)
+    box = maps["achieved"]
+    cold, fast = (box.temperature_c[2] - 20.0) / 50.0, np.radians(box.rate_dps[3]) / np.radians(300.0)
+    psi = np.array([0.0, 0.0, 1.0, fast, cold, cold * fast])
+    assert found.axis[0].covariance is not None
+    assert found.axis[0].covariance.names == ("a0", "a1", "b00", "b10", "b01", "b11")
+    expected = 1e6 * np.sqrt(psi @ np.array(found.axis[0].covariance.matrix) @ psi)
+    assert box.values[2, 3] == pytest.approx(expected, rel=1e-12)
+
+
+def test_parameters_and_their_hidden_truth_are_those_of_the_files(made, whole):
+    _, plan, found, truth = made
+    rows = whole[1].table("parameters", "parameter")
+    values = found.axis[0].values()
+    predicted = {row.name: row.std for row in plan.prediction.parameters}
+    assert [row["parameter"] for row in rows] == list(values)
+    deviations = np.sqrt(np.diag(np.array(found.axis[0].covariance.matrix)))
+    for row, std in zip(rows, deviations, strict=True):
+        name = row["parameter"]
+        factor = DEG_PER_H if name.startswith("a") else 1e6
+        assert row["unit"] == ("deg/h" if name.startswith("a") else "ppm")
+        assert number(row["value"]) == pytest.approx(values[name] * factor, rel=1e-5)
+        assert number(row["1σ"]) == pytest.approx(std * factor, rel=1e-3)
+        assert number(row["1σ predicted"]) == pytest.approx(predicted[name] * factor, rel=1e-3)
+        assert number(row["hidden truth"]) == pytest.approx(truth["x"][name] * factor, rel=1e-5)
+        assert number(row["off by"]) == pytest.approx((values[name] - truth["x"][name]) / std, rel=0.05)
+    assert [row["stands before"] for row in rows] == ["1", "T′", "1", "ω′", "T′", "ω′·T′"]
+
+
+def test_the_standards_terms_are_those_of_a_map_that_is_known(made):
+    axis = made[2].axis[0]
+    known = axis.values()
+    terms = {term.name: term for term in standard_terms(axis)}
+    step, variance = 5.0 / 50.0, np.array(axis.covariance.matrix)
+    bias = np.array([1.0, step])
+    assert terms["bias"].value == pytest.approx((known["a0"] + known["a1"] * step) * DEG_PER_H)
+    assert terms["bias"].std == pytest.approx(np.sqrt(bias @ variance[:2, :2] @ bias) * DEG_PER_H)
+    assert terms["bias temperature sensitivity"].value == pytest.approx(known["a1"] / 50.0 * DEG_PER_H)
+    odd = known["b10"] + known["b11"] * step
+    assert terms["scale factor error"].value == pytest.approx(1e6 * (known["b00"] + known["b01"] * step))
+    rates = np.linspace(-200.0, 200.0, 121)
+    assert terms["scale factor asymmetry"].value == pytest.approx(1e6 * odd * 2.0 * rates[rates > 0].mean() / 300.0)
+    # M·ω has the parabola odd·ω²/300; over ±200 its distance from the best line is largest at the ends.
+    parabola = odd / 300.0 * (rates**2 - np.mean(rates**2)) / 200.0
+    assert abs(terms["scale factor nonlinearity"].value) == pytest.approx(1e6 * np.abs(parabola).max())
+    assert terms["scale factor temperature sensitivity"].value == pytest.approx(1e6 * known["b01"] / 50.0)
+
+
+def test_what_the_data_do_not_tell_is_not_a_number(made):
+    axis = made[2].axis[0]
+    covariance = axis.covariance.model_copy(
+        update={
+            "names": axis.covariance.names[:-1],
+            "matrix": tuple(row[:-1] for row in axis.covariance.matrix[:-1]),
+        }
+    )
+    less = axis.model_copy(update={"covariance": covariance})
+    _, deviation = found_map(less, "scale_factor", np.array([20.0, 25.0]), np.array([-100.0, 0.0, 100.0]))
+    # b11 stands before ω′·T′, which is zero at 20 °C and at rest.
+    assert np.isfinite(deviation.values).tolist() == [[True, True, True], [False, True, False]]
+    assert {term.name: term.std for term in standard_terms(less)}["scale factor asymmetry"] is None
+
+
+def test_the_run_is_the_journals(made, whole):
+    folder, plan, _, _ = made
+    course = course_of(read_sources([folder / "run"]).run)
+    assert (course.status, course.sessions, course.simulated, course.verified_safe) == ("success", 1, True, True)
+    assert course.duration_s > plan.duration_s
+    assert course.chamber_c.min() >= 19.0
+    time, angle = course.angles["x"]
+    stepped, rate = rates_of(time, angle)
+    assert np.sum(rate[::2] * np.diff(stepped)[::2]) == pytest.approx(angle[-1] - angle[0], abs=1.0)
+    assert "SIMULATED" in whole[1].text
+    assert f"{course.steps} steps" in whole[1].text
+    assert [row["device"] for row in whole[1].table("run", "device")] == [device.name for device in course.devices]
+
+
+def test_planned_motion_turns_by_the_planned_angles(made):
+    plan = made[1]
+    time, rate = planned_rate(plan, "x")
+    assert np.all(np.diff(time) >= -1e-9)
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    angles = [np.degrees(float(m.angle)) for b in plan.motion for m in b.moves if m.angle is not None]
+    assert angles[:2] == pytest.approx([720.0, -720.0], abs=1.0)
+    assert turned[-1] == pytest.approx(sum(angles) * plan.motion[0].repeat, abs=1e-3)
+    assert turned.max() == pytest.approx(angles[0], abs=1e-3)
+
+
+def test_the_example_of_a_page_is_undone_by_the_calibration_itself(made, whole):
+    (example,) = whole[0].examples
+    back = measured(made[2].axis[0], np.radians([example.corrected_dps]), np.array([example.temperature_c]))
+    assert np.degrees(back[0]) == pytest.approx(example.measured_dps, rel=1e-13)
+    assert figures(example.corrected_dps, 9) in whole[1].text
+
+
+def test_a_page_stands_alone_and_escapes_what_files_say(whole):
+    _, shown, text = whole
+    assert "script" not in shown.tags
+    assert "A small plan <of & for> a page" in shown.text
+    assert "A small plan &lt;of &amp; for&gt; a page" in text
+    for place in ("http://", "https://", "//"):
+        for cut in text.split(place)[1:]:
+            assert cut.startswith(("www.w3.org/", "/")) or place == "//", cut[:40]
+    assert 'src="' not in text
+    assert len(shown.ids) == len(set(shown.ids))
+    figures_there = [i for i in shown.ids if f"{i}-caption" in shown.ids]
+    assert len(figures_there) == text.count("<figure") == text.count("<svg")
+    # Maps before, predicted, achieved; their curves; bias curves; three tracks; two found maps.
+    assert len(figures_there) == 4 + 1 + 3 + 2
+    assert "nan" not in shown.text.lower().split()
+    assert "None" not in shown.text
+
+
+def test_json_is_the_page(made, whole, tmp_path, capsys):
+    facts, _, _ = whole
+    output = tmp_path / "page.html"
+    assert main(["report", str(made[0] / "run"), "-o", str(output), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads(json.dumps(as_tables(facts)))
+    shown = Page(output.read_text(encoding="utf-8"))
+    assert shown.table("parameters", "parameter") == whole[1].table("parameters", "parameter")
+    assert main(["report", str(made[0] / "run"), "-o", str(output)]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+def test_pages_of_a_recipe_and_of_a_calibration_alone(made, tmp_path):
+    folder, plan, _, _ = made
+    sources = read_sources([folder / "recipe.toml"])
+    facts = facts_of(sources)
+    assert (facts.course, facts.axes, facts.simulated) == (None, (), False)
+    shown = Page(page(sources, facts))
+    assert {row["parameter"] for row in shown.table("parameters", "parameter")} == {
+        row.name for row in plan.prediction.parameters
+    }
+    assert "value" not in shown.table("parameters", "parameter")[0]
+    alone = read_sources([folder / "run" / "calibration.toml"])
+    found = facts_of(alone)
+    assert [row.achieved for row in found.requirements] == [123.456]
+    assert {fact.quantity for fact in found.maps} == {"scale_factor", "bias"}
+    assert "plan" not in Page(page(alone, found)).ids
+
+
+def test_another_plan_to_compare_with_and_a_limit(made, tmp_path):
+    folder, plan, _, _ = made
+    short = spec(**{"plan.cycle.moves[1].peak_rate": "150 deg/s"})
+    (tmp_path / "before.toml").write_text(to_toml(short), encoding="utf-8")
+    (tmp_path / "limit.json").write_text('[{"name": "all rates", "certified": 1.5}]', encoding="utf-8")
+    sources = read_sources([folder / "recipe.toml"], before=tmp_path / "before.toml", limits=tmp_path / "limit.json")
+    facts = facts_of(sources)
+    assert facts.before_is.startswith("the plan of before.toml")
+    assert facts.requirements[0].before > facts.requirements[0].predicted
+    assert [row.limit for row in facts.requirements] == [1.5, None, None]
+    # The same plan before and now leaves the same.
+    same = dataclasses.replace(sources, before=plan.spec)
+    assert facts_of(same).requirements[0].before == pytest.approx(plan.prediction.requirements[0].decisive, rel=1e-9)
+
+
+def test_files_that_do_not_belong_together_are_named(made, tmp_path, capsys):
+    folder, _, found, _ = made
+    other = found.model_copy(update={"provenance": found.provenance | {"recipe": "0" * 64}})
+    write_calibration(other, tmp_path / "other.toml")
+    sources = read_sources([folder / "recipe.toml", tmp_path / "other.toml"])
+    assert any("another recipe" in note for note in sources.notes)
+    (tmp_path / "spec.toml").write_text(to_toml(spec()), encoding="utf-8")
+    (tmp_path / "limit.json").write_text("{}", encoding="utf-8")
+    out = str(tmp_path / "page.html")
+    wrong: list[tuple[list[str], str]] = [
+        ([str(tmp_path / "spec.toml")], "gradcal recipe SPEC"),
+        ([str(tmp_path)], "not the folder of a run"),
+        ([str(folder / "recipe.toml")] * 2, "a second recipe"),
+        ([str(tmp_path / "nothing.toml")], "nothing.toml"),
+        ([str(folder / "recipe.toml"), "--limits", str(tmp_path / "limit.json")], "gradcal limit --json"),
+    ]
+    for words, said in wrong:
+        assert main(["report", *words, "-o", out]) == 2
+        assert said in capsys.readouterr().err
+    assert not Path(out).exists()
+
+
+def test_the_glossary_explains_what_is_asked(capsys):
+    assert main(["glossary", "standstill", "offset"]) == 0
+    assert "each time it comes to rest" in capsys.readouterr().out
+    assert main(["glossary", "warp", "drive"]) == 2
+    assert "warp drive" in capsys.readouterr().err

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gradcal_jax.cli import main
-from gradcal_jax.files import parse_spec, presets, to_toml
+from gradcal_jax.files import Quantity, changed, parse_spec, presets, to_toml
 from gradcal_jax.files.log import read_log
 from gradcal_jax.files.recipe import Made, Predicted, Recipe
 from gradcal_jax.files.rounding import rounded, steps_of
@@ -32,8 +32,6 @@ CHANGES = {
 
 
 def a_recipe(folder: Path) -> Path:
-    from gradcal_jax.files import changed
-
     spec = rounded(changed(parse_spec(presets.text("paper-dynamic-gradient")), CHANGES)).spec
     chamber, motion = tracks_of(spec)
     made = Recipe(
@@ -41,7 +39,7 @@ def a_recipe(folder: Path) -> Path:
         status="not optimised",
         made=Made(by="a test", versions={}),
         resolution=steps_of(spec),
-        stability=Stability(),
+        stability=Stability(for_at_least=Quantity.read("20 s", "time")),
         chamber=chamber,
         motion=motion,
         prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
@@ -87,7 +85,9 @@ def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
         assert "every device answers as the rig file says" in said
         # The chamber's driver on the table's port: what was sent and what came back.
         wrong = to_toml(lab.rig).replace(lab.ports[0].url, "X").replace(lab.ports[1].url, lab.ports[0].url)
-        path.write_text(wrong.replace('"X"', f'"{lab.ports[1].url}"'), encoding="utf-8")
+        wrong = wrong.replace('"X"', f'"{lab.ports[1].url}"')
+        quick = wrong.replace('safe = "standby"', 'safe = "standby"\noptions = { reply_timeout = "0.3 s" }')
+        path.write_text(quick, encoding="utf-8")
         assert main(["rig", "check", str(path), "--json"]) == 3
         reports = {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)}
         assert "was sent" in reports["chamber"]["problem"]

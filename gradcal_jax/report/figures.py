@@ -9,8 +9,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
+from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
 from gradcal_jax import plots
@@ -157,7 +157,13 @@ def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture
         bar.minorformatter = NullFormatter()
         bar.update_ticks()
         if drawn.contours is not None:
-            _label_once(ax, drawn.contours.labelTexts)
+            levels = drawn.contours.levels
+            drawn.contours.remove()
+            shown = np.ma.masked_invalid(box.values)
+            _label(
+                ax,
+                ax.contour(box.rate_dps, box.temperature_c, shown, levels=levels, colors="white", linewidths=0.7),
+            )
 
     caption = f"{where}: residual {label}, one standard deviation."
     if not np.all(np.isfinite(box.values)):
@@ -165,19 +171,30 @@ def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture
     return _picture(key, caption, draw, _HIGH)
 
 
-def _label_once(ax: Axes, texts: Sequence[Text]) -> None:
-    """One label a level, well inside and apart from the others; legible on dark and bright colours alike."""
+def _label(ax: Axes, contours: QuadContourSet) -> None:
+    """One upright label a level, well inside and apart from the others, legible on any colour beneath."""
     kept: list[np.ndarray] = []
-    levels: set[str] = set()
-    for text in texts:
-        at = ax.transAxes.inverted().transform(ax.transData.transform(text.get_position()))
-        apart = all(np.any(np.abs(at - other) > _APART) for other in kept)
-        if text.get_text() in levels or not np.all((at > _INSIDE) & (at < 1.0 - _INSIDE)) or not apart:
-            text.set_visible(False)
+    for value, pieces in zip(contours.levels, contours.allsegs, strict=True):
+        vertices = np.concatenate([piece for piece in pieces if len(piece)] or [np.zeros((0, 2))])
+        places = ax.transAxes.inverted().transform(ax.transData.transform(vertices))
+        free = np.all((places > _INSIDE) & (places < 1.0 - _INSIDE), axis=1)
+        for other in kept:
+            free &= np.any(np.abs(places - other) > _APART, axis=1)
+        if not free.any():
             continue
-        kept.append(at)
-        levels.add(text.get_text())
-        text.set(color="black", rotation=0.0, bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 1.0})
+        inside = np.where(free, np.min(np.minimum(places, 1.0 - places), axis=1), -1.0)
+        at = int(np.argmax(inside))
+        kept.append(places[at])
+        box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 1.0}
+        ax.text(
+            float(vertices[at, 0]),
+            float(vertices[at, 1]),
+            f"{value:.3g}",
+            fontsize=8,
+            ha="center",
+            va="center",
+            bbox=box,
+        )
 
 
 def _curves(fact: MapFact, key: str, where: str) -> Picture:

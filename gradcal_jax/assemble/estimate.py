@@ -338,6 +338,8 @@ def _finished(
     tests = room.consistency(found, white, 0, _subsets(observations, rows), to_reported(model))
     if lag_std is not None and lag > 0.99 * _LONGEST_LAG_S:
         messages.append(f"the lag stands at the longest looked at, {lag:.0f} s: the data do not tell it")
+    if lag_std is not None and lag < 2.0 * lag_std:
+        messages.append(f"no lag of the maps shows: the one found is {lag:.2g} s, and uncertain by {lag_std:.2g} s")
     inside = rows.temperature[_integrated_rows(done, len(rows.time))]
     return UnitChannel(
         axis,

@@ -283,6 +283,22 @@ def allan_row(rest: Rest, allan: identify.AllanDeviation, fit: identify.AllanFit
     }
 
 
+def allan_misfit(allan: identify.AllanDeviation, fit: identify.AllanFit) -> str | None:
+    """A sentence where the fitted terms part from the curve by more than a third, and by more than chance has it."""
+    kept = np.isin(allan.averaging_time_s, fit.averaging_time_s)
+    found, model = allan.deviation[kept], fit.model_deviation
+    apart = (np.abs(np.log(model / found)) > np.log(4.0 / 3.0)) & (
+        (model < fit.lower[kept]) | (model > fit.upper[kept])
+    )
+    if not apart.any():
+        return None
+    times = fit.averaging_time_s[apart]
+    return (
+        f"the fitted terms do not follow the curve between {times[0]:.3g} and {times[-1]:.3g} s: the record holds "
+        "something else (a trend, a period, what temperature did), and the coefficients describe it badly"
+    )
+
+
 def curve(*columns: tuple[str, np.ndarray]) -> dict[str, list[float]]:
     """Named columns as plain lists."""
     return {name: [float(v) for v in values] for name, values in columns}

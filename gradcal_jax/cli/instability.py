@@ -252,9 +252,11 @@ def allan(
         print(writer.dumps({"simulated": recorded.simulated, "channels": rows}, indent=2))
     else:
         print(described(recorded, str(log)))
-        for rest, _, fit in drawn:
+        for rest, deviation, fit in drawn:
             print("\n" + strong(f"axis {rest.axis}, unit {rest.unit}"))
             print(_allan_text(fit))
+            if (apart := work.allan_misfit(deviation, fit)) is not None:
+                print(f"note: {apart}")
             for message in rest.messages:
                 print(f"note: {message}")
     if plot is not None:

@@ -244,12 +244,16 @@ def write_log(log: Log, path: str | Path) -> None:
 def read_log(path: str | Path) -> Log:
     """Read a log that `write_log` wrote. Raises `LogError` for anything else, with a sentence."""
     xarray: Any = importlib.import_module("xarray")
+    h5py: Any = importlib.import_module("h5py")
     path = Path(path)
     if not path.exists():
         raise LogError(f"{path} does not exist")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of what other programs' files lack; the sentences below say what matters
+            # Damaged files are met here: xarray's way of giving up on one prints a traceback of its own.
+            with h5py.File(path, "r") as damaged:
+                damaged.attrs.get("_nc3_strict")
             # Stamps are plain seconds, never calendar dates.
             with xarray.open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
                 dataset: Any = opened.load()

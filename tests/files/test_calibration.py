@@ -158,6 +158,18 @@ def test_arbitrary_texts_get_a_sentence(content, at, length):
         assert isinstance(found, Calibration)
 
 
+@given(content=st.binary(max_size=300), honest=st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_arbitrary_bytes_get_a_sentence(tmp_path_factory, content, honest):
+    path = tmp_path_factory.mktemp("bytes") / "cal.toml"
+    path.write_bytes(WHOLE.encode() + content if honest else content)
+    try:
+        found = read_calibration(path)
+    except SpecError:
+        return
+    assert found == parse_calibration(WHOLE)  # what was added was a comment, or nothing
+
+
 def test_a_log_is_what_its_contract_says(tmp_path):
     found = parse_calibration(WHOLE)
     log, _ = log_of(found, 60, standstill=np.zeros(60, np.int64), host_time_s=np.arange(60.0), simulated=True)

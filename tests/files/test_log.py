@@ -101,6 +101,15 @@ def test_arbitrary_bytes_are_no_log(tmp_path_factory, content, honest):
         read_log(path)
 
 
+def test_a_file_that_was_cut_off_is_a_sentence(tmp_path):
+    write_log(whole_log(), tmp_path / "whole.nc")
+    content = (tmp_path / "whole.nc").read_bytes()
+    for length in np.linspace(0, len(content) - 1, 40).astype(int):
+        (tmp_path / "cut.nc").write_bytes(content[:length])
+        with pytest.raises(LogError):
+            read_log(tmp_path / "cut.nc")
+
+
 def test_a_log_refuses_what_does_not_fit():
     sound = {"time_s": np.arange(3.0), "rate_rad_per_s": np.zeros((1, 3, 1)), "units": ("a",), "axes": ("x",)}
     assert Log(**sound).rows_read == 3

@@ -269,6 +269,18 @@ def test_every_row_of_any_text_table_is_accounted_for(tmp_path_factory, rows):
     assert sum(log.counts().values()) == expected
 
 
+@given(content=st.binary(max_size=200), tail=st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_arbitrary_bytes_are_no_map(tmp_path_factory, content, tail):
+    path = tmp_path_factory.mktemp("map") / "map.toml"
+    path.write_bytes(PLAIN.encode() + content if tail else content)
+    try:
+        read_column_map(path)
+    except SpecError:
+        return
+    assert tail
+
+
 @given(text=st.text(max_size=200), tail=st.booleans())
 @settings(max_examples=100, deadline=None)
 def test_arbitrary_maps_give_a_sentence(text, tail):

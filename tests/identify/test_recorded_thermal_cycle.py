@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gradcal_jax.assemble.instability import allan_misfit, at_rest
 from gradcal_jax.files.importers import import_log, parse_column_map
 from gradcal_jax.identify.allan import fit_allan, overlapping_allan
 from gradcal_jax.identify.direct_bound import fit_direct_bound
@@ -124,3 +125,12 @@ def test_heating_fitted_cooling_predicted(log):
     span = np.ptp(even.rate_rad_per_s[even.valid])
     assert np.std(left[heating]) < 0.02 * span
     assert np.sqrt(np.mean(left[cooling] ** 2)) > 0.1 * span
+
+
+def test_what_the_coefficients_do_not_describe_is_said(log):
+    """A loop in temperature is none of Q, N, B, K; white noise beside it is described well, and nothing is said."""
+    rest = at_rest(log, "x", lag="none")
+    allan = overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
+    assert "do not follow the curve" in allan_misfit(allan, fit_allan(allan))
+    noise = overlapping_allan(np.random.default_rng(0).standard_normal(20_000), 0.5)
+    assert allan_misfit(noise, fit_allan(noise)) is None

@@ -1,8 +1,9 @@
 """The headline case and its variants, each optimised and set beside its limit: recipes, and a table.
 
-    python experiments/designs/variants.py [NAME …]
+    python experiments/designs/variants.py [--limits] [NAME …]
 
-Without names all are run (some minutes each); with names, those alone, and the others keep their rows. Recipes go to
+Without names all are run (some minutes each); with names, those alone, and the others keep their rows. `--limits` proves
+the limits of the kept recipes again, without a search. Recipes go to
 experiments/recipes, figures to results.json and table.md here.
 """
 
@@ -59,7 +60,6 @@ def spec_of(name: str) -> Spec:
 def run(name: str) -> dict[str, object]:
     """Optimise a variant, write its recipe, and say what is to be said of it."""
     from gradcal_jax import assemble
-    from gradcal_jax.assemble.limit import limits
     from gradcal_jax.assemble.optimise import Optimised, optimise
     from gradcal_jax.assemble.quickest import quickest
     from gradcal_jax.cli.optimise import record_of
@@ -71,17 +71,28 @@ def run(name: str) -> dict[str, object]:
     best = next(event for event in find(spec) if isinstance(event, Optimised))
     took = time.perf_counter() - begun
     made = assemble.recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
-    folder = RECIPES if name == "headline" else RECIPES / "headline"
-    folder.mkdir(exist_ok=True)
-    (folder / f"{name}.toml").write_text(to_toml(made), encoding="utf-8")
-    proven = limits(made.spec)[0] if name in MOVING else None
-    shares = assemble.predict(made.spec).requirements[0]
-    return record_of(best) | {
-        "seconds": round(took),
-        "residual": getattr(shares, "mean_of_max" if name in MOVING else "mean"),
-        "limit": None if proven is None else proven.certified,
-        "relaxed": [] if proven is None else list(proven.relaxed),
-    }
+    place = path_of(name)
+    place.parent.mkdir(exist_ok=True)
+    place.write_text(to_toml(made), encoding="utf-8")
+    return record_of(best) | {"seconds": round(took)} | compared(name)
+
+
+def path_of(name: str) -> Path:
+    """Where a variant's recipe is kept."""
+    return (RECIPES if name == "headline" else RECIPES / "headline") / f"{name}.toml"
+
+
+def compared(name: str) -> dict[str, object]:
+    """What the kept recipe leaves, and the limit, where there is a proof."""
+    from gradcal_jax.assemble import predict
+    from gradcal_jax.assemble.limit import limits
+    from gradcal_jax.files.recipe import read_recipe
+
+    spec = read_recipe(path_of(name)).spec
+    if name not in MOVING:
+        return {"residual": predict(spec).requirements[0].mean, "limit": None, "relaxed": []}
+    proven = limits(spec)[0]
+    return {"residual": proven.value, "limit": proven.certified, "relaxed": list(proven.relaxed)}
 
 
 def table(results: dict[str, dict]) -> str:
@@ -115,9 +126,11 @@ def main(names: list[str]) -> None:
     jax.config.update("jax_enable_x64", True)
     kept = HERE / "results.json"
     results = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
-    for name in names or [*MOVING, *STATIC]:
+    again = "--limits" in names
+    names = [name for name in names if name != "--limits"] or (list(results) if again else [*MOVING, *STATIC])
+    for name in names:
         print(f"{name} …", flush=True)
-        results[name] = run(name)
+        results[name] = results[name] | compared(name) if again else run(name)
         print(f"  {results[name]['now']:.4g} {results[name]['unit']}, limit {results[name]['limit']}", flush=True)
         ordered = {name: results[name] for name in [*MOVING, *STATIC] if name in results}
         kept.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")

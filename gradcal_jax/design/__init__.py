@@ -2,7 +2,8 @@
 
 from gradcal_jax.design.coordinates import Coordinates, Cycle, Element, Frame, Limits, make_coordinates
 from gradcal_jax.design.criteria import Criterion, Optimality, criterion
-from gradcal_jax.design.limit import Limit, gated_noise_density, least_noise_density, limit
+from gradcal_jax.design.limit import Limit, limit
+from gradcal_jax.design.noise_floor import gated_noise_density, least_noise_density, scale_factor_floor
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, StandardCoordinates
 from gradcal_jax.design.search import Found, Progress, State, polish, search
 
@@ -26,5 +27,6 @@ __all__ = [
     "limit",
     "make_coordinates",
     "polish",
+    "scale_factor_floor",
     "search",
 ]

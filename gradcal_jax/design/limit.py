@@ -19,22 +19,11 @@ in ω, whose largest value is found from its derivative's roots. The root mean s
 weights `w = s/(nΨ)` of its own gradient (Cauchy–Schwarz). For D-optimality, `Ψ = det(I)^(−1/2p)`: log det is concave,
 and `Ψ* ≥ Ψ·√(p/d)` with `d` the largest `tr(I⁻¹I(m))` (Kiefer and Wolfowitz, 1960).
 
-**Drift and readings.** With readings at least Δ apart, of variance R each, N² may be replaced by the least over λ of
-
-    S(λ) = N² + Σ 2σ²τ/(1 + λ²τ²) + R λ²/(1/Δ + ε/2 + λ²/(2ε))        for any ε > 0:
-
-the integrated error is seen through a window of frequencies in which drift and readings cost the more the slower, and
-the faster, the motion is. A design that stays below every frequency cannot be (large-sieve inequality); the best ε is
-taken.
-
-**Turns at the table.** An axis that turns only in given windows of time cannot have all its motion at the best
-frequency. For every combination of columns, `x(t)` supported in the windows, `∫|X|²/S dλ/2π ≤ μ ∫x²dt` with μ the
-largest eigenvalue of the kernel k(t − t'), the transform of 1/S, restricted to the windows: 1/μ replaces the least S.
-1/S is rational in λ², so k is a point mass 1/S(∞) and a sum of exponentials, by partial fractions; the eigenvalue is
-that of a midpoint rule.
+N² may be replaced by a larger density, and a variance that no plan removes added to every residual: see
+`gradcal_jax.design.noise_floor`. Then Ψ_w is not homogeneous any more, and convexity alone gives
+`Ψ_w(I') ≥ Ψ_w + tr(G I) − d`.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -56,8 +45,6 @@ _RATES = 25
 _EMPTY = -30.0
 # A maximum over temperature is searched on so many.
 _TEMPERATURES = 26
-# The eigenvalue's midpoint rule has at most so many points.
-_POINTS = 1500
 
 
 class Limit(NamedTuple):
@@ -184,16 +171,18 @@ class _Problem:
         if _statistic(self.criterion) == "D":
             # tr(I⁻¹ m) = |R⁻ᵀ m|²
             useful = scipy.linalg.solve_triangular(factor, np.eye(count), trans=1) / size[None, :]
-            share, value = np.ones(count), self.value(rates, logs)
+            share, value, enough = np.ones(count), self.value(rates, logs), float(count)
         else:
             values = self._deviations(half)
             near = _dual(values, _statistic(self.criterion), sharpness)[1]
             useful = scipy.linalg.solve_triangular(factor, half).T / size[None, :]
             share, value = (near / (2.0 * values)).ravel(), float(np.sum(near * values))
+            enough = float(share @ np.sum(half**2, axis=0))
         density, peaks = self._largest(useful, share, max_rate)
         most = float(np.mean(density)) if self.fixed_programme else float(np.max(density))
         most += float(share @ np.einsum("gi,ij,gj->g", useful, self.prior, useful))
-        enough = count if _statistic(self.criterion) == "D" else value / 2.0
+        if np.any(self.beyond):
+            return max(value + enough - most, 0.0), peaks
         return value * np.sqrt(min(enough / most, 1.0)), peaks
 
     def _largest(self, useful: np.ndarray, share: np.ndarray, max_rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -284,85 +273,3 @@ def _root(matrix: np.ndarray) -> np.ndarray:
     """Rows with `rowsᵀ rows = matrix`, which may be singular."""
     values, vectors = np.linalg.eigh(matrix)
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-
-
-# --- the least noise that motion meets --------------------------------------------------------------------------------
-
-
-def least_noise_density(model: GyroModel, spacing: float) -> float:
-    """`max_ε min_λ S(λ)` in rad²/s, for readings at least `spacing` s apart; never below N².
-
-    Only processes that drive the angle at any rate (bias_gain) count, and only the white noise of a reading.
-    """
-    spectrum = _Spectrum(model)
-    # Any ε gives a valid limit, so a grid is enough.
-    return max(spectrum.walk, *(spectrum.least(np.exp(x), spacing) for x in np.linspace(-15.0, 10.0, 251)))
-
-
-def gated_noise_density(model: GyroModel, spacing: float, windows: Sequence[tuple[float, float]]) -> float:
-    """1/μ in rad²/s for an axis that turns only in `windows` (begin, end; s); never below `least_noise_density`."""
-    spectrum = _Spectrum(model)
-    total = sum(end - begin for begin, end in windows)
-    step = max(total / _POINTS, 0.5)
-    times, widths = [], []
-    for begin, end in windows:
-        count = max(1, round((end - begin) / step))
-        times.append(begin + (end - begin) * (np.arange(count) + 0.5) / count)
-        widths.append(np.full(count, (end - begin) / count))
-    t, root = np.concatenate(times), np.sqrt(np.concatenate(widths))
-    lags = np.abs(t[:, None] - t[None, :])
-
-    def density(log_epsilon: float) -> float:
-        flat, kernel = spectrum.kernel(np.exp(log_epsilon), spacing)
-        matrix = kernel(lags) * root[:, None] * root[None, :]
-        last = len(t) - 1
-        largest = scipy.linalg.eigh(matrix, eigvals_only=True, subset_by_index=[last, last])[0]
-        return 1.0 / (flat + max(float(largest), 0.0))
-
-    free = least_noise_density(model, spacing)
-    if spectrum.variance == 0.0 or not spectrum.decay.size:
-        return free
-    # The best ε of the free problem is a good one here; any is valid.
-    at = max(np.linspace(-15.0, 10.0, 251), key=lambda x: spectrum.least(np.exp(x), spacing))
-    return max(free, *(density(at + shift) for shift in (0.0, 0.5, 1.0)))
-
-
-class _Spectrum:
-    """S(λ) of a model: see the module's head."""
-
-    def __init__(self, model: GyroModel):
-        p = model.processes
-        gain = np.where(np.asarray(p.rate_gain) == 0.0, np.asarray(p.bias_gain), 0.0)
-        keep = gain * np.asarray(p.diffusion) != 0.0
-        self.walk = float(model.angle_random_walk) ** 2
-        self.variance = float(model.reference.reading_noise) ** 2
-        self.decay = np.asarray(p.decay)[keep]
-        # q²/(λ² + 1/τ²): for a Gauss-Markov process 2σ²τ/(1 + λ²τ²).
-        self.drive = (gain * np.asarray(p.diffusion))[keep] ** 2
-
-    def least(self, epsilon: float, spacing: float) -> float:
-        square = np.concatenate([[0.0], np.geomspace(1e-7, 1e3, 4001)]) ** 2
-        drift = np.sum(self.drive / np.maximum(square[:, None] + self.decay**2, 1e-300), axis=1)
-        window = 1.0 / spacing + epsilon / 2.0 + square / (2.0 * epsilon)
-        return float(np.min(self.walk + drift + self.variance * square / window))
-
-    def kernel(self, epsilon: float, spacing: float):
-        """The transform of 1/S: its point mass, and the rest as a function of the lag (s)."""
-        # In x = λ²: S = walk + Σ drive/(x + decay²) + 2εR·x/(x + b), over the common denominator Q.
-        b = 2.0 * epsilon * (1.0 / spacing + epsilon / 2.0)
-        poles = np.concatenate([-(self.decay**2), [-b]])
-        flat = self.walk + 2.0 * epsilon * self.variance
-        q = np.poly(poles)
-        numerators = np.concatenate([self.drive, [-2.0 * epsilon * self.variance * b]])
-        p = flat * q
-        for k, value in enumerate(numerators):
-            p = np.polyadd(p, value * np.poly(np.delete(poles, k)))
-        roots = np.roots(p).astype(complex)
-        residues = np.polyval(q, roots) / np.polyval(np.polyder(p), roots)
-        rates = np.sqrt(-roots)
-
-        def smooth(lag: np.ndarray) -> np.ndarray:
-            terms = [(r / (2.0 * a)) * np.exp(-a * lag) for r, a in zip(residues, rates, strict=True)]
-            return np.real(np.sum(terms, axis=0))
-
-        return 1.0 / flat, smooth

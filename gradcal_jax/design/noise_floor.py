@@ -1,0 +1,137 @@
+"""The least noise that any motion meets: what may stand for the random walk in a limit, and what no plan removes.
+
+**Drift and readings.** With readings at least Δ apart, of variance R each, N² may be replaced by the least over λ of
+
+    S(λ) = N² + Σ 2σ²τ/(1 + λ²τ²) + R λ²/(1/Δ + ε/2 + λ²/(2ε))        for any ε > 0:
+
+the integrated error is seen through a window of frequencies in which drift and readings cost the more the slower, and
+the faster, the motion is. A design that stays below every frequency cannot be (large-sieve inequality); the best ε is
+taken.
+
+**Turns at the table.** An axis that turns only in given windows of time cannot have all its motion at the best
+frequency. For every combination of columns, `x(t)` supported in the windows, `∫|X|²/S dλ/2π ≤ μ ∫x²dt` with μ the
+largest eigenvalue of the kernel k(t − t'), the transform of 1/S, restricted to the windows: 1/μ replaces the least S.
+1/S is rational in λ², so k is a point mass 1/S(∞) and a sum of exponentials, by partial fractions; the eigenvalue is
+that of a midpoint rule.
+
+**Processes that multiply the rate** (instability of the scale factor, an error of the temperature, of the sensor's
+clock) look like the scale factor itself. Whoever saw `M(T, ω) + δ(t)` at every rate at once, while the axis has the
+table, would know `M(T, ω) − M(T, 0)` exactly, and M(T, 0) as well as generalised least squares in T allows; every
+reading is a function of that. What is left of the best linear estimate under a sum of noises is at least the sum of
+what each leaves alone, so that this variance is added to the random walk's.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+
+from gradcal_jax.errormodel import GyroModel
+
+# The eigenvalue's midpoint rule has at most so many points.
+_POINTS = 1500
+
+
+def scale_factor_floor(model: GyroModel, times: np.ndarray, temperatures: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """`(len(at),)`, the variance of M at the temperatures `at` (°C) that no motion at `times` (s, °C) removes.
+
+    `times` stand for all times at which the axis may turn: they should be dense against the correlation times. Without
+    any (a programme that is free) only what is constant counts. A prior on M leaves nothing that is sure.
+    """
+    p, scale = model.processes, model.scale
+    if scale is None or scale.has_prior or scale.has_smoothness:
+        return np.zeros(len(at))
+    gain = np.where(np.asarray(p.bias_gain) == 0.0, np.asarray(p.rate_gain), 0.0)
+    variance, decay = (gain * np.asarray(p.initial_std)) ** 2, np.asarray(p.decay)
+    # A constant is a constant of M: it adds itself.
+    found = np.full(len(at), float(np.sum(variance[decay == 0.0])))
+    moving = (variance > 0.0) & (decay > 0.0)
+    if not moving.any() or not len(times):
+        return found
+    lags = np.abs(times[:, None] - times[None, :])
+    kernel = sum(v * np.exp(-d * lags) for v, d in zip(variance[moving], decay[moving], strict=True))
+    factor = np.linalg.cholesky(np.asarray(kernel))
+    seen = scipy.linalg.solve_triangular(factor, np.asarray(scale.temperature(jnp.asarray(temperatures))), lower=True)
+    root = np.asarray(np.linalg.qr(seen, mode="r"))
+    wanted = np.asarray(scale.temperature(jnp.asarray(at)))
+    return found + np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
+
+
+def least_noise_density(model: GyroModel, spacing: float) -> float:
+    """`max_ε min_λ S(λ)` in rad²/s, for readings at least `spacing` s apart; never below N².
+
+    Only processes that drive the angle at any rate (bias_gain) count, and only the white noise of a reading.
+    """
+    spectrum = _Spectrum(model)
+    # Any ε gives a valid limit, so a grid is enough.
+    return max(spectrum.walk, *(spectrum.least(np.exp(x), spacing) for x in np.linspace(-15.0, 10.0, 251)))
+
+
+def gated_noise_density(model: GyroModel, spacing: float, windows: Sequence[tuple[float, float]]) -> float:
+    """1/μ in rad²/s for an axis that turns only in `windows` (begin, end; s); never below `least_noise_density`."""
+    spectrum = _Spectrum(model)
+    total = sum(end - begin for begin, end in windows)
+    step = max(total / _POINTS, 0.5)
+    times, widths = [], []
+    for begin, end in windows:
+        count = max(1, round((end - begin) / step))
+        times.append(begin + (end - begin) * (np.arange(count) + 0.5) / count)
+        widths.append(np.full(count, (end - begin) / count))
+    t, root = np.concatenate(times), np.sqrt(np.concatenate(widths))
+    lags = np.abs(t[:, None] - t[None, :])
+
+    def density(log_epsilon: float) -> float:
+        flat, kernel = spectrum.kernel(np.exp(log_epsilon), spacing)
+        matrix = kernel(lags) * root[:, None] * root[None, :]
+        last = len(t) - 1
+        largest = scipy.linalg.eigh(matrix, eigvals_only=True, subset_by_index=[last, last])[0]
+        return 1.0 / (flat + max(float(largest), 0.0))
+
+    free = least_noise_density(model, spacing)
+    if spectrum.variance == 0.0 or not spectrum.decay.size:
+        return free
+    # The best ε of the free problem is a good one here; any is valid.
+    at = max(np.linspace(-15.0, 10.0, 251), key=lambda x: spectrum.least(np.exp(x), spacing))
+    return max(free, *(density(at + shift) for shift in (0.0, 0.5, 1.0)))
+
+
+class _Spectrum:
+    """S(λ) of a model: see the module's head."""
+
+    def __init__(self, model: GyroModel):
+        p = model.processes
+        gain = np.where(np.asarray(p.rate_gain) == 0.0, np.asarray(p.bias_gain), 0.0)
+        keep = gain * np.asarray(p.diffusion) != 0.0
+        self.walk = float(model.angle_random_walk) ** 2
+        self.variance = float(model.reference.reading_noise) ** 2
+        self.decay = np.asarray(p.decay)[keep]
+        # q²/(λ² + 1/τ²): for a Gauss-Markov process 2σ²τ/(1 + λ²τ²).
+        self.drive = (gain * np.asarray(p.diffusion))[keep] ** 2
+
+    def least(self, epsilon: float, spacing: float) -> float:
+        square = np.concatenate([[0.0], np.geomspace(1e-7, 1e3, 4001)]) ** 2
+        drift = np.sum(self.drive / np.maximum(square[:, None] + self.decay**2, 1e-300), axis=1)
+        window = 1.0 / spacing + epsilon / 2.0 + square / (2.0 * epsilon)
+        return float(np.min(self.walk + drift + self.variance * square / window))
+
+    def kernel(self, epsilon: float, spacing: float):
+        """The transform of 1/S: its point mass, and the rest as a function of the lag (s)."""
+        # In x = λ²: S = walk + Σ drive/(x + decay²) + 2εR·x/(x + b), over the common denominator Q.
+        b = 2.0 * epsilon * (1.0 / spacing + epsilon / 2.0)
+        poles = np.concatenate([-(self.decay**2), [-b]])
+        flat = self.walk + 2.0 * epsilon * self.variance
+        q = np.poly(poles)
+        numerators = np.concatenate([self.drive, [-2.0 * epsilon * self.variance * b]])
+        p = flat * q
+        for k, value in enumerate(numerators):
+            p = np.polyadd(p, value * np.poly(np.delete(poles, k)))
+        roots = np.roots(p).astype(complex)
+        residues = np.polyval(q, roots) / np.polyval(np.polyder(p), roots)
+        rates = np.sqrt(-roots)
+
+        def smooth(lag: np.ndarray) -> np.ndarray:
+            terms = [(r / (2.0 * a)) * np.exp(-a * lag) for r, a in zip(residues, rates, strict=True)]
+            return np.real(np.sum(terms, axis=0))
+
+        return 1.0 / flat, smooth

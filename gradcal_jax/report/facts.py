@@ -1,25 +1,26 @@
 """Every number of a page, once: from the recipe, the run and the calibration, by the functions that commands use."""
 
 import re
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
 from gradcal_jax import assemble
 from gradcal_jax.assemble.achieved import Box, Term, found_map, grid_of, prior_map, standard_terms
-from gradcal_jax.assemble.knowledge import DEG_PER_H, PPM
+from gradcal_jax.assemble.knowledge import PPM
 from gradcal_jax.files import Spec, correction, exports
 from gradcal_jax.files.calibration import AxisCalibration, Calibration, Result
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import statistic
+from gradcal_jax.information.residual import Statistic
+from gradcal_jax.report.coefficients import ParameterFact, agreement, parameters
 from gradcal_jax.report.course import Course, course_of
 from gradcal_jax.report.sources import Sources
 
-# Gradient sensitivity has one name in a calibration, another among predicted parameters and in a hidden truth.
-_GRADIENT: Final = "bias_temperature_gradient"
-_SUPERSCRIPTS: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+# Of a residual: what shows in the digits of a page.
+_SEEN: Final = 1e-3
 
 
 class RequirementFact(NamedTuple):
@@ -42,20 +43,6 @@ class RequirementFact(NamedTuple):
     verdict: str | None
     limited_by: str | None
     limit: float | None
-
-
-class ParameterFact(NamedTuple):
-    """A coefficient in `unit`, what it multiplies, its one sigma found and predicted, and a simulation's truth."""
-
-    name: str
-    axis: str
-    multiplies: str
-    unit: str
-    value: float | None
-    std: float | None
-    predicted_std: float | None
-    truth: float | None
-    off_by_sigma: float | None
 
 
 class AxisFact(NamedTuple):
@@ -138,6 +125,7 @@ def facts_of(sources: Sources) -> Facts:
         for axis in axes
         if axis.unobservable
     ]
+    notes += _hidden_by_structure(requirements, maps)
     simulated = bool(course is not None and course.simulated) or bool(calibration is not None and calibration.simulated)
     title = (recipe.title if recipe is not None else None) or (calibration.title if calibration is not None else None)
     return Facts(
@@ -145,7 +133,7 @@ def facts_of(sources: Sources) -> Facts:
         simulated=simulated,
         before_is=before_is,
         requirements=tuple(requirements),
-        parameters=tuple(_parameters(recipe, calibration, sources.hidden_truth)),
+        parameters=tuple(parameters(recipe, calibration, sources.hidden_truth)),
         axes=axes,
         examples=() if calibration is None else tuple(_example(axis) for axis in calibration.axis),
         exports=() if calibration is None else tuple(_exports(calibration, sources.calibration_name)),
@@ -222,6 +210,24 @@ def _requirements(sources: Sources) -> tuple[str, list[RequirementFact], list[Ma
         before_is = "the plan that the optimisation began with"
         rows = [row._replace(before=given.get(row.name)) for row in rows]
     return before_is, rows, maps
+
+
+def _hidden_by_structure(requirements: list[RequirementFact], maps: list[MapFact]) -> list[str]:
+    """A calibration file has the covariance of its coefficients; what their structure may hide is in results alone."""
+    names: list[str] = []
+    for row, fact in zip(requirements, maps, strict=False):
+        drawn = dict(fact.maps).get("achieved")
+        if drawn is None or row.achieved is None or row.temperature_c is None:
+            continue
+        shown = statistic(cast("Statistic", row.statistic), drawn.values)
+        if abs(shown - row.achieved) > _SEEN * row.achieved:
+            names.append(f"{row.name} ({shown:.4g} {row.unit} in the map, {row.achieved:.4g} {row.unit} in the table)")
+    if not names:
+        return []
+    return [
+        "the achieved maps leave out what the results count besides the coefficients' covariance, such as a model "
+        f"discrepancy: {', '.join(names)}"
+    ]
 
 
 def _requirement(
@@ -304,76 +310,6 @@ def _unit(quantity: str) -> str:
     return "ppm" if quantity == "scale_factor" else "deg/h"
 
 
-# --------------------------------------------------------------------------------------------------------- parameters
-
-
-def _parameters(
-    recipe: Recipe | None, calibration: Calibration | None, truth: dict[str, Any] | None
-) -> list[ParameterFact]:
-    predicted = {} if recipe is None else {(row.axis, _own_name(row.name)): row for row in recipe.prediction.parameters}
-    if calibration is None:
-        return [
-            ParameterFact(
-                name, axis, _multiplies(name), _factor(name)[0], None, None, _in_unit(row.std, name), None, None
-            )
-            for (axis, name), row in predicted.items()
-        ]
-    rows: list[ParameterFact] = []
-    for axis in calibration.axis:
-        hidden = (truth or {}).get(axis.name, {})
-        deviations: dict[str, float] = {}
-        if axis.covariance is not None:
-            variances = np.diag(np.array(axis.covariance.matrix))
-            deviations = dict(zip(axis.covariance.names, np.sqrt(variances).tolist(), strict=True))
-        for name, value in axis.values().items():
-            row, std = predicted.get((axis.name, name)), deviations.get(name)
-            real = hidden.get("gradient" if name == _GRADIENT else name)
-            off = None if real is None or not std else (value - real) / std
-            rows.append(
-                ParameterFact(
-                    name,
-                    axis.name,
-                    _multiplies(name),
-                    _factor(name)[0],
-                    _in_unit(value, name),
-                    _in_unit(std, name),
-                    None if row is None else _in_unit(row.std, name),
-                    _in_unit(real, name),
-                    off,
-                )
-            )
-    return rows
-
-
-def _in_unit(number: float | None, name: str) -> float | None:
-    return None if number is None else number * _factor(name)[1]
-
-
-def _own_name(name: str) -> str:
-    return name if re.match(r"[ab][\d_]", name) else _GRADIENT
-
-
-def _factor(name: str) -> tuple[str, float]:
-    if name == _GRADIENT:
-        return "deg/h/(°C/min)", DEG_PER_H / 60.0
-    return ("deg/h", DEG_PER_H) if name.startswith("a") else ("ppm", PPM)
-
-
-def _multiplies(name: str) -> str:
-    """What a coefficient of the paper stands before: powers of T′ and ω′; other bases count their functions."""
-    if name == _GRADIENT:
-        return "dT/dt"
-    if (found := re.fullmatch(r"a(\d+)", name)) is not None:
-        return _power("T′", found[1]) or "1"
-    if (found := re.fullmatch(r"b(\d)(\d)", name)) or (found := re.fullmatch(r"b(\d+)_(\d+)", name)):
-        return "·".join(part for part in (_power("ω′", found[1]), _power("T′", found[2])) if part) or "1"
-    return "function " + name[1:].strip("_").replace("_", " × ")
-
-
-def _power(symbol: str, exponent: str) -> str:
-    return "" if exponent == "0" else symbol if exponent == "1" else symbol + exponent.translate(_SUPERSCRIPTS)
-
-
 def _axis(axis: AxisCalibration, truth: dict[str, Any] | None) -> AxisFact:
     return AxisFact(
         axis.name,
@@ -381,26 +317,8 @@ def _axis(axis: AxisCalibration, truth: dict[str, Any] | None) -> AxisFact:
         (str(axis.valid_temperature[0]), str(axis.valid_temperature[1])),
         (str(axis.valid_rate[0]), str(axis.valid_rate[1])),
         axis.unobservable,
-        _agreement(axis, (truth or {}).get(axis.name)),
+        agreement(axis, (truth or {}).get(axis.name)),
     )
-
-
-def _agreement(axis: AxisCalibration, hidden: dict[str, float] | None) -> tuple[float, int, float] | None:
-    """χ² of the errors of all coefficients in the estimate's own covariance."""
-    if hidden is None or axis.covariance is None or axis.unobservable:
-        return None
-    from scipy.stats import chi2
-
-    values, names = axis.values(), axis.covariance.names
-    real = [hidden.get("gradient" if name == _GRADIENT else name) for name in names]
-    if any(value is None for value in real):
-        return None
-    error = np.array([values[name] for name in names]) - np.array(real, dtype=np.float64)
-    matrix = np.array(axis.covariance.matrix)
-    size = np.sqrt(np.diag(matrix))
-    whitened = np.linalg.solve(np.linalg.cholesky(matrix / np.outer(size, size)), error / size)
-    found = float(whitened @ whitened)
-    return found, len(names), float(chi2.sf(found, len(names)))
 
 
 # -------------------------------------------------------------------------------------------- use, noise and provenance

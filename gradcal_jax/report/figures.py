@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from gradcal_jax import plots
 from gradcal_jax.assemble.achieved import Box
@@ -22,6 +22,7 @@ from gradcal_jax.plots.style import style_of
 from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, turned_axes
 from gradcal_jax.report.course import Course, rates_of
 from gradcal_jax.report.facts import MapFact
+from gradcal_jax.report.numbers import figures
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
 _WIDE, _HIGH, _LOW = 5.2, 3.7, 2.9
@@ -153,7 +154,7 @@ def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture
         assert bar is not None
         logarithmic = isinstance(norm, LogNorm)
         bar.locator = LogLocator(10.0, subs=(1.0, 2.0, 5.0)) if logarithmic else MaxNLocator(5)
-        bar.formatter = StrMethodFormatter("{x:.4g}")
+        bar.formatter = FuncFormatter(_tick)
         bar.minorformatter = NullFormatter()
         bar.update_ticks()
         if drawn.contours is not None:
@@ -189,7 +190,7 @@ def _label(ax: Axes, contours: QuadContourSet) -> None:
         ax.text(
             float(vertices[at, 0]),
             float(vertices[at, 1]),
-            f"{value:.3g}",
+            figures(value, 3),
             fontsize=8,
             ha="center",
             va="center",
@@ -213,7 +214,7 @@ def _curves(fact: MapFact, key: str, where: str) -> Picture:
         if len(seen) and seen.max() > _LOGARITHMIC * seen.min():
             ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))
             ax.yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
-            ax.yaxis.set_major_formatter("{x:.4g}")
+            ax.yaxis.set_major_formatter(FuncFormatter(_tick))
             ax.yaxis.set_minor_formatter(NullFormatter())
         if not bias:
             ax.set_ylabel(f"worst residual over temperature, {fact.maps[0][1].unit}")
@@ -221,6 +222,10 @@ def _curves(fact: MapFact, key: str, where: str) -> Picture:
 
     words = "over temperature" if bias else "the worst over temperature, against rate"
     return _picture(key, f"{where}: residual, {words}, one standard deviation.", draw, _HIGH)
+
+
+def _tick(value: float, _place: int) -> str:
+    return figures(value)
 
 
 def _key(name: str) -> str:

@@ -8,9 +8,11 @@ from typing import Any
 import gradcal_jax
 from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.report.facts import Facts, ParameterFact, RequirementFact
+from gradcal_jax.report.coefficients import ParameterFact
+from gradcal_jax.report.facts import Facts, RequirementFact
 from gradcal_jax.report.figures import found_pictures, map_pictures, track_pictures
 from gradcal_jax.report.glossary import TERMS
+from gradcal_jax.report.numbers import figures
 from gradcal_jax.report.sources import Sources
 from gradcal_jax.units import time_text
 
@@ -40,14 +42,6 @@ def page(sources: Sources, facts: Facts) -> str:
     # Only the words that the page uses are explained on it.
     said = template.render(**given, glossary=()).lower()
     return template.render(**given, glossary=[(term, words) for term, words in TERMS.items() if term.lower() in said])
-
-
-def figures(value: float, digits: int = 4) -> str:
-    """A number with so many digits, as people write it."""
-    text = f"{value:.{digits}g}"
-    if "e+" in text:
-        text = f"{float(text):.0f}"
-    return text.replace("-", "−")
 
 
 def sentence(text: str) -> str:
@@ -131,7 +125,9 @@ def _requirements(facts: Facts) -> dict[str, Any]:
             "verdict": row.verdict or "",
             "limited by": row.limited_by or "",
         }
-        name = f"{row.name} ({_box(row)})" + (f", axis {row.axis}" if several else "")
+        name = f"{row.name} ({_box(row)})".replace(f"{row.name} ({row.name}, ", f"{row.name} (") + (
+            f", axis {row.axis}" if several else ""
+        )
         cells.append([name, row.statistic, *(all_cells[column] for column in head[2:])])
     return {"requirement_head": head, "requirement_rows": cells}
 
@@ -144,7 +140,8 @@ def _box(row: RequirementFact) -> str:
     words = row.quantity.replace("_", " ")
     if row.temperature_c is None:
         return words
-    words += f", {figures(row.temperature_c[0])} to {figures(row.temperature_c[1])} °C"
+    words = "" if words == row.name else words + ", "
+    words += f"{figures(row.temperature_c[0])} to {figures(row.temperature_c[1])} °C"
     if row.rate_dps is None:
         return words
     return words + f", {figures(row.rate_dps[0])} to {figures(row.rate_dps[1])} deg/s"

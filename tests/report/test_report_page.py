@@ -19,7 +19,8 @@ from gradcal_jax.information import statistic
 from gradcal_jax.plots.tracks import planned_rate
 from gradcal_jax.report.course import course_of, rates_of
 from gradcal_jax.report.facts import as_tables, facts_of
-from gradcal_jax.report.page import figures, page
+from gradcal_jax.report.numbers import figures
+from gradcal_jax.report.page import page
 from gradcal_jax.report.sources import read_sources
 
 DEG_PER_H = float(np.degrees(1.0)) * 3600.0
@@ -105,6 +106,8 @@ def test_the_requirements_of_a_page_are_those_of_recipe_and_calibration(made, wh
     assert rows[1]["achieved"] == ""
     assert (rows[0]["verdict"], number(rows[0]["target"])) == ("met", 2000.0)
     assert "Met: every target" in shown.text
+    # The drawn results are not those of the drawn covariance, as with a model discrepancy; the page says so.
+    assert any("achieved maps leave out" in note and "123.5 ppm in the table" in note for note in facts.notes)
 
 
 def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covariances(made, whole):

@@ -1,0 +1,114 @@
+"""Coefficients of a calibration, or of a plan alone, beside what was predicted of them and what a simulation hid."""
+
+import re
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax.assemble.knowledge import DEG_PER_H, PPM
+from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.recipe import Recipe
+
+# Gradient sensitivity has one name in a calibration, another among predicted parameters and in a hidden truth.
+_GRADIENT: Final = "bias_temperature_gradient"
+_SUPERSCRIPTS: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+class ParameterFact(NamedTuple):
+    """A coefficient in `unit`, what it multiplies, its one sigma found and predicted, and a simulation's truth."""
+
+    name: str
+    axis: str
+    multiplies: str
+    unit: str
+    value: float | None
+    std: float | None
+    predicted_std: float | None
+    truth: float | None
+    off_by_sigma: float | None
+
+
+def parameters(
+    recipe: Recipe | None, calibration: Calibration | None, truth: dict[str, Any] | None
+) -> list[ParameterFact]:
+    """Every coefficient: found by a calibration, or of a recipe's plan alone; beside a simulation's hidden truth."""
+    predicted = {} if recipe is None else {(row.axis, _own_name(row.name)): row for row in recipe.prediction.parameters}
+    if calibration is None:
+        return [
+            ParameterFact(
+                name, axis, _multiplies(name), _factor(name)[0], None, None, _in_unit(row.std, name), None, None
+            )
+            for (axis, name), row in predicted.items()
+        ]
+    rows: list[ParameterFact] = []
+    for axis in calibration.axis:
+        hidden = (truth or {}).get(axis.name, {})
+        deviations: dict[str, float] = {}
+        if axis.covariance is not None:
+            variances = np.diag(np.array(axis.covariance.matrix))
+            deviations = dict(zip(axis.covariance.names, np.sqrt(variances).tolist(), strict=True))
+        for name, value in axis.values().items():
+            row, std = predicted.get((axis.name, name)), deviations.get(name)
+            real = hidden.get("gradient" if name == _GRADIENT else name)
+            off = None if real is None or not std else (value - real) / std
+            rows.append(
+                ParameterFact(
+                    name,
+                    axis.name,
+                    _multiplies(name),
+                    _factor(name)[0],
+                    _in_unit(value, name),
+                    _in_unit(std, name),
+                    None if row is None else _in_unit(row.std, name),
+                    _in_unit(real, name),
+                    off,
+                )
+            )
+    return rows
+
+
+def _in_unit(number: float | None, name: str) -> float | None:
+    return None if number is None else number * _factor(name)[1]
+
+
+def _own_name(name: str) -> str:
+    return name if re.match(r"[ab][\d_]", name) else _GRADIENT
+
+
+def _factor(name: str) -> tuple[str, float]:
+    if name == _GRADIENT:
+        return "deg/h/(°C/min)", DEG_PER_H / 60.0
+    return ("deg/h", DEG_PER_H) if name.startswith("a") else ("ppm", PPM)
+
+
+def _multiplies(name: str) -> str:
+    """What a coefficient of the paper stands before: powers of T′ and ω′; other bases count their functions."""
+    if name == _GRADIENT:
+        return "dT/dt"
+    if (found := re.fullmatch(r"a(\d+)", name)) is not None:
+        return _power("T′", found[1]) or "1"
+    if (found := re.fullmatch(r"b(\d)(\d)", name)) or (found := re.fullmatch(r"b(\d+)_(\d+)", name)):
+        return "·".join(part for part in (_power("ω′", found[1]), _power("T′", found[2])) if part) or "1"
+    return "function " + name[1:].strip("_").replace("_", " × ")
+
+
+def _power(symbol: str, exponent: str) -> str:
+    return "" if exponent == "0" else symbol if exponent == "1" else symbol + exponent.translate(_SUPERSCRIPTS)
+
+
+def agreement(axis: AxisCalibration, hidden: dict[str, float] | None) -> tuple[float, int, float] | None:
+    """χ² of the errors of all coefficients in the estimate's own covariance."""
+    if hidden is None or axis.covariance is None or axis.unobservable:
+        return None
+    from scipy.stats import chi2
+
+    values, names = axis.values(), axis.covariance.names
+    real = [hidden.get("gradient" if name == _GRADIENT else name) for name in names]
+    if any(value is None for value in real):
+        return None
+    error = np.array([values[name] for name in names]) - np.array(real, dtype=np.float64)
+    matrix = np.array(axis.covariance.matrix)
+    size = np.sqrt(np.diag(matrix))
+    whitened = np.linalg.solve(np.linalg.cholesky(matrix / np.outer(size, size)), error / size)
+    found = float(whitened @ whitened)
+    return found, len(names), float(chi2.sf(found, len(names)))

@@ -8,7 +8,7 @@ import numpy as np
 import gradcal_jax
 from gradcal_jax.assemble.build import assemble
 from gradcal_jax.assemble.estimate import Options, UnitChannel, estimate_channels
-from gradcal_jax.assemble.knowledge import DEG_PER_S, UNIT_OF, residual_map
+from gradcal_jax.assemble.knowledge import DEG_PER_S, PPM, UNIT_OF, residual_map
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (
@@ -330,6 +330,17 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
         "lag_s": channel.lag_s,
         "lag_std_s": _finite(channel.lag_std_s),
         "smoothness": None if channel.smoothness is None else channel.smoothness._asdict(),
+        "neighbours": [
+            {
+                "temperature_c": g.temperature_c,
+                "rate_dps": g.rate_rad_per_s * DEG_PER_S,
+                "moves": g.moves,
+                "scale_factor_ppm": g.scale_factor * PPM,
+                "standard_error_ppm": None if g.standard_error is None else g.standard_error * PPM,
+                "map_ppm": g.of_map * PPM,
+            }
+            for g in channel.neighbours
+        ],
         "down_weighted": int(np.count_nonzero(channel.weights < 1.0)),
         "consistency": {
             "chi_squared": _test_row(tests.fit),

@@ -45,6 +45,8 @@ class Options:
     clock: Literal["sensor", "host"] = "sensor"
     read_every: float = 1.0
     table_axis: str | None = None
+    neighbours_k: float | None = None
+    """Beside the map: moves of one rate within so many kelvins taken together, without a structure."""
 
 
 class UnitChannel(NamedTuple):
@@ -67,6 +69,7 @@ class UnitChannel(NamedTuple):
     counts: dict[str, int]
     """Rows of the log by what became of them; they add up to the rows read."""
     messages: tuple[str, ...]
+    neighbours: tuple[room.Group, ...] = ()
 
 
 class _Rows(NamedTuple):
@@ -341,6 +344,10 @@ def _finished(
     if lag_std is not None and lag < 2.0 * lag_std:
         messages.append(f"no lag of the maps shows: the one found is {lag:.2g} s, and uncertain by {lag_std:.2g} s")
     inside = rows.temperature[_integrated_rows(done, len(rows.time))]
+    groups: tuple[room.Group, ...] = ()
+    if options.neighbours_k is not None:
+        groups, said = _neighbours(model, observations, found, rows, done, options.neighbours_k)
+        messages += said
     return UnitChannel(
         axis,
         log.units[unit],
@@ -357,7 +364,29 @@ def _finished(
         _fastest(model, found, rows, lag),
         counts,
         tuple(dict.fromkeys(messages)),
+        groups,
     )
+
+
+def _neighbours(
+    model: GyroModel, observations: Observations, found: Estimate, rows: _Rows, done: room.Executed, width_k: float
+) -> tuple[tuple[room.Group, ...], list[str]]:
+    """The moves without a structure, beside what the map says of each."""
+    if done.timeline.rate_reference or rows.angle is None or model.scale is None:
+        return (), ["there are no moves between two rests whose angle is known, so no neighbours to take together"]
+    scale = model.columns.scale
+    moves = room.moves_between_rests(
+        observations.readings[:, 0],
+        observations.columns_of(0)[:, scale] @ found.parameters[0][scale],
+        np.diff(rows.angle[done.rows]),
+        np.diff(rows.time[done.rows]),
+        observations.temperature_c,
+        np.asarray(done.timeline.moving),
+        done.broken,
+    )
+    groups = room.closest_neighbours(moves, width_k)
+    said = [] if groups else ["no move has a rest right before and after it, so there are no neighbours"]
+    return groups, said
 
 
 def _fastest(model: GyroModel, found: Estimate, rows: _Rows, lag: float) -> tuple[float, float]:

@@ -43,6 +43,7 @@ def estimate(
     robust: Annotated[bool, Parameter(negative="")] = False,
     clock: str = "sensor",
     read_every: str = "1 s",
+    neighbours: str | None = None,
     columns: ColumnMapFile = None,
     force: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
@@ -82,6 +83,8 @@ def estimate(
         "sensor", or "host": integrate over the computer's time.
     read_every
         Spacing of the readings while the table stands.
+    neighbours
+        Also without a structure: moves of one rate within, say, "5 K" taken together, beside what the map says of them.
     columns
         What the columns of a recording mean (gradcal-columns/1).
     force
@@ -91,7 +94,7 @@ def estimate(
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
-    options = _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every)
+    options = _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every, neighbours)
     model = _spec(spec, recipe)
     recorded = load(log, columns)
     if output is not None:
@@ -123,7 +126,7 @@ def estimate(
     return AS_WISHED if report.as_wished else NOT_AS_WISHED
 
 
-def _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every) -> "Options":
+def _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every, neighbours) -> "Options":
     earth = 0.0
     if earth_rate is not None and latitude is not None:
         raise ValueError("--earth-rate and --latitude say the same thing twice: give one of them")
@@ -139,6 +142,9 @@ def _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, r
     every = quantity(read_every, "time", "--read-every")
     if every <= 0.0:
         raise ValueError(f"--read-every {read_every!r}: must be longer than no time")
+    width = None if neighbours is None else quantity(neighbours, "temperature difference", "--neighbours")
+    if width is not None and width <= 0.0:
+        raise ValueError(f"--neighbours {neighbours!r}: must be some kelvins")
     angle = None if latitude is None else quantity(latitude, "angle", "--latitude")
     from gradcal_jax.cli.precision import use_float64
 
@@ -157,6 +163,7 @@ def _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, r
         clock="host" if clock == "host" else "sensor",
         read_every=every,
         table_axis=table_axis,
+        neighbours_k=width,
     )
 
 
@@ -272,4 +279,11 @@ def _channel(channel: "UnitChannel") -> str:
         f"  residuals are {tests.noise_scale:.3f} times what the spec says; {tests.beyond_three:.2%} beyond 3σ, the "
         f"largest {tests.largest:.1f}σ",
     ]
+    if channel.neighbours:
+        shown = [("temperature", "mean rate", "moves", "without a map", "1σ", "the map", "unit")]
+        for g in channel.neighbours:
+            where = (f"{g.temperature_c:.1f} °C", f"{np.degrees(g.rate_rad_per_s):.4g} deg/s", str(g.moves))
+            error = "" if g.standard_error is None else f"{g.standard_error * 1e6:.3g}"
+            shown.append((*where, f"{g.scale_factor * 1e6:.5g}", error, f"{g.of_map * 1e6:.5g}", "ppm"))
+        lines.append(table(shown, right=(1, 2, 3, 4, 5)))
     return "\n".join(lines)

@@ -12,6 +12,7 @@ from gradcal_jax.estimate.consistency import (
     whiteness,
 )
 from gradcal_jax.estimate.executed import Executed, distinct_readings, executed, momentary_stops
+from gradcal_jax.estimate.neighbours import Group, Move, closest_neighbours, moves_between_rests
 from gradcal_jax.estimate.observations import Observations, on_timeline, steps_of
 from gradcal_jax.estimate.plateaus import Plateaus, plateaus
 from gradcal_jax.estimate.robust import HUBER, RobustEstimate, estimate_robustly
@@ -31,6 +32,8 @@ __all__ = [
     "Consistency",
     "Estimate",
     "Executed",
+    "Group",
+    "Move",
     "Observations",
     "Plateaus",
     "RobustEstimate",
@@ -40,6 +43,7 @@ __all__ = [
     "Whitened",
     "basis_values",
     "choose_smoothness",
+    "closest_neighbours",
     "columns_at_readings",
     "consistency",
     "distinct_readings",
@@ -50,6 +54,7 @@ __all__ = [
     "increments_of_samples",
     "integrated_error",
     "momentary_stops",
+    "moves_between_rests",
     "nees_band",
     "normalised_errors",
     "on_timeline",

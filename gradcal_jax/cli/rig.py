@@ -63,11 +63,10 @@ def check(rig: Path, /, *, json: Annotated[bool, Parameter(name="--json", negati
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
-    from gradcal_jax.hardware.setup import check_rig, open_rig
+    from gradcal_jax.hardware.setup import check_each
 
     found = read_rig(rig)
-    with open_rig(found, RealClock()) as bench:
-        reports = check_rig(bench)
+    reports = check_each(found, RealClock())
     if json:
         import json as writer
 

@@ -286,7 +286,8 @@ class Runner:
     # ------------------------------------------------------------------------------------------------------ execute
 
     def _execute(self) -> None:
-        again = self.first_step > 0
+        # A run that was killed after its last step has nothing left to do but to end.
+        again = 0 < self.first_step < len(self.track.steps)
         if again:
             step = self.track.steps[self._steps_done]
             self._event("seam", step=step.name, why="the run was resumed; the step begins again")
@@ -406,7 +407,7 @@ class Runner:
     def _await(self, step: Step, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
         began = self.clock.now()
         while (value := duty.stable_at(at_c, ready)) is None:
-            self._duties(None, None)
+            self._duties(step, None)
             if self.clock.now() - began > ready.timeout_s:
                 raise HardwareError(
                     f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of "

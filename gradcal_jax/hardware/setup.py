@@ -256,6 +256,27 @@ def check_rig(bench: Bench) -> list[DeviceReport]:
     return reports
 
 
+def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
+    """Open and ask one device after the other: a port that is refused is a report too. Raises `SpecError`."""
+    configs_of(rig)
+    reports: list[DeviceReport] = []
+    for role, _, device in _devices(rig):
+        alone = rig.model_copy(
+            update={
+                "chamber": device if role == "chamber" else None,
+                "axis": (device,) if role == "axis" else (),
+                "imu": (device,) if role == "imu" else (),
+            }
+        )
+        name = "chamber" if isinstance(device, ChamberDevice) else device.name
+        try:
+            with open_rig(alone, clock) as bench:
+                reports += check_rig(bench)
+        except HardwareError as problem:
+            reports.append(DeviceReport(name, device.driver, device.port, problem=str(problem)))
+    return reports
+
+
 def _report(
     name: str,
     entry: Device,

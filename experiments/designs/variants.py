@@ -2,8 +2,8 @@
 
     python experiments/designs/variants.py [--limits] [NAME …]
 
-Without names all are run (some minutes each); with names, those alone, and the others keep their rows. `--limits` proves
-the limits of the kept recipes again, without a search. Recipes go to
+Without names all are run (some minutes each); with names, those alone, and the others keep their rows. `--limits`
+proves the limits of the kept recipes again, without a search. Recipes go to
 experiments/recipes, figures to results.json and table.md here.
 """
 

@@ -42,6 +42,9 @@ def design_of(spec: Spec) -> Design:
 def measure(spec: Spec) -> Measure:
     """What the spec's [design] minimises; for a time, the requirement with a target that is farthest from it."""
     design = design_of(spec)
+    if design.whole_turns:
+        # Whole turns cancel what repeats with the angle; before the turns are whole, it only hides the way.
+        spec = changed(spec, {"rig.table.angle.harmonics": None})
     scenarios = _scenarios(spec, design)
     limiting = [r for r in spec.requirement if r.target is not None and r.name != design.minimise]
     if design.minimise in TIMES:

@@ -15,13 +15,15 @@ from gradcal_jax.design import (
     Limits,
     Optimality,
     criterion,
+    gated_noise_density,
     least_noise_density,
     limit,
     make_coordinates,
     polish,
+    scale_factor_floor,
     search,
 )
-from gradcal_jax.errormodel import GyroModel, Polynomial, angle_reference, gauss_markov, make_map
+from gradcal_jax.errormodel import GyroModel, Polynomial, angle_reference, constant, gauss_markov, make_map
 from gradcal_jax.information import information, posterior, residual, square_root, statistic, whitened_rows
 
 DEG = np.pi / 180.0
@@ -142,6 +144,48 @@ def test_drift_and_readings_only_raise_the_limit():
     assert density > WALK**2
     quiet = eqx.tree_at(lambda m: m.reference.reading_noise, LINEAR, jnp.zeros(()))
     assert least_noise_density(quiet, 1.0) == pytest.approx(WALK**2, rel=1e-3)
+
+
+def test_turns_in_windows_meet_more_noise_than_turns_at_any_time():
+    windows = [(360.0 * k, 360.0 * k + 120.0) for k in range(4)]
+    free = least_noise_density(LINEAR, 1.0)
+    gated = gated_noise_density(LINEAR, 1.0, windows)
+    assert free < gated
+    # One window of the whole time is no restriction but for its ends.
+    assert gated_noise_density(LINEAR, 1.0, [(0.0, 20000.0)]) == pytest.approx(free, rel=0.02)
+
+
+def test_what_multiplies_the_rate_stays_as_known():
+    """The best mean of a stationary Gauss-Markov process over a time: its variance is 2τσ²/(time + 2τ)."""
+    drift, time, tau = LINEAR.processes, 6000.0, 1200.0
+    unstable = gauss_markov(20e-6, tau, bias_gain=0.0, rate_gain=1.0)
+    clock = constant(3e-6, rate_gain=1.0)
+    with_ = lambda more: eqx.tree_at(lambda m: m.processes, model(0, 1), more)  # noqa: E731
+    times, at = time * (np.arange(600) + 0.5) / 600, np.array([-30.0, 20.0])
+    known = 2 * tau * 20e-6**2 / (time + 2 * tau)
+    found = scale_factor_floor(with_(drift + unstable), times, 0.0 * times, at)
+    np.testing.assert_allclose(found, known, rtol=2e-3)
+    np.testing.assert_allclose(scale_factor_floor(with_(clock), times[:0], times[:0], at), 3e-6**2)
+    both = scale_factor_floor(with_(drift + unstable + clock), times, 0.0 * times, at)
+    np.testing.assert_allclose(both, found + 3e-6**2, rtol=1e-12)
+    np.testing.assert_array_equal(scale_factor_floor(with_(drift), times, times, at), 0.0)
+
+
+def test_a_floor_under_the_residual_raises_the_limit_and_stays_below_what_is_reached():
+    floor = (1e-6 * np.linspace(1.0, 2.0, len(TEMPERATURES))) ** 2
+    raised = eqx.tree_at(lambda c: c.beyond, CRITERION, jnp.asarray(np.repeat(floor, len(RATES))))
+    options = {
+        "motion_time": 480.0,
+        "temperatures": np.linspace(-30, 70, 9),
+        "fixed_programme": True,
+        "max_rate": MAX,
+        "noise_density": WALK**2,
+    }
+    alone, together = limit(CRITERION, LINEAR, **options), limit(raised, LINEAR, **options)
+    assert together.certified <= together.reached * (1 + 1e-12)
+    assert together.certified == pytest.approx(together.reached, rel=5e-3)
+    assert max(alone.certified, 2e-6) < together.certified
+    assert together.certified < alone.reached + 2e-6
 
 
 def without_limits(z, sharpness):

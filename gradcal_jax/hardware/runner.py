@@ -503,7 +503,11 @@ class Runner:
 
     def _wait_paused(self) -> None:
         self._enter(State.PAUSED)
+        self._shown_s = -math.inf
         while True:
+            if self.clock.now() - self._shown_s >= self.chamber_every_s:
+                self._shown_s = self.clock.now()
+                self._show(None, None)
             if self._requests and self._requests[0] == "resume":
                 self._requests.pop(0)
                 self._event("request", what="resume", reason=self._reasons.pop(0))

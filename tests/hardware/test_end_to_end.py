@@ -117,7 +117,7 @@ starts   = 1
 
 @pytest.mark.evidence
 def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path: Path) -> None:
-    """The paper's case, optimised, on simulated chamber, table and STIM300, eight seeds: χ² of all coefficients."""
+    """The paper's case, optimised, on simulated chamber, table and STIM300, six seeds: χ² of all coefficients."""
     spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
     spec.write_text(presets.text("paper-dynamic-gradient") + DESIGN, encoding="utf-8")
     # Status 1: thirty steps are not always enough to converge; what was found is a sound recipe.
@@ -130,7 +130,7 @@ def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path
     took: list[float] = []
     ratios: list[float] = []
     hours = 0.0
-    for seed in range(1, 9):
+    for seed in range(1, 7):
         run, began = tmp_path / f"run{seed}", time.monotonic()
         assert gradcal("run", recipe, "--simulate", "--seed", seed, "-o", run).returncode == 0
         took.append(time.monotonic() - began)
@@ -152,9 +152,9 @@ def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path
     assert np.all(np.abs(np.array(ratios) - 1.0) < 0.1), ratios
     record(
         "headline recipe end to end, STIM300 at 125 samples/s",
-        f"recipe by `gradcal optimise`, {predicted.mean_of_max:.2f} ppm predicted; 8 seeds: χ² of the "
+        f"recipe by `gradcal optimise`, {predicted.mean_of_max:.2f} ppm predicted; 6 seeds: χ² of the "
         f"hidden truth {total:.0f} of {freedom} degrees (chance {chance:.2f}; each {min(each):.1f} to {max(each):.1f} "
-        f"of {freedom // 8}); residual over prediction {min(ratios):.3f} to {max(ratios):.3f}; {hours:.2f} h of "
+        f"of {freedom // 6}); residual over prediction {min(ratios):.3f} to {max(ratios):.3f}; {hours:.2f} h of "
         f"virtual time took {took_s:.0f} s, {3600.0 * hours / took_s:.0f} times faster than real time",
         "tests/hardware/test_end_to_end.py",
     )

@@ -119,12 +119,12 @@ def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, b
 
 
 def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
-    made = short_recipe()
+    made = short_recipe(2.0)
     with SimulatedLab(made.spec, VirtualClock()) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
         whole = new_folder(tmp_path / "whole", made, lab.rig, simulated={})
     assert executed(whole, 4).exit_status == "success"
-    assert executed(folder, 4, stop_at_step=4).exit_status == "stopped"
+    assert executed(folder, 4, stop_at_step=3).exit_status == "stopped"
     before = folder.journal_path.read_bytes()
     latest = max(entry.time_s for entry in folder.contents().records)
     assert executed(folder, 4, begins_s=latest + 100.0).exit_status == "success"

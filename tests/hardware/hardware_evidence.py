@@ -14,6 +14,17 @@ byte for byte, over pseudo-terminals, but none of the figures comes from hardwar
 | proof | figures | date | command | machine |
 |---|---|---|---|---|
 """
+_FOOT = """
+Shown by tests, without figures:
+
+* a full disk and too little space end or pause a run (`test_journal_and_safety`, `test_runner`);
+* a chamber's alarm, an axis' fault and pulled cables abort it and the rest is made safe (`test_runner`, a long proof);
+* the wall clock stepped by years changes nothing (`test_journal_and_safety`, `test_clock_and_physics`);
+* of two runs on one port the second is refused (`test_transport`);
+* a port that leads to another device is a sentence with what was sent and what came back (`test_run_cli`);
+* minimalmodbus and the vendor's zaber.serial speak with the simulated F4 and the simulated stage (`test_chambers`,
+  `test_axes_and_imus`).
+"""
 
 
 def machine() -> str:
@@ -32,4 +43,4 @@ def record(proof: str, figure: str, test: str) -> None:
     cells = (proof, figure, time.strftime("%Y-%m-%d"), f"`pytest -m evidence {test}`", machine())
     rows[proof] = f"| {' | '.join(cells)} |"
     REPORT.parent.mkdir(parents=True, exist_ok=True)
-    REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n", encoding="utf-8")
+    REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + _FOOT, encoding="utf-8")

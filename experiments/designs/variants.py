@@ -60,9 +60,8 @@ def spec_of(name: str) -> Spec:
 def run(name: str) -> dict[str, object]:
     """Optimise a variant, write its recipe, and say what is to be said of it."""
     from gradcal_jax import assemble
-    from gradcal_jax.assemble.optimise import Optimised, optimise
+    from gradcal_jax.assemble.optimise import Optimised, optimise, record_of
     from gradcal_jax.assemble.quickest import quickest
-    from gradcal_jax.cli.optimise import record_of
 
     spec = spec_of(name)
     begun = time.perf_counter()
@@ -131,6 +130,7 @@ def main(names: list[str]) -> None:
     for name in names:
         print(f"{name} …", flush=True)
         results[name] = results[name] | compared(name) if again else run(name)
+        jax.clear_caches()
         print(f"  {results[name]['now']:.4g} {results[name]['unit']}, limit {results[name]['limit']}", flush=True)
         ordered = {name: results[name] for name in [*MOVING, *STATIC] if name in results}
         kept.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")

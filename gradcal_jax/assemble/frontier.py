@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from gradcal_jax.assemble.optimise import STEPS, Optimised, Step, optimise
@@ -32,6 +33,8 @@ def frontier(
             if len(times) == 1:
                 raise
             yield Point(time, None, str(error))
+        # The programs of one duration are of no use to the next, and a process may map only so many.
+        jax.clear_caches()
 
 
 def shortest(points: list[Point], target: float) -> float | None:

@@ -12,6 +12,7 @@ from gradcal_jax.assemble.prediction import predict
 from gradcal_jax.assemble.structures import LEAST_TURN, largest_rate, motion_time
 from gradcal_jax.design import criterion, gated_noise_density, least_noise_density, limit, scale_factor_floor
 from gradcal_jax.files import Spec
+from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule
 
@@ -106,12 +107,14 @@ def _window(spec: Spec, built: Assembled) -> _Window:
     schedule = spec.gradient_schedule
     design = spec.design
     free = set() if design is None else set(design.free)
-    time = schedule.motion if design is None else motion_time(spec, design_of(spec))
+    cycle = schedule.cycle
+    assert cycle is not None
+    # A cycle that fills the ramp, as a recipe's does, is made for that ramp alone.
+    as_is = design is None or design.minimise in TIMES or 2.0 * cycle.duration > schedule.motion
+    time = schedule.motion if as_is else motion_time(spec, design_of(spec))
     ramp = [s for s in schedule.segments if s.used and s.kind == "ramp"]
     start, end_temperature = ramp[0].temperature_start, ramp[-1].temperature_end
     windows = _windows(schedule, time)
-    cycle = schedule.cycle
-    assert cycle is not None
     # A cycle of another length may have a little more or less of the same share.
     own = sum(move.repeat * move.duration for move in cycle.moves if not move.other_axes)
     total = max(sum(end - begin for begin, end in windows), time * own / cycle.duration)

@@ -76,6 +76,24 @@ class Optimised(NamedTuple):
     point: np.ndarray
 
 
+def record_of(best: Optimised) -> dict[str, object]:
+    """What a recipe and --json keep of an optimisation."""
+    record: dict[str, object] = {
+        "objective": best.name,
+        "unit": best.unit,
+        "found": best.found,
+        "now": best.now,
+        "converged": best.converged,
+        "sentence": best.sentence,
+        "gradient_norm": best.gradient_norm,
+        "structure": best.structure,
+        "starts": [float(f"{v:.6g}") for v in best.starts],
+        "active_limits": list(best.active),
+        "shadow_prices": [{"limit": p.limit, "per": p.per, "change": p.change} for p in best.prices],
+    }
+    return record if best.before is None else {"before": best.before, **record}
+
+
 def scenario_specs(spec: Spec) -> list[Spec]:
     """The spec with the overrides of each [[design.scenario]]."""
     return [changed(spec, overrides(s)) for s in design_of(spec).scenario]
@@ -141,11 +159,13 @@ def optimise(
         if stop():
             break
     assert best is not None
-    yield finished(spec, of, known, choices[best[0]], best[1])
+    yield finished(spec, of, known, choices[best[0]], best[1], motion)
 
 
-def finished(spec: Spec, of: Measure, before: float | None, structure: Structure, state: State) -> Optimised:
-    """Prune, polish and round the best point of a search."""
+def finished(
+    spec: Spec, of: Measure, before: float | None, structure: Structure, state: State, motion: float | None = None
+) -> Optimised:
+    """Prune, polish and round the best point of a search; the plan as it was where that is no better."""
     point = state.best_point
     coordinates = structure.coordinates
     if isinstance(coordinates, Coordinates) and "duration" in coordinates.free:
@@ -154,15 +174,22 @@ def finished(spec: Spec, of: Measure, before: float | None, structure: Structure
     found = polish(lambda z, sharpness: of.of(coordinates.decode(z), sharpness), point)
     # As a recipe will have it, so that the number is of what is executed.
     plan = rounded(written(spec, *_without_vanished(coordinates, found.point)), steps_of(spec)).spec
+    now, sentence, converged = exact(plan, of), found.sentence, found.converged
+    if before is not None and now >= before and not of.limits and motion is None:
+        plan = rounded(spec, steps_of(spec)).spec
+        sentence = (
+            f"nothing better than the plan as it was ({now:.4g} {of.unit}): that is kept; try more moves or starts"
+        )
+        now, converged = exact(plan, of), False
     return Optimised(
         plan,
         of.name,
         of.unit,
         before,
         found.value,
-        exact(plan, of),
-        found.converged,
-        found.sentence,
+        now,
+        converged,
+        sentence,
         tuple(float(v) for v in np.sort(state.values)),
         found.gradient_norm,
         active_limits(coordinates, found.point) if isinstance(coordinates, Coordinates) else (),

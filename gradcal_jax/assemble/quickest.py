@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 
+import jax
 import numpy as np
 
 from gradcal_jax.assemble.optimise import STEPS, Optimised, Price, Step, optimise
@@ -51,6 +52,8 @@ def quickest(spec: Spec, *, steps: int = STEPS, stop: Callable[[], bool] = lambd
         except ValueError:
             if time == longest:
                 raise
+        # The programs of one duration are of no use to the next, and a process may map only so many.
+        jax.clear_caches()
         if found is not None and found.now <= 1.0:
             best, long = found, time
             if tried == 0:

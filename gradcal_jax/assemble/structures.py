@@ -78,13 +78,12 @@ def ramp_ends(spec: Spec) -> tuple[float, float]:
 
 
 def motion_time(spec: Spec, design: Design) -> float:
-    """How long the ramp may take (s). Errors: `ValueError` where [design] leaves none."""
+    """How long the ramp may take (s): what [design] allows, else as it is. Errors: `ValueError` where none is left."""
     schedule = cast("GradientSchedule", spec.schedule)
-    limits = [schedule.motion]
-    if design.max_motion is not None:
-        limits = [float(design.max_motion)]
+    limits = [] if design.max_motion is None else [float(design.max_motion)]
     if design.max_total is not None:
         limits.append(float(design.max_total) - schedule.soak)
+    limits = limits or [schedule.motion]
     if min(limits) <= 0.0:
         raise ValueError(
             f"design.max_total leaves no time for the ramp: the soak alone takes {schedule.soak / 60.0:.4g} min"

@@ -56,7 +56,7 @@ def frontier(
     use_float64()
     from gradcal_jax import assemble
     from gradcal_jax.assemble import frontier as room
-    from gradcal_jax.cli.optimise import record_of
+    from gradcal_jax.assemble.optimise import record_of
     from gradcal_jax.files import to_toml
     from gradcal_jax.files.writing import write_whole
 

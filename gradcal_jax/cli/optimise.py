@@ -69,8 +69,8 @@ def optimise(
     use_float64()
     from gradcal_jax import assemble
     from gradcal_jax.assemble import checkpoints
+    from gradcal_jax.assemble import optimise as room
     from gradcal_jax.assemble.optimise import Optimised
-    from gradcal_jax.assemble.optimise import optimise as search
     from gradcal_jax.assemble.quickest import quickest
     from gradcal_jax.files.design import TIMES
 
@@ -82,7 +82,7 @@ def optimise(
     with _Interrupt() as interrupt:
         best: Optimised | None = None
         options = {"steps": steps, "stop": lambda: interrupt.asked}
-        events = quickest(found, **options) if shortest else search(found, **options, checkpoint=checkpoint)
+        events = quickest(found, **options) if shortest else room.optimise(found, **options, checkpoint=checkpoint)
         for event in events:
             if isinstance(event, Optimised):
                 best = event
@@ -91,7 +91,7 @@ def optimise(
                 checkpoints.write(kept, found, event.checkpoint)
             _show(event)
         assert best is not None
-    record = record_of(best)
+    record = room.record_of(best)
     status = best.sentence if not interrupt.asked else f"interrupted, the best so far: {best.sentence}"
     seed = found.design.seed if found.design is not None else None
     made = assemble.recipe(best.spec, status=status, seed=seed, optimisation=record)
@@ -113,24 +113,6 @@ def optimise(
         complain("interrupted" + ("" if shortest else f"; go on with: gradcal optimise {spec} -o {output} --resume"))
         return INTERRUPTED
     return CONVERGED if best.converged else NOT_CONVERGED
-
-
-def record_of(best: "Optimised") -> dict[str, object]:
-    """What a recipe and --json keep of an optimisation."""
-    record: dict[str, object] = {
-        "objective": best.name,
-        "unit": best.unit,
-        "found": best.found,
-        "now": best.now,
-        "converged": best.converged,
-        "sentence": best.sentence,
-        "gradient_norm": best.gradient_norm,
-        "structure": best.structure,
-        "starts": [float(f"{v:.6g}") for v in best.starts],
-        "active_limits": list(best.active),
-        "shadow_prices": [{"limit": p.limit, "per": p.per, "change": p.change} for p in best.prices],
-    }
-    return record if best.before is None else {"before": best.before, **record}
 
 
 def text(best: "Optimised") -> str:

@@ -28,7 +28,7 @@ _PANELS = 8
 # Halvings that locate a crossing: to 2^-45 of a panel.
 _HALVINGS = 45
 # In units of rounding: more than the temperature's at the end of a long ramp, less than any integral notices.
-_HAIR = 1e3
+_HAIR = 1e2
 
 
 def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:

@@ -198,7 +198,7 @@ def _identity(n: int, like: Float[Array, " B"]) -> Float[Array, "n n B"]:
 
 def _covariances(steps: Steps, start: Float[Array, "n n"]) -> tuple[Float[Array, "K n n B"], Float[Array, "n n"]]:
     """Covariance before every reading, and after the last step."""
-    n, blocks = start.shape[0], steps.variance.shape[1]
+    n = start.shape[0]
 
     def from_known(carry, now: Steps):
         covariance, response = carry
@@ -208,17 +208,20 @@ def _covariances(steps: Steps, start: Float[Array, "n n"]) -> tuple[Float[Array,
         after = _congruence(now.transition, _updated(covariance, cross, reciprocal)) + now.noise
         return (after, times(now.transition, response)), _root(reciprocal)[None] * seen
 
-    known = (jnp.zeros((n, n, blocks), start.dtype), _identity(n, steps.variance[0]))
-    (own, response), rows = jax.lax.scan(from_known, known, steps)
+    # From a state known *after* the block's first reading on: known before it, a reading without noise would count
+    # as known beforehand, and what it says of the block's start would be lost.
+    first, others = jax.tree.map(lambda x: x[0], steps), jax.tree.map(lambda x: x[1:], steps)
+    (own, response), rows = jax.lax.scan(from_known, (first.noise, first.transition), others)
 
     def across(covariance, now):
-        triangle, response, own = now
-        after = covariance
+        triangle, response, own, h, variance, used = now
+        after = _updated(covariance, *_innovation(covariance, h, variance, used))
         for i in range(n):
             after = _updated(after, *_innovation(after, triangle[i], 1.0))
         return response @ after @ response.T + own, covariance
 
-    end, starts = jax.lax.scan(across, start, [jnp.moveaxis(x, -1, 0) for x in (_triangle(rows), response, own)])
+    by_block = (_triangle(rows), response, own, first.observation, first.variance, first.used)
+    end, starts = jax.lax.scan(across, start, [jnp.moveaxis(x, -1, 0) for x in by_block])
 
     def step(covariance, now: Steps):
         updated = _updated(covariance, *_innovation(covariance, now.observation, now.variance, now.used))

@@ -91,11 +91,11 @@ def test_the_optimum_is_better_is_what_predict_says_and_lies_above_the_limit(spe
     assert 0.9 * best.found < best.now < 1.03 * best.found
     assert best.converged, best.sentence
     before, after = limits(spec)[0], limits(best.spec)[0]
-    # The recipe knows when the axis had the table, so that its limit is the spec's.
-    assert after.certified == pytest.approx(before.certified, rel=1e-6)
+    # The recipe knows when the axis had the table, so that its limit is the spec's, but for rounded times.
+    assert after.certified == pytest.approx(before.certified, rel=2e-3)
     assert before.certified <= before.reached * (1 + 1e-9)
     assert before.certified < best.now
-    assert after.efficiency == pytest.approx(before.certified / best.now)
+    assert after.efficiency == pytest.approx(after.certified / best.now)
 
 
 @pytest.mark.evidence

@@ -1,10 +1,15 @@
-"""How the command line uses JAX: in float64, and without compiling tomorrow what it compiled today.
+"""How the command line uses JAX: in float64, interruptible, and without compiling tomorrow what it compiled today.
 
 The library itself never changes JAX's global switches.
 """
 
 import os
+import signal
+import threading
 from pathlib import Path
+from types import FrameType
+
+_SOON_S = 0.05
 
 
 def use_float64() -> None:
@@ -13,12 +18,28 @@ def use_float64() -> None:
     """
     import jax
 
+    _let_interrupts_through()
     jax.config.update("jax_enable_x64", True)
     folder = cache_folder()
     already = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     if folder is not None and already is None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def _let_interrupts_through() -> None:
+    """Whatever is raised in JAX's callback on garbage collection is printed and lost; Ctrl-C there is sent again."""
+    if threading.current_thread() is not threading.main_thread():
+        return
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    if frame is not None and frame.f_code.co_name == "_xla_gc_callback":
+        threading.Timer(_SOON_S, signal.raise_signal, (number,)).start()
+    else:
+        signal.default_int_handler(number, frame)
 
 
 def cache_folder() -> Path | None:

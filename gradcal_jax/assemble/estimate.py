@@ -141,7 +141,7 @@ def _rows(built: Assembled, log: Log, axis: str, unit: int, options: Options) ->
     raw = log.rate_rad_per_s[unit, :, log.axis_index(axis)]
     rate = np.where(np.isfinite(raw), raw, 0.0)
     usable &= np.isfinite(raw)
-    temperature = _temperature(built, log, unit)
+    temperature = room.smoothed_temperature(time, _temperature(built, log, unit))
     table = _table_axis(log, axis, options.table_axis)
     angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
     table_rate = None if table is None or log.table_rate_rad_per_s is None else log.table_rate_rad_per_s[:, table]

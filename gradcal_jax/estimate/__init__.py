@@ -26,9 +26,11 @@ from gradcal_jax.estimate.samples import (
 from gradcal_jax.estimate.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimate.solve import Estimate, Whitened, estimate, solve, whitened
 from gradcal_jax.estimate.standstill import find_standstills
+from gradcal_jax.estimate.temperature import SMOOTHED_OVER_S, smoothed_temperature
 
 __all__ = [
     "HUBER",
+    "SMOOTHED_OVER_S",
     "Consistency",
     "Estimate",
     "Executed",
@@ -60,6 +62,7 @@ __all__ = [
     "on_timeline",
     "plateaus",
     "since_gap",
+    "smoothed_temperature",
     "solve",
     "split",
     "steps_of",

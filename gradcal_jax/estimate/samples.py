@@ -2,9 +2,10 @@
 
     Φ_k = Σ ψ(T_i) dt_i  (bias),   Σ ψ(T_i, ω_i)·ω_i dt_i  (scale factor),   T at the end less T at the start  (dB/dṪ)
 
-over the rows of piece k. The rate is the table's where it is known well enough at every row. Otherwise it is the
-sensor's own, *corrected by the map that is being estimated*: the two are found in turn, and since a wrong map of size
-M makes a regressor wrong by M of itself, each round gains a factor of about M.
+over the rows of piece k, of a temperature without its thermometer's steps (`estimate.temperature`). The rate is the
+table's where it is known well enough at every row. Otherwise it is the sensor's own, *corrected by the map that is
+being estimated*: the two are found in turn, and since a wrong map of size M makes a regressor wrong by M of itself,
+each round gains a factor of about M.
 
 **Noisy rates** (errors in variables). A rate with the variance σ² makes the mean of `g(ω̃) = ψ(ω̃)·ω̃` exceed `g(ω)` by
 ½σ²g''(ω) + …; the mean of `½[g(ω̃+σ) + g(ω̃−σ)]` exceeds that of `g(ω̃)` by the same, so
@@ -25,6 +26,8 @@ from gradcal_jax.plans import Timeline
 _ROWS_AT_ONCE = 1 << 16
 # A noise of the rate so small beside the fastest one does not show in float64.
 _NO_NOISE = 1e-8
+# Of the largest rate: a change that is rounding; and how often a rate is substituted at most.
+_SETTLED_RATE, _SUBSTITUTIONS = 1e-15, 50
 
 
 def increments_of_samples(
@@ -151,9 +154,10 @@ def _starts(rows: np.ndarray) -> np.ndarray:
 def true_rate(
     model: GyroModel, parameters: np.ndarray, rate_rad_per_s: np.ndarray, temperature_c: np.ndarray
 ) -> np.ndarray:
-    """The rates `(n,)` that the sensor's maps, as estimated, make of its own: `(ω̃ − B(T))/(1 + M(T, ω))`.
+    """The rates `(n,)` that the sensor's maps, as estimated, make of its own: the ω with ω̃ − B(T) = (1 + M(T, ω))·ω.
 
-    Two substitutions: what a third would change is M³ of the rate.
+    Substituted into itself until it no longer changes: each time gains a factor of about M + ω·∂M/∂ω, some two digits
+    for a map of a per cent. A map so wild that it never settles (over 100 %) is left after the last substitution.
     """
     columns = model.columns
     result = np.empty_like(rate_rad_per_s)
@@ -167,9 +171,13 @@ def true_rate(
         if scale is not None and scale.rate is not None:
             at_temperature = basis_values(scale.temperature, temperature)
             table = parameters[columns.scale].reshape(scale.temperature.size, scale.rate.size)
-            for _ in range(2):
+            close = _SETTLED_RATE * float(np.max(np.abs(measured), initial=0.0))
+            for _ in range(_SUBSTITUTIONS):
+                before = rate
                 rate = measured / (
                     1.0 + formulas.scale_factor_map(at_temperature, basis_values(scale.rate, rate), table)
                 )
+                if np.max(np.abs(rate - before), initial=0.0) <= close:
+                    break
         result[part] = rate
     return result

@@ -45,9 +45,7 @@ def test_a_thousand_units_err_as_predicted(name):
     reported = to_reported(built.model)
     ours, theirs = found.known[0].covariance(reported), predicted.covariance(reported)
     scale = np.sqrt(np.outer(np.diag(theirs), np.diag(theirs)))
-    # Where the angle is read without any noise, the blocks of the whitening, which are cut differently here, differ.
-    rounding = 1e-8 if float(built.model.reference.reading_noise) or built.spec.plan.method == "standard" else 1e-7
-    assert np.max(np.abs(ours - theirs) / scale) < rounding
+    assert np.max(np.abs(ours - theirs) / scale) < 1e-8
 
     # Mean squared normalised error, and the fit's own chi-square, within their 99 % bands.
     p = truth.shape[1]

@@ -1,0 +1,99 @@
+"""Regressors of what a thermometer and a gyro really say: steps and noise taken off the one, the map off the other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from logs_zoo import GRADIENT, spec_of
+
+from gradcal_jax.assemble import assemble, knowledge
+from gradcal_jax.assemble.estimate import estimate_channels
+from gradcal_jax.assemble.simulation import simulate_log
+from gradcal_jax.estimate import basis_values, smoothed_temperature, true_rate
+from gradcal_jax.formulas import scale_factor_map
+from gradcal_jax.information import to_reported
+
+# Up and down, so that a bias from dT/dt is not a constant one; the die lags, as dies do.
+FOLLOWED = (
+    GRADIENT.replace(
+        'temperature = ["0 degC", "40 degC"]\ngradient = "4 K/min"',
+        """programme = [
+  { soak = "1 min", at = "0 degC" }, { ramp_to = "30 degC", rate = "2 K/min" },
+  { ramp_to = "0 degC", rate = "2 K/min" } ]""",
+    )
+    .replace("angle_random_walk", 'thermal_lag = "2 min"\nangle_random_walk')
+    .replace("[sensor.bias]", '[sensor.bias_temperature_gradient]\nprior = "5 deg/h/(K/min)"\n[sensor.bias]')
+)
+
+
+def test_a_coarse_thermometer_is_no_information_about_the_gradient():
+    """Steps of 1/16 K: taken as they are, they made the errors six times what was said of them, and that 0.58 of what
+    was predicted."""
+    spec = spec_of(FOLLOWED)
+    made = simulate_log(spec, units=16, sample_rate_hz=20.0, seed=11)
+    coarse = replace(made.log, temperature_c=np.round(made.log.temperature_c * 16.0) / 16.0)
+    channels = estimate_channels(spec, coarse)
+    built = assemble(spec)
+    row = to_reported(built.model)[built.model.columns.gradient]
+    (predicted,) = knowledge(built).deviations(row)
+    errors = np.array(
+        [float((row @ (c.found.parameters[0] - t))[0]) for c, t in zip(channels, made.truth["x"], strict=True)]
+    )
+    deviations = np.array([float(c.found.known[0].deviations(row)[0]) for c in channels])
+    np.testing.assert_allclose(deviations, predicted, rtol=0.1)
+    assert abs(np.mean(errors / deviations)) < 3.0 / np.sqrt(len(errors))
+    assert 0.5 < np.sqrt(np.mean((errors / deviations) ** 2)) < 1.6  # of 16 units: chances of 1e-3 each way
+
+
+@pytest.mark.parametrize("sample_rate_hz", [100.0, 3.0])
+def test_steps_and_noise_are_taken_off_a_temperature(sample_rate_hz):
+    """A ramp of 1 K/min that begins behind a lag of 3 min, in steps of 1/256 K with noise of 5 mK."""
+    time = np.arange(0.0, 1800.0, 1.0 / sample_rate_hz)
+    ramp = (time - 180.0 * -np.expm1(-time / 180.0)) / 60.0 - 35.0
+    rng = np.random.default_rng(1)
+    said = np.round((ramp + 5e-3 * rng.standard_normal(len(time))) * 256.0) / 256.0
+    found = smoothed_temperature(time, said)
+    # A parabola's value has 9/4 the variance of a mean of 60 s, and 9 times at the ends.
+    noise = np.hypot(5e-3, 1.0 / 256.0 / np.sqrt(12.0)) / np.sqrt(60.0 * sample_rate_hz)
+    inside = (time > 30.0) & (time < 1770.0)
+    assert np.std((found - ramp)[inside]) < 2.0 * noise
+    assert np.max(np.abs(found - ramp)) < 15.0 * noise
+    # What the parabola misses of the lag's beginning, and of nothing else.
+    np.testing.assert_allclose(smoothed_temperature(time, ramp), ramp, rtol=0, atol=2e-4)
+    # Parabolas come back (but for their curvature within a bin of a second, which is averaged: a microkelvin), samples
+    # that are missing here and there and a break between two temperatures or not.
+    curve = 20.0 + 1e-2 * time - 3e-6 * time**2
+    np.testing.assert_allclose(smoothed_temperature(time, curve), curve, rtol=0, atol=1e-6)
+    kept = (rng.random(len(time)) > 0.3) & ((time < 600.0) | (time > 700.0))
+    jumped = np.where(time > 650.0, curve + 40.0, curve)[kept]
+    np.testing.assert_allclose(smoothed_temperature(time[kept], jumped), jumped, rtol=0, atol=1e-6)
+
+
+def test_what_is_too_sparse_stays_as_measured():
+    time = np.arange(0.0, 3000.0, 10.0)
+    said = np.random.default_rng(2).standard_normal(len(time))
+    np.testing.assert_array_equal(smoothed_temperature(time, said), said)
+    np.testing.assert_array_equal(smoothed_temperature(time[:3], said[:3]), said[:3])
+    np.testing.assert_array_equal(smoothed_temperature(np.arange(300.0), said, over_s=0.0), said)
+    with pytest.raises(ValueError, match="smoothed over a time of 0 s or more"):
+        smoothed_temperature(time, said, over_s=-1.0)
+
+
+def test_the_true_rate_is_found_through_a_map_of_five_per_cent():
+    model = assemble(
+        spec_of(GRADIENT.replace('degree = 1, scale = "300 deg/s"', 'degree = 3, scale = "300 deg/s"'))
+    ).model
+    rng = np.random.default_rng(3)
+    temperature, rate = rng.uniform(0.0, 40.0, 5000), np.radians(rng.uniform(-300.0, 300.0, 5000))
+    truth = np.zeros(model.columns.count)
+    truth[model.columns.bias] = np.radians([0.3, -0.1])
+    truth[model.columns.scale] = rng.standard_normal(8)
+    scale = model.scale
+    at, by = basis_values(scale.temperature, temperature), basis_values(scale.rate, rate)
+    table = truth[model.columns.scale].reshape(2, 4)
+    table *= 0.05 / np.max(np.abs(scale_factor_map(at, by, table)))
+    truth[model.columns.scale] = table.ravel()
+    bias = basis_values(model.bias.temperature, temperature) @ truth[model.columns.bias]
+    measured = bias + (1.0 + scale_factor_map(at, by, table)) * rate
+    found = true_rate(model, truth, measured, temperature)
+    np.testing.assert_allclose(found, rate, rtol=1e-12, atol=1e-15)

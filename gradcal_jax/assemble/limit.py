@@ -41,9 +41,10 @@ class PlanLimit(NamedTuple):
     relaxed: tuple[str, ...]
 
 
-def limits(spec: Spec) -> list[PlanLimit]:
+def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     """The limit of every scale-factor requirement of a gradient plan with motion.
 
+    `motion` s: of another time without soaks than the plan or [design] has; values and efficiencies are the plan's.
     Errors: `ValueError` where there is no such requirement, or the plan is of another kind.
     """
     if isinstance(spec.schedule, StandardSchedule) or spec.schedule.cycle is None:
@@ -53,7 +54,7 @@ def limits(spec: Spec) -> list[PlanLimit]:
         raise ValueError("a limit is proven for the scale factor; the spec has no requirement on it")
     built = assemble(spec)
     predicted = {row.name: row for row in predict(spec).requirements if row.axis == built.channels[0]}
-    window = _window(spec, built)
+    window = _window(spec, built, motion)
     return [window.limit(r, predicted[r.name]) for r in wanted]
 
 
@@ -103,7 +104,7 @@ class _Window(NamedTuple):
         )
 
 
-def _window(spec: Spec, built: Assembled) -> _Window:
+def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     schedule = spec.gradient_schedule
     design = spec.design
     free = set() if design is None else set(design.free)
@@ -111,7 +112,7 @@ def _window(spec: Spec, built: Assembled) -> _Window:
     assert cycle is not None
     # A cycle that fills the ramp, as a recipe's does, is made for that ramp alone.
     as_is = design is None or design.minimise in TIMES or 2.0 * cycle.duration > schedule.motion
-    time = schedule.motion if as_is else motion_time(spec, design_of(spec))
+    time = motion or (schedule.motion if as_is else motion_time(spec, design_of(spec)))
     ramp = [s for s in schedule.segments if s.used and s.kind == "ramp"]
     start, end_temperature = ramp[0].temperature_start, ramp[-1].temperature_end
     windows = _windows(schedule, time)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import jax
 import numpy as np
 
+from gradcal_jax.assemble.limit import limits
 from gradcal_jax.assemble.optimise import STEPS, Optimised, Price, Step, optimise
 from gradcal_jax.assemble.structures import motion_time, ramp_ends
 from gradcal_jax.files import Spec
@@ -63,10 +64,21 @@ def quickest(spec: Spec, *, steps: int = STEPS, stop: Callable[[], bool] = lambd
         if best is None and time == longest and found is not None:
             raise ValueError(
                 f"no plan found meets the target in {longest / 60.0:.4g} min: the best leaves {found.now:.3g} times as "
-                "much; `gradcal limit` says what no plan can do better than"
+                f"much{_proven(spec, longest)}"
             )
     assert best is not None
     yield _as_time(spec, best, long, longest)
+
+
+def _proven(spec: Spec, longest: float) -> str:
+    """What no plan can do better than, for requirements with a target."""
+    try:
+        rows = limits(spec, motion=longest)
+    except ValueError:
+        return ""
+    wanted = {r.name for r in spec.requirement if r.target is not None}
+    said = [f"{row.certified:.4g} {row.unit} of {row.name!r}" for row in rows if row.name in wanted]
+    return "; no plan leaves less than " + ", ".join(said) if said else ""
 
 
 def _least(spec: Spec, longest: float) -> float:

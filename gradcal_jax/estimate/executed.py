@@ -190,18 +190,24 @@ def _readings(time: np.ndarray, first: int, last: int, every: float, known: np.n
 def distinct_readings(time_s: np.ndarray, angle_rad: np.ndarray, standing: np.ndarray, read_every: float) -> np.ndarray:
     """`(n,)`: one row for each reading of the table, where a log repeats every reading over the rows about it.
 
-    Rows that repeat one reading share its error: to count them apart would count them as more than they are. What is
-    repeated for longer than three times `read_every` is read at its first and its last row.
+    Rows that repeat one reading share its error: to count them apart would count them as more than they are. Two
+    readings that happen to agree to the last digit are two, though: values that last twice as long as values usually
+    do are counted so (taken for one, they would make the others scatter more than they do, by some per cent). What
+    is repeated for longer than three times `read_every` is read at its first and its last row.
     """
     result = np.zeros(len(time_s), bool)
+    repeats: list[tuple[int, int]] = []
     for first, last in _runs(standing):
         begins = np.flatnonzero(np.diff(angle_rad[first : last + 1], prepend=np.nan) != 0.0) + first
-        ends = np.append(begins[1:] - 1, last)
-        for a, b in zip(begins, ends, strict=True):
-            if time_s[b] - time_s[a] > 3.0 * read_every:
-                result[[a, b]] = True
-            else:
-                result[(a + b) // 2] = True
+        repeats += zip(begins.tolist(), np.append(begins[1:] - 1, last).tolist(), strict=True)
+    usual = float(np.median([b + 1 - a for a, b in repeats])) if repeats else 1.0
+    for a, b in repeats:
+        if time_s[b] - time_s[a] > 3.0 * read_every:
+            result[[a, b]] = True
+        else:
+            # Ends of standstills last half as long again: those are no second reading.
+            count = max(int((b + 1 - a) / usual + 0.25), 1)
+            result[a + (np.arange(count) * 2 + 1) * (b + 1 - a) // (2 * count)] = True
     return result
 
 

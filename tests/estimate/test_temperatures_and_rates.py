@@ -9,7 +9,7 @@ from logs_zoo import GRADIENT, spec_of
 from gradcal_jax.assemble import assemble, knowledge
 from gradcal_jax.assemble.estimate import estimate_channels
 from gradcal_jax.assemble.simulation import simulate_log
-from gradcal_jax.estimate import basis_values, smoothed_temperature, true_rate
+from gradcal_jax.estimate import basis_values, distinct_readings, smoothed_temperature, true_rate
 from gradcal_jax.formulas import scale_factor_map
 from gradcal_jax.information import to_reported
 
@@ -97,3 +97,17 @@ def test_the_true_rate_is_found_through_a_map_of_five_per_cent():
     measured = bias + (1.0 + scale_factor_map(at, by, table)) * rate
     found = true_rate(model, truth, measured, temperature)
     np.testing.assert_allclose(found, rate, rtol=1e-12, atol=1e-15)
+
+
+def test_two_readings_that_agree_to_the_last_digit_are_two():
+    """A table read every second, to a digit of a fifth of its noise: those that are left scatter no more."""
+    rng = np.random.default_rng(4)
+    per_reading, readings = 100, 3000
+    values = np.round(rng.standard_normal(readings) * 5.0)
+    angle = np.repeat(values, per_reading)
+    time = np.arange(len(angle)) / per_reading
+    read = distinct_readings(time, angle, np.ones(len(angle), bool), 1.0)
+    assert np.sum(values[1:] == values[:-1]) > 100
+    assert readings - 10 < read.sum() <= readings  # four alike in a row are two
+    assert np.all(np.bincount(np.flatnonzero(read) // per_reading, minlength=readings) <= 1)
+    assert np.var(angle[read]) == pytest.approx(25.0 + 1.0 / 12.0, rel=0.08)

@@ -214,8 +214,11 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
         groups = 1 if alike else -(-visits // max(1, -(-visits // _MOST_OWN)))
         cycles = visits if alike else max(1, visits // groups)
         groups = 1 if alike else visits // cycles
-        moves = design.moves or max(_LEAST_MOVES, -(-_MOVES // groups))
         rest = float(_read_every(cycle))
+        # Half the time at the table may go into what turns and rests take at least.
+        fitting = max(1, int(0.5 * each / (LEAST_TURN + rest)))
+        wanted = 2 * _LEAST_MOVES if alike else max(_LEAST_MOVES, -(-_MOVES // groups))
+        moves = design.moves or min(wanted, fitting)
         ends_moving = abs(cycles * groups * (each + between) - between - time) < 1e-6
         shape = next((m.shape for m in cycle.moves if m.shape in RAMPED_SHAPES), "cosine ramps")
         elements = _elements(

@@ -26,14 +26,14 @@ A plan is where a search begins: it says how long, from where to where, and what
 
 import itertools
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import Field, ValidationError, model_validator
 
-from gradcal_jax.files.changes import changed, tables_of
+from gradcal_jax.files.changes import patched, tables_of
 from gradcal_jax.files.document import format_problem, read_text, read_toml
 from gradcal_jax.files.problems import Problem, SpecError, from_validation
 from gradcal_jax.files.quantity import Text
@@ -170,10 +170,15 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Case]:
     def section(entry: Entry, kind: str, place: int) -> Any:
         base = base_of(entry.base)
         try:
-            found = changed(base, {f"{kind}.{key}": value for key, value in entry.change.items()})
+            tables = patched(base, {f"{kind}.{key}": value for key, value in entry.change.items()})
+            problems = _problems_of(tables)
         except SpecError as error:
-            raise SpecError([p.under(kind, place, "change") for p in error.problems], source) from None
-        return tables_of(found)[kind]
+            tables, problems = {}, error.problems
+        # What does not go with the base's other sections may go with others of the catalogue.
+        own = [p for p in problems if p.key[:1] == (kind,)]
+        if own:
+            raise SpecError([p.under(kind, place, "change") for p in own], source)
+        return tables[kind]
 
     sensors, rigs, plans = (
         [section(entry, kind, i) for i, entry in enumerate(getattr(file, kind))] for kind in ("sensor", "rig", "plan")
@@ -205,6 +210,14 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Case]:
             yield Case(names, spec_of(document))
         except SpecError as error:
             yield Case(names, None, " ".join(str(error).split()))
+
+
+def _problems_of(tables: Mapping[str, Any]) -> Sequence[Problem]:
+    try:
+        spec_of(tables)
+    except SpecError as error:
+        return error.problems
+    return ()
 
 
 def _requirements(base: Spec) -> list[dict[str, Any]]:

@@ -39,6 +39,11 @@ def tables_of(spec: Spec) -> dict[str, Any]:
 
 def changed(spec: Spec, changes: Mapping[str, object], source: str = "") -> Spec:
     """A new spec with some keys set (None removes a key). Raises `SpecError` for unknown keys and bad values."""
+    return spec_of(patched(spec, changes, source), source)
+
+
+def patched(spec: Spec, changes: Mapping[str, object], source: str = "") -> dict[str, Any]:
+    """The tables of a spec with some keys set, not checked. Raises `SpecError` for keys that have no place."""
     tables = tables_of(spec)
     problems: list[Problem] = []
     for text, value in changes.items():
@@ -50,7 +55,7 @@ def changed(spec: Spec, changes: Mapping[str, object], source: str = "") -> Spec
             problems.append(Problem((text,), str(error), value))
     if problems:
         raise SpecError(problems, source)
-    return spec_of(tables, source)
+    return tables
 
 
 def _put(tables: dict[str, Any], key: Key, value: object) -> None:
@@ -95,4 +100,4 @@ def _dressed(old: object, value: object) -> object:
     return copy.deepcopy(value)
 
 
-__all__ = ["changed", "dotted", "split_key", "tables_of"]
+__all__ = ["changed", "dotted", "patched", "split_key", "tables_of"]

@@ -101,7 +101,6 @@ def test_new_prints_and_lists(capsys):
         (["chek", "a.toml"], '"check"'),
         (["schema"], "timeline"),
         (["schema", "spek"], 'nearest: "spec"'),
-        (["schema", "recipe"], "planned"),
         (["--nonsense"], "--nonsense"),
     ],
 )
@@ -179,7 +178,7 @@ def test_an_interrupt_ends_with_130(monkeypatch, capsys):
     def interrupted(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gradcal_jax.files.read_spec", interrupted)
+    monkeypatch.setattr("gradcal_jax.cli.specs.read_spec", interrupted)
     assert main(["check", "my.toml"]) == 130
     assert capsys.readouterr().err == "gradcal: interrupted\n"
 

@@ -95,13 +95,13 @@ def slsqp(seconds: float) -> dict:
         line = coordinates.decode(z).timeline()
         return noise_steps(line, model), at_readings(line, model)
 
-    spent, history, best = 0.0, [], np.inf
+    spent, history, best, readings = 0.0, [], np.inf, 0
 
     class OutOfTime(Exception):
         pass
 
     def residual(z):
-        nonlocal spent, best
+        nonlocal spent, best, readings
         steps, columns = given(jnp.asarray(z))
         f_all, q_all, h_all, r_all, used, initial = (np.asarray(x) for x in steps)
         columns = np.asarray(columns)
@@ -109,7 +109,8 @@ def slsqp(seconds: float) -> dict:
         n, p = h_all.shape[1], columns.shape[1]
         kalman = KalmanFilter(dim_x=n + p, dim_z=1)
         kalman.P = np.zeros((n + p, n + p))
-        kalman.P[:n, :n], kalman.P[n:, n:] = initial, np.eye(p)
+        # A prior of 1000 ppm: no more than this filter's digits bear, and hundreds of times what is left.
+        kalman.P[:n, :n], kalman.P[n:, n:] = initial, 1e-6 * np.eye(p)
         f, q, h, zero = np.eye(n + p), np.zeros((n + p, n + p)), np.zeros((1, n + p)), np.zeros(1)
         for k in range(len(h_all)):
             f[:n, :n], q[:n, :n] = f_all[k], q_all[k]
@@ -120,7 +121,7 @@ def slsqp(seconds: float) -> dict:
         left = np.sqrt(np.einsum("gi,ij,gj->g", rows, kalman.P[n:, n:], rows, optimize=True))
         value = float(np.mean(np.max(left.reshape(grid.shape), axis=0))) * 1e6
         spent += time.perf_counter() - begin
-        best = min(best, value)
+        best, readings = min(best, value), int(np.sum(used))
         history.append((spent, best))
         if spent > seconds:
             raise OutOfTime
@@ -128,9 +129,10 @@ def slsqp(seconds: float) -> dict:
 
     start = np.asarray(json.load(sys.stdin))
     with contextlib.suppress(OutOfTime):
-        minimize(residual, start, method="SLSQP", options={"maxiter": 1000, "ftol": 1e-9})
+        minimize(residual, start, method="SLSQP", options={"maxiter": 1000, "ftol": 1e-9, "eps": 1e-4})
     version = importlib.metadata.version("filterpy")
-    return {"history": history, "evaluations": len(history), "version": f"FilterPy {version}"}
+    counts = {"evaluations": len(history), "readings": readings}
+    return {"history": history, **counts, "version": f"FilterPy {version}"}
 
 
 def pydex(seconds: float) -> dict:
@@ -256,6 +258,7 @@ def main() -> None:
         notes.append(
             f"* {answer['version']}"
             + (f": {answer['evaluations']} evaluations of one start" if "evaluations" in answer else "")
+            + (f", of {answer['readings']} readings" if "readings" in answer else "")
             + "."
         )
     notes.append(

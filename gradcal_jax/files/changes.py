@@ -27,7 +27,7 @@ def split_key(text: str) -> Key:
             raise ValueError(f"'{text}' is not a key; expected one such as 'plan.cycle.moves[0].rest'")
         parts.append(match.group(1) if match.group(1) is not None else int(match.group(2)))
         at = match.end()
-    if not parts or not isinstance(parts[0], str) or dotted(parts) != text:
+    if not parts or not isinstance(parts[0], str) or dotted(tuple(parts)) != text:
         raise ValueError(f"'{text}' is not a key; expected one such as 'plan.gradient'")
     return tuple(parts)
 

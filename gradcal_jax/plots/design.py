@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, StrMethodFormatter
 
 from gradcal_jax.assemble.frontier import Point
 from gradcal_jax.assemble.sensitivity import Sensitivities
@@ -29,6 +30,8 @@ def draw_frontier(points: Sequence[Point], targets: Mapping[str, float], *, ax: 
     axes.set_xlabel("duration of the ramp (min)")
     axes.set_ylabel(f"{name} ({unit}, 1σ)")
     axes.set_xticks([t for t, _ in known], [f"{t:.0f}" for t, _ in known])
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.minorticks_off()
     axes.grid(alpha=0.3)
     if targets:

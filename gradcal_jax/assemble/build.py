@@ -155,7 +155,7 @@ def _plan(spec: Spec) -> plans.Plan:
     if cycle is None:
         return plans.gradient_plan(programme, used=used, read_every=schedule.read_every)
     longest = _CORRELATION_TIMES_A_PIECE * shortest_correlation_time(spec.sensor)
-    moves = tuple(_move(move, cycle.other_read_every, longest) for move in cycle.moves for _ in range(move.repeat))
+    moves = tuple(move_of(move, cycle.other_read_every, longest) for move in cycle.moves for _ in range(move.repeat))
     after = []
     if cycle.other > 0.0:
         after.append(plans.rest(cycle.other, cycle.other_read_every))
@@ -172,7 +172,8 @@ def shortest_correlation_time(sensor: Sensor) -> float:
     return min(times, default=np.inf)
 
 
-def _move(move: ResolvedMove, others_read_every: float | None, longest_piece: float) -> plans.Move:
+def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: float) -> plans.Move:
+    """A move of a spec as the core has it; times in s."""
     if move.is_rest:
         return plans.rest(move.duration, move.read_every)
     return plans.turn(

@@ -121,7 +121,9 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     total = max(sum(end - begin for begin, end in windows), time * own / cycle.duration)
     reference = built.model.reference
     rests = [m.read_every for m in cycle.moves if m.read_every is not None]
-    spacing = min([*rests, cycle.other_read_every or np.inf, LEAST_TURN])
+    # Standstills are a turn apart; the plan's own turns may be shorter than those that are searched.
+    apart = min([LEAST_TURN, *(m.duration for m in cycle.moves if not m.is_rest)])
+    spacing = min([*rests, cycle.other_read_every or np.inf, apart])
     relaxed = ["acceleration and travel", "readings are taken on the move, too"]
     if len(built.channels) > 1:
         relaxed.append("the axis turns whenever any axis does")
@@ -133,10 +135,10 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
         if not tied:
             relaxed.append("the axis has its time at the table when it likes")
     if float(reference.standstill_offset) > 0.0:
-        # An offset is one draw a standstill; two standstills are a turn apart at least.
+        # An offset is one draw a standstill.
         other = eqx.tree_at(lambda m: m.reference.reading_noise, built.model, reference.standstill_offset)
-        density = max(density, least_noise_density(other, LEAST_TURN))
-        relaxed.append(f"standstills as little as {LEAST_TURN:.3g} s apart")
+        density = max(density, least_noise_density(other, apart))
+        relaxed.append(f"standstills as little as {apart:.3g} s apart")
     fixed = "gradient" not in free
     times = seen = np.zeros(0)
     if not fixed:

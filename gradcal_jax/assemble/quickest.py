@@ -22,7 +22,8 @@ def quickest(spec: Spec, *, steps: int = STEPS, stop: Callable[[], bool] = lambd
     """As `optimise`, for [design] that minimises "motion time" or "total time" under the requirements' targets.
 
     Values are durations in min, of the motion alone: a soak adds the same to each. Errors: `ValueError` where the
-    targets are not met in the time allowed, with how near the best plan comes.
+    targets are not met in the time allowed, with how near the best plan comes; `KeyboardInterrupt` where it is stopped
+    before any plan meets them.
     """
     assert spec.design is not None
     longest = motion_time(spec, spec.design)
@@ -61,6 +62,8 @@ def quickest(spec: Spec, *, steps: int = STEPS, stop: Callable[[], bool] = lambd
                 break
         else:
             short, too_much = time, None if found is None else found.now
+        if best is None and stop():
+            raise KeyboardInterrupt
         if best is None and time == longest and found is not None:
             raise ValueError(
                 f"no plan found meets the target in {longest / 60.0:.4g} min: the best leaves {found.now:.3g} times as "
@@ -100,11 +103,10 @@ def _between(short: float, long: float, too_much: float | None, enough: float) -
 def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimised:
     """The result in minutes; what a limit costs follows from the residual's slopes: −(∂r/∂limit)/(∂r/∂time)."""
     minutes = time / 60.0
-    slopes = {price.limit: price for price in best.prices}
     per_minute = next((p.change for p in best.prices if p.per == "minute"), 0.0)
     prices = tuple(
         Price(p.limit, p.per, -p.change / per_minute)
-        for p in slopes.values()
+        for p in best.prices
         if p.per != "minute" and per_minute != 0.0 and best.now > 1.0 / _NEAR
     )
     bound = "the target" if best.now > 1.0 / _NEAR else "the chamber's slope"

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax import formulas, plans
-from gradcal_jax.assemble.build import shortest_correlation_time
+from gradcal_jax import formulas
+from gradcal_jax.assemble.build import move_of, shortest_correlation_time
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.schedule import GradientSchedule
@@ -129,20 +129,7 @@ def parts_of(move: ResolvedMove, channel: str, others_read_every: float | None, 
         return (rest(move.duration, move.read_every),)
     if channel != move.axis:
         return (rest(move.duration, others_read_every),)
-    divided = plans.turn(
-        move.shape,
-        move.peak_rate,
-        move.duration,
-        ramp=move.ramp,
-        axis=move.axis,
-        cycles=move.cycles,
-        controls=move.controls,
-        unevenness=move.unevenness,
-        read_at_end=move.read_end,
-        read_every=move.read_every,
-        others_read_every=others_read_every,
-        longest_piece=longest,
-    ).divisions
+    divided = move_of(move, others_read_every, longest).divisions
     lasting = {"ramp": move.ramp, "flat": move.duration - 2.0 * move.ramp}
     shapes = formulas.shape_pieces(move.shape, cycles=move.cycles, controls=move.controls, unevenness=move.unevenness)
     parts: list[Part] = []

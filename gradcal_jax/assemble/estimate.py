@@ -1,4 +1,4 @@
-"""A log and a spec -> increments -> the estimate room -> calibrations, with what the fit says of itself.
+"""A log and a spec -> increments -> the estimation room -> calibrations, with what the fit says of itself.
 
 The spec says what the sensor's noise, the table's readings and the maps are; what was done is read from the log.
 """
@@ -10,10 +10,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from scipy import optimize
 
-from gradcal_jax import estimate as room
+from gradcal_jax import estimation as room
 from gradcal_jax.assemble.build import Assembled, assemble
 from gradcal_jax.errormodel import GyroModel
-from gradcal_jax.estimate import Estimate, Observations, Smoothness, Whitened
+from gradcal_jax.estimation import Estimate, Observations, Smoothness, Whitened
 from gradcal_jax.files import Spec
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection

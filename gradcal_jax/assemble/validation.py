@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gradcal_jax import estimate as room
+from gradcal_jax import estimation as room
 from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM
 from gradcal_jax.files import correction
 from gradcal_jax.files.calibration import Calibration

@@ -45,13 +45,13 @@ def report(
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.cli.recipe import writable
     from gradcal_jax.files.writing import write_whole
-    from gradcal_jax.report.sources import read_sources
+    from gradcal_jax.pages.sources import read_sources
 
     writable(output, force)
     found = read_sources(sources, before=before, limits=limits)
     use_float64()
-    from gradcal_jax.report.facts import as_tables, facts_of
-    from gradcal_jax.report.page import page
+    from gradcal_jax.pages.facts import as_tables, facts_of
+    from gradcal_jax.pages.page import page
 
     facts = facts_of(found)
     write_whole(output, page(found, facts))
@@ -72,7 +72,7 @@ def glossary(*term: str) -> int:
     term
         Only terms with these words in them; all, without it.
     """
-    from gradcal_jax.report.glossary import TERMS
+    from gradcal_jax.pages.glossary import TERMS
 
     wanted = " ".join(term).lower()
     rows = [(name, meaning) for name, meaning in sorted(TERMS.items(), key=str) if wanted in name.lower()]

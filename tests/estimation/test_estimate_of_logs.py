@@ -11,7 +11,7 @@ from gradcal_jax.assemble import assemble, knowledge
 from gradcal_jax.assemble.calibration import estimate_calibration
 from gradcal_jax.assemble.estimate import Options, estimate_channels
 from gradcal_jax.assemble.simulation import simulate_log
-from gradcal_jax.estimate import nees_band
+from gradcal_jax.estimation import nees_band
 from gradcal_jax.files.correction import bias, scale_factor
 from gradcal_jax.files.log import Log, LogError, Reason
 from gradcal_jax.information import information, to_reported
@@ -56,7 +56,7 @@ def test_raw_samples_of_many_units_err_as_they_say(many):
 
 def test_the_covariance_is_the_prediction_of_the_executed_timeline(many):
     """The executed timeline put through the prediction: its pieces turn at mean rates, hence the small difference."""
-    from gradcal_jax import estimate as room
+    from gradcal_jax import estimation as room
 
     spec, made = many
     log, model = made.log, assemble(spec).model

@@ -20,7 +20,7 @@ import numpy as np
 
 from gradcal_jax import formulas
 from gradcal_jax.errormodel import GyroModel, Map
-from gradcal_jax.estimate.bases import basis_values, beyond
+from gradcal_jax.estimation.bases import basis_values, beyond
 from gradcal_jax.plans import Timeline
 
 _ROWS_AT_ONCE = 1 << 16

@@ -15,9 +15,9 @@ from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import statistic
 from gradcal_jax.information.residual import Statistic
-from gradcal_jax.report.coefficients import ParameterFact, agreement, parameters
-from gradcal_jax.report.course import Course, course_of
-from gradcal_jax.report.sources import Sources
+from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameters
+from gradcal_jax.pages.course import Course, course_of
+from gradcal_jax.pages.sources import Sources
 
 # Of a residual: what shows in the digits of a page.
 _SEEN: Final = 1e-3

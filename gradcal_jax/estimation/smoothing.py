@@ -17,7 +17,7 @@ import numpy as np
 from scipy import optimize
 
 from gradcal_jax.errormodel import GyroModel
-from gradcal_jax.estimate.solve import Whitened
+from gradcal_jax.estimation.solve import Whitened
 
 _GRID = 13
 _DECADES = 3.0

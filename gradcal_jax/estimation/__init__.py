@@ -1,7 +1,7 @@
 """From readings to parameters with covariance: the prediction's own measurement model, fed with data."""
 
-from gradcal_jax.estimate.bases import basis_values
-from gradcal_jax.estimate.consistency import (
+from gradcal_jax.estimation.bases import basis_values
+from gradcal_jax.estimation.consistency import (
     Consistency,
     Split,
     Test,
@@ -11,22 +11,22 @@ from gradcal_jax.estimate.consistency import (
     split,
     whiteness,
 )
-from gradcal_jax.estimate.executed import Executed, distinct_readings, executed, momentary_stops
-from gradcal_jax.estimate.neighbours import Group, Move, closest_neighbours, moves_between_rests
-from gradcal_jax.estimate.observations import Observations, on_timeline, steps_of
-from gradcal_jax.estimate.plateaus import Plateaus, plateaus
-from gradcal_jax.estimate.robust import HUBER, RobustEstimate, estimate_robustly
-from gradcal_jax.estimate.samples import (
+from gradcal_jax.estimation.executed import Executed, distinct_readings, executed, momentary_stops
+from gradcal_jax.estimation.neighbours import Group, Move, closest_neighbours, moves_between_rests
+from gradcal_jax.estimation.observations import Observations, on_timeline, steps_of
+from gradcal_jax.estimation.plateaus import Plateaus, plateaus
+from gradcal_jax.estimation.robust import HUBER, RobustEstimate, estimate_robustly
+from gradcal_jax.estimation.samples import (
     columns_at_readings,
     increments_of_samples,
     integrated_error,
     since_gap,
     true_rate,
 )
-from gradcal_jax.estimate.smoothing import Smoothness, choose_smoothness, with_smoothness
-from gradcal_jax.estimate.solve import Estimate, Whitened, estimate, solve, whitened
-from gradcal_jax.estimate.standstill import find_standstills
-from gradcal_jax.estimate.temperature import SMOOTHED_OVER_S, smoothed_temperature
+from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
+from gradcal_jax.estimation.solve import Estimate, Whitened, estimate, solve, whitened
+from gradcal_jax.estimation.standstill import find_standstills
+from gradcal_jax.estimation.temperature import SMOOTHED_OVER_S, smoothed_temperature
 
 __all__ = [
     "HUBER",

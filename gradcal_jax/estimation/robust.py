@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.errormodel import GyroModel
-from gradcal_jax.estimate.observations import Observations
-from gradcal_jax.estimate.solve import Estimate, Whitened, solve, whitened
+from gradcal_jax.estimation.observations import Observations
+from gradcal_jax.estimation.solve import Estimate, Whitened, solve, whitened
 
 HUBER = 2.5
 

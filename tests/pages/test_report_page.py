@@ -16,12 +16,12 @@ from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.files.correction import measured
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.information import statistic
+from gradcal_jax.pages.course import course_of, rates_of
+from gradcal_jax.pages.facts import as_tables, facts_of
+from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.page import page
+from gradcal_jax.pages.sources import read_sources
 from gradcal_jax.plots.tracks import planned_rate
-from gradcal_jax.report.course import course_of, rates_of
-from gradcal_jax.report.facts import as_tables, facts_of
-from gradcal_jax.report.numbers import figures
-from gradcal_jax.report.page import page
-from gradcal_jax.report.sources import read_sources
 
 DEG_PER_H = float(np.degrees(1.0)) * 3600.0
 

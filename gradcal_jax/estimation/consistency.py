@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from gradcal_jax.estimate.solve import Estimate, Whitened, solve
+from gradcal_jax.estimation.solve import Estimate, Whitened, solve
 
 _LAGS = 20
 _RARE = 0.01

@@ -8,7 +8,7 @@ from logs_zoo import spec_of
 
 from gradcal_jax.assemble.estimate import Options, estimate_channels
 from gradcal_jax.assemble.simulation import simulate_log
-from gradcal_jax.estimate import closest_neighbours, moves_between_rests
+from gradcal_jax.estimation import closest_neighbours, moves_between_rests
 
 
 def test_the_drift_of_the_rests_beside_a_move_is_taken_off_it():

@@ -10,7 +10,7 @@ from scipy import stats
 from gradcal_jax.assemble import assemble
 from gradcal_jax.assemble.estimate import Options, estimate_channels
 from gradcal_jax.assemble.simulation import simulate_log
-from gradcal_jax.estimate import (
+from gradcal_jax.estimation import (
     Whitened,
     choose_smoothness,
     consistency,
@@ -116,7 +116,7 @@ def bins_model():
 
 def test_the_marginal_likelihood_is_that_of_the_data():
     """Against the density of the data with the parameters integrated out, at several strengths; a proper prior."""
-    from gradcal_jax.estimate.smoothing import _minus_twice_log
+    from gradcal_jax.estimation.smoothing import _minus_twice_log
 
     rng = np.random.default_rng(4)
     model = bins_model()

@@ -17,12 +17,12 @@ from gradcal_jax import plots
 from gradcal_jax.assemble.achieved import Box
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.pages.course import Course, rates_of
+from gradcal_jax.pages.facts import MapFact
+from gradcal_jax.pages.numbers import figures
 from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor
 from gradcal_jax.plots.style import style_of
 from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, turned_axes
-from gradcal_jax.report.course import Course, rates_of
-from gradcal_jax.report.facts import MapFact
-from gradcal_jax.report.numbers import figures
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
 _WIDE, _HIGH, _LOW = 5.2, 3.7, 2.9

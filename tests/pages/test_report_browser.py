@@ -5,9 +5,9 @@ from headless_chromium import BOXES, Chromium, browser, overlaps
 from report_samples import calibration, recipe, rehearse
 
 from gradcal_jax.files.calibration import write_calibration
-from gradcal_jax.report.facts import facts_of
-from gradcal_jax.report.page import page
-from gradcal_jax.report.sources import read_sources
+from gradcal_jax.pages.facts import facts_of
+from gradcal_jax.pages.page import page
+from gradcal_jax.pages.sources import read_sources
 
 pytestmark = [
     pytest.mark.browser,

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.errormodel import GyroModel
-from gradcal_jax.estimate.observations import PIECES_AT_ONCE, Observations
+from gradcal_jax.estimation.observations import PIECES_AT_ONCE, Observations
 from gradcal_jax.information import NoiseSteps, Posterior, SquareRootInformation, posterior, whiten
 from gradcal_jax.information.posterior import OBSERVABLE
 

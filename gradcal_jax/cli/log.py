@@ -32,12 +32,9 @@ def log(
         Of several units on the table, the one whose log to make.
     """
     from gradcal_jax.files.log import write_log
-    from gradcal_jax.hardware.recording import log_of
-    from gradcal_jax.hardware.run_folder import RunFolder
+    from gradcal_jax.hardware.execute import log as log_of
 
-    folder = RunFolder(run)
-    folder.notes()
-    found = log_of(folder.contents(), folder.recipe(), folder.rig(), unit)
+    found = log_of(run, unit)
     target = output or run / "log.nc"
     write_log(found, target)
     used = found.counts()["used"]

@@ -3,18 +3,19 @@
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
+from gradcal_jax import units
 from gradcal_jax.cli.console import complain, is_plain, time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.hardware.clock import Clock
-    from gradcal_jax.hardware.run_folder import RunFolder
+    from gradcal_jax.hardware.execute import Attended
     from gradcal_jax.hardware.runner import Progress, Runner, RunResult
 
 DEVICE_FAILURE, INTERRUPTED = 3, 130
+_REHEARSAL = "simulated devices: a rehearsal, not a measurement"
 
 
 def register(app: App) -> None:
@@ -68,102 +69,43 @@ def run(
     if simulate == (rig is not None):
         raise ValueError("on what? Give either --rig RIG, or --simulate")
     from gradcal_jax.files.recipe import read_recipe
-    from gradcal_jax.hardware.run_folder import new_folder
+    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.hardware.execute import run as execute
 
-    found = read_recipe(recipe)
-    if rig is not None:
-        from gradcal_jax.files.rig import read_rig
-        from gradcal_jax.hardware.setup import configs_of
-
-        bench = read_rig(rig)
-        configs_of(bench)
-        return _on_rig(new_folder(output, found, bench), 0)
-    notes = {"seed": seed, "speed": speed, "sample_rate_hz": _rate(sample_rate)}
-    return _simulated(output, found, notes)
-
-
-def _rate(text: str) -> float:
-    from gradcal_jax import units
-
-    found = units.parse(text, "frequency")
-    if found not in (125.0, 250.0, 500.0, 1000.0, 2000.0):
-        raise ValueError(f'the simulated sensor does not sample at {text}; it does at "125 Hz", "250 Hz", … "2000 Hz"')
-    return found
+    found, bench = read_recipe(recipe), None if rig is None else read_rig(rig)
+    rate = units.parse(sample_rate, "frequency")
+    if simulate:
+        print(_REHEARSAL)
+    with _Watcher(simulate) as watcher:
+        simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate}
+        result = execute(found, output, rig=bench, **simulation, **watcher.attends())
+    return _say(output, result)
 
 
 def _resume(path: Path) -> int:
+    from gradcal_jax.hardware.execute import resume
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
 
     folder = RunFolder(path)
-    first = prepare_resume(folder)
-    print(f"going on with step {first + 1}")
-    notes = folder.notes()
-    if notes["simulated"]:
-        return _simulated(path, folder.recipe(), notes["simulation"], first_step=first)
-    return _on_rig(folder, first)
+    print(f"going on with step {prepare_resume(folder) + 1}")
+    simulated = bool(folder.notes()["simulated"])
+    if simulated:
+        print(_REHEARSAL)
+    with _Watcher(simulated) as watcher:
+        result = resume(path, **watcher.attends())
+    return _say(path, result)
 
 
-def _on_rig(folder: "RunFolder", first_step: int) -> int:
-    from gradcal_jax.hardware.clock import RealClock
-
-    return _session(folder, folder.rig(), RealClock(), first_step, simulated=False)
-
-
-def _simulated(path: Path, recipe: Any, notes: dict[str, Any], *, first_step: int | None = None) -> int:
-    import json
-
-    from gradcal_jax.files.writing import write_whole
-    from gradcal_jax.hardware.clock import VirtualClock
-    from gradcal_jax.hardware.run_folder import RunFolder, new_folder
-    from gradcal_jax.hardware.simulate.lab import SimulatedLab
-
-    folder = RunFolder(path)
-    latest = 0.0
-    if first_step is not None:
-        latest = max((record.time_s for record in folder.contents().records), default=0.0) + 60.0
-    clock = VirtualClock(latest, speed=notes["speed"])
-    with SimulatedLab(
-        recipe.spec, clock, seed=int(notes["seed"]), sample_rate_hz=float(notes["sample_rate_hz"])
-    ) as lab:
-        if first_step is None:
-            folder = new_folder(path, recipe, lab.rig, simulated=notes)
-            truth = json.dumps(lab.truth.tables(lab.axes), indent=2) + "\n"
-            write_whole(path / "hidden_truth.json", truth)
-        print("simulated devices: a rehearsal, not a measurement")
-        return _session(folder, lab.rig, clock, first_step or 0, simulated=True)
-
-
-def _session(folder: "RunFolder", rig: Any, clock: "Clock", first_step: int, *, simulated: bool) -> int:
-    from gradcal_jax.hardware.session import run_session
-
-    watcher = _Watcher(simulated)
-    with watcher:
-        result = run_session(
-            folder,
-            rig,
-            clock,
-            first_step=first_step,
-            simulated=simulated,
-            guard=not simulated,
-            on_progress=watcher.show,
-            with_runner=watcher.attend,
-            # Where nobody can answer, what would pause the run ends it, safe.
-            wait_when_paused=sys.stdin.isatty(),
-            handle_signals=threading.current_thread() is threading.main_thread(),
-        )
-    return _say(folder, result)
-
-
-def _say(folder: "RunFolder", result: "RunResult") -> int:
+def _say(folder: Path, result: "RunResult") -> int:
     for outcome in result.outcomes:
         verified = "safe" if outcome.verified else "NOT VERIFIED SAFE"
         print(f"{outcome.name}: {verified} ({outcome.action}; {outcome.evidence})")
     if result.exit_status == "success":
-        print(f"done; make its log: gradcal log {folder.path}")
+        print(f"done; make its log: gradcal log {folder}")
         return 0 if result.verified_safe else DEVICE_FAILURE
     complain(
         f"the run {result.exit_status} after {result.steps_done} steps: {result.reason}\n"
-        f"What was recorded is sound. Go on with it: gradcal run --resume {folder.path}"
+        f"What was recorded is sound. Go on with it: gradcal run --resume {folder}"
     )
     asked = result.reason in ("Ctrl-C", "interrupted from the keyboard")
     return INTERRUPTED if asked and result.verified_safe else DEVICE_FAILURE
@@ -186,11 +128,19 @@ class _Watcher:
         if not self._plain:
             print()
 
-    def attend(self, runner: "Runner") -> None:
-        """The run that is shown."""
+    def attends(self) -> "Attended":
+        """For the run that is shown."""
+        return {
+            "on_progress": self._show,
+            "with_runner": self._attend,
+            "wait_when_paused": sys.stdin.isatty(),
+            "handle_signals": threading.current_thread() is threading.main_thread(),
+        }
+
+    def _attend(self, runner: "Runner") -> None:
         self._runner = runner
 
-    def show(self, progress: "Progress") -> None:
+    def _show(self, progress: "Progress") -> None:
         """Called by the run itself, so it must be quick."""
         now = (progress.state.value, progress.step)
         if self._plain:

@@ -1,0 +1,128 @@
+"""A recipe executed, on a rig or on simulated devices, and the log of it: what `gradcal run` and `gradcal log` do."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, TypedDict, Unpack
+
+from ..files.log import Log
+from ..files.recipe import Recipe
+from ..files.rig import RigFile
+from ..files.writing import write_whole
+from .clock import RealClock, VirtualClock
+from .recording import log_of
+from .run_folder import RunFolder, new_folder, prepare_resume
+from .runner import Progress, Runner, RunResult
+from .session import run_session
+from .setup import configs_of
+from .simulate.lab import SimulatedLab
+
+SAMPLE_RATES_HZ: Final = (125.0, 250.0, 500.0, 1000.0, 2000.0)
+# A simulated run goes on so long after the last thing that it recorded.
+_LATER_S: Final = 60.0
+
+
+class Simulation(TypedDict):
+    """Simulated devices: what their hidden errors are drawn by, so many times faster than real time (None: as fast as
+    it goes), samples in Hz.
+    """
+
+    seed: int
+    speed: float | None
+    sample_rate_hz: float
+
+
+class Attended(TypedDict, total=False):
+    """For whoever watches a run, as `session.run_session` takes them."""
+
+    on_progress: Callable[[Progress], None]
+    with_runner: Callable[[Runner], None]
+    wait_when_paused: bool
+    handle_signals: bool
+
+
+def run(
+    recipe: Recipe,
+    folder: str | Path,
+    *,
+    rig: RigFile | None = None,
+    simulate: bool = False,
+    seed: int = 0,
+    speed: float | None = None,
+    sample_rate_hz: float = 125.0,
+    **attended: Unpack[Attended],
+) -> RunResult:
+    """Execute a recipe and leave everything safe; `folder` becomes the run's, with all that was sent and received.
+
+    Give either the `rig`, or `simulate`: then the devices are simulated, in virtual time or `speed` times faster than
+    the clock, their hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz); log,
+    calibration and page say so. `attended`: for whoever watches (`on_progress`, `with_runner`, `wait_when_paused`,
+    `handle_signals`).
+
+    Returns how it ended: `exit_status` "success", "stopped" or "aborted", `reason`, `steps_done`, `verified_safe`.
+    Errors: `ValueError` for a folder that is not empty, for neither or both of rig and simulation, and for another
+    sample rate; `HardwareError` where a device keeps the run from starting.
+    """
+    if simulate == (rig is not None):
+        raise ValueError("on what? Give either a rig, or simulate=True")
+    path = Path(folder)
+    if rig is not None:
+        configs_of(rig)
+        return _on_rig(new_folder(path, recipe, rig), 0, attended)
+    if sample_rate_hz not in SAMPLE_RATES_HZ:
+        known = ", ".join(f"{rate:g}" for rate in SAMPLE_RATES_HZ)
+        raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; it does at {known} Hz")
+    simulation = Simulation(seed=seed, speed=speed, sample_rate_hz=sample_rate_hz)
+    return _simulated(path, recipe, simulation, None, attended)
+
+
+def resume(folder: str | Path, **attended: Unpack[Attended]) -> RunResult:
+    """Go on with a run that was ended or lost, by the recipe and on the rig (or the simulation) in its folder.
+
+    `attended` and what is returned: as `run`. Errors: `ValueError` where the folder holds no run, a complete one, or
+    one of another recipe or version; `HardwareError` where other devices answer than the run began with.
+    """
+    found = RunFolder(Path(folder))
+    first = prepare_resume(found)
+    notes = found.notes()
+    if notes["simulated"]:
+        return _simulated(found.path, found.recipe(), notes["simulation"], first, attended)
+    return _on_rig(found, first, attended)
+
+
+def log(folder: str | Path, unit: str | None = None) -> Log:
+    """The log of a run, decoded from its journal's raw bytes: rates in rad/s, times in s, temperatures in °C, the
+    table's angles in rad, standstills.
+
+    `unit`: of several units on the table, the one whose log to make. Errors: `ValueError` where the folder is not a
+    run's; `HardwareError` where the journal holds no samples of a stretch with data.
+    """
+    found = RunFolder(Path(folder))
+    found.notes()
+    return log_of(found.contents(), found.recipe(), found.rig(), unit)
+
+
+def _on_rig(folder: RunFolder, first_step: int, attended: Attended) -> RunResult:
+    return run_session(folder, folder.rig(), RealClock(), first_step=first_step, guard=True, **_alone(attended))
+
+
+def _simulated(
+    path: Path, recipe: Recipe, simulation: Simulation, resumed: int | None, attended: Attended
+) -> RunResult:
+    folder = RunFolder(path)
+    latest = 0.0
+    if resumed is not None:
+        latest = max((record.time_s for record in folder.contents().records), default=0.0) + _LATER_S
+    clock = VirtualClock(latest, speed=simulation["speed"])
+    seed, sample_rate_hz = int(simulation["seed"]), float(simulation["sample_rate_hz"])
+    with SimulatedLab(recipe.spec, clock, seed=seed, sample_rate_hz=sample_rate_hz) as lab:
+        if resumed is None:
+            folder = new_folder(path, recipe, lab.rig, simulated=dict(simulation))
+            truth = json.dumps(lab.truth.tables(lab.axes), indent=2) + "\n"
+            write_whole(path / "hidden_truth.json", truth)
+        return run_session(folder, lab.rig, clock, first_step=resumed or 0, simulated=True, **_alone(attended))
+
+
+def _alone(attended: Attended) -> Attended:
+    """Where nobody can answer, what would pause a run ends it, safe."""
+    return Attended(wait_when_paused=False) | attended

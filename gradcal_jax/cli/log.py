@@ -45,10 +45,11 @@ def log(
     )
     for finding in found.findings:
         print(f"note: {finding.message}")
-    provenance = found.provenance
-    print(
-        f"the unit's second is {provenance['clock_rate_error']} longer than the computer's "
-        f"(1σ {provenance['clock_rate_std']})"
+    rates, stds = (
+        [1e6 * float(word) for word in found.provenance[name].split(", ")]
+        for name in ("clock_rate_error", "clock_rate_std")
     )
+    each = ", ".join(f"{rate:+.3f} ppm (1σ {std:.1g} ppm)" for rate, std in zip(rates, stds, strict=True))
+    print(f"the unit's second is longer than the computer's by {each}")
     print(f"wrote {target}")
     return 0

@@ -3,8 +3,13 @@
 Bytes arrive late, never early: by the latency of the unit, of the adapter and of the operating system, sometimes by a
 lot. So the line is fitted to the samples of the quickest arrivals: least squares, then again without what lies above
 the bulk. The rate is what calibration needs (a sensor's clock is a scale factor); the offset holds the usual latency.
+
+The scatter of many stamps averages out, the grid that they lie on does not: two ends of a line that are each known to
+the stamps' resolution leave the rate uncertain by resolution over span, however small the scatter (on virtual time,
+where bytes take no time at all, it is nothing but rounding).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +37,12 @@ class ClockMap:
         return self.offset_s + self.rate * device_time_s
 
 
-def fit_clock(device_time_s: NDArray[np.float64], host_time_s: NDArray[np.float64]) -> ClockMap:
+def fit_clock(
+    device_time_s: NDArray[np.float64], host_time_s: NDArray[np.float64], *, resolution_s: float = 0.0
+) -> ClockMap:
     """Fit the line. Both `(n,)`, in the order of arrival; samples that came in one chunk share their host time.
+
+    `resolution_s` of the coarser of the two stamps: `rate_std` is not below what it leaves over the whole span.
 
     Raises:
         ValueError: fewer than three arrivals, or times that do not increase.
@@ -61,10 +70,12 @@ def fit_clock(device_time_s: NDArray[np.float64], host_time_s: NDArray[np.float6
     used = residual[kept]
     rms = float(np.sqrt(np.mean(used**2)))
     lever = float(np.sqrt(np.sum((centred[kept] - centred[kept].mean()) ** 2)))
+    # An error anywhere within a step of the grid, at either end: √2 · resolution / √12.
+    grid = resolution_s / math.sqrt(6.0) / float(np.ptp(centred[kept]))
     return ClockMap(
         offset_s=offset - rate * middle,
         rate=rate,
-        rate_std=rms / lever,
+        rate_std=math.hypot(rms / lever, grid),
         residual_rms_s=rms,
         residual_max_s=float(np.max(np.abs(used))),
         used=int(kept.sum()),

@@ -9,6 +9,7 @@ straight line through the quickest arrivals, whose slope and residuals are in th
 
 import itertools
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -103,6 +104,7 @@ class _Part:
     read: int
     missing: int
     bad_bytes: int
+    repeated: int
 
 
 def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | None:
@@ -113,7 +115,8 @@ def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | 
     samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks])
     if len(samples) < 10:
         return None
-    clock = fit_clock(samples.device_time_s, samples.host_time_s)
+    resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
+    clock = fit_clock(samples.device_time_s, samples.host_time_s, resolution_s=resolution_s)
     host = clock.host_time_s(samples.device_time_s)
     kept = np.zeros(len(samples), bool)
     for start, end in _stretches(session.events):
@@ -149,6 +152,7 @@ def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | 
         len(samples),
         int(np.maximum(missing[1:], 0).sum()),
         decoder.bad_bytes,
+        decoder.repeated_datagrams,
     )
 
 
@@ -297,6 +301,9 @@ def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
     bad = sum(part.bad_bytes for part in parts)
     if bad:
         found.append(Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram"))
+    twice = sum(part.repeated for part in parts)
+    if twice:
+        found.append(Finding("repeated datagram", "keep", 0, f"{twice} datagrams came twice and count once"))
     return tuple(found)
 
 

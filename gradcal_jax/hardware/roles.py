@@ -195,6 +195,11 @@ class ImuBatch:
 class ImuDecoder(Protocol):
     """Pure: the same bytes with the same stamps always give the same samples, however they were cut."""
 
+    resolution_s: float
+    """Of the unit's own stamps."""
+    repeated_datagrams: int
+    """Datagrams that were passed over because they had come before."""
+
     def push(self, data: bytes, host_time_s: float) -> ImuBatch: ...
 
     @property

@@ -460,6 +460,36 @@ def test_stim300_counts_what_is_missing() -> None:
     np.testing.assert_allclose(batch.device_time_s - batch.device_time_s[0], 0.008 * np.array(kept))
 
 
+def test_stim300_datagrams_that_come_twice_count_once() -> None:
+    # Rates that differ, as a unit's do: only what was sent once and came twice is alike.
+    frames: list[bytes] = []
+    for index in range(40):
+        body = golden.STIM300_A5[:3] + bytes([index]) + golden.STIM300_A5[4:35] + bytes([16 * index % 256])
+        body += golden.STIM300_A5[36:38]
+        frames.append(body + checksums.crc32_mpeg2(body + bytes(2)).to_bytes(4, "big"))
+    # At once, late by one, late by several after a loss, and at the seam between two chunks.
+    came = [0, 1, 1, 2, 3, 2, 4, 5, 8, 9, 4, 10, 11]
+    decoder = Stim300Decoder()
+    batches = [decoder.push(b"".join(frames[index] for index in came), 0.0)]
+    batches.append(decoder.push(frames[11] + b"".join(frames[12:]), 0.1))
+    kept = [0, 1, 2, 3, 4, 5, 8, 9, 10, *range(11, 40)]
+    gaps = np.concatenate([batch.gap_before for batch in batches])
+    assert {kept[i]: int(gap) for i, gap in enumerate(gaps) if gap} == {8: 2}
+    times = np.concatenate([batch.device_time_s for batch in batches])
+    np.testing.assert_allclose(times - times[0], 0.008 * np.array(kept))
+    assert (decoder.repeated_datagrams, decoder.bad_bytes) == (4, 0)
+    # A whole round of the counter that was lost is still no repetition.
+    lost = Stim300Decoder()
+    lost.push(b"".join(frames[:3]), 0.0)
+    assert lost.push(frames[18], 0.1).gap_before.tolist() == [15]
+
+
+def test_a_vectornav_packet_that_comes_twice_counts_once() -> None:
+    decoder = vectornav.VectorNavDecoder(sample_rate_hz=200.0)
+    assert len(decoder.push(golden.VECTORNAV_IMU + golden.VECTORNAV_IMU, 0.0)) == 1
+    assert decoder.repeated_datagrams == 1
+
+
 def test_stim300_whole_wraps_lost_in_a_disturbance_are_reckoned_with_the_hosts_clock() -> None:
     stream = stim300_stream(3)
     decoder = Stim300Decoder()

@@ -248,6 +248,16 @@ def test_clock_map_uses_the_last_sample_of_a_chunk_and_needs_three() -> None:
         fit_clock(device[:32], host[:32])
 
 
+def test_a_clock_map_knows_no_rate_better_than_the_stamps_grid_allows() -> None:
+    number = np.arange(64 * 7000)
+    device = 0.008 * number
+    perfect = 5.0 + 0.512 * (number // 64)
+    fitted = fit_clock(device, perfect, resolution_s=0.5e-3)
+    # Stamps without any scatter: what is left is the grid, over an hour.
+    assert fitted.rate_std == pytest.approx(0.5e-3 / np.sqrt(6.0) / 3584.0, rel=1e-2)
+    assert fit_clock(device, perfect).rate_std < 1e-12
+
+
 def test_wall_clock_has_no_say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The wall clock jumps by a year in mid-run: times in the journal and device time-outs do not notice."""
     clock = RealClock()

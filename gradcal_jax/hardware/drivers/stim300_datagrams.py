@@ -6,6 +6,7 @@ where a CRC fits, stays locked while CRCs fit, and on a failure goes on by one b
 """
 
 import zlib
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..roles import ImuBatch
 from .imu_common import STANDARD_GRAVITY, GapCounter, join
 
 INTERNAL_RATE_HZ = 2000
+_MODULUS = 256  # of the counter of internal samples
 # By the codes of `$sd`: (accelerometer, inclinometer, temperatures), identifier, identifier with PPS, of older units.
 CONTENTS = (
     ((False, False, False), 0x90, 0xF0, 0x98),
@@ -77,8 +79,10 @@ class Stim300Decoder:
     """Bytes of Normal Mode -> samples. `acceleration_range_g` comes from the unit itself (`$irng`).
 
     Special datagrams between normal ones are passed over and counted; before the first lock, as after power-on, they
-    cannot be told from noise and count as `bad_bytes`.
+    cannot be told from noise and count as `bad_bytes`. A datagram that comes twice, at once or late, counts once.
     """
+
+    resolution_s = 1.0 / INTERNAL_RATE_HZ
 
     def __init__(
         self,
@@ -98,11 +102,14 @@ class Stim300Decoder:
         self._buffer = b""
         self._locked: int | None = None
         self._disturbed = False
-        self._gaps = GapCounter(
-            step=round(INTERNAL_RATE_HZ / sample_rate_hz), modulus=256, ticks_per_s=float(INTERNAL_RATE_HZ)
-        )
+        self._step = round(INTERNAL_RATE_HZ / sample_rate_hz)
+        self._gaps = GapCounter(step=self._step, modulus=_MODULUS, ticks_per_s=float(INTERNAL_RATE_HZ))
+        # Within a round of the counter no two datagrams are alike, so one that is was sent once and came twice.
+        self._recent: deque[bytes] = deque(maxlen=_MODULUS // self._step - 1)
+        self._last_count: int | None = None
         self._bad_bytes = 0
         self.special_datagrams = 0
+        self.repeated_datagrams = 0
 
     @property
     def bad_bytes(self) -> int:
@@ -190,8 +197,27 @@ class Stim300Decoder:
         self.special_datagrams += 1
         return True
 
+    def _first_comers(self, block: NDArray[np.uint8], layout: DatagramLayout) -> NDArray[np.uint8]:
+        """Without the datagrams that are there already: only where the counter does not go on are they looked for."""
+        counts = block[:, layout.counter].astype(np.int64)
+        last = int(counts[0]) - self._step if self._last_count is None else self._last_count
+        regular = bool(np.all(np.mod(np.diff(counts, prepend=last), _MODULUS) == self._step))
+        fresh: list[int] = []
+        for row, count in enumerate(counts.tolist()):
+            datagram = block[row].tobytes()
+            if regular or (count - last) % _MODULUS == self._step or datagram not in self._recent:
+                self._recent.append(datagram)
+                fresh.append(row)
+                last = count
+        self._last_count = last
+        self.repeated_datagrams += len(block) - len(fresh)
+        return block[fresh]
+
     def _decode(self, block: NDArray[np.uint8], layout: DatagramLayout, host_time_s: float) -> ImuBatch:
+        block = self._first_comers(block, layout)
         count = block.shape[0]
+        if not count:
+            return join([])
         raw = _int24(block[:, 1:10])
         status = block[:, 10].astype(np.int64)
         acceleration = np.full((count, 3), np.nan)

@@ -17,6 +17,7 @@ Unverified on real hardware: that the base rate is 800 Hz on every model (`base_
 import math
 import re
 import struct
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -48,6 +49,7 @@ ERRORS = {
 _SYNC = 0xFA
 _LONGEST_PACKET = 600
 _LONGEST_LINE = 256
+_REMEMBERED = 16
 _FIELD_LENGTHS = (
     (8, 8, 8, 12, 16, 12, 24, 12, 12, 24, 20, 28, 2, 4, 8),
     (8, 8, 8, 2, 8, 8, 8, 4, 4, 1),
@@ -177,14 +179,21 @@ class VectorNavFramer:
 
 
 class VectorNavDecoder:
-    """Bytes -> samples. Only packets of the configured output count; others are passed over."""
+    """Bytes -> samples. Only packets of the configured output count; others are passed over.
+
+    A binary packet that comes twice counts once: no two have the same time.
+    """
+
+    resolution_s = 1e-9
 
     def __init__(self, *, sample_rate_hz: float) -> None:
         self._rate = sample_rate_hz
         self._framer = VectorNavFramer()
         self._last_time_s: float | None = None
+        self._recent: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._lines = 0
         self._bad_lines = 0
+        self.repeated_datagrams = 0
 
     @property
     def bad_bytes(self) -> int:
@@ -216,6 +225,10 @@ class VectorNavDecoder:
         if frame[0] == _SYNC:
             if frame[: len(_HEADER)] != _HEADER:
                 return None
+            if frame in self._recent:
+                self.repeated_datagrams += 1
+                return None
+            self._recent.append(frame)
             time_ns, *values = _PAYLOAD.unpack_from(frame, len(_HEADER))
             return [time_ns * 1e-9, *values], int(not all(map(math.isfinite, values)))
         try:

@@ -1,7 +1,11 @@
 """Calibration plans for gyros and accelerometers, designed by gradient descent through the predicted covariance.
 
-The names below are the public API, in the order in which data flow. They load on first use (PEP 562): importing the
-package, or its hardware and file rooms, never imports JAX.
+The names below are the public API, in the order in which data flow; what a command of `gradcal` does, the function of
+its name does. They load on first use (PEP 562): importing the package, or its hardware and file rooms, never imports
+JAX. The library leaves JAX's global switches alone, and what reports a covariance wants
+`jax.config.update("jax_enable_x64", True)` first.
+
+Quantities are SI (°C for temperatures) unless the name ends in another unit; what people read is in ppm and deg/h.
 """
 
 import importlib
@@ -10,33 +14,68 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME_OF_NAME: dict[str, str] = {
-    # files
+    # what people write: specs, presets, rigs, and the schemas of all files
     "Spec": "files",
     "SpecError": "files",
     "changed": "files",
     "parse_spec": "files",
     "presets": "files",
+    "read_rig": "files.rig",
     "read_spec": "files",
     "schema": "files",
     "tables_of": "files",
     "write_toml": "files",
-    # error model and plans
+    # prediction
+    "check": "assemble.flow",
+    "predict": "assemble",
+    "compare": "assemble.flow",
+    "timeline": "assemble",
+    "monte_carlo": "assemble",
+    "unobservable": "assemble",
+    # design
+    "optimise": "assemble.flow",
+    "limit": "assemble.flow",
+    "frontier": "assemble.flow",
+    "sensitivity": "assemble.flow",
+    "recipe": "assemble",
+    "read_recipe": "files.recipe",
+    # many at once
+    "read_sweep": "files.sweep",
+    "sweep": "jobs.sweep",
+    "read_dataset": "jobs.dataset",
+    "read_catalogue": "files.catalogue",
+    "recipes": "jobs.catalogue",
+    # runs and logs
+    "run": "hardware.execute",
+    "resume": "hardware.execute",
+    "log": "hardware.execute",
+    "Log": "files.log",
+    "read_log": "files.log",
+    "write_log": "files.log",
+    "import_log": "files.importers",
+    "parse_column_map": "files.importers",
+    # identification
+    "instability": "assemble.flow",
+    "allan": "assemble.flow",
+    "limiting_function": "identify.limiting_function",
+    "limiting_function_of_mean": "identify.limiting_function",
+    # calibrations
+    "estimate": "assemble.flow",
+    "read_calibration": "files.calibration",
+    "write_calibration": "files.calibration",
+    "apply": "files.correction",
+    "validate": "assemble.validation",
+    "export": "files.exports",
+    "report": "pages.report",
+    # the core alone: error model, plans, covariance
     "GyroModel": "errormodel",
     "gradient_plan": "plans",
     "standard_plan": "plans",
+    "programme": "plans",
     "rest": "plans",
     "turn": "plans",
-    "programme": "plans",
-    # prediction
     "posterior": "information",
     "residual": "information",
-    "predict": "assemble",
-    "monte_carlo": "assemble",
-    "timeline": "assemble",
-    "unobservable": "assemble",
-    # identification
-    "limiting_function": "identify.limiting_function",
-    "limiting_function_of_mean": "identify.limiting_function",
 }
 
 __all__ = list(_HOME_OF_NAME)

@@ -14,7 +14,12 @@ from gradcal_jax.information import STATISTICS, Posterior, parameter_names, stat
 
 
 def predict(spec: Spec, *, limits: bool = False) -> Prediction:
-    """The residual that a spec's plan leaves. `limits`: also say of each requirement what it is limited by."""
+    """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
+
+    `limits`: also say of each requirement what it is limited by. The exact covariance of generalised least squares
+    under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with a warning. Errors:
+    `ValueError` where JAX is not in float64.
+    """
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: knowledge(built, channel) for channel in built.channels}
     requirements = [

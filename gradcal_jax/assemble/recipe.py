@@ -3,7 +3,7 @@
 import platform
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gradcal_jax
 from gradcal_jax.assemble.prediction import predict
@@ -12,29 +12,38 @@ from gradcal_jax.files.recipe import FORMAT, Made, Predicted, Recipe
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 
+if TYPE_CHECKING:
+    from gradcal_jax.assemble.optimise import Optimised
+
 NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
 
 
 def recipe(
-    spec: Spec,
+    plan: "Spec | Optimised",
     *,
     resolution: ControllerSteps | None = None,
     stability: Stability | None = None,
     keep_shapes: bool = False,
-    status: str = NOT_OPTIMISED,
+    status: str = "",
     seed: int | None = None,
     optimisation: Mapping[str, Any] | None = None,
     notes: tuple[str, ...] = (),
 ) -> Recipe:
-    """The plan of a spec made executable, with the prediction of what is executed.
+    """The plan of a spec, or an optimised one, made executable, with the prediction (ppm, deg/h) of what is executed.
 
     `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
     temperature counts as stable, and how long to wait for it. `keep_shapes`: the table follows any shape of motion;
     without it turns become trapezoids of the same angle, peak rate and duration. `status`, `seed`, `optimisation` and
-    `notes` are kept as given; in `optimisation` only what TOML can hold.
+    `notes` are kept as given; in `optimisation` only what TOML can hold. An optimised plan brings its own.
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
+    spec = plan if isinstance(plan, Spec) else plan.spec
+    if not isinstance(plan, Spec):
+        from gradcal_jax.assemble.optimise import record_of
+
+        status, optimisation = status or plan.sentence, optimisation or record_of(plan)
+        seed = spec.design.seed if seed is None and spec.design is not None else seed
     steps = resolution or steps_of(spec)
     made = rounded(spec, steps, keep_shapes=keep_shapes)
     chamber, motion = tracks_of(made.spec)
@@ -42,7 +51,7 @@ def recipe(
     said: dict[str, Any] = {
         "format": FORMAT,
         "title": spec.title,
-        "status": status,
+        "status": status or NOT_OPTIMISED,
         "notes": (*notes, *made.notes) or None,
         "rounded": made.changes or None,
         "made": Made(by=f"gradcal {gradcal_jax.__version__}", versions=_versions(), **_given(seed=seed)),

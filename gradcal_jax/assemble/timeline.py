@@ -23,7 +23,10 @@ from gradcal_jax.files.sensor import Bias, ScaleFactor, ScaleFactorDiscrepancy
 
 
 def timeline(spec: Spec) -> Timeline:
-    """Every segment and reading of a spec's plan, axes one after the other; temperatures are the chamber's."""
+    """Every segment and reading of a spec's plan in SI, axes one after the other; temperatures (°C) are the chamber's.
+
+    Enough for another program to work out the covariance alone: contract gradcal-timeline/1. Errors: none.
+    """
     built = assemble(spec)
     segments: list[SegmentRow] = []
     readings: list[ReadingRow] = []

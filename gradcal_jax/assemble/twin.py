@@ -23,7 +23,8 @@ class TwinRow(NamedTuple):
 
 
 def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
-    """Simulate `runs` calibrations of a spec's plan; by requirement, and for each axis the covariance's test.
+    """Simulate `runs` calibrations of a spec's plan; by requirement (ppm, deg/h), and for each axis the covariance's
+    test against the prediction (likelihood ratio of a Wishart matrix).
 
     Errors: `ValueError` for fewer runs than parameters, and where the plan leaves something unobservable.
     """

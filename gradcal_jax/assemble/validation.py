@@ -50,9 +50,11 @@ def validate(
     earth_rate: float = 0.0,
     table_axis: str | None = None,
 ) -> list[AxisValidation]:
-    """Every axis that calibration and log have in common.
+    """What a calibration leaves on a log that it was not made from: ppm of moves' angles and deg/h at rest, rms before
+    and after, by `temperature_parts` ranges of temperature (°C) and by rate (deg/s).
 
-    **Raises:** `LogError` where the log holds neither moves with a reference nor rests.
+    Every axis that both have. `earth_rate` rad/s along the sensor's axis is taken off; `table_axis`: which turns it.
+    Errors: `LogError` where the log holds neither moves with a reference nor rests.
     """
     corrected = correction.apply(calibration, log, unit)
     number = log.unit_index(unit)

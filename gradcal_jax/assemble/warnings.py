@@ -10,7 +10,10 @@ from gradcal_jax.information import Posterior, unobservable_combinations
 
 
 def unobservable(spec: Spec) -> list[str]:
-    """One sentence for each combination of parameters that the plan cannot observe."""
+    """One sentence for each combination of parameters (named as in the paper, SI) that the plan cannot observe.
+
+    Errors: `ValueError` where JAX is not in float64.
+    """
     built = assemble(spec)
     return [s for channel in built.channels for s in _unobservable(built, channel, knowledge(built, channel))]
 

@@ -44,17 +44,13 @@ def report(
     """
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.cli.recipe import writable
-    from gradcal_jax.files.writing import write_whole
-    from gradcal_jax.pages.sources import read_sources
 
     writable(output, force)
-    found = read_sources(sources, before=before, limits=limits)
     use_float64()
-    from gradcal_jax.pages.facts import as_tables, facts_of
-    from gradcal_jax.pages.page import page
+    from gradcal_jax.pages.facts import as_tables
+    from gradcal_jax.pages.report import report as make
 
-    facts = facts_of(found)
-    write_whole(output, page(found, facts))
+    facts = make(sources, output, before=before, limits=limits)
     if json:
         from json import dumps
 

@@ -158,6 +158,8 @@ class GyroModel(eqx.Module):
     `angle_random_walk` in rad/√s. `turn_on_std` in rad/s: where B is estimated its constant *is* this run's turn-on
     bias, so the two priors add; where B is known the turn-on bias is noise, put among `processes` by whoever assembles.
     `gradient_std` in (rad/s)/(K/s), `inf` flat; `has_gradient` says whether dB/dṪ is a parameter at all.
+
+    Source: Berman, eq. 1. Errors: `ValueError` where there is nothing to find.
     """
 
     bias: Map | None

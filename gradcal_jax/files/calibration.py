@@ -211,7 +211,10 @@ def _mismatch(found: Mapping[str, float], expected: list[str]) -> list[Problem]:
 
 
 def read_calibration(path: str | Path) -> Calibration:
-    """The calibration in a file. Raises `SpecError` with every fault."""
+    """Read a calibration file: coefficients and covariance in SI (rad/s, ratios), what they cover, what is left.
+
+    Errors: `SpecError` with every fault.
+    """
     return parse_calibration(read_text(path), str(path))
 
 
@@ -230,7 +233,10 @@ def parse_calibration(text: str, source: str = "") -> Calibration:
 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> None:
-    """Write a calibration, whole or not at all; what it means stands in its head."""
+    """Write a calibration, whole or not at all; what its numbers mean, and their units, stand in its head.
+
+    Errors: `OSError` where it cannot be written.
+    """
     write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
 
 

@@ -137,7 +137,10 @@ def slug(name: str) -> str:
 
 
 def read_catalogue(path: str | Path) -> Catalogue:
-    """Read a catalogue and all its bases. Raises `SpecError` that lists everything wrong with them."""
+    """Read a catalogue and all its bases: sensors, rigs, requirements and plans, quantities as text with units.
+
+    Errors: `SpecError` that lists everything wrong with them.
+    """
     return parse_catalogue(read_text(path), str(path), Path(path).parent)
 
 

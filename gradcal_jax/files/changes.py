@@ -33,12 +33,15 @@ def split_key(text: str) -> Key:
 
 
 def tables_of(spec: Spec) -> dict[str, Any]:
-    """The spec as the tables of its file: texts, numbers, lists; free to change."""
+    """The spec as the tables of its file: texts with units, numbers, lists; a copy, free to change. Errors: none."""
     return spec.model_dump(mode="json", exclude_unset=True)
 
 
 def changed(spec: Spec, changes: Mapping[str, object], source: str = "") -> Spec:
-    """A new spec with some keys set (None removes a key). Raises `SpecError` for unknown keys and bad values."""
+    """A new spec with some keys set, such as {"rig.table.max_rate": "200 deg/s"}; None removes a key.
+
+    Values are as in the file: text with units. Errors: `SpecError` for unknown keys and bad values.
+    """
     return spec_of(patched(spec, changes, source), source)
 
 

@@ -168,10 +168,12 @@ def needs_temperature(calibration: Calibration) -> bool:
 
 
 def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
-    """The log of one unit with corrected rates; axes that the calibration does not have are left as they are.
+    """The log of one unit with corrected rates (rad/s); axes that the calibration does not have stay as they are.
 
-    Masked rows are corrected too, and stay masked. Raises `LogError` where a temperature is needed that is not there,
-    and where no axis of the log is calibrated.
+    Solves measured = (1 + M(T, ω))·ω + B(T) for ω, row by row; beyond what the calibration covers its value at the edge
+    holds, and `Corrected` counts such rows. Masked rows are corrected too, and stay masked.
+
+    Errors: `LogError` where a temperature is needed that is not there, and where no axis of the log is calibrated.
     """
     number = log.unit_index(unit)
     common = [name for name in log.axes if name in {axis.name for axis in calibration.axis}]

@@ -59,7 +59,9 @@ def export(
 
     `temperature_c`: for targets of one temperature; `instance`: number of the sensor on the controller (from 1 for
     ArduPilot, from 0 for PX4); `device_id`: PX4's; `zeroed`: coefficients that did not pass a validation, which are
-    left out ("x.a3" or, for every axis, "a3"). Raises `ValueError` with a sentence for what cannot be exported.
+    left out ("x.a3" or, for every axis, "a3"). Returns the text, and every loss with its largest value and unit. The
+    formulas are those of the targets' firmware, which their functions here name. Errors: `ValueError` with a sentence
+    for what cannot be exported.
     """
     if target not in FORMATS:
         raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')

@@ -198,7 +198,10 @@ class ColumnMap(Section):
 
 
 def parse_column_map(text: str, source: str = "") -> ColumnMap:
-    """The column map in a TOML text. Raises `SpecError` with every fault."""
+    """The column map (gradcal-columns/1) in a TOML text: what columns of a recording mean, and in which units.
+
+    Errors: `SpecError` with every fault.
+    """
     document = read_toml(text, source)
     wrong = format_problem(document, FORMAT)
     if wrong is not None:

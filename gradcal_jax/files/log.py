@@ -77,7 +77,11 @@ class EvenSeries:
 
 @dataclass(frozen=True)
 class Log:
-    """A recording. Arrays are SI (°C for temperatures) and never changed in place; see the module's head for shapes."""
+    """A recording. Arrays are SI (°C for temperatures) and never changed in place; shapes stand beside the fields.
+
+    `read_log` and `import_log` read one, `log` makes one of a run. Errors: `LogError` where the shapes do not fit, or
+    times do not increase.
+    """
 
     time_s: Floats
     """[time]"""
@@ -198,7 +202,10 @@ class Log:
 
 
 def write_log(log: Log, path: str | Path) -> None:
-    """Write a log as netCDF (HDF5), for any program that reads labelled arrays. Raises `LogError` where it cannot."""
+    """Write a log as netCDF (HDF5), each variable with its unit, for any program that reads labelled arrays.
+
+    Errors: `LogError` where it cannot be written.
+    """
     xarray: Any = importlib.import_module("xarray")
 
     def variable(dimensions: tuple[str, ...], values: NDArray[Any], unit: str, words: str) -> Any:
@@ -242,7 +249,10 @@ def write_log(log: Log, path: str | Path) -> None:
 
 
 def read_log(path: str | Path) -> Log:
-    """Read a log that `write_log` wrote. Raises `LogError` for anything else, with a sentence."""
+    """Read a log that `write_log` wrote (netCDF): rates in rad/s, times in s, temperatures in °C.
+
+    Errors: `LogError` for anything else, with a sentence.
+    """
     xarray: Any = importlib.import_module("xarray")
     h5py: Any = importlib.import_module("h5py")
     path = Path(path)

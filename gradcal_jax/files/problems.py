@@ -50,7 +50,11 @@ class Problem:
 
 
 class SpecError(ValueError):
-    """A file that cannot be used. `problems` lists every fault; the message says them all, one a line."""
+    """A file that cannot be used. `problems` lists every fault; the message says them all, one a line.
+
+    A `ValueError`. Each `Problem` has the key, the value with its unit as it was written, and what was expected.
+    Errors: this is one; making it raises none.
+    """
 
     def __init__(self, problems: Iterable[Problem], source: str = "") -> None:
         self.problems: tuple[Problem, ...] = _unique(problems)

@@ -117,7 +117,10 @@ def _differences(expected: Any, written: Any, key: tuple[str | int, ...]) -> lis
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read a recipe file. Raises `SpecError` that lists everything wrong with it."""
+    """Read a recipe file: tracks in SI (°C), rounded to the controllers' steps, prediction (ppm, deg/h), spec inside.
+
+    Errors: `SpecError` that lists everything wrong with it, and where its tracks do not follow from its spec.
+    """
     return parse_recipe(read_text(path), str(path))
 
 

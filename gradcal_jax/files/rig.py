@@ -111,7 +111,10 @@ class RigFile(Section):
 
 
 def read_rig(path: str | Path) -> RigFile:
-    """Read a rig file. Raises `SpecError` that lists everything wrong with it, options of drivers excepted."""
+    """Read a rig file: which device hangs on which port, and what "safe" means for it; quantities with units.
+
+    Errors: `SpecError` that lists everything wrong with it, options of drivers excepted.
+    """
     return parse_rig(read_text(path), str(path))
 
 

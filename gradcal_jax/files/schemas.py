@@ -46,7 +46,10 @@ def names() -> tuple[str, ...]:
 
 
 def schema(name: str) -> dict[str, Any]:
-    """The JSON Schema of a file or contract: such as "spec". Raises `ValueError` for other names."""
+    """The JSON Schema of a file or contract, such as "spec"; quantities are text with units in files, SI in contracts.
+
+    Errors: `ValueError` for other names.
+    """
     plain = name.removeprefix("gradcal-").removesuffix("/1")
     if plain in _MODELS:
         body = _MODELS[plain].model_json_schema(mode="validation", schema_generator=_WithTexts)

@@ -24,7 +24,11 @@ Requirements = Annotated[tuple[Requirement, ...], Field(max_length=100)]
 
 
 class Spec(Section):
-    """A whole spec. Quantities are SI (°C for temperatures) and keep their text; `schedule` is the plan worked out."""
+    """A whole spec: sensor, rig, requirements, plan, and what `optimise` may change; read-only.
+
+    Quantities behave as numbers in SI (°C for temperatures) and keep their text. `schedule` is the plan worked out
+    against the rig. Made by `read_spec` or `parse_spec`, and by `changed` from another. Errors: `SpecError` by those.
+    """
 
     format: Literal["gradcal-spec/1"]
     title: Text | None = None
@@ -64,12 +68,18 @@ _SECTIONS: Final[Mapping[str, TypeAdapter[Any]]] = {
 
 
 def read_spec(path: str | Path) -> Spec:
-    """Read a spec file. Raises `SpecError` that lists everything wrong with it."""
+    """Read a spec file: TOML, quantities as text with units ("0.1 deg/sqrt(h)"), SI (°C) inside.
+
+    Errors: `SpecError` that lists everything wrong with it, each with its key and what was expected.
+    """
     return parse_spec(read_text(path), str(path))
 
 
 def parse_spec(text: str, source: str = "") -> Spec:
-    """A spec from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
+    """A spec from the text of a TOML file (quantities with units, SI inside); `source` names it in messages.
+
+    Errors: `SpecError`, as `read_spec`.
+    """
     return spec_of(read_toml(text, source), source)
 
 

@@ -268,7 +268,10 @@ class Sweep:
 
 
 def read_sweep(path: str | Path) -> Sweep:
-    """Read a sweep file and its base. Raises `SpecError` that lists everything wrong with them."""
+    """Read a sweep file and its base spec: which keys take which values, texts with units.
+
+    Errors: `SpecError` that lists everything wrong with them.
+    """
     return parse_sweep(read_text(path), str(path), Path(path).parent)
 
 

@@ -29,7 +29,10 @@ def to_toml(model: Section, *, header: str = "") -> str:
 
 
 def write_toml(model: Section, path: str | Path, *, header: str = "") -> None:
-    """Write the model, whole or not at all."""
+    """Write a spec, recipe, rig or calibration as TOML, quantities with the units that they were read with.
+
+    `header` stands above as comments. The file is whole or not written at all. Errors: `OSError` where it cannot be.
+    """
     write_whole(path, to_toml(model, header=header))
 
 

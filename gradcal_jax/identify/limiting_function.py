@@ -62,7 +62,8 @@ def limiting_function(
     `angle_random_walk` N ≥ 0, rad/√s; `alignment_time_s` Δ ≥ 0, s. Any one coherent unit of angle will do. Shapes
     broadcast.
 
-    **Returns:** D_L, rad/s; the angle error itself is `t * D_L`. Differentiable in every argument.
+    **Returns:** D_L, rad/s; the angle error itself is `t * D_L`. Differentiable in every argument. Source: Berman,
+    section 2, Figures 3–5. Errors: `ValueError` for another `correction`.
     """
     if correction not in ("carried", "held"):
         raise ValueError(f'correction is "carried" or "held", not {correction!r}')
@@ -106,7 +107,7 @@ def limiting_function_of_mean(
     """Standard deviation of [mean rate over the next t] - [mean rate over the last Δ]: the paper's eqs. 6-7.
 
     `D_L² = σ² g(t, Δ, τ) + N² (1/t + 1/Δ)`; g is `drift_shape_of_mean`. Arguments and units as in `limiting_function`,
-    with `averaging_time_s` Δ > 0. Differentiable in every argument.
+    with `averaging_time_s` Δ > 0, s. Differentiable in every argument. Errors: none.
     """
     t, sigma, tau, walk, delta = _floating(
         integration_time_s, drift_std, correlation_time_s, angle_random_walk, averaging_time_s

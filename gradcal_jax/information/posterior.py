@@ -94,7 +94,11 @@ class Posterior(eqx.Module):
 
 
 def posterior(info: SquareRootInformation) -> Posterior:
-    """Set apart what cannot be observed, by the singular values of the scaled factor."""
+    """What is known of the parameters (SI) after a plan, from `information.information(timeline, model)`.
+
+    What cannot be observed is set apart by the singular values of the scaled factor, `(p, p) -> (p, r), (p, k)`.
+    Errors: none here; `information` refuses single precision with a `ValueError`.
+    """
     scale = np.asarray(info.scale)
     _, singular, directions = np.linalg.svd(np.asarray(info.factor))
     seen = singular > OBSERVABLE * (singular[0] if len(singular) else 1.0)

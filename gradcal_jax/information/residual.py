@@ -51,7 +51,7 @@ def residual(
     """Standard deviation of the calibrated map's error on a grid: `(n_T,), (n_ω,) -> (n_T, n_ω)`.
 
     °C and rad/s in; dimensionless (scale factor) or rad/s (bias, whose one rate is ignored) out. `inf` where the plan
-    cannot tell.
+    cannot tell. Errors: `ValueError` for a map that the model does not have.
     """
     grid_t, grid_w = np.meshgrid(temperature, rate, indexing="ij")
     rows, beyond = _contrasts(model, quantity, jnp.asarray(grid_t.ravel()), jnp.asarray(grid_w.ravel()))

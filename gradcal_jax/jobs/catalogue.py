@@ -50,7 +50,7 @@ def recipes(
     runner: Runner | None = None,
     progress: Callable[[Progress], None] = lambda found: None,
 ) -> Table:
-    """Write `<case>.toml` for every case, `summary.csv` and `summary.md` into `folder`.
+    """Write `<case>.toml` for every case, `summary.csv` and `summary.md` (ppm, deg/h; 1σ) into `folder`.
 
     What is finished is kept in `folder/.finished`, and is not done again while the case and the versions are the same.
     Errors: `ValueError` where `folder` cannot be written to.

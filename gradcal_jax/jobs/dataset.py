@@ -132,7 +132,9 @@ def write_dataset(data: "xarray.Dataset", output: Path) -> None:
 
 
 def read_dataset(path: str | Path) -> "xarray.Dataset":
-    """The results in a file. Errors: `ValueError` where it is no sweep's."""
+    """The results of a sweep as labelled arrays: residuals in the unit of their attributes (ppm, deg/h; 1σ) over the
+    sweep's axes, verdicts, and of every failed point the reason. Errors: `ValueError` where it is no sweep's.
+    """
     import xarray
 
     try:

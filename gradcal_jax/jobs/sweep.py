@@ -93,7 +93,9 @@ def sweep(
     runner: Runner | None = None,
     progress: Report = _silent,
 ) -> Swept:
-    """Do a sweep and write its results (netCDF) to `output`; begun again after a kill it goes on where it was.
+    """Do a sweep and write its results (netCDF, each variable with its unit) to `output`, for `read_dataset`.
+
+    Begun again after a kill it goes on where it was.
 
     `runner`: a `LocalPool`, by default one worker a core, or a `cluster.Cluster`. Errors: `ValueError` where `output`
     exists already, where every point fails, and for the folder of another sweep; `SweepIncomplete` where

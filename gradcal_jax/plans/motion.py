@@ -180,7 +180,10 @@ def repeat(block: Pieces, count: int) -> Pieces:
 
 
 def rest(duration: float, read_every: float | None = None) -> Move:
-    """A rest of `duration` s, read every `read_every` s (None: unread)."""
+    """A rest of `duration` s, read every `read_every` s (None: unread).
+
+    Errors: `ValueError` for what is no number.
+    """
     division = divide(float(duration), formulas.reading_times(float(duration), read_every))
     return _move("rest", 0.0, duration, (division,), division)
 

@@ -263,7 +263,10 @@ class StandardPlan(eqx.Module):
 
 
 def standard_plan(temperatures, soak: float, integration: float, rates=(0.0,)) -> StandardPlan:
-    """A standard plan from plain numbers: °C, s, s, rad/s."""
+    """A standard plan: at each of `temperatures` (°C) a `soak` (s), then each of `rates` (rad/s) for `integration` (s).
+
+    Errors: `ValueError` for what is no number.
+    """
     as_array = lambda v: np.asarray(v, dtype=float)  # noqa: E731
     return StandardPlan(as_array(temperatures), as_array(rates), as_array(soak), as_array(integration))
 

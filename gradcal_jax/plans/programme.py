@@ -59,7 +59,10 @@ class Programme(eqx.Module):
 
 
 def programme(start: float, stretches: list[tuple[float, float]]) -> Programme:
-    """A programme from plain numbers: `stretches` are (duration s, slope K/s)."""
+    """A temperature programme from `start` (°C): `stretches` of (duration s, slope K/s).
+
+    Errors: `ValueError` without any stretch.
+    """
     durations, slopes = zip(*stretches, strict=True)
     as_array = lambda v: np.asarray(v, dtype=float)  # noqa: E731
     return Programme(as_array(start), as_array(durations), as_array(slopes))

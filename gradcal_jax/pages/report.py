@@ -1,0 +1,36 @@
+"""A page from the files that it is about: what `gradcal report` does."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gradcal_jax.files.writing import write_whole
+from gradcal_jax.pages.facts import Facts, facts_of
+from gradcal_jax.pages.page import page
+from gradcal_jax.pages.sources import read_sources
+
+
+def report(
+    sources: str | Path | Sequence[str | Path],
+    output: str | Path,
+    *,
+    before: str | Path | None = None,
+    limits: str | Path | None = None,
+) -> Facts:
+    """Make one HTML page of a recipe, a run or a calibration: planned, predicted, done, found, how to apply it.
+
+    `sources`: the folder of a run (its calibration.toml is taken with it), a recipe, a calibration, or those of them
+    that belong together. `before`: a spec or recipe whose plan to compare with. `limits`: what `gradcal limit --json`
+    printed. The page replaces `output`; it fetches nothing.
+
+    Returns every number of the page, once (`pages.facts.Facts`): ppm, deg/h, °C and deg/s, 1σ. Terms are those of IEEE
+    952, 1431 and 1780. Errors: `ValueError` for sources that cannot be read or do not belong on one page.
+    """
+    given = [sources] if isinstance(sources, str | Path) else sources
+    found = read_sources(
+        [Path(source) for source in given],
+        before=None if before is None else Path(before),
+        limits=None if limits is None else Path(limits),
+    )
+    facts = facts_of(found)
+    write_whole(output, page(found, facts))
+    return facts

@@ -13,8 +13,10 @@ def _xla_gc_callback(*_):
 gc.callbacks.append(_xla_gc_callback)
 gc.collect()
 """
+# Who starts the tests in the background of a shell has them ignore interrupts: undone first.
 PROGRAM = """
 import gc, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from gradcal_jax.cli import precision
 {setup}
 try:

@@ -71,7 +71,11 @@ def glossary(*term: str) -> int:
     from gradcal_jax.pages.glossary import TERMS
 
     wanted = " ".join(term).lower()
-    rows = [(name, meaning) for name, meaning in sorted(TERMS.items(), key=str) if wanted in name.lower()]
+    rows = [
+        (name, meaning)
+        for name, meaning in sorted(TERMS.items(), key=lambda entry: entry[0].lower())
+        if wanted in name.lower()
+    ]
     if not rows:
         raise ValueError(f'the glossary has no term with "{wanted}" in it; gradcal glossary lists all of them')
     print(columns(rows, indent=""))

@@ -1,6 +1,7 @@
 """The page: facts and figures set by a template; nothing is computed here, and nothing is fetched by it."""
 
 import os
+import re
 from datetime import UTC, datetime
 from importlib import resources
 from typing import Any
@@ -11,7 +12,7 @@ from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.coefficients import ParameterFact
 from gradcal_jax.pages.facts import Facts, RequirementFact
 from gradcal_jax.pages.figures import found_pictures, map_pictures, track_pictures
-from gradcal_jax.pages.glossary import TERMS
+from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.units import time_text
@@ -41,7 +42,10 @@ def page(sources: Sources, facts: Facts) -> str:
     }
     # Only the words that the page uses are explained on it.
     said = template.render(**given, glossary=()).lower()
-    return template.render(**given, glossary=[(term, words) for term, words in TERMS.items() if term.lower() in said])
+    used = [
+        (term, words) for term, words in OF_THE_FIELD.items() if re.search(rf"\b{re.escape(term.lower())}s?\b", said)
+    ]
+    return template.render(**given, glossary=used)
 
 
 def sentence(text: str) -> str:

@@ -13,6 +13,7 @@ from gradcal_jax.cli.console import complain, is_plain, time_text
 if TYPE_CHECKING:
     from gradcal_jax.hardware.execute import Attended
     from gradcal_jax.hardware.runner import Progress, Runner, RunResult
+    from gradcal_jax.hardware.terminal import Terminal
 
 DEVICE_FAILURE, INTERRUPTED = 3, 130
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
@@ -116,6 +117,7 @@ class _Watcher:
 
     def __init__(self, simulated: bool) -> None:
         self._simulated = simulated
+        self._terminal = _terminal()
         self._plain = is_plain(sys.stdout)
         self._last: tuple[str, str] = ("", "")
         self._runner: Runner | None = None
@@ -135,6 +137,7 @@ class _Watcher:
             "with_runner": self._attend,
             "wait_when_paused": sys.stdin.isatty(),
             "handle_signals": threading.current_thread() is threading.main_thread(),
+            "terminal": self._terminal,
         }
 
     def _attend(self, runner: "Runner") -> None:
@@ -142,6 +145,8 @@ class _Watcher:
 
     def _show(self, progress: "Progress") -> None:
         """Called by the run itself, so it must be quick."""
+        if self._terminal is not None and self._terminal.asking:
+            return  # somebody types on this line
         now = (progress.state.value, progress.step)
         if self._plain:
             if now != self._last:
@@ -151,7 +156,7 @@ class _Watcher:
         self._last = now
         if progress.state.value == "paused" and not self._asked:
             self._asked = True
-            threading.Thread(target=self._ask, daemon=True).start()
+            self._ask()
         elif progress.state.value == "running":
             self._asked = False
 
@@ -159,8 +164,23 @@ class _Watcher:
         if not sys.stdin.isatty():
             return
         print("\npaused; press Enter to go on, Ctrl-C to make everything safe and end", flush=True)
-        if sys.stdin.readline() and self._runner is not None:
+        if self._terminal is not None and self._terminal.heard:
+            self._terminal.next_line_goes_to(self._go_on)
+        else:
+            threading.Thread(target=lambda: sys.stdin.readline() and self._go_on(), daemon=True).start()
+
+    def _go_on(self) -> None:
+        if self._runner is not None:
             self._runner.request("resume", "Enter")
+
+
+def _terminal() -> "Terminal | None":
+    """Where somebody sits who can be asked to turn an axis."""
+    from gradcal_jax.hardware.terminal import Terminal
+
+    if sys.stdin.isatty() and sys.stdout.isatty():
+        return Terminal(keyboard=sys.stdin.fileno(), screen=sys.stdout)
+    return None
 
 
 def progress_text(progress: "Progress", simulated: bool) -> str:
@@ -174,7 +194,9 @@ def progress_text(progress: "Progress", simulated: bool) -> str:
         parts.append(f"air {chamber.air_c:.1f}{load} (set {chamber.setpoint_c:.1f}) degC")
         parts += [f"ALARM {alarm}" for alarm in chamber.alarms]
     for name, axis in progress.axes.items():
-        parts.append(f"{name} {axis.position_deg:.3f} deg" + (" moving" if axis.moving else ""))
+        known = axis.position_deg == axis.position_deg
+        angle = f"{axis.position_deg:.3f} deg" if known else "in somebody's hands"
+        parts.append(f"{name} {angle}" + (" moving" if known and axis.moving else ""))
         parts += [f"FAULT {fault}" for fault in axis.faults]
     parts.append(f"{time_text(progress.track_left_s)} left")
     return "; ".join(part for part in parts if part)

@@ -17,6 +17,8 @@ from gradcal_jax.files.quantity import Flag, Quantity, Temperature, Text
 from gradcal_jax.files.section import Section, refuse
 
 FORMAT: Final = "gradcal-rig/1"
+OPERATOR: Final = "operator"
+TERMINAL: Final = "terminal"
 
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,30}$")]
 Options = dict[str, Any]
@@ -36,8 +38,21 @@ class ChamberDevice(Section):
     options: Options = Field(default_factory=dict)
 
 
+class EncoderDevice(Section):
+    """`[axis.encoder]` of an axis that is turned by hand: a device that could drive an axis, of which only the angle is
+    read."""
+
+    driver: Text
+    port: Text
+    options: Options = Field(default_factory=dict)
+
+
 class AxisDevice(Section):
-    """`[[axis]]`, outermost first. `gravity_loaded` says that it moves by itself without power."""
+    """`[[axis]]`, outermost first. `gravity_loaded` says that it moves by itself without power.
+
+    The driver "operator" is a person who turns the axis and types its angle, at the port "terminal" where the run was
+    started; with an `encoder` the angle is read from there.
+    """
 
     name: Name
     driver: Text
@@ -46,9 +61,19 @@ class AxisDevice(Section):
     gravity_loaded: Flag
     serial_number: Text | None = None
     options: Options = Field(default_factory=dict)
+    encoder: EncoderDevice | None = None
 
     @model_validator(mode="after")
     def _does_not_fall(self) -> "AxisDevice":
+        by_hand = self.driver == OPERATOR
+        if by_hand and self.gravity_loaded:
+            message = "a person lets go of it now and then, and it would fall; expected false, or another driver"
+            refuse(Problem(("gravity_loaded",), message, "true"))
+        if self.encoder is not None and not (by_hand and self.encoder.driver != OPERATOR):
+            message = f'an encoder belongs to an axis whose driver is "{OPERATOR}", and has another one itself'
+            refuse(Problem(("encoder", "driver"), message, self.encoder.driver))
+        if self.port == TERMINAL and not by_hand:
+            refuse(Problem(("port",), f'only the driver "{OPERATOR}" speaks with a terminal', self.port))
         if self.safe == "unpower" and self.gravity_loaded:
             refuse(
                 Problem(("safe",), 'an axis that is loaded by gravity falls without power; expected "hold"', self.safe)
@@ -93,7 +118,8 @@ class RigFile(Section):
 
     def _shared_ports(self) -> list[Problem]:
         """Only axes of one controller share a port: they speak one protocol, by address."""
-        users = Counter([device.port for device in (*self.imu, *([self.chamber] if self.chamber else []))])
+        encoders = [axis.encoder for axis in self.axis if axis.encoder is not None]
+        users = Counter([device.port for device in (*self.imu, *encoders, *([self.chamber] if self.chamber else []))])
         drivers: dict[str, set[str]] = {}
         for axis in self.axis:
             drivers.setdefault(axis.port, set()).add(axis.driver)
@@ -156,13 +182,23 @@ ambient = "23 degC"
 
 [[axis]]                     # outermost first
 name           = "table"
-driver         = "zaber"     # zaber or odrive
+driver         = "zaber"     # zaber or odrive; or operator: somebody turns it by hand (see below)
 port           = "/dev/ttyUSB1"
 safe           = "hold"      # hold, controlled stop or unpower
 gravity_loaded = false       # true: it moves by itself without power
 [axis.options]
 max_rate         = "300 deg/s"
 max_acceleration = "300 deg/s^2"
+
+# A gimbal that is moved by hand: `gradcal run` asks for each turn where it was started, and for the angle afterwards.
+# [[axis]]
+# name           = "gimbal"
+# driver         = "operator"
+# port           = "terminal"
+# safe           = "hold"
+# gravity_loaded = false
+# options        = { max_rate = "120 deg/s", travel = "1080 deg", unit = "deg" }   # unit: of a bare number
+# encoder        = { driver = "odrive", port = "/dev/ttyUSB3" }   # read instead of typed; its motor is left alone
 
 [[imu]]
 name   = "unit1"

@@ -99,6 +99,7 @@ class _Piece:
     duration_s: float
     moves: list[Move] = field(default_factory=list[Move])
     read_at_s: list[float] = field(default_factory=list[float])
+    slack_s: float = 0.0
 
 
 def _stretch(
@@ -142,6 +143,7 @@ def _stretch(
                 again=_again(stability),
                 start_deg=dict(at),
                 read_at_s=tuple(piece.read_at_s),
+                slack_s=piece.slack_s,
             )
         )
         for move in piece.moves:
@@ -169,6 +171,7 @@ def _pieces(block: MotionBlock, total: float, names: dict[str, str]) -> list[_Pi
     pieces: list[_Piece] = []
     period = float(block.period)
     own = [move for move in block.moves if move.do != "wait"]
+    busy = math.fsum(move.repeat * float(move.duration) for move in own)
     for number in range(block.repeat):
         last = number == block.repeat - 1
         start = number * period
@@ -176,6 +179,7 @@ def _pieces(block: MotionBlock, total: float, names: dict[str, str]) -> list[_Pi
             f"{block.name}, {number + 1} of {block.repeat}" if block.repeat > 1 else block.name,
             start,
             total - start if last else period,
+            slack_s=float(block.standing_after) if last else max(0.0, period - busy),
         )
         if number == 0:
             piece.read_at_s.append(0.0)

@@ -7,7 +7,7 @@ from typing import Final, TypedDict, Unpack
 
 from ..files.log import Log
 from ..files.recipe import Recipe
-from ..files.rig import RigFile
+from ..files.rig import TERMINAL, RigFile
 from ..files.writing import write_whole
 from .clock import RealClock, VirtualClock
 from .recording import log_of
@@ -16,6 +16,7 @@ from .runner import Progress, Runner, RunResult
 from .session import run_session
 from .setup import configs_of
 from .simulate.lab import SimulatedLab
+from .terminal import Terminal
 
 SAMPLE_RATES_HZ: Final = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 # A simulated run goes on so long after the last thing that it recorded.
@@ -39,6 +40,7 @@ class Attended(TypedDict, total=False):
     with_runner: Callable[[Runner], None]
     wait_when_paused: bool
     handle_signals: bool
+    terminal: Terminal | None
 
 
 def run(
@@ -57,7 +59,7 @@ def run(
     Give either the `rig`, or `simulate`: then the devices are simulated, in virtual time or `speed` times faster than
     the clock, their hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz); log,
     calibration and page say so. `attended`: for whoever watches (`on_progress`, `with_runner`, `wait_when_paused`,
-    `handle_signals`).
+    `handle_signals`), and the `terminal` at which somebody turns the axes that are turned by hand.
 
     Returns how it ended: `exit_status` "success", "stopped" or "aborted", `reason`, `steps_done`, `verified_safe`.
     Errors: `ValueError` for a folder that is not empty, for neither or both of rig and simulation, and for another
@@ -68,6 +70,7 @@ def run(
     path = Path(folder)
     if rig is not None:
         configs_of(rig)
+        _require_somebody(rig, attended)
         return _on_rig(new_folder(path, recipe, rig), 0, attended)
     if sample_rate_hz not in SAMPLE_RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in SAMPLE_RATES_HZ)
@@ -87,6 +90,7 @@ def resume(folder: str | Path, **attended: Unpack[Attended]) -> RunResult:
     notes = found.notes()
     if notes["simulated"]:
         return _simulated(found.path, found.recipe(), notes["simulation"], first, attended)
+    _require_somebody(found.rig(), attended)
     return _on_rig(found, first, attended)
 
 
@@ -100,6 +104,15 @@ def log(folder: str | Path, unit: str | None = None) -> Log:
     found = RunFolder(Path(folder))
     found.notes()
     return log_of(found.contents(), found.recipe(), found.rig(), unit)
+
+
+def _require_somebody(rig: RigFile, attended: Attended) -> None:
+    names = [axis.name for axis in rig.axis if axis.port == TERMINAL]
+    if names and attended.get("terminal") is None:
+        raise ValueError(
+            f"axis {', '.join(names)} is turned by whoever sits at the terminal, and there is none: start the run from "
+            "a terminal, its output not redirected"
+        )
 
 
 def _on_rig(folder: RunFolder, first_step: int, attended: Attended) -> RunResult:

@@ -23,7 +23,7 @@ import struct
 import threading
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -268,3 +268,18 @@ def _record(data: bytes, start: int, names: dict[int, str]) -> tuple[Event | Chu
 def free_space_bytes(folder: Path) -> int:
     """Room on the disk that holds `folder`, for the interlock that stops a run before the disk is full."""
     return shutil.disk_usage(folder).free
+
+
+def plain(value: Any) -> dict[str, Any]:
+    """A record of this room as JSON has it: tuples as lists, infinities and NaN as null."""
+
+    def simple(item: Any) -> Any:
+        if isinstance(item, float):
+            return item if item - item == 0.0 else None
+        if isinstance(item, Mapping):
+            return {str(k): simple(v) for k, v in item.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        return [simple(v) for v in item] if isinstance(item, tuple) else item  # pyright: ignore[reportUnknownVariableType]
+
+    return {name: simple(getattr(value, name)) for name in value.__dataclass_fields__ if name != "name"} | (
+        {"device": value.name} if "name" in value.__dataclass_fields__ else {}
+    )

@@ -218,7 +218,9 @@ def _standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[flo
 
 
 def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArray[np.int64]) -> Floats:
-    """The axis's angle at every row, deg: of a standstill the nearest reading within it, else straight between."""
+    """The axis's angle at every row, deg: of a standstill the nearest reading since the axis was last told to move (an
+    angle that somebody typed holds until it is turned again), else straight between readings.
+    """
     readings = [
         e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
     ]
@@ -227,12 +229,15 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
     times = np.array([float(e.data["time_s"]) for e in readings])
     values = np.array([float(e.data["position_deg"]) for e in readings])
     still = np.array([not e.data["moving"] for e in readings])
+    told_to_move = [e for e in events if e.name in ("move", "stopped", "homing") and e.data["axis"] == axis]
+    moved = np.array([float(e.data.get("began_s", e.time_s)) for e in told_to_move])
     result = np.interp(host, times, values)
     edges = np.flatnonzero(np.diff(standstill, prepend=-1, append=-1))
     for begin, end in itertools.pairwise(edges):
         if begin >= len(standstill) or standstill[begin] < 0:
             continue
-        low, high = host[begin] - 2.0 * _MARGIN_S - 0.1, host[end - 1] + 2.0 * _MARGIN_S
+        told = int(np.searchsorted(moved, float(host[begin])))
+        low, high = moved[told - 1] if told else -math.inf, host[end - 1] + 2.0 * _MARGIN_S
         inside = np.flatnonzero(still & (times >= low) & (times <= high))
         if not len(inside):
             result[begin:end] = np.nan

@@ -1,4 +1,4 @@
-"""What the runner asks of devices: a chamber, axes of motion, a stream of an IMU, and a person.
+"""What the runner asks of devices: a chamber, axes of motion (driven, or turned by hand), a stream of an IMU.
 
 Small protocols in the sense of `typing`: a driver has the methods, it inherits nothing. What was asked for (the set
 point) and what is (the read-back) are different fields everywhere. Units stand in the names: temperatures in °C (`_c`),
@@ -99,7 +99,7 @@ class Chamber(Protocol):
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """What the axis accepts. Travel is None where it turns for ever."""
+    """What the axis accepts. Travel is None where it turns for ever; `by_hand`: a person turns it."""
 
     max_rate_dps: float
     max_acceleration_dps2: float
@@ -107,11 +107,12 @@ class AxisLimits:
     highest_deg: float | None
     resolution_deg: float
     hardware_watchdog: bool
+    by_hand: bool = False
 
 
 @dataclass(frozen=True)
 class AxisReading:
-    """One reading. `position_deg` is unwrapped: it goes on counting over whole turns."""
+    """One reading. `position_deg` is unwrapped: it goes on counting over whole turns; NaN while nobody knows it."""
 
     time_s: float
     position_deg: float
@@ -227,14 +228,3 @@ class ImuStream(Protocol):
 
     def safe(self) -> SafeReport: ...
     def close(self) -> None: ...
-
-
-@runtime_checkable
-class Operator(Protocol):
-    """The person at the bench: prompts, a hand-moved gimbal, typed angles."""
-
-    def confirm(self, text: str) -> None:
-        """Show `text` and return when the person says it is done; raises `HardwareError` where nobody can answer."""
-        ...
-
-    def angle_deg(self, text: str) -> float: ...

@@ -23,11 +23,12 @@ from .clock import Clock
 from .course import ChamberDuty
 from .errors import Disconnected, HardwareError, LimitExceeded
 from .interlocks import Interlocks, Situation, standard_rules
-from .journal import Journal, JournalFull, free_space_bytes
+from .journal import Journal, JournalFull, free_space_bytes, plain
 from .roles import AxisReading, ChamberReading, MotionAxis
 from .safety import SafeOutcome, make_safe
 from .setup import Bench, require_identity
-from .track import Course, Move, Stable, Step, Track, beyond_limits
+from .track import Course, Stable, Step, Track, beyond_limits
+from .turning import AxesDuty
 
 
 class State(Enum):
@@ -54,8 +55,6 @@ WAYS: Mapping[State, frozenset[State]] = {
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25
-_POLL_S = 0.05
-_LONGEST_MOVE_S = 120.0
 _ARRIVAL_S = 0.1
 _LONGEST_ARRIVAL_S = 60.0
 
@@ -122,11 +121,7 @@ class Runner:
         self._duty: ChamberDuty | None = None
         if self.bench.chamber is not None:
             self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
-        self._axes: dict[str, AxisReading] = {}
-        self._goal_deg: dict[str, float] = {}
-        self._moving: set[str] = set()
-        self._looked_for_s: dict[str, float] = {}
-        self._spinning: set[str] = set()
+        self._axes = AxesDuty(self.bench.axes, self.clock, self._event)
         self._imu_heard_s: dict[str, float] = {}
         self._unconfirmed: list[tuple[float, str, int]] = []
         self._problem: str = ""
@@ -187,23 +182,20 @@ class Runner:
         for entry in rig.axis:
             identity = self.bench.axes[entry.name].identify()
             require_identity(entry.name, entry, identity)
-            self._event("identity", device=entry.name, **_plain(identity))
+            self._event("identity", device=entry.name, **plain(identity))
         if self.bench.chamber is not None and rig.chamber is not None:
             identity = self.bench.chamber.identify()
             require_identity("chamber", rig.chamber, identity)
-            self._event("identity", device="chamber", **_plain(identity))
+            self._event("identity", device="chamber", **plain(identity))
         for entry in rig.imu:
             unit = self.bench.imus[entry.name]
             identity = unit.identify()
             require_identity(entry.name, entry, identity)
-            self._event("identity", device=entry.name, **_plain(identity))
-            self._event("configuration", device=entry.name, **_plain(unit.configure()))
+            self._event("identity", device=entry.name, **plain(identity))
+            self._event("configuration", device=entry.name, **plain(unit.configure()))
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
-        for name in self.track.moved:
-            self._event("homing", axis=name)
-            self.bench.axes[name].home()
-            self._goal_deg[name] = 0.0
+        self._axes.home(self.track.moved, self._meanwhile)
 
     def _start_helpers(self, helpers: list[threading.Thread]) -> None:
         def start(work: Callable[..., None], *arguments: Any) -> None:
@@ -247,7 +239,7 @@ class Runner:
                     reading = duty.chamber.read()
                     duty.heard(reading)
                     failures = 0
-                    self._event("chamber", at_once=False, **_plain(reading))
+                    self._event("chamber", at_once=False, **plain(reading))
                 except HardwareError as problem:
                     failures += 1
                     self._event("chamber not read", quietly=True, problem=str(problem))
@@ -334,43 +326,45 @@ class Runner:
     def _run_step(self, step: Step, again: bool) -> None:
         self._event("step", step=step.name, number=self._steps_done)
         self._was_settled, self._settled = self._settled, False
-        flows = step.follows and not again
+        flows, axes = step.follows and not again, self._axes
         begin = self._step_ends_s if flows else self._begin(step, again)
-        self._step_ends_s = end = begin + step.duration_s
+        self._step_ends_s = begin + step.duration_s
         self._settled = self._is_settled(step)
         self._event("step begins", step=step.name, number=self._steps_done, begins_s=begin, data=bool(step.read_at_s))
         courses = [course for course in step.courses if flows or course.start_s > 0.0]
         moves, reads = list(step.moves), list(step.read_at_s)
         every_s = None if reads else begin
         while True:
-            now = self.clock.now()
-            if reads and begin + reads[0] <= now:
-                while reads and begin + reads[0] <= now:
-                    reads.pop(0)
-                self._read_axes()
+            now, motion = self.clock.now(), begin + axes.late_s
+            end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
+            reads = [read for read in reads if motion + read <= end + 1e-6]
+            if reads and motion + reads[0] <= now and not axes.turned_by_hand:
+                reads = [read for read in reads if motion + read > now]
+                axes.read()
             if every_s is not None and now >= every_s:
                 every_s += step.read_every_s * max(1, round((now - every_s) / step.read_every_s))
-                self._read_axes()
+                axes.read()
             while courses and begin + courses[0].start_s <= self.clock.now():
                 self._tell_chamber(courses.pop(0))
-            while moves and begin + moves[0].start_s <= self.clock.now():
-                self._move(step, moves.pop(0))
-            self._watch_moves()
+            while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
+                axes.move(step.name, moves.pop(0), self._meanwhile)
+            axes.look()
             self._duties(step, end)
-            if self.clock.now() >= end and not moves and not reads:
+            if self.clock.now() >= end and not moves and not reads and not axes.turned_by_hand:
                 break
-            dues = [end, self.clock.now() + _SLICE_S]
-            dues += [self._looked_for_s[name] for name in self._moving - self._spinning]
-            dues += [begin + entry[0] for entry in (reads,) if entry]
-            dues += [begin + entry[0].start_s for entry in (moves, courses) if entry]
+            dues = [self.clock.now() + _SLICE_S, *axes.look_s]
+            dues += [end] if end > now else []
+            dues += [begin + courses[0].start_s] if courses else []
+            if not axes.turned_by_hand:
+                dues += [motion + reads[0]] if reads else []
+                dues += [motion + moves[0].start_s] if moves else []
             dues += [every_s] if every_s is not None else []
             self.clock.sleep_until(min(dues))
         after = self.track.steps[self._steps_done + 1 :][:1]
         if not (after and after[0].follows):
-            for name in sorted(self._spinning):
-                self._command(step, Move(step.duration_s, name, "stop"))
-        for name in sorted(self._moving - self._spinning):
-            self._settle(name)
+            axes.end_spins(step.name, step.duration_s)
+        axes.settle_all(self._meanwhile)
+        axes.late_s = end - self._step_ends_s
 
     def _is_settled(self, step: Step) -> bool:
         """Whether the air is to be near its set point from now on: not while the chamber goes somewhere at its best."""
@@ -382,7 +376,7 @@ class Runner:
     def _begin(self, step: Step, again: bool) -> float:
         """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
         if again:
-            self._return_axes(step)
+            self._axes.go_to_start(step.name, step.start_deg, self._meanwhile)
         ready = step.ready or (step.again if again else None)
         duty, at_c = self._duty, step.begins_c
         if duty is not None and at_c is not None and ready is not None:
@@ -391,18 +385,6 @@ class Runner:
         if duty is not None and step.temperature_c is not None:
             duty.follow(Course(0.0, step.temperature_c, step.ramp_k_per_min))
         return self.clock.now()
-
-    def _return_axes(self, step: Step) -> None:
-        for name, position in step.start_deg.items():
-            limits = self.bench.axes[name].limits()
-            endless = limits.lowest_deg is None and limits.highest_deg is None
-            # An endless axis has no cable to wind up: within one turn is the same place.
-            goal = position % 360.0 if endless else position
-            rate, acceleration = min(limits.max_rate_dps, 60.0), min(limits.max_acceleration_dps2, 60.0)
-            goes = Move(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
-            if abs(self._goal_deg.get(name, 0.0) - goal) > 1e-9 or name in self._axes:
-                self._command(step, goes)
-                self._settle(name)
 
     def _await(self, step: Step, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
         began = self.clock.now()
@@ -416,51 +398,10 @@ class Runner:
             self.clock.sleep(_SLICE_S)
         self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
 
-    def _move(self, step: Step, move: Move) -> None:
-        """A turn waits until the turn before it has ended; how late that makes it is in the journal."""
-        if move.axis in self._moving and move.kind in ("go", "turn"):
-            if move.axis in self._spinning:
-                self.bench.axes[move.axis].stop()
-            self._settle(move.axis)
-        self._command(step, move)
-
-    def _command(self, step: Step, move: Move) -> None:
-        axis, name = self.bench.axes[move.axis], move.axis
-        began = self.clock.now()
-        if move.kind in ("go", "turn"):
-            turned = self._goal_deg.get(name, 0.0) + move.angle_deg
-            goal = turned if move.kind == "turn" else move.position_deg
-            axis.move_to(goal, move.rate_dps, move.acceleration_dps2)
-            self._goal_deg[name] = goal
-            self._spinning.discard(name)
-        elif move.kind == "spin":
-            axis.spin(move.rate_dps, move.acceleration_dps2)
-            self._spinning.add(name)
-        else:
-            axis.stop()
-            self._spinning.discard(name)
-        self._moving.add(name)
-        self._looked_for_s[name] = began + (move.duration_s if move.kind == "turn" else 0.0)
-        self._event("move", at_once=False, step=step.name, began_s=began, **_plain(move))
-
-    def _watch_moves(self) -> None:
-        """Read an axis that is due to stand until it says that it does: there its standstill begins."""
-        for name in sorted(self._moving - self._spinning):
-            if self._looked_for_s[name] <= self.clock.now():
-                self._looked_for_s[name] = self.clock.now() + _POLL_S
-                self._read_axis(name)
-
-    def _settle(self, name: str) -> None:
-        """Wait until an axis stands; what spins for ever is stopped."""
-        end = self.clock.now() + _LONGEST_MOVE_S
-        while self._read_axis(name).moving:
-            if self.clock.now() > end:
-                self.bench.axes[name].stop()
-                raise HardwareError(f"Axis {name!r} still moves {_LONGEST_MOVE_S:g} s after its step. It was stopped.")
-            self._duties(None, None)
-            self.clock.sleep(_POLL_S)
-
     # ------------------------------------------------------------------------------------------------------- duties
+
+    def _meanwhile(self) -> None:
+        self._duties(None, None)
 
     def _duties(self, step: Step | None, end_s: float | None) -> None:
         """Whatever recurs: requests, readings, interlocks."""
@@ -475,7 +416,7 @@ class Runner:
         ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
         free = free_space_bytes(self.journal.path.parent)
         newest, before = (None, None) if self._duty is None else (self._duty.newest, self._duty.before)
-        situation = Situation(now, newest, before, self._axes, ages, free, self._settled)
+        situation = Situation(now, newest, before, self._axes.newest, ages, free, self._settled)
         tripped = self.interlocks.check(situation)
         if tripped is not None:
             rule, text = tripped
@@ -483,7 +424,7 @@ class Runner:
             if rule.action == "abort" or not self.wait_when_paused:
                 raise _Ended("aborted", f"Interlock '{rule.name}': {text}.")
             self.interlocks.forget()
-            self._stop_axes()
+            self._axes.stop()
             self._enter(State.PAUSING)
             raise _Interrupted
 
@@ -498,7 +439,7 @@ class Runner:
             if what == "resume" and self.state is State.PAUSING:
                 self._enter(State.RUNNING)
             if what == "pause":
-                self._stop_axes()
+                self._axes.stop()
                 raise _Interrupted
 
     def _wait_paused(self) -> None:
@@ -523,24 +464,6 @@ class Runner:
         self.interlocks.forget()
         self._enter(State.RUNNING)
 
-    def _stop_axes(self) -> None:
-        for name, axis in self.bench.axes.items():
-            axis.stop()
-            self._event("stopped", at_once=False, axis=name)
-        self._spinning.clear()
-
-    def _read_axes(self) -> None:
-        for name in self.bench.axes:
-            self._read_axis(name)
-
-    def _read_axis(self, name: str) -> AxisReading:
-        reading = self.bench.axes[name].read()
-        self._axes[name] = reading
-        self._event("angle", at_once=False, axis=name, **_plain(reading))
-        if not reading.moving:
-            self._moving.discard(name)
-        return reading
-
     def _show(self, step: Step | None, end_s: float | None) -> None:
         if self.on_progress is None:
             return
@@ -557,7 +480,7 @@ class Runner:
                 left,
                 current + after,
                 None if self._duty is None else self._duty.newest,
-                self._axes,
+                self._axes.newest,
             )
         )
 
@@ -571,7 +494,7 @@ class Runner:
         self._event("ending", quietly=True, exit_status=status, reason=reason)
         outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s))
         for outcome in outcomes:
-            self._event("made safe", quietly=True, **_plain(outcome))
+            self._event("made safe", quietly=True, **plain(outcome))
         good = all(outcome.verified for outcome in outcomes)
         self._enter(State.SAFE if good else State.FAILED, quietly=True)
         return outcomes
@@ -588,18 +511,3 @@ class Runner:
         except JournalFull:
             if not quietly:
                 raise
-
-
-def _plain(value: Any) -> dict[str, Any]:
-    """A record of this room as JSON has it: tuples as lists, infinities and NaN as null."""
-
-    def plain(item: Any) -> Any:
-        if isinstance(item, float):
-            return item if item - item == 0.0 else None
-        if isinstance(item, Mapping):
-            return {str(k): plain(v) for k, v in item.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-        return [plain(v) for v in item] if isinstance(item, tuple) else item  # pyright: ignore[reportUnknownVariableType]
-
-    return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__ if name != "name"} | (
-        {"device": value.name} if "name" in value.__dataclass_fields__ else {}
-    )

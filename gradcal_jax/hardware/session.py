@@ -19,6 +19,7 @@ from .journal import Journal
 from .run_folder import RunFolder, begin_session, require_same_devices, sessions
 from .runner import Progress, Runner, RunResult, State
 from .setup import open_rig
+from .terminal import Terminal
 from .transcript import Recorder
 
 
@@ -36,11 +37,13 @@ def run_session(
     handle_signals: bool = False,
     safe_deadline_s: float = 60.0,
     wait_when_paused: bool = True,
+    terminal: Terminal | None = None,
 ) -> RunResult:
     """Execute a run's recipe from `first_step` on, and leave everything safe.
 
     `guard`: a process beside this one makes the rig safe if this one is killed. `with_runner` is handed the runner
-    before it starts. Raises `HardwareError` for what keeps the run from starting; what happens later is in the result.
+    before it starts. `terminal` is where somebody is asked to turn what is turned by hand. Raises `HardwareError` for
+    what keeps the run from starting; what happens later is in the result.
     """
     track = track_of(folder.recipe(), [axis.name for axis in rig.axis])
     resumed = folder.contents() if folder.journal_path.exists() else None
@@ -52,7 +55,7 @@ def run_session(
             # A unit's stream goes into the journal by itself, under the unit's name.
             return None if url in units else journal.recorder(f"port {url}")
 
-        bench = stack.enter_context(open_rig(rig, clock, recorder_of))
+        bench = stack.enter_context(open_rig(rig, clock, recorder_of, terminal=terminal))
         number = 0 if resumed is None else sessions(resumed)
         begin_session(journal, clock.now(), number, simulated=simulated, first_step=first_step)
         if resumed is not None and number:
@@ -81,6 +84,7 @@ def run_session(
 @contextmanager
 def signals_to(runner: Runner) -> Generator[None, None, None]:
     """Ctrl-C once: pause after this step; again, or while it is paused: make safe and end, as SIGTERM and SIGHUP do.
+    Before the first step there is nothing to pause, and it ends.
 
     Only in the main thread, as Python has it.
     """
@@ -88,7 +92,7 @@ def signals_to(runner: Runner) -> Generator[None, None, None]:
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         # Twice at once counts as twice even where the first has not been noticed yet.
-        again = runner.state in (State.PAUSING, State.PAUSED) or time.monotonic() - paused_s[0] < 2.0
+        again = runner.state in (State.IDLE, State.PAUSING, State.PAUSED) or time.monotonic() - paused_s[0] < 2.0
         paused_s[0] = time.monotonic()
         runner.request("abort" if again else "soft pause", "Ctrl-C")
 

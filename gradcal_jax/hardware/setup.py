@@ -16,10 +16,11 @@ from typing import Any, Final, Literal
 
 from .. import units
 from ..files.problems import Problem, SpecError, nearest, one_of
-from ..files.rig import AxisDevice, ChamberDevice, ImuDevice, RigFile
+from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDevice, ImuDevice, RigFile
 from .clock import Clock
 from .errors import HardwareError, WrongIdentity
 from .roles import AxisLimits, Chamber, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis
+from .terminal import Line, Terminal
 from .transcript import Recorder
 from .transport import Transport
 
@@ -49,6 +50,7 @@ DRIVERS: Final[Mapping[str, Driver]] = {
     "watlow_f4": Driver("chamber", "watlow_f4", "WatlowF4Chamber", "WatlowF4Config"),
     "zaber": Driver("axis", "zaber", "ZaberAxis", "ZaberConfig"),
     "odrive": Driver("axis", "odrive", "ODriveAxis", "ODriveConfig"),
+    OPERATOR: Driver("axis", "operator", "OperatorAxis", "OperatorConfig"),
     "stim300": Driver("imu", "stim300", "Stim300Stream", "Stim300Config"),
     "vectornav": Driver("imu", "vectornav", "VectorNavStream", "VectorNavConfig"),
 }
@@ -64,6 +66,9 @@ _UNITS: Final = (
 )
 
 
+_LINE_SETTINGS: Final = ("baudrate", "stopbits", "parity")
+
+
 # ---------------------------------------------------------------------------------------------------------- options
 
 
@@ -72,7 +77,7 @@ def option_names(driver: str) -> dict[str, str]:
     return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(DRIVERS[driver].config())}
 
 
-def config_of(device: Device, role: Role, place: tuple[str | int, ...]) -> Any:
+def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int, ...]) -> Any:
     """The driver's configuration that a device of the rig file asks for.
 
     Raises:
@@ -114,6 +119,8 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     for role, place, device in _devices(rig):
         try:
             found[place] = config_of(device, role, place)
+            if isinstance(device, AxisDevice) and device.encoder is not None:
+                found[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
         except SpecError as error:
             problems += error.problems
     if problems:
@@ -179,8 +186,15 @@ class Bench:
         self.close()
 
 
-def open_rig(rig: RigFile, clock: Clock, recorder_of: Callable[[str], Recorder | None] | None = None) -> Bench:
-    """Open every port of a rig. `recorder_of` gives the recorder of a port, for transcripts.
+def open_rig(
+    rig: RigFile,
+    clock: Clock,
+    recorder_of: Callable[[str], Recorder | None] | None = None,
+    *,
+    terminal: Terminal | None = None,
+) -> Bench:
+    """Open every port of a rig. `recorder_of` gives the recorder of a port, for transcripts; `terminal` is where an
+    operator sits, absent where nobody does.
 
     Raises:
         SpecError: options that a driver does not have.
@@ -189,37 +203,43 @@ def open_rig(rig: RigFile, clock: Clock, recorder_of: Callable[[str], Recorder |
     configs = configs_of(rig)
     bench = Bench(rig)
     exchanges: dict[str, Any] = {}
+
+    def opened(url: str, config: Any) -> Line:
+        recorder = recorder_of(url) if recorder_of is not None else None
+        if url == TERMINAL:
+            line = terminal or Terminal()
+            line.clock, line.recorder = clock, recorder
+        else:
+            settings = {name: getattr(config, name) for name in _LINE_SETTINGS if hasattr(config, name)}
+            line = Transport(url, clock=clock, recorder=recorder, **settings)
+        bench._ports.callback(line.close)  # pyright: ignore[reportPrivateUsage]
+        return line
+
+    def axis_or_chamber(device: Device | EncoderDevice, config: Any, *more: Any) -> Any:
+        module = DRIVERS[device.driver].load()
+        if device.port not in exchanges:
+            exchanges[device.port] = module.open_exchange(opened(device.port, config), clock, config)
+        return getattr(module, DRIVERS[device.driver].device_class)(exchanges[device.port], config, *more)
+
     try:
-        for role, place, device in _devices(rig):
-            config, driver = configs[place], DRIVERS[device.driver]
-            module = driver.load()
-            make = getattr(module, driver.device_class)
-            if role == "imu" or device.port not in exchanges:
-                transport = _open_port(device.port, clock, config, recorder_of)
-                bench._ports.callback(transport.close)  # pyright: ignore[reportPrivateUsage]
+        for _, place, device in _devices(rig):
+            config = configs[place]
+            if isinstance(device, ImuDevice):
+                make = getattr(DRIVERS[device.driver].load(), DRIVERS[device.driver].device_class)
+                bench.imus[device.name] = make(opened(device.port, config), clock, config)
+            elif isinstance(device, ChamberDevice):
+                bench.chamber = axis_or_chamber(device, config)
             else:
-                transport = None
-            if role == "imu":
-                assert isinstance(device, ImuDevice)
-                bench.imus[device.name] = make(transport, clock, config)
-                continue
-            if transport is not None:
-                exchanges[device.port] = module.open_exchange(transport, clock, config)
-            made = make(exchanges[device.port], config)
-            if isinstance(device, AxisDevice):
-                bench.axes[device.name] = made
-            else:
-                bench.chamber = made
+                more: tuple[Any, ...] = ()
+                if device.driver == OPERATOR:
+                    encoder = device.encoder
+                    read = None if encoder is None else axis_or_chamber(encoder, configs[*place, "encoder"])
+                    more = (clock, device.name, read)
+                bench.axes[device.name] = axis_or_chamber(device, config, *more)
     except BaseException:
         bench.close()
         raise
     return bench
-
-
-def _open_port(url: str, clock: Clock, config: Any, recorder_of: Callable[[str], Recorder | None] | None) -> Transport:
-    line = {name: getattr(config, name) for name in ("baudrate", "stopbits", "parity") if hasattr(config, name)}
-    recorder = recorder_of(url) if recorder_of is not None else None
-    return Transport(url, clock=clock, recorder=recorder, **line)
 
 
 # ------------------------------------------------------------------------------------------------------------ check

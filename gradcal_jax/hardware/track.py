@@ -69,6 +69,8 @@ class Step:
     where it must begin by itself (after a pause, or when a run is resumed) the chamber first goes to `start_c` and is
     stable by `again`, and the axes go to `start_deg`.
 
+    The last `slack_s` of the step are waiting only: a turn by hand that was late takes its time from there.
+
     The angles of all axes are read at `read_at_s`, and after every turn when the axis stands; where `read_at_s` is
     empty, every `read_every_s`.
     """
@@ -86,6 +88,7 @@ class Step:
     again: Stable | None = None
     start_deg: Mapping[str, float] = field(default_factory=dict[str, float])
     read_at_s: tuple[float, ...] = ()
+    slack_s: float = 0.0
 
     @property
     def begins_c(self) -> float | None:
@@ -177,6 +180,8 @@ def _beyond_axis(move: Move, goal: float, limits: AxisLimits) -> list[str]:
     highest = math.inf if limits.highest_deg is None else limits.highest_deg
     if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:
         found.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
-    if move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
+    if move.kind == "spin" and limits.by_hand:
+        found.append("turns at a constant rate, and it is turned by hand: make turns of it, or use a driven axis.")
+    elif move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
         found.append("spins, and its travel is limited.")
     return found

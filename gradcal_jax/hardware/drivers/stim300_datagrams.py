@@ -205,13 +205,20 @@ class Stim300Decoder:
         fresh: list[int] = []
         for row, count in enumerate(counts.tolist()):
             datagram = block[row].tobytes()
-            if regular or (count - last) % _MODULUS == self._step or datagram not in self._recent:
+            if regular or (count - last) % _MODULUS == self._step or not self._came_before(datagram, layout):
                 self._recent.append(datagram)
                 fresh.append(row)
                 last = count
         self._last_count = last
         self.repeated_datagrams += len(block) - len(fresh)
         return block[fresh]
+
+    def _came_before(self, datagram: bytes, layout: DatagramLayout) -> bool:
+        if datagram not in self._recent:
+            return False
+        # A unit that always says the same is no reason to believe that its datagrams are repetitions.
+        before, said = self._recent[-1], slice(1, layout.counter)
+        return datagram == before or datagram[said] != before[said]
 
     def _decode(self, block: NDArray[np.uint8], layout: DatagramLayout, host_time_s: float) -> ImuBatch:
         block = self._first_comers(block, layout)

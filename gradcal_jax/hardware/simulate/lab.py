@@ -1,6 +1,7 @@
 """A whole simulated laboratory for a recipe: chamber, table and one sensor, on ports of their own, with hidden truth.
 
-The chamber is an ESPEC, the table a chain of Zaber stages, the sensor a STIM300. What the calibration is to find is
+The chamber is an ESPEC, the table a chain of Zaber stages (or a gimbal and a person who turns it and types its angles,
+where the spec's table is driven by hand), the sensor a STIM300. What the calibration is to find is
 drawn by the seed from the spec's priors, the noise from its error model; a flat prior draws something typical. A single
 table axis lies east to west, where the Earth's rate does not show along it; with several axes the Earth stands still.
 The sensor's mounting is perfect and its structure is the spec's: what a `discrepancy` allows for is not drawn.
@@ -20,6 +21,7 @@ from ...files.tracks import tracks_of
 from ...units import to_unit
 from ..clock import Clock
 from .espec import EspecOptions, SimulatedEspec
+from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from .port import SimulatedPort
 from .sensor import Mounting, Process, SensorTruth, SimulatedSensor, Triple, TruthBasis
@@ -36,6 +38,7 @@ _MOUNTED: Final[dict[Axis, tuple[Triple, Triple, Triple]]] = {
 }
 _TYPICAL_BIAS_DPS: Final = 0.02
 _TYPICAL_SCALE: Final = 1000e-6
+_SLIPS: Final = 0.02
 _SENSOR_NAME: Final = "unit1"
 
 
@@ -204,12 +207,16 @@ class SimulatedLab:
         cold, hot = (float(end) for end in chamber.range)
         limited = self.truth.axis.highest_deg
         self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
-        self.table = SimulatedZaber(self.axis_plants, clock, ZaberOptions(endless=limited is None))
-        if limited is not None:
-            for stage in self.table.stages:
-                turn = stage.settings["limit.cycle.dist"]
-                reach = round(limited / 360.0 * turn)
-                stage.settings |= {"limit.min": -reach, "limit.max": reach}
+        self.table: SimulatedZaber | SimulatedOperator
+        if table.drive == "hand":
+            plants = dict(zip(map(str, self.axes), self.axis_plants, strict=True))
+            self.table = SimulatedOperator(plants, clock, OperatorOptions(seed=seed, slips=_SLIPS))
+        else:
+            self.table = SimulatedZaber(self.axis_plants, clock, ZaberOptions(endless=limited is None))
+            if limited is not None:
+                for stage in self.table.stages:
+                    reach = round(limited / 360.0 * stage.settings["limit.cycle.dist"])
+                    stage.settings |= {"limit.min": -reach, "limit.max": reach}
         code = [125.0, 250.0, 500.0, 1000.0, 2000.0].index(sample_rate_hz)
         self.imu = SimulatedStim300(self.sensor, clock, Stim300Options(rate_code=code, burst_s=burst_s))
         self.ports = [
@@ -220,6 +227,9 @@ class SimulatedLab:
     def _rig(self, table: Any, sample_rate_hz: float) -> RigFile:
         at_chamber, at_table, at_imu = (port.url for port in self.ports)
         limits = {"max_rate": str(table.max_rate), "max_acceleration": str(table.max_acceleration)}
+        by_hand = isinstance(self.table, SimulatedOperator)
+        if by_hand and self.truth.axis.highest_deg is not None:
+            limits["travel"] = str(table.travel)
         tables: dict[str, Any] = {
             "format": "gradcal-rig/1",
             "title": "simulated laboratory",
@@ -227,11 +237,11 @@ class SimulatedLab:
             "axis": [
                 {
                     "name": axis,
-                    "driver": "zaber",
+                    "driver": "operator" if by_hand else "zaber",
                     "port": at_table,
                     "safe": "hold",
                     "gravity_loaded": False,
-                    "options": {"device": number, **limits},
+                    "options": limits if by_hand else {"device": number, **limits},
                 }
                 for number, axis in enumerate(self.axes, start=1)
             ],

@@ -112,6 +112,9 @@ class ChamberPlant:
         self._load_c += (self._air_c - self._load_c) * -math.expm1(-step / truth.load_time_constant_s)
 
 
+_PIECES_BY_HAND = 24
+
+
 @dataclass(frozen=True)
 class AxisTruth:
     """A rotary axis as it is. Travel in degrees each way from zero, None: endless.
@@ -214,6 +217,23 @@ class AxisPlant:
                 phases.append(_Phase(down, target_deg - ramp, sign * peak, -sign * acceleration_dps2))
                 phases.append(_Phase(down + up, target_deg, 0.0, 0.0))
             self._replace(now_s, self._within_travel(phases))
+
+    def turn_by_hand(self, now_s: float, target_deg: float, duration_s: float, unevenness: float) -> None:
+        """A slow and uneven turn from standstill: the plans' own shape, in pieces of constant acceleration."""
+        with self._lock:
+            start, _ = self.state(now_s)
+            # Rates at the knots whose straight lines between them turn exactly as far as asked.
+            knots = np.linspace(0.0, 1.0, _PIECES_BY_HAND + 1)
+            rates = 0.5 * (1.0 - np.cos(2.0 * np.pi * knots)) * (1.0 + unevenness * np.sin(6.0 * np.pi * knots))
+            piece = duration_s / _PIECES_BY_HAND
+            rates *= (target_deg - start) / (piece * float(np.sum(rates[1:] + rates[:-1]) / 2.0))
+            slopes = np.diff(rates) / piece
+            turned = start + np.concatenate(([0.0], np.cumsum(piece * (rates[1:] + rates[:-1]) / 2.0)))
+            phases = [
+                _Phase(now_s + k * piece, float(turned[k]), float(rates[k]), float(slopes[k]))
+                for k in range(_PIECES_BY_HAND)
+            ]
+            self._replace(now_s, [*phases, _Phase(now_s + duration_s, target_deg, 0.0, 0.0)])
 
     def coast(self, now_s: float, deceleration_dps2: float = 20.0) -> None:
         """Without power: friction alone slows it."""

@@ -1,0 +1,268 @@
+"""An axis that a person turns: asked on a terminal, its angle typed there or read from an encoder.
+
+The program asks on a line that it does not end, with a bell, and waits for a line:
+
+    x: turn by +360 deg in 10 s, to 360 deg; let it stand and type the angle that it shows:
+    360.02 deg
+
+An angle has its unit, by the grammar of all the files (`359° 58′ 30″` is one, `360,02` is none), or `unit` says what a
+bare number means. What is not understood is asked again, and so is, once, what is further than `miss` from where the
+turn was to end. A dial of one turn will do: of the angles that look alike the nearest to the goal is taken. With an
+encoder Enter alone says that the axis stands.
+
+The axis moves from the question to the answer, whatever the person does meanwhile; what was typed is one reading, at
+the instant at which its line ended. The port is "terminal", where `gradcal run` was started, or any other that leads to
+a person: text with CR or LF at the end of a line, and no echo from here.
+"""
+
+import math
+import threading
+from collections import deque
+from dataclasses import dataclass, replace
+
+from ... import units
+from ..clock import Clock
+from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, SafeReport
+from ..terminal import Line
+from ..track import Move
+
+_BELL = "\a"
+
+
+@dataclass(frozen=True)
+class OperatorConfig:
+    """Options of the rig file. `travel` is each way from zero; `remind` is how often a late turn rings again."""
+
+    max_rate_dps: float = 120.0
+    max_acceleration_dps2: float = 200.0
+    travel_deg: float = math.inf
+    resolution_deg: float = 0.01
+    miss_deg: float = 5.0
+    unit: str = ""
+    remind_s: float = 30.0
+    baudrate: int = 9600
+
+    def __post_init__(self) -> None:
+        if self.unit:
+            units.parse(f"1 {self.unit}", "angle")
+        if not (self.travel_deg > 0.0 and self.miss_deg > 0.0 and self.remind_s > 0.0):
+            raise ValueError("travel, miss and remind are above zero.")
+
+
+# ------------------------------------------------------------------------------------------------------ words (pure)
+
+
+def angle_deg(text: str, unit: str = "") -> float:
+    """A typed angle, deg. Raises `UnitError` with what was expected."""
+    words = text.strip()
+    if unit and words[-1:].isdigit():
+        words = f"{words} {unit}"
+    return units.to_unit(units.parse(words, "angle"), "deg")
+
+
+def nearest_turn_deg(shown_deg: float, goal_deg: float) -> float:
+    """The angle nearest to the goal that a dial of one turn shows as `shown_deg`."""
+    return goal_deg + (shown_deg - goal_deg + 180.0) % 360.0 - 180.0
+
+
+# ------------------------------------------------------------------------------------------------------------ driver
+
+
+class Console:
+    """One terminal, one question at a time. Lines that come without a question are passed over."""
+
+    def __init__(self, line: Line, clock: Clock) -> None:
+        self._line, self._clock = line, clock
+        self._typed = b""
+        self._answers: deque[tuple[str, float]] = deque()
+        self._problem = ""
+        self._listener: threading.Thread | None = None
+        self._open = False
+
+    def ask(self, question: str) -> None:
+        if self._listener is None:
+            self._listener = threading.Thread(target=self._listen, daemon=True, name="listening to the operator")
+            self._listener.start()
+        self._answers.clear()
+        self._open = True
+        self._line.write(f"{_BELL}{question} ".encode())
+
+    def ring(self) -> None:
+        self._line.write(_BELL.encode())
+
+    def answer(self) -> tuple[str, float] | None:
+        """What was typed, and when its line ended; None as long as there is nothing."""
+        if self._problem:
+            raise Disconnected(self._problem)
+        if not self._answers:
+            return None
+        self._open = False
+        return self._answers.popleft()
+
+    def withdraw(self, why: str) -> None:
+        """Take back a question, if there is one."""
+        if self._open:
+            self._open = False
+            self._line.write(f"\r\n{why}\r\n".encode())
+
+    def close(self) -> None:
+        self._line.close()
+
+    def _listen(self) -> None:
+        """In a thread of its own: a person answers when it suits, and the stamp is of the line's end."""
+        while True:
+            try:
+                data, time_s = self._line.read_stamped(0.2)
+            except HardwareError as problem:
+                self._problem = str(problem)
+                return
+            self._typed += data
+            *lines, self._typed = self._typed.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+            for text in lines:
+                if self._open:
+                    self._answers.append((text.decode("utf-8", "replace"), time_s))
+
+
+def open_exchange(line: Line, clock: Clock, config: OperatorConfig) -> Console:
+    del config
+    return Console(line, clock)
+
+
+class OperatorAxis:
+    """Role `MotionAxis`. `name` is what the person is told; `encoder` an axis whose motor is never told anything."""
+
+    def __init__(
+        self, console: Console, config: OperatorConfig, clock: Clock, name: str, encoder: MotionAxis | None = None
+    ) -> None:
+        self._console, self._config, self._clock, self._name = console, config, clock, name
+        self._encoder = encoder
+        self._whole_turns_deg = 0.0
+        self._goal_deg = 0.0
+        self._question = ""
+        self._ring_s = math.inf
+        self._doubted = False
+        # The newest reading that somebody vouches for; None: nobody knows where it stands.
+        self._stands: AxisReading | None = None
+
+    def identify(self) -> Identity:
+        if self._encoder is None:
+            return Identity("operator", "turned by hand, angles typed")
+        found = self._encoder.identify()
+        return replace(found, driver="operator", model=f"turned by hand, encoder of {found.driver} {found.model}")
+
+    def limits(self) -> AxisLimits:
+        config = self._config
+        ends = (None, None) if math.isinf(config.travel_deg) else (-config.travel_deg, config.travel_deg)
+        grid = config.resolution_deg if self._encoder is None else self._encoder.limits().resolution_deg
+        return AxisLimits(
+            config.max_rate_dps, config.max_acceleration_dps2, *ends, grid, hardware_watchdog=False, by_hand=True
+        )
+
+    def read(self) -> AxisReading:
+        if self._question:
+            self._hear()
+        if self._encoder is not None:
+            return replace(self._encoded(), moving=bool(self._question))
+        if self._stands is None or self._question:
+            return AxisReading(self._clock.now(), math.nan, 0.0, True, self._stands is not None, (), ())
+        return self._stands
+
+    def home(self) -> None:
+        """Asks for the zero mark and returns at once: the readings tell when somebody has answered."""
+        self._goal_deg, self._stands, self._whole_turns_deg = 0.0, None, 0.0
+        self._ask(f"{self._name}: bring it to its zero mark")
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        if abs(position_deg) > self._config.travel_deg + 1e-9:
+            raise LimitExceeded(
+                f"{position_deg:g} deg lies outside the travel of {self._config.travel_deg:g} deg each way."
+            )
+        to = f"to {position_deg:.6g} deg"
+        how = to
+        if self._stands is not None:
+            angle = position_deg - self._goal_deg
+            turn = Move(0.0, "", "turn", rate_dps=rate_dps, acceleration_dps2=acceleration_dps2, angle_deg=angle)
+            how = f"by {angle:+.6g} deg in {turn.duration_s:.3g} s, {to}"
+        self._goal_deg = position_deg
+        self._ask(f"{self._name}: turn {how}")
+
+    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
+        raise Rejected(f"{self._name} is turned by hand, and nobody turns at a constant rate for long.")
+
+    def stop(self) -> None:
+        """Nothing drives it. What was asked is taken back, and until somebody is asked again nobody knows the angle."""
+        if self._question:
+            self._question, self._stands = "", None
+            self._console.withdraw(f"{self._name}: never mind, leave it where it is.")
+
+    def arm_watchdog(self) -> None:
+        """A person has no watchdog."""
+
+    def heartbeat(self) -> None:
+        """A person has no watchdog."""
+
+    def safe(self, policy: AxisSafe) -> SafeReport:
+        self.stop()
+        return SafeReport(policy.value, True, "nothing drives it: it stands where it was left")
+
+    def close(self) -> None:
+        self._console.close()
+        if self._encoder is not None:
+            self._encoder.close()
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _ask(self, what: str) -> None:
+        answer = "press Enter" if self._encoder is not None else "type the angle that it shows"
+        self._question = f"{what}; let it stand and {answer}:"
+        self._doubted = False
+        self._ring_s = self._clock.now() + self._config.remind_s
+        self._console.ask(self._question)
+
+    def _hear(self) -> None:
+        """Take the answer, if it has come and can be understood."""
+        said = self._console.answer()
+        if said is None:
+            if self._clock.now() >= self._ring_s:
+                self._ring_s += self._config.remind_s
+                self._console.ring()
+            return
+        text, time_s = said
+        if (found := self._understood(text, time_s)) is None:
+            return
+        away = abs(found.position_deg - self._goal_deg)
+        if away > self._config.miss_deg and not self._doubted:
+            self._doubted = True
+            again = "press Enter" if self._encoder is not None else "type it"
+            self._console.ask(
+                f"{self._name}: {found.position_deg:.6g} deg is {away:.3g} deg away from {self._goal_deg:.6g} deg; "
+                f"mend it, or {again} again if it is so:"
+            )
+            return
+        self._question, self._stands = "", found
+
+    def _understood(self, text: str, time_s: float) -> AxisReading | None:
+        if self._encoder is not None:
+            if text.strip():
+                self._console.ask(f"{self._name}: the encoder is read; press Enter alone when it stands:")
+                return None
+            reading = self._encoder.read()
+            turns = nearest_turn_deg(reading.position_deg, self._goal_deg) - reading.position_deg
+            if self._stands is None:
+                self._whole_turns_deg = turns
+            return self._encoded()
+        try:
+            shown = angle_deg(text, self._config.unit)
+        except units.UnitError as problem:
+            self._console.ask(f"{self._name}: {problem}. Type the angle that it shows:")
+            return None
+        position = nearest_turn_deg(shown, self._goal_deg)
+        return AxisReading(time_s, position, 0.0, False, True, (), ())
+
+    def _encoded(self) -> AxisReading:
+        """The encoder's reading, in the whole turns that the zero mark was found in."""
+        assert self._encoder is not None
+        reading = self._encoder.read()
+        position = reading.position_deg + self._whole_turns_deg
+        return replace(reading, position_deg=position, moving=False, referenced=True)

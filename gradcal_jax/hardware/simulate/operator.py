@@ -1,0 +1,102 @@
+"""A simulated person at a terminal, who turns a gimbal: the peer of `drivers.operator`, reading what a person reads.
+
+Takes a while to react, turns unevenly, misses the mark by a little, reads the dial (to its digits) when it stands, and
+types what it shows. Slips of the keyboard come as often as asked; when asked again the person looks and types it right.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..clock import Clock
+from .plants import AxisPlant
+
+_TURN = re.compile(r"(\w+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
+_ZERO = re.compile(r"(\w+): bring it to its zero mark")
+_AGAIN = re.compile(r"(\w+): .*(?:again if it is so|Type the angle that it shows):$")
+_HOME_S = 5.0
+
+
+@dataclass
+class OperatorOptions:
+    """`slips`: the share of answers that are mistyped. `digits` behind the point of the dial, in degrees."""
+
+    reaction_s: float = 1.5
+    reading_s: float = 2.0
+    miss_deg: float = 0.3
+    pace_spread: float = 0.1
+    unevenness: float = 0.3
+    digits: int = 3
+    slips: float = 0.0
+    types_angles: bool = True
+    seed: int = 0
+
+
+class SimulatedOperator:
+    """One person for all axes of a gimbal, by name."""
+
+    def __init__(self, plants: dict[str, AxisPlant], clock: Clock, options: OperatorOptions | None = None) -> None:
+        self.options = options or OperatorOptions()
+        self.heard: list[str] = []
+        self.typed: list[str] = []
+        self._plants, self._clock = plants, clock
+        self._random = np.random.default_rng([self.options.seed, 4])
+        self._text = ""
+        self._axis = ""
+        self._types_s: float | None = None
+        self._slipped = False
+
+    def receive(self, data: bytes) -> list[bytes]:
+        self._text += data.decode("utf-8", "replace").replace("\a", "")
+        *lines, self._text = self._text.split("\n")
+        for line in lines:
+            self._attend(line.strip())
+        if self._text.endswith(": "):
+            self._attend(self._text.strip())
+            self._text = ""
+        return []
+
+    def next_emission_s(self) -> float | None:
+        return self._types_s
+
+    def emit(self, now_s: float) -> list[bytes]:
+        if self._types_s is None or now_s < self._types_s:
+            return []
+        self._types_s = None
+        answer = ""
+        if self.options.types_angles:
+            shown = self._plants[self._axis].reading(now_s) % 360.0
+            answer = f"{shown:.{self.options.digits}f} deg"
+            self._slipped = not self._slipped and float(self._random.random()) < self.options.slips
+            if self._slipped:
+                answer = answer.replace(".", ",").replace("0", "o")
+        self.typed.append(answer)
+        return [f"{answer}\r".encode()]
+
+    def _attend(self, line: str) -> None:
+        if not line:
+            return
+        self.heard.append(line)
+        options, random, now = self.options, self._random, self._clock.now()
+        if line.endswith("leave it where it is."):
+            self._types_s = None
+        elif turn := _TURN.match(line):
+            begins = now + options.reaction_s * float(random.lognormal(0.0, 0.3))
+            planned = _HOME_S if turn[2] is None else float(turn[2])
+            ends = begins + planned * max(0.5, 1.0 + options.pace_spread * float(random.standard_normal()))
+            self._turn(turn[1], float(turn[3]), begins, ends)
+        elif zero := _ZERO.match(line):
+            plant = self._plants[zero[1]]
+            nearest = 360.0 * round(plant.state(now)[0] / 360.0)
+            # Whoever begins anew takes the angle for zero, whatever turns are behind.
+            plant.set_zero(now, plant.state(now)[0] - nearest)
+            self._turn(zero[1], 0.0, now + options.reaction_s, now + options.reaction_s + _HOME_S)
+        elif again := _AGAIN.match(line):
+            self._axis, self._types_s = again[1], now + options.reading_s
+
+    def _turn(self, name: str, target_deg: float, begins_s: float, ends_s: float) -> None:
+        miss = self.options.miss_deg * float(self._random.standard_normal())
+        plant = self._plants[name]
+        plant.turn_by_hand(begins_s, target_deg + miss, ends_s - begins_s, self.options.unevenness)
+        self._axis, self._types_s = name, ends_s + self.options.reading_s

@@ -1,93 +1,137 @@
 """Does anything near an optimum beat it? Re-optimisations from perturbed optima, and shadow prices by differences.
 
-    python experiments/designs/again.py [--count 200] [--write FILE]
+    python experiments/designs/again.py [--count 200] [NAME …]
 
-The headline case is optimised; its optimum is perturbed by normal steps of 0.05 to 0.8 (the coordinates are of unit
-size) and polished again, `count` times. Then each limit is eased by a little and the optimum polished again under it:
-the difference of the two optima is set beside the shadow price.
+Every variant (or those named) is optimised; its optimum is perturbed by normal steps of 0.05 to 0.8 (the coordinates
+are of unit size) and polished again, `count` times. Then each limit is eased by a little and the optimum polished again
+under it: the difference of the two optima is set beside the shadow price. Figures go to again.json and again.md here.
 """
 
 import argparse
+import json
 import time
-from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from variants import spec_of
+from variants import MOVING, STATIC, spec_of
 
 from gradcal_jax.assemble.measure import measure
-from gradcal_jax.assemble.optimise import Optimised, eased, optimise
-from gradcal_jax.design import polish
+from gradcal_jax.assemble.optimise import PRICED, Optimised, eased, optimise
+from gradcal_jax.design import Coordinates, polish
 
+HERE = Path(__file__).parent
 STEPS = (0.05, 0.1, 0.2, 0.4, 0.8)
 # Amounts by which limits are eased, in the price's unit.
-EASED = {"minute": 0.5, "deg/s": 1.5, "deg/s^2": 3.0}
+EASED = {"minute": 0.5, "deg/s": 1.5, "deg/s^2": 3.0, "turn": 0.1, "K/min": 0.02}
+# The shortest plan is the chamber's; a search in time has no optimum of this kind.
+NAMES = [name for name in (*MOVING, *STATIC) if name != "shortest-for-77ppm"]
 
 
-def main() -> None:
-    """Optimise, perturb, polish; print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--write", type=Path)
-    asked = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)
-    spec = spec_of("headline")
+def tried(name: str, count: int) -> dict[str, Any]:
+    """Optimise a variant, perturb its optimum and polish `count` times, ease its limits."""
+    spec = spec_of(name)
     best = next(e for e in optimise(spec) if isinstance(e, Optimised))
     of, coordinates = measure(spec).of, best.coordinates
 
     def objective(z, sharpness):
         return of(coordinates.decode(z), sharpness)
 
+    # The kept point is the best polished one: from there no polish gains.
     found = polish(objective, best.point)
     begun, generator = time.perf_counter(), np.random.default_rng(0)
-    values: dict[float, list[float]] = {}
-    for k in range(asked.count):
+    values: dict[str, list[float]] = {}
+    for k in range(count):
         step = STEPS[k % len(STEPS)]
         point = found.point + step * generator.standard_normal(found.point.shape)
-        values.setdefault(step, []).append(polish(objective, point, steps=150).value)
-        print(f"{k + 1} of {asked.count}: {values[step][-1]:.4f} ppm from a step of {step}", flush=True)
-    took = time.perf_counter() - begun
+        values.setdefault(str(step), []).append(polish(objective, point, steps=150).value)
+        if (k + 1) % 20 == 0:
+            print(f"  {k + 1} of {count}: best {min(min(v) for v in values.values()):.5g} {best.unit}", flush=True)
     every = np.concatenate([np.array(v) for v in values.values()])
-    lines = [
-        "# Re-optimisations from the perturbed optimum of the headline case",
-        "",
-        f"{datetime.now(UTC):%Y-%m-%d}; `python experiments/designs/again.py --count {asked.count}`; {took:.0f} s.",
-        "",
-        f"The optimum is {found.value:.4f} ppm, its largest gradient component {found.gradient_norm:.1e} of it. Of "
-        f"{len(every)} re-optimisations the best is {every.min():.4f} ppm "
-        f"({100 * (every.min() / found.value - 1):+.2f} %); "
-        f"{int(np.sum(every < 0.99 * found.value))} are better by more than 1 %.",
-        "",
-        "| step | best, ppm | median | worst |",
-        "|---|---|---|---|",
-    ]
-    lines += [f"| {s} | {min(v):.4f} | {np.median(v):.4f} | {max(v):.4f} |" for s, v in values.items()]
-    lines += [
-        "",
-        "Shadow prices against the difference of optima, both ppm per unit:",
-        "",
-        "| limit | price | difference, eased and tightened |",
-        "|---|---|---|",
-    ]
-    for index, price in enumerate(best.prices):
-        amount = EASED.get(price.per)
-        if amount is None:
-            continue
+    return {
+        "unit": best.unit,
+        "optimum": found.value,
+        "gradient": found.gradient_norm,
+        "count": count,
+        "best": float(every.min()),
+        "better": int(np.sum(every < 0.99 * found.value)),
+        "by_step": {s: [float(f(v)) for f in (np.min, np.median, np.max)] for s, v in values.items()},
+        "seconds": round(time.perf_counter() - begun),
+        "prices": prices(best, of, found.point) if isinstance(coordinates, Coordinates) else [],
+    }
+
+
+def prices(best: Optimised, of, point: np.ndarray) -> list[dict[str, Any]]:
+    """Each shadow price beside the difference of the optima with its limit eased and tightened."""
+    rows = []
+    for price in best.prices:
+        index = next(i for i, priced in enumerate(PRICED) if priced[0] == price.limit)
+        amount, size = EASED[price.per], PRICED[index][2]
         ends = []
         for sign in (1.0, -1.0):
-            si = {"minute": 60.0, "deg/s": np.pi / 180.0, "deg/s^2": np.pi / 180.0}[price.per]
-            by = jnp.zeros(5).at[index].set(sign * amount * si)
-            other = eqx.filter_jit(eased)(coordinates, by)
-            ends.append(polish(lambda z, k, c=other: of(c.decode(z), k), found.point).value)
+            by = jnp.zeros(len(PRICED)).at[index].set(sign * amount * size)
+            other = eqx.filter_jit(eased)(best.coordinates, by)
+            ends.append(polish(lambda z, k, c=other: of(c.decode(z), k), point).value)
         difference = (ends[0] - ends[1]) / (2.0 * amount)
-        lines.append(f"| {price.limit} (1 {price.per}) | {price.change:+.4g} | {difference:+.4g} |")
-    text = "\n".join(lines) + "\n"
-    print(text)
-    if asked.write:
-        asked.write.write_text(text, encoding="utf-8")
+        rows.append({"limit": price.limit, "per": price.per, "price": price.change, "difference": difference})
+    return rows
+
+
+def table(found: dict[str, dict[str, Any]]) -> str:
+    """The figures as Markdown."""
+    lines = [
+        "# Re-optimisations from perturbed optima, and shadow prices by differences",
+        "",
+        "`python experiments/designs/again.py`; what is perturbed and how is said there.",
+        "",
+        "| variant | optimum | largest gradient component | re-optimisations | best of them | better by over 1 % |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, r in found.items():
+        gain = 100.0 * (r["best"] / r["optimum"] - 1.0)
+        lines.append(
+            f"| {name} | {r['optimum']:.4f} {r['unit']} | {r['gradient']:.1e} | {r['count']} | "
+            f"{r['best']:.4f} ({gain:+.2f} %) | {r['better']} |"
+        )
+    lines += ["", "By the size of the perturbation: best, median, worst.", ""]
+    lines += ["| variant | " + " | ".join(map(str, STEPS)) + " |", "|---|" + "---|" * len(STEPS)]
+    for name, r in found.items():
+        cells = [", ".join(f"{v:.4g}" for v in r["by_step"][str(s)]) for s in STEPS]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    lines += [
+        "",
+        "Shadow prices against the difference of the optima with the limit eased and tightened, both per unit:",
+        "",
+        "| variant | limit | price | difference |",
+        "|---|---|---|---|",
+    ]
+    for name, r in found.items():
+        for p in r["prices"]:
+            lines.append(
+                f"| {name} | {p['limit']} (1 {p['per']}) | {p['price']:+.4g} {r['unit']} | {p['difference']:+.4g} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Try the named variants, or all; the others keep their figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}")
+    parser.add_argument("--count", type=int, default=200)
+    asked = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    kept = HERE / "again.json"
+    found = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
+    for name in asked.names or NAMES:
+        print(f"{name} …", flush=True)
+        found[name] = tried(name, asked.count)
+        jax.clear_caches()
+        found = {n: found[n] for n in NAMES if n in found}
+        kept.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        (HERE / "again.md").write_text(table(found), encoding="utf-8")
 
 
 if __name__ == "__main__":

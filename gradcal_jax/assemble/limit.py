@@ -10,7 +10,14 @@ from gradcal_jax.assemble.knowledge import UNIT_OF
 from gradcal_jax.assemble.measure import box, design_of
 from gradcal_jax.assemble.prediction import predict
 from gradcal_jax.assemble.structures import LEAST_TURN, largest_rate, motion_time
-from gradcal_jax.design import criterion, gated_noise_density, least_noise_density, limit, scale_factor_floor
+from gradcal_jax.design import (
+    PRIOR_OF_WALK,
+    criterion,
+    gated_noise_density,
+    least_noise_density,
+    limit,
+    scale_factor_floor,
+)
 from gradcal_jax.files import Spec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import Requirement
@@ -87,6 +94,7 @@ class _Window(NamedTuple):
             fixed_programme=self.fixed,
             max_rate=largest_rate(self.spec, []),
             noise_density=self.density,
+            prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
         )
         unit, factor = UNIT_OF[requirement.quantity]
         left = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[requirement.statistic]

@@ -14,7 +14,7 @@ from gradcal_jax.assemble.measure import Measure, design_of, measure, overrides
 from gradcal_jax.assemble.prediction import predict
 from gradcal_jax.assemble.structures import AnyCoordinates, Structure, structures
 from gradcal_jax.assemble.written import written
-from gradcal_jax.design import Coordinates, Found, State, polish, search
+from gradcal_jax.design import Coordinates, Found, ProgrammeCoordinates, State, polish, search
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.rounding import rounded, steps_of
 
@@ -171,7 +171,11 @@ def finished(
     if isinstance(coordinates, Coordinates) and "duration" in coordinates.free:
         coordinates, cycle = coordinates.pruned(coordinates.cycle(jnp.asarray(point)))
         point = coordinates.vector(cycle)
-    found = polish(lambda z, sharpness: of.of(coordinates.decode(z), sharpness), point)
+    linear = None
+    if isinstance(coordinates, ProgrammeCoordinates):
+        coordinates, point = coordinates.knots(point)
+        linear = coordinates.limits
+    found = polish(lambda z, sharpness: of.of(coordinates.decode(z), sharpness), point, linear=linear)
     # As a recipe will have it, so that the number is of what is executed.
     plan = rounded(written(spec, *_without_vanished(coordinates, found.point)), steps_of(spec)).spec
     now, sentence, converged = exact(plan, of), found.sentence, found.converged
@@ -229,7 +233,7 @@ def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...
 
 
 # Limits and frame are in SI; people ease them by these.
-_PRICED: Final = (
+PRICED: Final = (
     ("ramp time, cycle and turns with it", "minute", 60.0),
     ("largest rate", "deg/s", np.pi / 180.0),
     ("largest acceleration", "deg/s^2", np.pi / 180.0),
@@ -245,11 +249,11 @@ def shadow_prices(of: Measure, coordinates: Coordinates, found: Found) -> tuple[
     def slopes(by: Array):
         return jax.grad(lambda e: of.of(eased(coordinates, e).decode(jnp.asarray(found.point)), None)[0])(by)
 
-    given = np.asarray(slopes(jnp.zeros(len(_PRICED))))
+    given = np.asarray(slopes(jnp.zeros(len(PRICED))))
     bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
     return tuple(
         Price(name, per, float(g) * size)
-        for (name, per, size), g, counts in zip(_PRICED, given, bound, strict=True)
+        for (name, per, size), g, counts in zip(PRICED, given, bound, strict=True)
         if counts
     )
 

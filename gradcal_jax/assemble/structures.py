@@ -17,6 +17,7 @@ from gradcal_jax.design import (
     Frame,
     Limits,
     ProgrammeCoordinates,
+    ProgrammeKnots,
     StandardCoordinates,
     make_coordinates,
 )
@@ -35,13 +36,15 @@ _MOVES: Final = 36
 _LEAST_MOVES: Final = 4
 # With the cycle's length free: so many turns at the table.
 _FREE_VISITS: Final = (3, 4, 6)
+# What rounding adds to an angle must fit into the travel, too.
+_ROOM_TO_ROUND: Final = 1.0 - 1e-3
 _FREE: Final = {"duration": "duration", "rest": "duration", "turn": "duration", "peak_rate": "peak_rate"}
 
 
 # A programme for a standing axis has so many slopes.
 _STRETCHES: Final = (2, 4, 6)
 
-AnyCoordinates = Coordinates | ProgrammeCoordinates | StandardCoordinates
+AnyCoordinates = Coordinates | ProgrammeCoordinates | ProgrammeKnots | StandardCoordinates
 
 
 class Structure(NamedTuple):
@@ -59,7 +62,7 @@ def limits_of(spec: Spec, scenarios: list[Spec]) -> Limits:
     return Limits(
         largest_rate(spec, scenarios),
         min(float(s.rig.table.max_acceleration) for s in every),
-        min(float(s.rig.table.travel) for s in every),
+        _ROOM_TO_ROUND * min(float(s.rig.table.travel) for s in every),
         min(float(s.rig.chamber.max_heating if up else s.rig.chamber.max_cooling) for s in every),
     )
 

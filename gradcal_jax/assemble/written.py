@@ -1,12 +1,13 @@
 """A point of the free coordinates as a spec: rounded to what the controllers are told, still filling its time."""
 
 import math
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.assemble.structures import AnyCoordinates
-from gradcal_jax.design import Coordinates, Cycle, ProgrammeCoordinates, StandardCoordinates
+from gradcal_jax.design import Coordinates, Cycle, ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.plans import StandardPlan
 
@@ -22,7 +23,7 @@ def written(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> Spec:
     z = jnp.asarray(point)
     if isinstance(coordinates, StandardCoordinates):
         return _standard(spec, coordinates.decode(z))
-    if isinstance(coordinates, ProgrammeCoordinates):
+    if isinstance(coordinates, ProgrammeCoordinates | ProgrammeKnots):
         return _static(spec, coordinates, z)
     return _cycle(spec, coordinates, coordinates.cycle(z))
 
@@ -39,7 +40,7 @@ def _standard(spec: Spec, plan: StandardPlan) -> Spec:
     return changed(spec, keys)
 
 
-def _static(spec: Spec, coordinates: ProgrammeCoordinates, z) -> Spec:
+def _static(spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, z) -> Spec:
     """Stretches in whole seconds between temperatures in tenths, as steep as the chamber manages at most."""
     programme = coordinates.programme(z)
     here = round(float(programme.start), 1)
@@ -71,18 +72,25 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
     reading = {"read_every": _s(every)} if coordinates.others_read else {"read": "none"}
     durations = _rounded(coordinates, np.asarray(cycle.durations), every, time)
     moves: list[dict[str, object]] = []
+    # Where travel is limited the angle is kept, not the rate; what rounding leaves of it is the next turn's.
+    owed = 0.0
     for i, element in enumerate(coordinates.elements):
         if i and element.group != coordinates.elements[i - 1].group and coordinates.shared:
             moves.append({"rest": _s(float(frame.other_time)), "other_axes": True, **reading})
         if element.shape == "rest":
             moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
             continue
-        peak, ramp = float(cycle.peak_rates[i]), float(cycle.ramps[i])
+        peak, ramp, angle = float(cycle.peak_rates[i]), float(cycle.ramps[i]), 0.0
+        if coordinates.travels:
+            owed += float(coordinates.angle(cycle, i))
+            peak = owed / (durations[i] - ramp)
         move = _turn(coordinates, durations[i], peak, ramp, rate, whole)
         if move is not None:
-            moves.append({"shape": element.shape, "axis": coordinates.axis, **move})
+            moves.append({"shape": element.shape, "axis": coordinates.axis, **move.keys})
+            angle = move.angle
         else:
             moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
+        owed -= angle
     cycle_tables: dict[str, object] = {"moves": moves}
     if coordinates.shared:
         other: dict[str, object] = {"duration": _s(float(frame.other_time)), "read": coordinates.others_read}
@@ -108,26 +116,38 @@ def _rounded(coordinates: Coordinates, durations: np.ndarray, every: float, step
     return found
 
 
-def _turn(coordinates: Coordinates, duration: float, peak: float, ramp: float, step: float, whole: bool):
-    """Rate and ramp of a turn that the table executes; None where it rounds to nothing."""
+class _Turn(NamedTuple):
+    """A turn as it is written, and its angle (rad)."""
+
+    keys: dict[str, object]
+    angle: float
+
+
+def _turn(
+    coordinates: Coordinates, duration: float, peak: float, ramp: float, step: float, whole: bool
+) -> _Turn | None:
+    """A turn that the table executes; None where it rounds to nothing."""
     limits = coordinates.limits
     fastest, steepest = float(limits.max_rate), float(limits.max_acceleration)
     size = min(abs(peak), fastest)
     # Ramps in the resolution of time, long enough for the acceleration.
     ramp = min(math.ceil(max(ramp, _STEEP * size / steepest) / 0.01 - 1e-9) * 0.01, duration / 2.0)
-    size = min(size, steepest * ramp / _STEEP)
+    fastest = min(fastest, steepest * ramp / _STEEP)
+    size = min(size, fastest)
     if whole:
         turns = round(size * (duration - ramp) / (2.0 * math.pi))
-        while turns * 2.0 * math.pi / (duration - ramp) > min(fastest, steepest * ramp / _STEEP):
+        while turns * 2.0 * math.pi / (duration - ramp) > fastest:
             turns -= 1
         if not turns:
             return None
-        sign = 1 if peak > 0.0 else -1
-        return {"turns": sign * turns, "duration": _s(duration), "ramp": _s(ramp)}
-    size = math.floor(size / step + 1e-9) * step
+        turns = int(math.copysign(turns, peak))
+        return _Turn({"turns": turns, "duration": _s(duration), "ramp": _s(ramp)}, turns * 2.0 * math.pi)
+    size = min(round(size / step), math.floor(fastest / step + 1e-9)) * step
     if size <= 0.0:
         return None
-    return {"peak_rate": f"{math.copysign(size, peak) / DEG:.9g} deg/s", "duration": _s(duration), "ramp": _s(ramp)}
+    size = math.copysign(size, peak)
+    keys: dict[str, object] = {"peak_rate": f"{size / DEG:.9g} deg/s", "duration": _s(duration), "ramp": _s(ramp)}
+    return _Turn(keys, size * (duration - ramp))
 
 
 def _programme(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> dict[str, object]:

@@ -3,11 +3,17 @@
 from gradcal_jax.design.coordinates import Coordinates, Cycle, Element, Frame, Limits, make_coordinates
 from gradcal_jax.design.criteria import Criterion, Optimality, criterion
 from gradcal_jax.design.limit import Limit, limit
-from gradcal_jax.design.noise_floor import gated_noise_density, least_noise_density, scale_factor_floor
-from gradcal_jax.design.other_plans import ProgrammeCoordinates, StandardCoordinates
-from gradcal_jax.design.search import Found, Progress, State, polish, search
+from gradcal_jax.design.noise_floor import (
+    PRIOR_OF_WALK,
+    gated_noise_density,
+    least_noise_density,
+    scale_factor_floor,
+)
+from gradcal_jax.design.other_plans import ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
+from gradcal_jax.design.search import Found, Linear, Progress, State, polish, search
 
 __all__ = [
+    "PRIOR_OF_WALK",
     "Coordinates",
     "Criterion",
     "Cycle",
@@ -16,8 +22,10 @@ __all__ = [
     "Frame",
     "Limit",
     "Limits",
+    "Linear",
     "Optimality",
     "ProgrammeCoordinates",
+    "ProgrammeKnots",
     "Progress",
     "StandardCoordinates",
     "State",

@@ -11,8 +11,8 @@ The axis has its *turns at the table*, `own_time` each, with `other_time` standi
 cycle is one or more of them, with moves of their own (a reading at rest costs time only between the moves of one turn
 at the table, so few long moves in each, others in the next, are better than all in each).
 
-With limited travel the turns in the direction that prevails are scaled down until a cycle ends where it began, then all
-of them until the largest excursion fits: scaling down keeps every other limit.
+With limited travel each turn takes its share not of the largest angle but of what is left of the travel that way, so
+that only turns which would reach the end of the cable are smaller; a cycle that is made again ends where it began.
 """
 
 from itertools import pairwise
@@ -37,10 +37,13 @@ Scalar = Any
 _STEEPNESS = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0, "half sine": np.pi, "raised cosine": np.pi}
 SEARCHED_SHAPES = tuple(_STEEPNESS)
 
-# A rest is searched with this many pieces; each one's reading stands for all that fall into it.
+# A rest, and the standing while others turn, are searched with this many pieces; each one's reading stands for all that
+# fall into it.
 _PIECES_A_REST = 2
 _PIECES_OF_OTHERS = 8
 
+# How often a share is halved in on.
+_HALVINGS = 30
 # A turn that is shorter than this many times the least it may take has vanished.
 _VANISHED = 3.0
 
@@ -98,7 +101,8 @@ class Coordinates(eqx.Module):
 
     `cycles`: how often the cycle is made. Free: which of "duration" (of turns and rests), "peak_rate", "ramp",
     "gradient" may change; what may not stays as in `nominal`. `shared`: other axes take their time. `tail`: the ramp
-    goes on after the last cycle. `parts`: pieces that each smooth part of a turn is integrated in.
+    goes on after the last cycle. `parts`: pieces that each smooth part of a turn is integrated in; `pieces`: those of a
+    rest and of the standing while others turn.
     Made by `make_coordinates`, which refuses what cannot be.
     """
 
@@ -114,6 +118,7 @@ class Coordinates(eqx.Module):
     tail: bool = eqx.field(static=True)
     parts: int = eqx.field(static=True, default=1)
     axis: str = eqx.field(static=True, default="x")
+    pieces: tuple[int, int] = eqx.field(static=True, default=(_PIECES_A_REST, _PIECES_OF_OTHERS))
 
     @property
     def groups(self) -> int:
@@ -151,8 +156,7 @@ class Coordinates(eqx.Module):
     def cycle(self, z: Float[Array, " size"]) -> Cycle:
         """Decode: see the table at the module's head."""
         timed, turns, ramps, steps = jnp.split(z, np.cumsum(self._sizes)[:-1])
-        decoded = self._rates(self._durations(timed), turns, ramps)
-        return self._within_travel(decoded)._replace(steps=self._steps(steps))
+        return self._turned(self._durations(timed), turns, ramps)._replace(steps=self._steps(steps))
 
     def decode(self, z: Float[Array, " size"]) -> GradientPlan:
         """The plan of a vector."""
@@ -168,24 +172,70 @@ class Coordinates(eqx.Module):
             parts.append(least + (self.frame.own_time - np.sum(least)) * jax.nn.softmax(z[members]))
         return jnp.concatenate(parts)
 
-    def _rates(self, durations: Array, z_rates: Array, z_ramps: Array) -> Cycle:
-        limits = self.limits
-        peak, ramp = self.nominal.peak_rates, self.nominal.ramps
-        turns, ramped = self._turns, self._ramped
-        steep = np.array([_STEEPNESS.get(e.shape, 0.0) for e in self.elements])
-        time = jnp.where(np.isin(np.arange(len(self.elements)), ramped), 0.5, 1.0) * durations
-        cap = jnp.minimum(limits.max_rate, limits.max_acceleration * time / np.where(steep > 0.0, steep, 1.0))
-        low, high = np.array([self.elements[i].band for i in turns]).reshape(-1, 2).T
-        share = 0.5 * (low + high) + 0.5 * (high - low) * jnp.tanh(z_rates) if z_rates.shape[0] else None
-        free = peak if share is None else peak.at[turns].set(cap[turns] * share)
-        peak = jnp.clip(free, -cap, cap)
-        least = steep * jnp.abs(peak) / limits.max_acceleration
+    def _turned(self, durations: Array, z_rates: Array, z_ramps: Array) -> Cycle:
+        """Turns at the share of the largest possible rate that is wanted, and less where the travel ends."""
+        cap = self._cap(durations)
+        if z_rates.shape[0]:
+            low, high = np.array([self.elements[i].band for i in self._turns]).reshape(-1, 2).T
+            wanted = 0.5 * (low + high) + 0.5 * (high - low) * jnp.tanh(z_rates)
+            peak = self.nominal.peak_rates.at[self._turns].set(cap[self._turns] * wanted)
+        else:
+            peak = jnp.clip(self.nominal.peak_rates, -cap, cap)
+        cycle = self._ramps(durations, peak, z_ramps)
+        if not self.travels or not len(self._turns):
+            return cycle
+        return self._within_travel(cycle, self._ramps(durations, cap, z_ramps))
+
+    def _cap(self, durations: Array) -> Array:
+        """The largest rate that rig, sensor and the acceleration in so long a move allow."""
+        time = jnp.where(np.isin(np.arange(len(self.elements)), self._ramped), 0.5, 1.0) * durations
+        steep = self._steep
+        return jnp.minimum(
+            self.limits.max_rate, self.limits.max_acceleration * time / np.where(steep > 0.0, steep, 1.0)
+        )
+
+    @property
+    def _steep(self) -> np.ndarray:
+        return np.array([_STEEPNESS.get(e.shape, 0.0) for e in self.elements])
+
+    def _ramps(self, durations: Array, peak: Array, z_ramps: Array) -> Cycle:
+        least = self._steep * jnp.abs(peak) / self.limits.max_acceleration
+        ramp, ramped = self.nominal.ramps, self._ramped
         if z_ramps.shape[0]:
             room = 0.5 * durations[ramped] - least[ramped]
             ramp = ramp.at[ramped].set(least[ramped] + room * jax.nn.sigmoid(z_ramps))
         else:
             ramp = jnp.clip(ramp, least, 0.5 * durations)
         return Cycle(durations, peak, ramp, self.nominal.steps)
+
+    def _within_travel(self, wanted: Cycle, fastest: Cycle) -> Cycle:
+        """Each turn takes its share of what may be turned that way from where the axis stands.
+
+        A cycle that is made again must end where it began: what no later turn could undo is left out, too, and where
+        too much is to be undone, a turn goes back by as much as it must.
+        """
+        turns = self._turns
+        asked, most = (jnp.stack([self.angle(c, int(i)) for i in turns]) for c in (wanted, fastest))
+        bound = jnp.full(len(turns), self.limits.travel)
+        if self.cycles > 1:
+            # What is still to come after each turn.
+            bound = jnp.minimum(bound, jnp.cumsum(most[::-1])[::-1] - most)
+
+        def turn(at, given):
+            angle, reach, furthest = given
+            down = jnp.maximum(-furthest, at - reach) - at
+            up = jnp.minimum(furthest, at + reach) - at
+            share = angle / jnp.where(reach > 0.0, reach, 1.0)
+            made = jnp.clip(share * jnp.where(share > 0.0, up, -down), jnp.minimum(down, up), up)
+            return at + made, made
+
+        _, made = jax.lax.scan(turn, jnp.zeros(()), (asked, most, bound))
+        # A turn that is made smaller keeps its ramp; one that is sent back needs the ramp of the fastest.
+        smaller = jnp.abs(made) <= jnp.abs(asked)
+        of = lambda cycle, angles: cycle.peak_rates[turns] * made / jnp.where(angles == 0.0, 1.0, angles)  # noqa: E731
+        peak = jnp.where(smaller, of(wanted, asked), of(fastest, most))
+        ramp = jnp.where(smaller, wanted.ramps[turns], fastest.ramps[turns])
+        return wanted._replace(peak_rates=wanted.peak_rates.at[turns].set(peak), ramps=wanted.ramps.at[turns].set(ramp))
 
     def lasting(self) -> Array:
         """From the start of each turn at the table to the next one's, and to the ramp's end for the last."""
@@ -206,44 +256,53 @@ class Coordinates(eqx.Module):
         mix = jnp.clip(jnp.min(room), 0.0, 1.0)
         return even + mix * (uneven - even)
 
-    def _within_travel(self, cycle: Cycle) -> Cycle:
-        if not self.travels or not len(self._turns):
-            return cycle
-        angles = jnp.stack([self._angle(cycle, int(i)) for i in self._turns])
-        there, back = jnp.sum(jnp.maximum(angles, 0.0)), jnp.sum(jnp.maximum(-angles, 0.0))
-        share = lambda a, b: jnp.minimum(1.0, b / jnp.where(a > 0.0, a, 1.0))  # noqa: E731
-        factor = jnp.where(angles > 0.0, share(there, back), share(back, there))
-        excursion = jnp.max(jnp.abs(jnp.cumsum(angles * factor)))
-        factor = factor * jnp.minimum(1.0, self.limits.travel / jnp.where(excursion > 0.0, excursion, 1.0))
-        return cycle._replace(peak_rates=cycle.peak_rates.at[self._turns].multiply(factor, unique_indices=True))
-
-    def _angle(self, cycle: Cycle, i: int) -> Array:
+    def angle(self, cycle: Cycle, i: int) -> Array:
+        """How far move `i` turns, rad."""
         return formulas.turned_angle(self.elements[i].shape, cycle.peak_rates[i], cycle.durations[i], cycle.ramps[i])
 
     def vector(self, cycle: Cycle) -> Float[np.ndarray, " size"]:
-        """Free numbers whose cycle is nearly the given one: bounds can only be approached. Travel is left out."""
+        """Free numbers whose cycle is nearly the given one: bounds can only be approached."""
         durations, peaks, ramps = (np.asarray(v) for v in cycle[:3])
         spare = np.maximum(durations - np.array([e.least for e in self.elements]), 1e-4)
         turns, ramped = self._turns, self._ramped
-        steep = np.array([_STEEPNESS.get(e.shape, 0.0) for e in self.elements])
-        time = np.where(np.isin(np.arange(len(durations)), ramped), 0.5, 1.0) * durations
-        limits = [float(v) for v in self.limits]
-        cap = np.minimum(limits[0], limits[1] * time / np.where(steep > 0.0, steep, 1.0))
-        low, high = np.array([self.elements[i].band for i in turns]).reshape(-1, 2).T
-        rates = (peaks[turns] / cap[turns] - 0.5 * (low + high)) / (0.5 * (high - low))
-        least = (steep * np.abs(peaks) / limits[1])[ramped]
+        least = (self._steep * np.abs(peaks) / float(self.limits.max_acceleration))[ramped]
         share = (ramps[ramped] - least) / np.maximum(0.5 * durations[ramped] - least, 1e-12)
         share = np.clip(share, 1e-3, 1.0 - 1e-3)
+        z_ramps = np.log(share / (1.0 - share))
+        low, high = np.array([self.elements[i].band for i in turns]).reshape(-1, 2).T
+        rates = (self._shares(cycle, z_ramps) - 0.5 * (low + high)) / (0.5 * (high - low))
         steps = np.maximum(
             np.asarray(cycle.steps) / float(self.frame.temperature_end - self.frame.temperature_start), 1e-4
         )
-        parts = (
-            np.log(spare),
-            np.arctanh(np.clip(rates, -1 + 1e-4, 1 - 1e-4)),
-            np.log(share / (1.0 - share)),
-            np.log(steps),
-        )
+        parts = (np.log(spare), np.arctanh(np.clip(rates, -1 + 1e-4, 1 - 1e-4)), z_ramps, np.log(steps))
         return np.concatenate([p for p, size in zip(parts, self._sizes, strict=True) if size])
+
+    def _shares(self, cycle: Cycle, z_ramps: np.ndarray) -> np.ndarray:
+        """Which share of the largest rate each turn has; with limited travel, what asks for its share of the angle."""
+        turns, cap = self._turns, np.asarray(self._cap(cycle.durations))
+        if not self.travels:
+            return np.asarray(cycle.peak_rates)[turns] / cap[turns]
+        ramps = jnp.asarray(z_ramps if self._sizes[2] else z_ramps[:0])
+
+        def angles(of: Cycle) -> np.ndarray:
+            return np.array([float(self.angle(of, int(i))) for i in turns])
+
+        def at_shares(shares: np.ndarray) -> np.ndarray:
+            peaks = np.zeros(len(cap))
+            peaks[turns] = shares * cap[turns]
+            return angles(self._ramps(cycle.durations, jnp.asarray(peaks), ramps))
+
+        made, reach = angles(cycle), at_shares(np.ones(len(turns)))
+        at = np.concatenate([[0.0], np.cumsum(made)[:-1]])
+        room = np.minimum(reach, np.maximum(float(self.limits.travel) - np.sign(made) * at, 0.0))
+        wanted = reach * np.abs(made) / np.where(room > 0.0, room, 1.0)
+        # The angle grows with the rate, not quite in proportion: a faster turn needs longer ramps.
+        low, high = np.zeros(len(turns)), np.ones(len(turns))
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            short = at_shares(middle) < wanted
+            low, high = np.where(short, middle, low), np.where(short, high, middle)
+        return np.sign(made) * 0.5 * (low + high)
 
     def pruned(self, cycle: Cycle) -> "tuple[Coordinates, Cycle]":
         """The structure without the turns that the search has shrunk to nothing, their time given to the longest."""
@@ -283,7 +342,7 @@ class Coordinates(eqx.Module):
     def plan(self, cycle: Cycle) -> GradientPlan:
         """The plan of a decoded cycle, its rests relaxed: readings by their share, not by whole numbers."""
         spacing = self.frame.read_every
-        others = even_division(_PIECES_OF_OTHERS, self.others_read)
+        others = even_division(self.pieces[1], self.others_read)
         standing = (_rest(self.frame.other_time, others, spacing, self.axis),) if self.shared else ()
         moves: list[Move] = []
         for i, element in enumerate(self.elements):
@@ -303,7 +362,7 @@ class Coordinates(eqx.Module):
 
     def _move(self, element: Element, cycle: Cycle, i: int, spacing: Array) -> Move:
         if element.shape == "rest":
-            return _rest(cycle.durations[i], even_division(_PIECES_A_REST, True), spacing, self.axis)
+            return _rest(cycle.durations[i], even_division(self.pieces[0], True), spacing, self.axis)
         whole = Division((0.0, 1.0), (True,))
         pieces = len(formulas.shape_pieces(element.shape))
         unread = even_division(self.parts, False)
@@ -381,7 +440,7 @@ def make_coordinates(
 
 
 def _with_elements(of: Coordinates, elements: tuple[Element, ...]) -> Coordinates:
-    rest = (of.cycles, of.others_read, of.free, of.travels, of.shared, of.tail, of.parts, of.axis)
+    rest = (of.cycles, of.others_read, of.free, of.travels, of.shared, of.tail, of.parts, of.axis, of.pieces)
     return Coordinates(elements, of.limits, of.frame, of.nominal, *rest)
 
 

@@ -36,6 +36,7 @@ from numpy.polynomial import chebyshev
 from scipy.optimize import minimize
 
 from gradcal_jax.design.criteria import Criterion, Optimality
+from gradcal_jax.design.noise_floor import root_of
 from gradcal_jax.errormodel import GyroModel, Polynomial
 
 # The maximum hardens; between the stages the rates that would help most join the grid.
@@ -67,12 +68,14 @@ def limit(
     fixed_programme: bool,
     max_rate: float,
     noise_density: float,
+    prior_share: float = 1.0,
     tolerance: float = 2e-3,
 ) -> Limit:
     """The limit for a scale-factor criterion, B(T) known or not (knowing it only helps, so the limit holds).
 
     `motion_time` s: of the axis; `temperatures` °C: points over which the motion time is spread evenly
     (`fixed_programme`) or as it likes. `noise_density` rad²/s: N², `least_noise_density` or `gated_noise_density`.
+    `prior_share`: of the prior's variance, where the rest went into what the criterion adds to every residual.
     `tolerance`: how far apart, relatively, what is certified and what is reached may stay.
     Errors: `ValueError` for a criterion or a map that the proof does not cover.
     """
@@ -80,7 +83,7 @@ def limit(
         raise ValueError("the limit is for a scale factor that is polynomial in rate: give the model such a map")
     if isinstance(criterion, Optimality) and criterion.kind == "E":
         raise ValueError("there is no limit for E-optimality: ask for A- or D-optimality, or a residual")
-    given = model, motion_time / noise_density, np.asarray(temperatures), fixed_programme
+    given = model, motion_time / noise_density, prior_share, np.asarray(temperatures), fixed_programme
     # A maximum over fewer temperatures is no larger, so what is certified for it is certified.
     problem, whole = _Problem(_thinned(criterion), *given), _Problem(criterion, *given)
     # Rates that turn out useful take empty places, so that every stage has the same shape and is compiled once.
@@ -104,7 +107,15 @@ def limit(
 class _Problem:
     """The relaxed problem in columns of about unit size."""
 
-    def __init__(self, criterion, model: GyroModel, gain: float, temperatures: np.ndarray, fixed_programme: bool):
+    def __init__(
+        self,
+        criterion,
+        model: GyroModel,
+        gain: float,
+        prior_share: float,
+        temperatures: np.ndarray,
+        fixed_programme: bool,
+    ):
         self.criterion, self.model, self.gain = criterion, model, gain
         self.temperatures, self.fixed_programme = temperatures, fixed_programme
         where = model.columns.scale
@@ -112,7 +123,7 @@ class _Problem:
         # Columns other than M's are taken as known: that is information added, never taken away.
         self.rows = np.asarray(criterion.rows)[:, where.start : where.stop]
         prior = np.asarray(model.prior_rows())[:, where.start : where.stop]
-        self.prior = prior.T @ prior
+        self.prior = prior.T @ prior / prior_share
         self.beyond = np.asarray(getattr(criterion, "beyond", np.zeros(len(self.rows))))
 
     def moments(self, temperature: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -149,7 +160,7 @@ class _Problem:
         """Columns' sizes, the triangular factor R of the scaled information, and R⁻ᵀ of the criterion's rows."""
         weights = np.asarray(_shares(jnp.asarray(logs), self.fixed_programme))
         # Of the weighted rows themselves: their squares would lose half the digits.
-        weighted = np.concatenate([self._points(rates) * np.sqrt(weights).reshape(-1, 1), _root(self.prior)])
+        weighted = np.concatenate([self._points(rates) * np.sqrt(weights).reshape(-1, 1), root_of(self.prior)])
         size = np.linalg.norm(weighted, axis=0)
         factor = np.asarray(np.linalg.qr(weighted / size, mode="r"))
         return size, factor, scipy.linalg.solve_triangular(factor, (self.rows / size).T, trans=1)
@@ -267,9 +278,3 @@ def _dual(values: np.ndarray, statistic: str, sharpness: float) -> tuple[float, 
     top = np.max(values, axis=0)
     near = (values / top) ** (sharpness - 1.0)
     return float(np.mean(top)), near / np.sum(near, axis=0) / values.shape[1]
-
-
-def _root(matrix: np.ndarray) -> np.ndarray:
-    """Rows with `rowsᵀ rows = matrix`, which may be singular."""
-    values, vectors = np.linalg.eigh(matrix)
-    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T

@@ -18,7 +18,9 @@ that of a midpoint rule.
 clock) look like the scale factor itself. Whoever saw `M(T, ω) + δ(t)` at every rate at once, while the axis has the
 table, would know `M(T, ω) − M(T, 0)` exactly, and M(T, 0) as well as generalised least squares in T allows; every
 reading is a function of that. What is left of the best linear estimate under a sum of noises is at least the sum of
-what each leaves alone, so that this variance is added to the random walk's.
+what each leaves alone, so that this variance is added to the random walk's. A prior is a reading, too, and its variance
+is shared out: half to the random walk, a quarter each to what is constant and to what moves (that a prior seldom limits
+a plan makes any shares good ones).
 """
 
 from collections.abc import Sequence
@@ -27,8 +29,11 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
-from gradcal_jax.errormodel import GyroModel
+from gradcal_jax.errormodel import Basis, GyroModel
 
+# How a prior's variance is shared out: see above.
+PRIOR_OF_WALK = 0.5
+_PRIOR_OF_OTHERS = 0.25
 # The eigenvalue's midpoint rule has at most so many points.
 _POINTS = 1500
 
@@ -37,15 +42,22 @@ def scale_factor_floor(model: GyroModel, times: np.ndarray, temperatures: np.nda
     """`(len(at),)`, the variance of M at the temperatures `at` (°C) that no motion at `times` (s, °C) removes.
 
     `times` stand for all times at which the axis may turn: they should be dense against the correlation times. Without
-    any (a programme that is free) only what is constant counts. A prior on M leaves nothing that is sure.
+    any (a programme that is free) only what is constant counts. Where the map has a prior, a limit to which this is
+    added may count only `PRIOR_OF_WALK` of the prior's variance.
     """
     p, scale = model.processes, model.scale
-    if scale is None or scale.has_prior or scale.has_smoothness:
+    if scale is None:
         return np.zeros(len(at))
     gain = np.where(np.asarray(p.bias_gain) == 0.0, np.asarray(p.rate_gain), 0.0)
     variance, decay = (gain * np.asarray(p.initial_std)) ** 2, np.asarray(p.decay)
-    # A constant is a constant of M: it adds itself.
-    found = np.full(len(at), float(np.sum(variance[decay == 0.0])))
+    prior = _prior_of_constants(model) / _PRIOR_OF_OTHERS
+    wanted = np.asarray(scale.temperature(jnp.asarray(at)))
+    found = np.zeros(len(at))
+    clock = float(np.sum(variance[decay == 0.0]))
+    if clock > 0.0:
+        # A constant is a constant of M: it adds itself, as far as the prior does not tell the two apart.
+        one = _constant(scale.temperature)
+        found += 1.0 / (one @ prior @ one + 1.0 / clock)
     moving = (variance > 0.0) & (decay > 0.0)
     if not moving.any() or not len(times):
         return found
@@ -53,9 +65,32 @@ def scale_factor_floor(model: GyroModel, times: np.ndarray, temperatures: np.nda
     kernel = sum(v * np.exp(-d * lags) for v, d in zip(variance[moving], decay[moving], strict=True))
     factor = np.linalg.cholesky(np.asarray(kernel))
     seen = scipy.linalg.solve_triangular(factor, np.asarray(scale.temperature(jnp.asarray(temperatures))), lower=True)
-    root = np.asarray(np.linalg.qr(seen, mode="r"))
-    wanted = np.asarray(scale.temperature(jnp.asarray(at)))
+    root = np.asarray(np.linalg.qr(np.concatenate([seen, root_of(prior)]), mode="r"))
     return found + np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
+
+
+def _prior_of_constants(model: GyroModel) -> np.ndarray:
+    """The prior's information on the functions of temperature that are the same at every rate, in the basis."""
+    scale = model.scale
+    assert scale is not None
+    same = np.eye(scale.temperature.size)
+    if scale.rate is not None:
+        same = np.kron(same, _constant(scale.rate)[:, None])
+    where = model.columns.scale
+    rows = np.asarray(model.prior_rows())[:, where.start : where.stop] @ same
+    return rows.T @ rows
+
+
+def _constant(basis: Basis) -> np.ndarray:
+    """The coefficients of the function that is one everywhere (°C or rad/s: a hundred covers both)."""
+    values = np.asarray(basis(jnp.linspace(-100.0, 100.0, 16 * basis.size)))
+    return np.linalg.lstsq(values, np.ones(len(values)), rcond=None)[0]
+
+
+def root_of(matrix: np.ndarray) -> np.ndarray:
+    """Rows with `rowsᵀ rows = matrix`, which may be singular."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
 def least_noise_density(model: GyroModel, spacing: float) -> float:

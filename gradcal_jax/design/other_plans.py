@@ -9,14 +9,19 @@ As in `coordinates`, any real vector is a plan that the rig executes:
 | first temperature, the standard method's temperatures | range · sigmoid | inside the chamber's range |
 | the standard method's rates | largest · tanh | the table's and the sensor's limit |
 | integration time | what soaks leave of the time, shared evenly | it fills the time exactly |
+
+The best programmes run along the chamber's limits, where slopes that are stopped at the range have kinks: the polish
+takes a programme by its own numbers, whose limits are linear (`ProgrammeKnots`).
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from gradcal_jax.design.coordinates import even_division
+from gradcal_jax.design.search import Linear
 from gradcal_jax.plans import GradientPlan, Programme, StandardPlan
 from gradcal_jax.plans.motion import Move
 from gradcal_jax.plans.plan import Stretch
@@ -27,7 +32,7 @@ _LEAST_SHARE = 0.1
 _PIECES_A_STRETCH = 16
 
 
-class ProgrammeCoordinates(eqx.Module):
+class _Programmes(eqx.Module):
     """Temperature programmes of `stretches` slopes for a standing axis, after a soak.
 
     `soak`, `time` (of the programme, without the soak), `read_every`: s. `coldest`, `warmest`: °C; `heating`,
@@ -43,6 +48,29 @@ class ProgrammeCoordinates(eqx.Module):
     cooling: Float[Array, ""]
     stretches: int = eqx.field(static=True)
     soak_used: bool = eqx.field(static=True)
+
+    def programme(self, z: Float[Array, " size"]) -> Programme:
+        """The programme of a vector, without its soak."""
+        raise NotImplementedError
+
+    def decode(self, z: Float[Array, " size"]) -> GradientPlan:
+        """The plan of a vector, its readings relaxed."""
+        of = self.programme(z)
+        durations = jnp.concatenate([self.soak[None], of.durations])
+        whole = Programme(of.start, durations, jnp.concatenate([jnp.zeros(1), of.slopes]))
+        first = 0 if self.soak_used else 1
+        moves = tuple(self._standing(durations[k]) for k in range(first, self.stretches + 1))
+        return GradientPlan(whole, moves, (), (Stretch(first, self.stretches + 1, 1, None),))
+
+    def _standing(self, duration: Array) -> Move:
+        zero, division = jnp.zeros(()), even_division(_PIECES_A_STRETCH, True)
+        return Move(
+            zero, duration, zero, jnp.zeros(0), zero, "rest", "x", 1, (division,), division, spacing=self.read_every
+        )  # fmt: skip
+
+
+class ProgrammeCoordinates(_Programmes):
+    """Any vector is a programme: the search's coordinates."""
 
     @property
     def size(self) -> int:
@@ -63,20 +91,48 @@ class ProgrammeCoordinates(eqx.Module):
             here = there
         return Programme(start, durations, jnp.stack(reached))
 
-    def decode(self, z: Float[Array, " size"]) -> GradientPlan:
-        """The plan of a vector, its readings relaxed."""
-        of = self.programme(z)
-        durations = jnp.concatenate([self.soak[None], of.durations])
-        whole = Programme(of.start, durations, jnp.concatenate([jnp.zeros(1), of.slopes]))
-        first = 0 if self.soak_used else 1
-        moves = tuple(self._standing(durations[k]) for k in range(first, self.stretches + 1))
-        return GradientPlan(whole, moves, (), (Stretch(first, self.stretches + 1, 1, None),))
+    def knots(self, z: np.ndarray) -> "tuple[ProgrammeKnots, np.ndarray]":
+        """The same programmes by their own numbers, and those of the programme of `z`."""
+        of = self.programme(jnp.asarray(z))
+        own = ProgrammeKnots(**{name: getattr(self, name) for name in self.__dataclass_fields__})
+        temperatures = (np.asarray(of.knots()[1]) - float(self.coldest)) / float(self.warmest - self.coldest)
+        return own, np.concatenate([np.asarray(of.durations) / float(self.time), temperatures])
 
-    def _standing(self, duration: Array) -> Move:
-        zero, division = jnp.zeros(()), even_division(_PIECES_A_STRETCH, True)
-        return Move(
-            zero, duration, zero, jnp.zeros(0), zero, "rest", "x", 1, (division,), division, spacing=self.read_every
-        )  # fmt: skip
+
+class ProgrammeKnots(_Programmes):
+    """A programme by the shares of the time that its stretches take and, in shares of the range, its temperatures.
+
+    Only vectors within `limits` are programmes that the chamber follows.
+    """
+
+    @property
+    def size(self) -> int:
+        """How many free numbers there are."""
+        return 2 * self.stretches + 1
+
+    def programme(self, z: Float[Array, " size"]) -> Programme:
+        """The programme of a vector, without its soak."""
+        durations = self.time * z[: self.stretches]
+        temperatures = self.coldest + (self.warmest - self.coldest) * z[self.stretches :]
+        return Programme(temperatures[0], durations, jnp.diff(temperatures) / durations)
+
+    @property
+    def limits(self) -> Linear:
+        """Least durations, both slopes of every stretch, the range at every knot; the durations fill the time."""
+        n = self.stretches
+        size, span = 2 * n + 1, float(self.warmest - self.coldest) / float(self.time)
+        steps = np.diff(np.eye(n + 1), axis=0) * span
+        eye = np.eye(size)
+        timed = np.eye(n, size)
+        heating, cooling = np.zeros((n, size)), np.zeros((n, size))
+        heating[:, :n], heating[:, n:] = float(self.heating) * np.eye(n), -steps
+        cooling[:, :n], cooling[:, n:] = float(self.cooling) * np.eye(n), steps
+        # Slopes in shares of the faster one, so that every row is of about unit size.
+        fastest = float(jnp.maximum(self.heating, self.cooling))
+        rows = np.concatenate([timed, heating / fastest, cooling / fastest, eye[n:], -eye[n:], np.eye(1, size) * 0.0])
+        rows[-1, :n] = 1.0
+        least = np.concatenate([np.full(n, _LEAST_SHARE / n), np.zeros(2 * n), np.zeros(n + 1), -np.ones(n + 1), [1.0]])
+        return Linear(rows, least, np.arange(len(rows)) == len(rows) - 1)
 
 
 class StandardCoordinates(eqx.Module):

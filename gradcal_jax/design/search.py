@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 
 Objective = Callable[[Array, Array | None], tuple[Array, Array]]
 """`(z, sharpness)` to the value that is minimised, positive, and the logarithms by which limits are exceeded (k,)."""
@@ -27,6 +27,10 @@ _HOP = 0.3
 _HOP_GAIN = 2e-3
 # Largest gradient component of log(value) that counts as zero.
 CONVERGED = 1e-4
+# Where it has not converged it begins anew, with no memory of curvature, so often in all.
+_POLISHES = 3
+# A limit that is nearer than this binds.
+_BINDING = 1e-4
 
 
 class State(NamedTuple):
@@ -48,6 +52,14 @@ class Progress(NamedTuple):
     step: int
     steps: int
     state: State
+
+
+class Linear(NamedTuple):
+    """Limits on a vector: `rows @ z >= least`, and exactly equal where `equal` says so."""
+
+    rows: np.ndarray
+    least: np.ndarray
+    equal: np.ndarray
 
 
 class Found(NamedTuple):
@@ -162,8 +174,11 @@ def _hardest(objective: Objective):
     return eqx.filter_jit(lambda z: objective(z, None)), both
 
 
-def polish(objective: Objective, point: np.ndarray, *, steps: int = 300) -> Found:
-    """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly."""
+def polish(objective: Objective, point: np.ndarray, *, steps: int = 300, linear: Linear | None = None) -> Found:
+    """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly.
+
+    `linear`: further limits, on the vector itself.
+    """
     exact, both = _hardest(objective)
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -175,22 +190,32 @@ def polish(objective: Objective, point: np.ndarray, *, steps: int = 300) -> Foun
             seen[key] = np.asarray(values), np.asarray(rows)
         return seen[key]
 
-    limits = ()
+    limits = []
     if len(at(point)[0]) > 1:
-        limits = ({"type": "ineq", "fun": lambda z: -at(z)[0][1:], "jac": lambda z: -at(z)[1][1:]},)
+        limits.append({"type": "ineq", "fun": lambda z: -at(z)[0][1:], "jac": lambda z: -at(z)[1][1:]})
+    if linear is not None:
+        for kind, of in (("ineq", ~linear.equal), ("eq", linear.equal)):
+            rows, least = linear.rows[of], linear.least[of]
+            limits.append({"type": kind, "fun": lambda z, r=rows, b=least: r @ z - b, "jac": lambda z, r=rows: r})
     options = {"maxiter": steps, "ftol": 1e-12}
-    result = minimize(
-        lambda z: (float(at(z)[0][0]), at(z)[1][0]),
-        point,
-        jac=True,
-        method="SLSQP",
-        constraints=limits,
-        options=options,
-    )
-    before, after = (exact(jnp.asarray(z)) for z in (point, result.x))
-    worse = float(after[0]) > float(before[0]) and np.all(np.asarray(before[1]) <= 1e-6)
-    point, (value, excess) = (point, before) if worse or not np.all(np.isfinite(result.x)) else (result.x, after)
-    norm = _projected(*at(point))
+    value, excess = exact(jnp.asarray(point))
+    norm = np.inf
+    for _ in range(_POLISHES):
+        reached = minimize(
+            lambda z: (float(at(z)[0][0]), at(z)[1][0]),
+            point,
+            jac=True,
+            method="SLSQP",
+            constraints=limits,
+            options=options,
+        ).x
+        after = exact(jnp.asarray(reached))
+        worse = float(after[0]) > float(value) and np.all(np.asarray(excess) <= 1e-6)
+        if not worse and np.all(np.isfinite(reached)):
+            point, (value, excess) = reached, after
+        norm = _projected(*at(point), point, linear)
+        if worse or norm < CONVERGED:
+            break
     held = bool(np.all(np.asarray(excess) <= 1e-3))
     converged = norm < CONVERGED and held
     if not held:
@@ -205,10 +230,12 @@ def polish(objective: Objective, point: np.ndarray, *, steps: int = 300) -> Foun
     return Found(np.asarray(point), float(value), norm, converged, sentence)
 
 
-def _projected(values: np.ndarray, rows: np.ndarray) -> float:
+def _projected(values: np.ndarray, rows: np.ndarray, point: np.ndarray, linear: Linear | None) -> float:
     """Largest component of the gradient, less its best combination of the gradients of the limits that bind."""
-    gradient, binding = rows[0], rows[1:][values[1:] > -1e-4]
+    gradient, binding = rows[0], rows[1:][values[1:] > -_BINDING]
+    if linear is not None:
+        held = linear.rows[linear.equal | (linear.rows @ point - linear.least < _BINDING)]
+        binding = np.concatenate([binding, -held, linear.rows[linear.equal]])
     if len(binding):
-        prices = np.maximum(np.linalg.lstsq(binding.T, -gradient, rcond=None)[0], 0.0)
-        gradient = gradient + binding.T @ prices
+        gradient = gradient + binding.T @ nnls(binding.T, -gradient)[0]
     return float(np.max(np.abs(gradient)))

@@ -10,10 +10,12 @@ from gradcal_jax import files
 from gradcal_jax.assemble import assemble, predict
 from gradcal_jax.assemble.frontier import Point, shortest
 from gradcal_jax.assemble.limit import limits
+from gradcal_jax.assemble.measure import measure
 from gradcal_jax.assemble.optimise import Optimised, optimise
 from gradcal_jax.assemble.sensitivity import sensitivities
 from gradcal_jax.assemble.structures import structures
 from gradcal_jax.assemble.written import written
+from gradcal_jax.design import ProgrammeCoordinates, polish
 from gradcal_jax.files import SpecError, changed
 
 SPEC = """
@@ -177,6 +179,25 @@ def test_programmes_and_standard_plans_are_written_within_their_time():
             spec, structure.coordinates, np.random.default_rng(1).standard_normal(structure.coordinates.size)
         )
         assert plan.schedule.duration <= spec.schedule.duration + 1e-6
+
+
+def test_a_polished_programme_runs_along_the_chambers_limits_and_not_beyond():
+    spec = static(max_total="160 min")
+    coordinates = structures(spec, [])[0].coordinates
+    assert isinstance(coordinates, ProgrammeCoordinates)
+    of = measure(spec).of
+    knots, point = coordinates.knots(np.random.default_rng(2).standard_normal(coordinates.size))
+    first = float(of(knots.decode(jnp.asarray(point)), None)[0])
+    found = polish(lambda z, sharpness: of(knots.decode(z), sharpness), point, linear=knots.limits)
+    assert found.converged, found.sentence
+    assert found.value < first
+    programme = knots.programme(jnp.asarray(found.point))
+    slopes, ends = np.asarray(programme.slopes) * 60.0, np.asarray(programme.knots()[1])
+    assert np.all((slopes < 2.0 + 1e-6) & (slopes > -1.5 - 1e-6))
+    assert np.all((ends > -40.0 - 1e-6) & (ends < 85.0 + 1e-6))
+    assert float(jnp.sum(programme.durations)) == pytest.approx(100 * 60.0)
+    # At least one of the chamber's limits holds back what the residual would gain from.
+    assert min(np.min(np.abs(slopes - 2.0)), np.min(np.abs(slopes + 1.5)), 85.0 - max(ends), min(ends) + 40.0) < 1e-3
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,29 @@ def check(cycle: Cycle, limited: bool) -> None:
         assert abs(turned[-1]) <= 1e-9 * max(1.0, np.max(np.abs(turned)))
 
 
+@pytest.mark.parametrize("travel", [400 * DEG, 4000 * DEG])
+def test_turns_of_limited_travel_are_found_again_and_use_it(travel):
+    """From a cycle back to its vector; and where there is room, a turn wanted whole goes to the cable's end."""
+    once = make_coordinates(
+        tuple(Element("rest" if i % 2 else "cosine ramps", 1.0) for i in range(9)),
+        LIMITS._replace(travel=travel),
+        FRAME._replace(motion_time=60.0, own_time=60.0, other_time=0.0, temperature_end=-29.0),
+        cycles=1,
+        others_read=True,
+        free=FREE - {"gradient"},
+    )
+    for seed in range(5):
+        cycle = once.cycle(jnp.asarray(np.random.default_rng(seed).standard_normal(once.size)))
+        again = once.cycle(jnp.asarray(once.vector(cycle)))
+        angles, same = (np.array([float(once.angle(c, i)) for i in range(0, 9, 2)]) for c in (cycle, again))
+        np.testing.assert_allclose(same, angles, atol=1e-3 * np.max(np.abs(angles)))
+        assert np.max(np.abs(np.cumsum(same))) <= travel * (1 + 1e-9)
+    forth = once.cycle(jnp.full(once.size, 3.0).at[:9].set(0.0))
+    reached = np.cumsum([float(once.angle(forth, i)) for i in range(0, 9, 2)])
+    assert np.max(reached) > 0.99 * min(travel, 0.9 * reached[-1])
+    assert np.all(reached <= travel * (1 + 1e-9))
+
+
 def test_a_decoded_plan_fills_the_motion_time_exactly():
     z = jnp.asarray(np.random.default_rng(1).standard_normal(UNLIMITED.size))
     line = UNLIMITED.plan(UNLIMITED.cycle(z)).timeline()

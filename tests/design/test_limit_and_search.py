@@ -171,6 +171,22 @@ def test_what_multiplies_the_rate_stays_as_known():
     np.testing.assert_array_equal(scale_factor_floor(with_(drift), times, times, at), 0.0)
 
 
+def test_a_prior_leaves_of_what_stays_as_much_as_one_reading_of_it_would():
+    """Of M = c + d with d seen and a prior on c of variance P: shared out, the quarter of it counts."""
+    clock, std = constant(3e-6, rate_gain=1.0), 5e-6
+    sure = eqx.tree_at(
+        lambda m: (m.processes, m.scale),
+        model(0, 1),
+        (clock, make_map(Polynomial(0, 20.0, 50.0), Polynomial(1, 0.0, MAX), prior_std=std)),
+    )
+    found = scale_factor_floor(sure, np.zeros(0), np.zeros(0), np.array([20.0]))
+    np.testing.assert_allclose(found, 1.0 / (4.0 / std**2 + 1.0 / 3e-6**2), rtol=1e-9)
+    loose = eqx.tree_at(lambda m: m.scale.prior_std, sure, np.asarray(1.0))
+    np.testing.assert_allclose(
+        scale_factor_floor(loose, np.zeros(0), np.zeros(0), np.array([20.0])), 3e-6**2, rtol=1e-9
+    )
+
+
 def test_a_floor_under_the_residual_raises_the_limit_and_stays_below_what_is_reached():
     floor = (1e-6 * np.linspace(1.0, 2.0, len(TEMPERATURES))) ** 2
     raised = eqx.tree_at(lambda c: c.beyond, CRITERION, jnp.asarray(np.repeat(floor, len(RATES))))

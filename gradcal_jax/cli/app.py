@@ -14,6 +14,7 @@ from gradcal_jax.cli import (
     demo,
     estimate,
     frontier,
+    glossary,
     instability,
     limit,
     log,
@@ -32,11 +33,7 @@ from gradcal_jax.cli import (
 )
 from gradcal_jax.cli import run as run_command
 from gradcal_jax.cli.console import complain, is_plain
-
-DONE: Final = 0
-WRONG_INPUT: Final = 2
-DEVICE_FAILURE: Final = 3
-INTERRUPTED: Final = 130
+from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, WRONG_INPUT
 
 _HELP: Final = """Calibration plans for gyros: what they will leave, known beforehand.
 
@@ -74,6 +71,7 @@ def build() -> App:
         calibrated,
         report,
         sweep,
+        glossary,
         schema,
     ):
         family.register(app)
@@ -102,8 +100,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
-        status = DEVICE_FAILURE if _is_of_hardware(error) else WRONG_INPUT
-        foreseen = status == DEVICE_FAILURE or isinstance(error, ValueError | OSError)
+        status = FAILED if _is_of_hardware(error) else WRONG_INPUT
+        foreseen = status == FAILED or isinstance(error, ValueError | OSError)
         if not foreseen or os.environ.get("GRADCAL_TRACEBACK"):
             raise
         complain(_sentence(error))

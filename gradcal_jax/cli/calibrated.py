@@ -7,16 +7,15 @@ from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import columns as table
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.recordings import ColumnMapFile, Json, described, load, quantity
+from gradcal_jax.cli.output import Force, Json, as_json, writable
+from gradcal_jax.cli.recordings import ColumnMapFile, described, load, quantity
+from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.validation import AxisValidation
     from gradcal_jax.files.exports import Export
 
-AS_WISHED, NOT_AS_WISHED = 0, 1
-
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
-Force = Annotated[bool, Parameter(negative="")]
 
 
 def register(app: App) -> None:
@@ -35,6 +34,7 @@ def apply(
     unit: str | None = None,
     columns: ColumnMapFile = None,
     force: Force = False,
+    json: Json = False,
 ) -> int:
     """Correct the rates of a log by a calibration, and write them as a log.
 
@@ -54,6 +54,8 @@ def apply(
         What the columns of a recording mean (gradcal-columns/1).
     force
         Overwrite the output.
+    json
+        Print what was written, and how many rows lie outside, as JSON.
     """
     from gradcal_jax.files.calibration import read_calibration
     from gradcal_jax.files.correction import apply as correct
@@ -64,14 +66,19 @@ def apply(
     recorded = load(log, columns)
     corrected = correct(found, recorded, _unit(recorded, found.serial_number, unit))
     write_log(corrected.log, output)
-    print(described(corrected.log, str(log)))
-    for count, what in ((corrected.outside_temperature, "temperatures"), (corrected.outside_rate, "rates")):
-        if count:
-            print(f"note: {count} {what} lie outside what the calibration covers: its value at the edge was used")
-    if corrected.left_alone:
-        print(f"note: not calibrated, and left as they were: axis {', '.join(corrected.left_alone)}")
-    print(f"wrote {output}")
-    return NOT_AS_WISHED if corrected.outside_temperature or corrected.outside_rate else AS_WISHED
+    outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
+    if json:
+        rows = {"rows": corrected.log.counts(0), "outside": outside, "not_calibrated": list(corrected.left_alone)}
+        print(as_json({"log": str(output), "simulated": corrected.log.simulated, **rows}))
+    else:
+        print(described(corrected.log, str(log)))
+        for what, count in outside.items():
+            if count:
+                print(f"note: {count} {what} lie outside what the calibration covers: its value at the edge was used")
+        if corrected.left_alone:
+            print(f"note: not calibrated, and left as they were: axis {', '.join(corrected.left_alone)}")
+        print(f"wrote {output}")
+    return NOT_AS_WISHED if any(outside.values()) else DONE
 
 
 def validate(
@@ -124,16 +131,14 @@ def validate(
     name = _unit(recorded, found.serial_number, unit)
     rows = work.validate(found, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis)
     if json:
-        import json as writer
-
         simulated = recorded.simulated or found.simulated
-        print(writer.dumps({"simulated": simulated, "axes": work.validation_rows(rows)}, indent=2, allow_nan=False))
+        print(as_json({"simulated": simulated, "axes": work.validation_rows(rows)}))
     else:
         print(described(recorded, str(log)))
         for row in rows:
             print("\n" + _validation_text(row))
     worse = [pair for row in rows for pair in (row.scale_factor_ppm, row.bias_deg_per_h) if pair and pair[1] > pair[0]]
-    return NOT_AS_WISHED if worse else AS_WISHED
+    return NOT_AS_WISHED if worse else DONE
 
 
 def export(
@@ -185,10 +190,8 @@ def export(
     if output is not None:
         write_whole(output, done.text)
     if json:
-        import json as writer
-
         rows = [loss._asdict() for loss in done.losses]
-        print(writer.dumps({"text": done.text, "losses": rows, "notes": done.notes}, indent=2, ensure_ascii=False))
+        print(as_json({"text": done.text, "losses": rows, "notes": done.notes}))
     elif output is not None:
         print(_export_text(done))
         print(f"wrote {output}")
@@ -197,17 +200,7 @@ def export(
 
         print(done.text, end="")
         print(_export_text(done), file=sys.stderr)
-    return AS_WISHED
-
-
-def writable(path: Path, force: bool) -> None:
-    """Refuse a name that cannot be written, or that is taken. Raises `ValueError`."""
-    if not path.parent.is_dir():
-        raise ValueError(f"there is no directory {path.parent}; make it first")
-    if path.is_dir():
-        raise ValueError(f"{path} is a directory; give the name of a file")
-    if path.exists() and not force:
-        raise ValueError(f"{path} exists: choose another name, or overwrite it with --force")
+    return DONE
 
 
 def _unit(log, serial_number: str, unit: str | None) -> str | int:

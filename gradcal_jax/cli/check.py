@@ -2,9 +2,12 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
+
+from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.status import DONE
 
 if TYPE_CHECKING:
     from gradcal_jax.files import Spec
@@ -19,7 +22,7 @@ def register(app: App) -> None:
     app.command(check)
 
 
-def check(spec: Path, /, *, files_only: Annotated[bool, Parameter(negative="")] = False) -> int:
+def check(spec: Path, /, *, files_only: Annotated[bool, Parameter(negative="")] = False, json: Json = False) -> int:
     """Say all that is wrong with a spec, or what its plan does.
 
     If nothing is wrong, it also says what the plan cannot observe.
@@ -30,32 +33,44 @@ def check(spec: Path, /, *, files_only: Annotated[bool, Parameter(negative="")] 
         The spec file.
     files_only
         Leave out what the plan cannot observe, which takes a few seconds to work out.
+    json
+        Print the plan's times, notes, and what it cannot observe, as JSON.
     """
     from gradcal_jax.cli.console import strong
     from gradcal_jax.cli.specs import read_spec
 
     found = read_spec(spec)
+    if json:
+        print(as_json(numbers(found) | {"unobservable": None if files_only else unobservable(found)}))
+        return DONE
     print(strong(found.title or str(spec)))
     print(summary(found))
     blind = [] if files_only else unobservable(found)
     for sentence in blind:
         print(f"cannot be observed: {sentence}")
     print("the spec is sound" + ("; see what it cannot observe" if blind else ""))
-    return 0
+    return DONE
 
 
 def unobservable(spec: "Spec") -> list[str]:
     """A sentence for each combination of parameters that the plan cannot observe."""
-    import importlib.util
-
-    if importlib.util.find_spec("gradcal_jax.assemble") is None:
-        return []
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
-    assemble = importlib.import_module("gradcal_jax.assemble")
-    answer = getattr(assemble, "unobservable", None)
-    return [] if answer is None else list(answer(spec))
+    from gradcal_jax import assemble
+
+    return assemble.unobservable(spec)
+
+
+def numbers(spec: "Spec") -> dict[str, Any]:
+    """What the plan does, for other programs: times in s."""
+    schedule = spec.schedule
+    told = {"title": spec.title, "method": spec.plan.method, "duration_s": schedule.duration, "soak_s": schedule.soak}
+    return told | {
+        "motion_s": schedule.motion,
+        "requirements": [r.name for r in spec.requirement],
+        "notes": notes(spec),
+    }
 
 
 def summary(spec: "Spec") -> str:

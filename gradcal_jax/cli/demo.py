@@ -15,8 +15,9 @@ from typing import Annotated, Any, Final
 from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import strong
+from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
-AS_WISHED, NOT_AS_WISHED = 0, 1
 RECORDING: Final = "tofupilot_imu_thermal_cycle.npz"
 
 # The paper's sensor and chamber, on a table whose acceleration it does not name: here one of 300 deg/s^2. Two turns a
@@ -63,7 +64,7 @@ def demo(
     output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("gradcal-demo"),
     data: Path | None = None,
     seed: int = 1,
-    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Do the whole job in about two minutes, from a spec to a calibrated sensor on simulated devices and a page of it.
 
@@ -93,14 +94,14 @@ def demo(
         result = _whole_job(told, seed) if data is None else _recorded_sensor(told, (data / RECORDING).absolute())
     except _Stopped as stopped:
         return stopped.status
-    text = json_format.dumps(result, indent=2, allow_nan=False)
+    text = as_json(result)
     (told.folder / "demo.json").write_text(text + "\n", encoding="utf-8")
     if json:
         print(text)
     else:
         print(f"\nall of it lies in {output}; open {output / 'report.html'}")
     rows = result["report"]["requirements"]
-    return AS_WISHED if all(row["verdict"] in (None, "met") for row in rows) else NOT_AS_WISHED
+    return DONE if all(row["verdict"] in (None, "met") for row in rows) else NOT_AS_WISHED
 
 
 # ------------------------------------------------------------------------------------------------------ the whole job
@@ -271,7 +272,7 @@ class _Told:
         printed = io.StringIO()
         with _inside(self.folder), contextlib.redirect_stdout(printed):
             status = run(shlex.split(line))
-        if status not in (AS_WISHED, NOT_AS_WISHED):
+        if status not in (DONE, NOT_AS_WISHED):
             raise _Stopped(status)
         return printed.getvalue()
 

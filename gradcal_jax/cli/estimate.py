@@ -1,5 +1,6 @@
 """`gradcal estimate`: a calibration from a log, with covariance, tests and verdicts."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,15 +8,14 @@ from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import columns as table
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.recordings import ColumnMapFile, Json, Plot, described, load, quantity
+from gradcal_jax.cli.output import Force, Json, Plot, as_json, writable
+from gradcal_jax.cli.recordings import ColumnMapFile, described, load, quantity
+from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.calibration import EstimateReport
     from gradcal_jax.assemble.estimate import Options, UnitChannel
     from gradcal_jax.files import Spec
-    from gradcal_jax.files.calibration import Calibration
-
-AS_WISHED, NOT_AS_WISHED = 0, 1
 
 Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
 Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
@@ -45,7 +45,7 @@ def estimate(
     read_every: str = "1 s",
     neighbours: str | None = None,
     columns: ColumnMapFile = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: Force = False,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
@@ -97,23 +97,26 @@ def estimate(
     options = _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every, neighbours)
     model = _spec(spec, recipe)
     recorded = load(log, columns)
-    if output is not None:
-        _writable(output, force, several=len(unit or recorded.units) > 1)
+    files = _files(output, unit or recorded.units)
+    for path in files.values():
+        writable(path, force)
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
     from gradcal_jax.assemble import calibration as work
+    from gradcal_jax.files.calibration import write_calibration
 
     sources = {"log": log.name, "spec": (spec or recipe or Path()).name}
     report = work.estimate_calibration(model, recorded, axes=axis, units=unit, options=options, sources=sources)
     if json:
-        import json as writer
-
-        print(writer.dumps(work.estimate_rows(report), indent=2, allow_nan=False))
+        print(as_json(work.estimate_rows(report)))
     else:
         print(described(recorded, str(log)))
         print(_text(report))
-    written = _write(report.calibrations, output)
+    written = []
+    for name, path in files.items():
+        write_calibration(next(c for c in report.calibrations if c.serial_number == name), path)
+        written.append(path)
     if plot is not None:
         from gradcal_jax import plots
         from gradcal_jax.plots.calibration import draw_estimate
@@ -123,7 +126,7 @@ def estimate(
     if not json:
         for path in written:
             print(f"wrote {path}")
-    return AS_WISHED if report.as_wished else NOT_AS_WISHED
+    return DONE if report.as_wished else NOT_AS_WISHED
 
 
 def _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every, neighbours) -> "Options":
@@ -180,30 +183,14 @@ def _spec(spec: Path | None, recipe: Path | None) -> "Spec":
     return read_recipe(recipe).spec
 
 
-def _writable(path: Path, force: bool, *, several: bool) -> None:
-    if not path.parent.is_dir():
-        raise ValueError(f"there is no directory {path.parent}; make it first")
-    if path.is_dir():
-        raise ValueError(f"{path} is a directory; give the name of a file")
-    if path.exists() and not force and not several:
-        raise ValueError(f"{path} exists: choose another name, or overwrite it with --force")
-
-
-def _write(calibrations: "tuple[Calibration, ...]", output: Path | None) -> list[Path]:
+def _files(output: Path | None, units: Sequence[str]) -> dict[str, Path]:
+    """Which unit's calibration goes where: of several, their names are added."""
     if output is None:
-        return []
-    from gradcal_jax.files.calibration import write_calibration
-
-    if len(calibrations) == 1:
-        write_calibration(calibrations[0], output)
-        return [output]
-    written = []
-    for one in calibrations:
-        safe = "".join(c if c.isalnum() or c in "-_." else "_" for c in one.serial_number)
-        path = output.with_name(f"{output.stem}-{safe}{output.suffix}")
-        write_calibration(one, path)
-        written.append(path)
-    return written
+        return {}
+    if len(units) == 1:
+        return {units[0]: output}
+    safe = {name: "".join(c if c.isalnum() or c in "-_." else "_" for c in name) for name in units}
+    return {name: output.with_name(f"{output.stem}-{plain}{output.suffix}") for name, plain in safe.items()}
 
 
 def _text(report: "EstimateReport") -> str:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import columns, strong
-from gradcal_jax.cli.recordings import ColumnMapFile, Json, Plot, described, load, quantity
+from gradcal_jax.cli.output import Json, Plot, as_json
+from gradcal_jax.cli.recordings import ColumnMapFile, described, load, quantity
+from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.instability import Instability
     from gradcal_jax.identify import AllanFit
-
-AS_WISHED, NOT_AS_WISHED = 0, 1
 
 Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
 Unit = Annotated[str | None, Parameter(name="--unit")]
@@ -120,8 +120,6 @@ def instability(
                 pieces.append((part, str(error)))
         parts.append(pieces)
     if json:
-        import json as writer
-
         rows = []
         for whole, pieces in zip(found, parts, strict=True):
             row = work.instability_row(whole)
@@ -130,7 +128,7 @@ def instability(
                 for part, one in pieces
             ]
             rows.append(row)
-        print(writer.dumps({"simulated": recorded.simulated, "channels": rows}, indent=2))
+        print(as_json({"simulated": recorded.simulated, "channels": rows}))
     else:
         print(described(recorded, str(log)))
         for whole, pieces in zip(found, parts, strict=True):
@@ -142,7 +140,7 @@ def instability(
         plots.save(draw_instability(found), plot)
         if not json:
             print(f"wrote {plot}")
-    return AS_WISHED if all(whole.bound.drift_shows for whole in found) else NOT_AS_WISHED
+    return DONE if all(whole.bound.drift_shows for whole in found) else NOT_AS_WISHED
 
 
 def _lag(text: str) -> float | str:
@@ -246,10 +244,8 @@ def allan(
         fit = identify.fit_allan(deviation, terms=chosen, confidence=confidence)
         drawn.append((rest, deviation, fit))
     if json:
-        import json as writer
-
         rows = [work.allan_row(*one) for one in drawn]
-        print(writer.dumps({"simulated": recorded.simulated, "channels": rows}, indent=2))
+        print(as_json({"simulated": recorded.simulated, "channels": rows}))
     else:
         print(described(recorded, str(log)))
         for rest, deviation, fit in drawn:
@@ -275,7 +271,7 @@ def allan(
         plots.save(draw_allan_and_bound(drawn, bounds), plot)
         if not json:
             print(f"wrote {plot}")
-    return AS_WISHED
+    return DONE
 
 
 _TERMS = {

@@ -6,6 +6,8 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import time_text
+from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.status import DONE
 
 
 def register(app: App) -> None:
@@ -19,6 +21,7 @@ def log(
     *,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)] = None,
     unit: str | None = None,
+    json: Json = False,
 ) -> int:
     """Make the log of a run: samples decoded from the raw bytes, angles, temperatures, standstills.
 
@@ -30,6 +33,8 @@ def log(
         The log file (netCDF); absent: log.nc in the folder. An older log is replaced.
     unit
         Of several units on the table, the one whose log to make.
+    json
+        Print what the log holds as JSON.
     """
     from gradcal_jax.files.log import write_log
     from gradcal_jax.hardware.execute import log as log_of
@@ -37,11 +42,15 @@ def log(
     found = log_of(run, unit)
     target = output or run / "log.nc"
     write_log(found, target)
-    used = found.counts()["used"]
+    used, standstills = found.counts()["used"], 0 if found.standstill is None else int(found.standstill.max() + 1)
+    if json:
+        told = {"log": str(target), "unit": found.units[0], "duration_s": found.duration_s, "rows": found.counts()}
+        told |= {"standstills": standstills, "simulated": found.simulated, "provenance": dict(found.provenance)}
+        print(as_json(told | {"findings": [finding.message for finding in found.findings]}))
+        return DONE
     print(
         f"{time_text(found.duration_s)} of {found.units[0]}: {used} samples used of {found.rows_read}, "
-        f"{int((found.standstill.max() + 1) if found.standstill is not None else 0)} standstills"
-        + (" (simulated devices)" if found.simulated else "")
+        f"{standstills} standstills" + (" (simulated devices)" if found.simulated else "")
     )
     for finding in found.findings:
         print(f"note: {finding.message}")
@@ -52,4 +61,4 @@ def log(
     each = ", ".join(f"{rate:+.3f} ppm (1σ {std:.1g} ppm)" for rate, std in zip(rates, stds, strict=True))
     print(f"the unit's second is longer than the computer's by {each}")
     print(f"wrote {target}")
-    return 0
+    return DONE

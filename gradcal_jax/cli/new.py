@@ -6,6 +6,9 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
+from gradcal_jax.cli.output import Force, writable
+from gradcal_jax.cli.status import DONE
+
 
 def register(app: App) -> None:
     """Add the commands of this family."""
@@ -18,7 +21,7 @@ def new(
     *,
     output: Annotated[str | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)] = None,
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: Force = False,
 ) -> int:
     """Write a commented spec to start from.
 
@@ -38,7 +41,7 @@ def new(
 
     if listing:
         print(columns([(name, presets.title(name)) for name in presets.names()], indent=""))
-        return 0
+        return DONE
     if preset is None:
         raise ValueError("which preset? List them with: gradcal new --list")
     text = presets.text(preset)
@@ -46,19 +49,10 @@ def new(
         if output is None:
             raise ValueError(f"where to? Write a file with: gradcal new {preset} -o my.toml (or -o - to print it)")
         sys.stdout.write(text)
-        return 0
-    _write(Path(output), text, force)
-    print(f"wrote {output}; next: gradcal check {output}")
-    return 0
-
-
-def _write(path: Path, text: str, force: bool) -> None:
-    if path.is_dir():
-        raise ValueError(f"{path} is a directory; name a file in it")
-    if path.exists() and not force:
-        raise ValueError(f"{path} exists; choose another name, or overwrite it with --force")
-    if not path.parent.is_dir():
-        raise ValueError(f"there is no directory {path.parent}; make it first")
+        return DONE
     from gradcal_jax.files.writing import write_whole
 
-    write_whole(path, text)
+    writable(Path(output), force)
+    write_whole(output, text)
+    print(f"wrote {output}; next: gradcal check {output}")
+    return DONE

@@ -1,20 +1,18 @@
 """`gradcal predict` and `gradcal compare`: what plans leave, by requirement."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import columns, strong, time_text
+from gradcal_jax.cli.output import Json, Plot, as_json
+from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
     from gradcal_jax.files import Prediction
     from gradcal_jax.files.contracts import RequirementRow
-
-AS_WISHED, NOT_AS_WISHED = 0, 1
-
-Json = Annotated[bool, Parameter(name="--json", negative="")]
-Plot = Annotated[Path | None, Parameter(name="--plot")]
 
 
 def register(app: App) -> None:
@@ -41,7 +39,7 @@ def predict(
     spec
         The spec file.
     json
-        Print the prediction as gradcal-prediction/1.
+        Print the prediction as gradcal-prediction/1; with --monte-carlo, both under their names.
     plot
         Draw the residual maps into this file (.png, .svg, .pdf).
     monte_carlo
@@ -57,24 +55,27 @@ def predict(
     from gradcal_jax import assemble
 
     prediction = assemble.predict(found, limits=not json)
-    if json:
+    rows, tests = ((), {}) if monte_carlo is None else assemble.monte_carlo(found, monte_carlo, seed)
+    if json and monte_carlo is not None:
+        simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
+        simulated["covariance"] = {
+            axis: test._asdict() | {"consistent": test.consistent} for axis, test in tests.items()
+        }
+        print(as_json({"prediction": prediction.model_dump(mode="json"), "monte_carlo": simulated}))
+    elif json:
         print(prediction.model_dump_json(indent=2))
     else:
         print(text(prediction, str(spec)))
-    if monte_carlo is not None:
-        rows, tests = assemble.monte_carlo(found, monte_carlo, seed)
-        consistent = all(test.consistent for test in tests.values())
-        if not json:
+        if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
-        if not consistent:
-            return NOT_AS_WISHED
     if plot is not None:
         from gradcal_jax import plots
 
         plots.save(plots.draw_prediction(found), plot)
         if not json:
             print(f"wrote {plot}")
-    return AS_WISHED if all(row.verdict in (None, "met") for row in prediction.requirements) else NOT_AS_WISHED
+    met = all(row.verdict in (None, "met") for row in prediction.requirements)
+    return DONE if met and all(test.consistent for test in tests.values()) else NOT_AS_WISHED
 
 
 def compare(
@@ -111,7 +112,7 @@ def compare(
         plots.save(plots.draw_comparison(found), plot)
         if not json:
             print(f"wrote {plot}")
-    return AS_WISHED
+    return DONE
 
 
 def text(prediction: "Prediction", name: str) -> str:
@@ -161,9 +162,9 @@ def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
 
 
 _SHOWN = {
-    "rad/s": ("deg/h", 180.0 / 3.141592653589793 * 3600.0),
+    "rad/s": ("deg/h", math.degrees(1.0) * 3600.0),
     "1": ("ppm", 1e6),
-    "rad/K": ("deg/h/(K/min)", 180.0 / 3.141592653589793 * 60.0),
+    "rad/K": ("deg/h/(K/min)", math.degrees(1.0) * 60.0),
 }
 
 

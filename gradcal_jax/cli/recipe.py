@@ -5,6 +5,9 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
+from gradcal_jax.cli.output import Force, Json, as_json, writable
+from gradcal_jax.cli.status import DONE
+
 
 def register(app: App) -> None:
     """Add the commands of this family."""
@@ -20,7 +23,8 @@ def recipe(
     stable_within: str | None = None,
     stable_for: str | None = None,
     timeout: str | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: Force = False,
+    json: Json = False,
 ) -> int:
     """Make a recipe of a spec's plan as it stands: rounded to what the controllers accept, predicted as rounded.
 
@@ -43,6 +47,8 @@ def recipe(
         The run ends when the first temperature is not stable after so long, such as "4 h".
     force
         Overwrite an existing file.
+    json
+        Print what was written, and what rounding left of it, as JSON.
     """
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.cli.specs import read_spec
@@ -69,23 +75,18 @@ def recipe(
     text = to_toml(made, header=header)
     if str(output) == "-":
         print(text, end="")
-        return 0
+        return DONE
     from gradcal_jax.files.writing import write_whole
 
     write_whole(output, text)
+    if json:
+        rows = [row.model_dump() for row in made.prediction.requirements]
+        told = {"recipe": str(output), "fingerprint": made.fingerprint, "requirements": rows}
+        print(as_json(told | {"rounded": list(made.rounded), "notes": list(made.notes)}))
+        return DONE
     for note in made.notes:
         print(f"note: {note}")
     if made.rounded:
         print(f"rounded {len(made.rounded)} keys of the plan to the controllers' steps; the recipe lists them")
     print(f"wrote {output}; read it with: gradcal show {output}")
-    return 0
-
-
-def writable(path: Path, force: bool) -> None:
-    """Refuse a file that cannot be written or would be overwritten. Raises `ValueError`."""
-    if path.is_dir():
-        raise ValueError(f"{path} is a directory; name a file in it")
-    if path.exists() and not force:
-        raise ValueError(f"{path} exists; choose another name, or overwrite it with --force")
-    if not path.parent.is_dir():
-        raise ValueError(f"there is no directory {path.parent}; make it first")
+    return DONE

@@ -10,8 +10,6 @@ from gradcal_jax.cli.console import columns
 if TYPE_CHECKING:
     from gradcal_jax.files.log import Log
 
-Json = Annotated[bool, Parameter(name="--json", negative="")]
-Plot = Annotated[Path | None, Parameter(name="--plot")]
 ColumnMapFile = Annotated[Path | None, Parameter(name="--columns")]
 
 _NETCDF = (".nc", ".nc4", ".h5", ".hdf5")

@@ -1,17 +1,17 @@
-"""`gradcal report`: one page of what was planned, predicted, done and found, for people; and the words they meet."""
+"""`gradcal report`: one page of what was planned, predicted, done and found, for people."""
 
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.console import columns
+from gradcal_jax.cli.output import Force, Json, as_json, writable
+from gradcal_jax.cli.status import DONE
 
 
 def register(app: App) -> None:
     """Add the commands of this family."""
     app.command(report)
-    app.command(glossary)
 
 
 def report(
@@ -21,8 +21,8 @@ def report(
     output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
     before: Path | None = None,
     limits: Path | None = None,
-    force: Annotated[bool, Parameter(negative="")] = False,
-    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    force: Force = False,
+    json: Json = False,
 ) -> int:
     """Make one HTML page of a recipe, a run or a calibration: nothing is fetched by it, and it prints well.
 
@@ -43,7 +43,6 @@ def report(
         Print every number of the page as JSON.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.cli.recipe import writable
 
     writable(output, force)
     use_float64()
@@ -52,31 +51,7 @@ def report(
 
     facts = make(sources, output, before=before, limits=limits)
     if json:
-        from json import dumps
-
-        print(dumps(as_tables(facts), indent=2, allow_nan=False))
+        print(as_json(as_tables(facts)))
     else:
         print(f"wrote {output}")
-    return 0
-
-
-def glossary(*term: str) -> int:
-    """Explain the words that commands, files and pages use.
-
-    Parameters
-    ----------
-    term
-        Only terms with these words in them; all, without it.
-    """
-    from gradcal_jax.pages.glossary import TERMS
-
-    wanted = " ".join(term).lower()
-    rows = [
-        (name, meaning)
-        for name, meaning in sorted(TERMS.items(), key=lambda entry: entry[0].lower())
-        if wanted in name.lower()
-    ]
-    if not rows:
-        raise ValueError(f'the glossary has no term with "{wanted}" in it; gradcal glossary lists all of them')
-    print(columns(rows, indent=""))
-    return 0
+    return DONE

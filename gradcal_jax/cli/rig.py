@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import columns, strong
+from gradcal_jax.cli.output import Force, Json, as_json, writable
+from gradcal_jax.cli.status import DONE, FAILED
 
 if TYPE_CHECKING:
     from gradcal_jax.hardware.setup import DeviceReport
-
-DEVICE_FAILURE = 3
 
 
 def register(app: App) -> None:
@@ -25,7 +25,7 @@ def register(app: App) -> None:
 def new(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: Force = False,
 ) -> int:
     """Write a commented rig file to start from.
 
@@ -36,20 +36,19 @@ def new(
     force
         Overwrite an existing file.
     """
-    from gradcal_jax.cli.recipe import writable
     from gradcal_jax.files.rig import TEMPLATE
     from gradcal_jax.files.writing import write_whole
 
     if str(output) == "-":
         print(TEMPLATE, end="")
-        return 0
+        return DONE
     writable(output, force)
     write_whole(output, TEMPLATE)
     print(f"wrote {output}; put in your ports and devices, then: gradcal rig check {output}")
-    return 0
+    return DONE
 
 
-def check(rig: Path, /, *, json: Annotated[bool, Parameter(name="--json", negative="")] = False) -> int:
+def check(rig: Path, /, *, json: Json = False) -> int:
     """Ask every device of a rig who it is and what it accepts. Nothing moves.
 
     The exit status is 3 where a device does not answer as it should.
@@ -68,9 +67,7 @@ def check(rig: Path, /, *, json: Annotated[bool, Parameter(name="--json", negati
     found = read_rig(rig)
     reports = check_each(found, RealClock())
     if json:
-        import json as writer
-
-        print(writer.dumps([_plain(asdict(report)) for report in reports], indent=2))
+        print(as_json([_plain(asdict(report)) for report in reports]))
     else:
         print(strong(found.title or str(rig)))
         print(columns([row for report in reports for row in _rows(report)]))
@@ -80,7 +77,7 @@ def check(rig: Path, /, *, json: Annotated[bool, Parameter(name="--json", negati
             print(f'  when a run ends badly, the chamber: "{found.chamber.safe}"')
         good = all(report.good for report in reports)
         print("every device answers as the rig file says" if good else "the rig is not ready")
-    return 0 if all(report.good for report in reports) else DEVICE_FAILURE
+    return DONE if all(report.good for report in reports) else FAILED
 
 
 def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:

@@ -2,6 +2,7 @@
 
 import sys
 import threading
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,13 +10,14 @@ from cyclopts import App, Parameter
 
 from gradcal_jax import units
 from gradcal_jax.cli.console import complain, is_plain, time_text
+from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED
 
 if TYPE_CHECKING:
     from gradcal_jax.hardware.execute import Attended
     from gradcal_jax.hardware.runner import Progress, Runner, RunResult
     from gradcal_jax.hardware.terminal import Terminal
 
-DEVICE_FAILURE, INTERRUPTED = 3, 130
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
 
 
@@ -35,6 +37,7 @@ def run(
     speed: float | None = None,
     seed: int = 0,
     sample_rate: str = "125 Hz",
+    json: Json = False,
 ) -> int:
     """Execute a recipe, and leave the rig safe whatever happens.
 
@@ -60,11 +63,13 @@ def run(
         Of a simulated run: what its devices' hidden errors are drawn by.
     sample_rate
         Of a simulated sensor: "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
+    json
+        Print nothing but how the run ended, as JSON.
     """
     if resume is not None:
         if recipe is not None or rig is not None or output is not None or simulate:
             raise ValueError("--resume takes nothing but the folder: recipe, rig and simulation are those of its run")
-        return _resume(resume)
+        return _resume(resume, json)
     if recipe is None or output is None:
         raise ValueError("what to run, and where to? gradcal run RECIPE --rig RIG -o RUN/, or --simulate for --rig")
     if simulate == (rig is not None):
@@ -75,48 +80,52 @@ def run(
 
     found, bench = read_recipe(recipe), None if rig is None else read_rig(rig)
     rate = units.parse(sample_rate, "frequency")
-    if simulate:
+    if simulate and not json:
         print(_REHEARSAL)
-    with _Watcher(simulate) as watcher:
+    with _Watcher(simulate, quiet=json) as watcher:
         simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate}
         result = execute(found, output, rig=bench, **simulation, **watcher.attends())
-    return _say(output, result)
+    return _say(output, result, json)
 
 
-def _resume(path: Path) -> int:
+def _resume(path: Path, json: bool) -> int:
     from gradcal_jax.hardware.execute import resume
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
 
     folder = RunFolder(path)
-    print(f"going on with step {prepare_resume(folder) + 1}")
-    simulated = bool(folder.notes()["simulated"])
-    if simulated:
-        print(_REHEARSAL)
-    with _Watcher(simulated) as watcher:
+    first, simulated = prepare_resume(folder), bool(folder.notes()["simulated"])
+    if not json:
+        print(f"going on with step {first + 1}" + (f"\n{_REHEARSAL}" if simulated else ""))
+    with _Watcher(simulated, quiet=json) as watcher:
         result = resume(path, **watcher.attends())
-    return _say(path, result)
+    return _say(path, result, json)
 
 
-def _say(folder: Path, result: "RunResult") -> int:
-    for outcome in result.outcomes:
-        verified = "safe" if outcome.verified else "NOT VERIFIED SAFE"
-        print(f"{outcome.name}: {verified} ({outcome.action}; {outcome.evidence})")
+def _say(folder: Path, result: "RunResult", json: bool) -> int:
+    if json:
+        print(as_json({"folder": str(folder), **asdict(result), "verified_safe": result.verified_safe}))
+    else:
+        for outcome in result.outcomes:
+            verified = "safe" if outcome.verified else "NOT VERIFIED SAFE"
+            print(f"{outcome.name}: {verified} ({outcome.action}; {outcome.evidence})")
     if result.exit_status == "success":
-        print(f"done; make its log: gradcal log {folder}")
-        return 0 if result.verified_safe else DEVICE_FAILURE
+        if not json:
+            print(f"done; make its log: gradcal log {folder}")
+        return DONE if result.verified_safe else FAILED
     complain(
         f"the run {result.exit_status} after {result.steps_done} steps: {result.reason}\n"
         f"What was recorded is sound. Go on with it: gradcal run --resume {folder}"
     )
     asked = result.reason in ("Ctrl-C", "interrupted from the keyboard")
-    return INTERRUPTED if asked and result.verified_safe else DEVICE_FAILURE
+    return INTERRUPTED if asked and result.verified_safe else FAILED
 
 
 class _Watcher:
-    """Shows what the run does: one moving line on a terminal, a line for each step elsewhere."""
+    """Shows what the run does: one moving line on a terminal, a line for each step elsewhere; nothing where `quiet`."""
 
-    def __init__(self, simulated: bool) -> None:
+    def __init__(self, simulated: bool, *, quiet: bool) -> None:
         self._simulated = simulated
+        self._quiet = quiet
         self._terminal = _terminal()
         self._plain = is_plain(sys.stdout)
         self._last: tuple[str, str] = ("", "")
@@ -127,7 +136,7 @@ class _Watcher:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if not self._plain:
+        if not self._plain and not self._quiet:
             print()
 
     def attends(self) -> "Attended":
@@ -148,7 +157,9 @@ class _Watcher:
         if self._terminal is not None and self._terminal.asking:
             return  # somebody types on this line
         now = (progress.state.value, progress.step)
-        if self._plain:
+        if self._quiet:
+            pass
+        elif self._plain:
             if now != self._last:
                 print(progress_text(progress, self._simulated), flush=True)
         else:

@@ -4,6 +4,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
+from gradcal_jax.cli.status import DONE
+
 
 def register(app: App) -> None:
     """Add the commands of this family."""
@@ -28,8 +30,8 @@ def schema(
 
     if listing:
         print("\n".join(schemas.names()))
-        return 0
+        return DONE
     if name is None:
         raise ValueError(f"which one? Known: {', '.join(schemas.names())}")
     print(json.dumps(schemas.schema(name), indent=2, ensure_ascii=False))
-    return 0
+    return DONE

@@ -1,11 +1,13 @@
 """`gradcal show`: a recipe as a table, for whoever stands at the bench with only the paper in hand."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
 from gradcal_jax.cli.console import columns, strong
+from gradcal_jax.cli.output import Json
+from gradcal_jax.cli.status import DONE
 
 if TYPE_CHECKING:
     from gradcal_jax.files.contracts import RequirementRow
@@ -17,7 +19,7 @@ def register(app: App) -> None:
     app.command(show)
 
 
-def show(recipe: Path, /, *, json: Annotated[bool, Parameter(name="--json", negative="")] = False) -> int:
+def show(recipe: Path, /, *, json: Json = False) -> int:
     """Print a recipe as a table: what the chamber does, what the table does, and what it will leave.
 
     Parameters
@@ -31,7 +33,7 @@ def show(recipe: Path, /, *, json: Annotated[bool, Parameter(name="--json", nega
 
     found = read_recipe(recipe)
     print(found.model_dump_json(indent=2, exclude_none=True) if json else text(found, str(recipe)))
-    return 0
+    return DONE
 
 
 def text(recipe: "Recipe", name: str) -> str:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import columns, time_text
+from gradcal_jax.cli.output import Json
+from gradcal_jax.cli.status import DONE
 
 if TYPE_CHECKING:
     from gradcal_jax.files import Timeline
@@ -25,7 +27,7 @@ def timeline(
     spec: Path,
     /,
     *,
-    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    json: Json = False,
     csv: Annotated[bool, Parameter(name="--csv", negative="")] = False,
     rows: Literal["segments", "readings"] = "segments",
 ) -> int:
@@ -58,7 +60,7 @@ def timeline(
         _as_csv(written, rows)
     else:
         print(_table(written, rows))
-    return 0
+    return DONE
 
 
 def _as_csv(written: "Timeline", rows: str) -> None:

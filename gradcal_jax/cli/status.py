@@ -1,0 +1,11 @@
+"""What a command's exit status says."""
+
+from typing import Final
+
+DONE: Final = 0
+NOT_AS_WISHED: Final = 1
+"""Done, but a target is missed, a search has not converged, data contradict their model."""
+WRONG_INPUT: Final = 2
+FAILED: Final = 3
+"""A device, or a run."""
+INTERRUPTED: Final = 130

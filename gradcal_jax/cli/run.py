@@ -174,11 +174,11 @@ class _Watcher:
     def _ask(self) -> None:
         if not sys.stdin.isatty():
             return
-        print("\npaused; press Enter to go on, Ctrl-C to make everything safe and end", flush=True)
         if self._terminal is not None and self._terminal.heard:
             self._terminal.next_line_goes_to(self._go_on)
         else:
             threading.Thread(target=lambda: sys.stdin.readline() and self._go_on(), daemon=True).start()
+        print("\npaused; press Enter to go on, Ctrl-C to make everything safe and end", flush=True)
 
     def _go_on(self) -> None:
         if self._runner is not None:

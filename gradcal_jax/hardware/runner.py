@@ -195,7 +195,7 @@ class Runner:
             self._event("configuration", device=entry.name, **plain(unit.configure()))
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
-        self._axes.home(self.track.moved, self._meanwhile)
+        self._axes.home(self.track.moved, self._duties)
 
     def _start_helpers(self, helpers: list[threading.Thread]) -> None:
         def start(work: Callable[..., None], *arguments: Any) -> None:
@@ -315,7 +315,7 @@ class Runner:
         until = self.clock.now() + _LONGEST_ARRIVAL_S
         while self._unconfirmed:
             try:
-                self._duties(None, None)
+                self._duties()
             except _Interrupted:
                 self._wait_paused()
                 until = self.clock.now() + _LONGEST_ARRIVAL_S
@@ -347,9 +347,9 @@ class Runner:
             while courses and begin + courses[0].start_s <= self.clock.now():
                 self._tell_chamber(courses.pop(0))
             while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
-                axes.move(step.name, moves.pop(0), self._meanwhile)
+                axes.move(step.name, moves.pop(0), self._duties)
             axes.look()
-            self._duties(step, end)
+            self._duties(end)
             if self.clock.now() >= end and not moves and not reads and not axes.turned_by_hand:
                 break
             dues = [self.clock.now() + _SLICE_S, *axes.look_s]
@@ -363,7 +363,7 @@ class Runner:
         after = self.track.steps[self._steps_done + 1 :][:1]
         if not (after and after[0].follows):
             axes.end_spins(step.name, step.duration_s)
-        axes.settle_all(self._meanwhile)
+        axes.settle_all(self._duties)
         axes.late_s = end - self._step_ends_s
 
     def _is_settled(self, step: Step) -> bool:
@@ -376,7 +376,7 @@ class Runner:
     def _begin(self, step: Step, again: bool) -> float:
         """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
         if again:
-            self._axes.go_to_start(step.name, step.start_deg, self._meanwhile)
+            self._axes.go_to_start(step.name, step.start_deg, self._duties)
         ready = step.ready or (step.again if again else None)
         duty, at_c = self._duty, step.begins_c
         if duty is not None and at_c is not None and ready is not None:
@@ -389,7 +389,7 @@ class Runner:
     def _await(self, step: Step, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
         began = self.clock.now()
         while (value := duty.stable_at(at_c, ready)) is None:
-            self._duties(step, None)
+            self._duties()
             if self.clock.now() - began > ready.timeout_s:
                 raise HardwareError(
                     f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of "
@@ -400,17 +400,14 @@ class Runner:
 
     # ------------------------------------------------------------------------------------------------------- duties
 
-    def _meanwhile(self) -> None:
-        self._duties(None, None)
-
-    def _duties(self, step: Step | None, end_s: float | None) -> None:
+    def _duties(self, end_s: float | None = None) -> None:
         """Whatever recurs: requests, readings, interlocks."""
         self._obey_requests()
         self._confirm_steps()
         now = self.clock.now()
         if now - self._shown_s >= self.chamber_every_s:
             self._shown_s = now
-            self._show(step, end_s)
+            self._show(end_s)
         if self._problem:
             raise HardwareError(self._problem)
         ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
@@ -448,7 +445,7 @@ class Runner:
         while True:
             if self.clock.now() - self._shown_s >= self.chamber_every_s:
                 self._shown_s = self.clock.now()
-                self._show(None, None)
+                self._show(None)
             if self._requests and self._requests[0] == "resume":
                 self._requests.pop(0)
                 self._event("request", what="resume", reason=self._reasons.pop(0))
@@ -464,25 +461,15 @@ class Runner:
         self.interlocks.forget()
         self._enter(State.RUNNING)
 
-    def _show(self, step: Step | None, end_s: float | None) -> None:
+    def _show(self, end_s: float | None) -> None:
         if self.on_progress is None:
             return
+        steps, done = self.track.steps, self._steps_done
+        step = steps[min(done, len(steps) - 1)]
         left = max(0.0, end_s - self.clock.now()) if end_s is not None else None
-        after = sum(s.duration_s for s in self.track.steps[self._steps_done + 1 :])
-        current = left if left is not None else (step.duration_s if step is not None else 0.0)
-        name = self.track.steps[min(self._steps_done, len(self.track.steps) - 1)].name
-        self.on_progress(
-            Progress(
-                self.state,
-                name,
-                self._steps_done,
-                len(self.track.steps),
-                left,
-                current + after,
-                None if self._duty is None else self._duty.newest,
-                self._axes.newest,
-            )
-        )
+        ahead = sum(s.duration_s for s in steps[done + (left is not None) :]) + (left or 0.0)
+        newest = None if self._duty is None else self._duty.newest
+        self.on_progress(Progress(self.state, step.name, done, len(steps), left, ahead, newest, self._axes.newest))
 
     # ---------------------------------------------------------------------------------------------------------- end
 

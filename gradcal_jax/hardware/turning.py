@@ -17,6 +17,7 @@ from .track import Move
 _POLL_S = 0.05
 _POLL_BY_HAND_S = 0.25
 _LONGEST_MOVE_S = 120.0
+_NEAR_BY_HAND_DEG = 5.0
 
 Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
@@ -65,7 +66,7 @@ class AxesDuty:
             endless = limits.lowest_deg is None and limits.highest_deg is None
             # An endless axis has no cable to wind up: within one turn is the same place.
             goal = position % 360.0 if endless else position
-            if abs(self._goal_deg.get(name, 0.0) - goal) > 1e-9 or name in self.newest:
+            if not self._stands_at(name, goal):
                 rate, acceleration = min(limits.max_rate_dps, 60.0), min(limits.max_acceleration_dps2, 60.0)
                 goes = Move(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
                 self._command(step, goes)
@@ -122,6 +123,13 @@ class AxesDuty:
         self._planned_end_s.clear()
 
     # -------------------------------------------------------------------------------------------------------- parts
+
+    def _stands_at(self, name: str, goal_deg: float) -> bool:
+        """Whether an axis need not be told to go there: a motor goes exactly, a person only where it is worth it."""
+        newest = self.newest.get(name)
+        if name in self._by_hand:
+            return newest is not None and not newest.moving and abs(newest.position_deg - goal_deg) <= _NEAR_BY_HAND_DEG
+        return newest is None and abs(self._goal_deg.get(name, 0.0) - goal_deg) <= 1e-9
 
     def _command(self, step: str, move: Move) -> None:
         axis, name = self._axes[move.axis], move.axis

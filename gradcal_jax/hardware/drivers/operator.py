@@ -81,12 +81,12 @@ class Console:
         self._open = False
 
     def ask(self, question: str) -> None:
+        self._answers.clear()
+        self._line.write(f"{_BELL}{question} ".encode())
+        self._open = True
         if self._listener is None:
             self._listener = threading.Thread(target=self._listen, daemon=True, name="listening to the operator")
             self._listener.start()
-        self._answers.clear()
-        self._open = True
-        self._line.write(f"{_BELL}{question} ".encode())
 
     def ring(self) -> None:
         self._line.write(_BELL.encode())
@@ -95,7 +95,7 @@ class Console:
         """What was typed, and when its line ended; None as long as there is nothing."""
         if self._problem:
             raise Disconnected(self._problem)
-        if not self._answers:
+        if not (self._open and self._answers):
             return None
         self._open = False
         return self._answers.popleft()
@@ -119,9 +119,7 @@ class Console:
                 return
             self._typed += data
             *lines, self._typed = self._typed.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
-            for text in lines:
-                if self._open:
-                    self._answers.append((text.decode("utf-8", "replace"), time_s))
+            self._answers.extend((text.decode("utf-8", "replace"), time_s) for text in lines)
 
 
 def open_exchange(line: Line, clock: Clock, config: OperatorConfig) -> Console:

@@ -1,0 +1,531 @@
+"""An axis that somebody turns by hand: questions and answers, angles typed or read from an encoder, whole runs."""
+
+import contextlib
+import math
+import os
+import re
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hardware_bench import served, unpredicted
+
+from gradcal_jax.files import Quantity, changed, parse_spec, presets
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.rig import TEMPLATE, parse_rig
+from gradcal_jax.files.writing import to_toml, write_toml
+from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
+from gradcal_jax.hardware.drivers import operator, zaber
+from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
+from gradcal_jax.hardware.execute import run
+from gradcal_jax.hardware.journal import Chunk, read_journal
+from gradcal_jax.hardware.recording import log_of
+from gradcal_jax.hardware.roles import AxisSafe
+from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.simulate.lab import SimulatedLab
+from gradcal_jax.hardware.simulate.operator import OperatorOptions, SimulatedOperator
+from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
+from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
+from gradcal_jax.hardware.terminal import Terminal
+from gradcal_jax.hardware.track import Move, Step, Track, beyond_limits
+from gradcal_jax.units import UnitError
+
+# ------------------------------------------------------------------------------------------------------------ words
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "deg"),
+    [
+        ("360.02 deg", "", 360.02),
+        (" 359° 58′ 30″ ", "", 359.975),
+        ("-0.5 deg", "deg", -0.5),
+        ("12.25", "deg", 12.25),
+        ("30 arcsec", "deg", 30.0 / 3600.0),
+    ],
+)
+def test_angles_as_people_type_them(text: str, unit: str, deg: float) -> None:
+    assert operator.angle_deg(text, unit) == pytest.approx(deg, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [("360.02", ""), ("360,02 deg", ""), ("36o deg", "deg"), ("", "deg"), ("12 s", ""), ("1 2", "deg")],
+)
+def test_what_is_not_an_angle_is_not_taken_for_one(text: str, unit: str) -> None:
+    with pytest.raises(UnitError):
+        operator.angle_deg(text, unit)
+
+
+def test_a_dial_of_one_turn_is_read_nearest_to_the_goal() -> None:
+    assert operator.nearest_turn_deg(0.3, 720.0) == pytest.approx(720.3)
+    assert operator.nearest_turn_deg(359.6, 0.0) == pytest.approx(-0.4)
+    assert operator.nearest_turn_deg(359.6, -360.0) == pytest.approx(-360.4)
+
+
+# ------------------------------------------------------------------------------------------------------ the driver
+
+
+@contextlib.contextmanager
+def gimbal(
+    clock: Clock, options: OperatorOptions | None = None, **config: float | str
+) -> Iterator[tuple[operator.OperatorAxis, SimulatedOperator, AxisPlant]]:
+    plant = AxisPlant(AxisTruth(reading_noise_deg=0.01), clock.now())
+    person = SimulatedOperator({"x": plant}, clock, options)
+    settings = operator.OperatorConfig(**config)  # type: ignore[arg-type]
+    with served(person, clock, settings.baudrate) as (_, transport):
+        console = operator.open_exchange(transport, clock, settings)
+        yield operator.OperatorAxis(console, settings, clock, "x"), person, plant
+
+
+def settled(axis: operator.OperatorAxis, clock: Clock) -> float:
+    end = clock.now() + 600.0
+    while (reading := axis.read()).moving:
+        assert math.isnan(reading.position_deg)
+        assert clock.now() < end
+        clock.sleep(0.25)
+    return reading.position_deg
+
+
+def test_a_person_turns_and_types_what_the_dial_shows() -> None:
+    clock = VirtualClock()
+    with gimbal(clock) as (axis, person, plant):
+        axis.home()
+        assert settled(axis, clock) == pytest.approx(plant.state(clock.now())[0], abs=0.05)
+        for goal in (360.0, 0.0, -90.0):
+            axis.move_to(goal, 72.0, 14.4)
+            began = clock.now()
+            angle = settled(axis, clock)
+            # A typed angle is what the dial shows, not what was asked for; and it is one reading.
+            assert angle == pytest.approx(plant.state(clock.now())[0], abs=0.05)
+            assert angle != goal
+            assert angle == pytest.approx(goal, abs=2.0)
+            reading = axis.read()
+            clock.sleep(5.0)
+            assert axis.read() == reading
+            assert began < reading.time_s < clock.now() - 4.9
+        assert person.heard[1].startswith("x: turn by +360 deg in 10 s, to 360 deg; let it stand and type the angle")
+        assert axis.safe(AxisSafe.HOLD).verified
+
+
+def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more() -> None:
+    clock = VirtualClock()
+    with gimbal(clock, OperatorOptions(slips=0.6, seed=3)) as (axis, person, plant):
+        axis.home()
+        settled(axis, clock)
+        for goal in (90.0, 180.0, 270.0):
+            axis.move_to(goal, 30.0, 10.0)
+            assert settled(axis, clock) == pytest.approx(plant.state(clock.now())[0], abs=0.05)
+        assert sum("," in typed for typed in person.typed) > 0
+        assert sum("is not understood" in heard for heard in person.heard) > 0
+    with gimbal(clock, OperatorOptions(miss_deg=0.001), miss_deg=1.0) as (axis, person, plant):
+        axis.home()
+        settled(axis, clock)
+        axis.move_to(90.0, 30.0, 10.0)
+        # Somebody misread the mark by ten degrees, says so twice, and is believed.
+        clock.sleep(2.0)
+        plant.turn_by_hand(clock.now() + 20.0, 80.0, 0.5, 0.0)
+        person._types_s = clock.now() + 25.0
+        assert settled(axis, clock) == pytest.approx(80.0, abs=0.05)
+        assert "10 deg away from 90 deg; mend it, or type it again if it is so:" in person.heard[-1]
+
+
+def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
+    clock = VirtualClock()
+    with gimbal(clock, travel_deg=400.0) as (axis, person, _):
+        axis.home()
+        settled(axis, clock)
+        with pytest.raises(LimitExceeded, match="outside the travel of 400 deg each way"):
+            axis.move_to(500.0, 30.0, 10.0)
+        axis.move_to(360.0, 30.0, 10.0)
+        clock.sleep(3.0)
+        axis.stop()
+        clock.sleep(60.0)
+        assert person.heard[-1] == "x: never mind, leave it where it is."
+        reading = axis.read()
+        assert math.isnan(reading.position_deg)
+        assert reading.moving
+        axis.move_to(0.0, 60.0, 60.0)
+        # Without knowing where it stands nobody can say by how much.
+        clock.sleep(0.5)
+        assert person.heard[-1].startswith("x: turn to 0 deg; let it stand")
+        assert settled(axis, clock) == pytest.approx(0.0, abs=2.0)
+
+
+def test_who_is_late_is_rung_for_and_a_port_that_is_gone_is_said() -> None:
+    clock = VirtualClock()
+    bells: list[bytes] = []
+    with gimbal(clock, OperatorOptions(reading_s=100.0), remind_s=30.0) as (axis, person, _):
+        listen = person.receive
+        person.receive = lambda data: bells.append(data) or listen(data)  # type: ignore[method-assign]
+        axis.home()
+        settled(axis, clock)
+        assert b"".join(bells).count(b"\a") == 1 + 3
+        axis.move_to(10.0, 30.0, 10.0)
+        axis.close()
+        end = time.monotonic() + 5.0
+        with pytest.raises(Disconnected):
+            axis.home()
+        assert time.monotonic() < end
+
+
+def test_an_encoder_is_read_and_its_motor_is_left_alone() -> None:
+    clock = VirtualClock()
+    # The encoder's zero lies two turns away from where the gimbal's mark is.
+    plant = AxisPlant(AxisTruth(reading_noise_deg=0.001), clock.now())
+    plant.set_zero(clock.now(), 720.0)
+    stage = SimulatedZaber([plant], clock)
+    person = SimulatedOperator({"x": plant}, clock, OperatorOptions(types_angles=False))
+    with served(person, clock, 9600) as (_, text), served(stage, clock, 115200) as (_, line):
+        settings = zaber.ZaberConfig(reply_timeout_s=0.2)
+        encoder = zaber.ZaberAxis(zaber.open_exchange(line, clock, settings), settings)
+        config = operator.OperatorConfig()
+        console = operator.open_exchange(text, clock, config)
+        axis = operator.OperatorAxis(console, config, clock, "x", encoder)
+        assert "encoder of zaber" in axis.identify().model
+        asked: list[str] = []
+        ask = encoder._ask
+        encoder._ask = lambda words, **how: asked.append(words) or ask(words, **how)  # type: ignore[method-assign]
+        assert axis.limits().by_hand
+        axis.home()
+        readings = [axis.read()]
+        while readings[-1].moving:
+            clock.sleep(0.25)
+            readings.append(axis.read())
+        axis.move_to(360.0, 60.0, 30.0)
+        while (reading := axis.read()).moving:
+            readings.append(reading)
+            clock.sleep(0.25)
+        # Read on the move as well as at rest, in turns from the zero mark.
+        assert any(100.0 < r.position_deg < 250.0 for r in readings)
+        assert reading.position_deg == pytest.approx(360.0, abs=2.0)
+        assert reading.position_deg == pytest.approx(plant.state(clock.now())[0], abs=0.01)
+        axis.stop()
+        axis.safe(AxisSafe.HOLD)
+        assert "press Enter:" in person.heard[0]
+    assert {words.split()[0] for words in asked} == {"get"}
+
+
+# -------------------------------------------------------------------------------------------------------- rig files
+
+BY_HAND = """
+format = "gradcal-rig/1"
+[[axis]]
+name = "x"
+driver = "operator"
+port = "terminal"
+safe = "hold"
+gravity_loaded = false
+"""
+
+
+def test_the_templates_gimbal_is_a_rig() -> None:
+    lines = TEMPLATE.splitlines()
+    start = lines.index("# [[axis]]")
+    written = "\n".join(line.removeprefix("# ") for line in lines[start : start + 8])
+    rig = parse_rig('format = "gradcal-rig/1"\n' + written)
+    assert rig.axis[0].encoder is not None
+    with pytest.raises(HardwareError, match="ttyUSB3 cannot be opened"):
+        open_rig(rig, VirtualClock())
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("gravity_loaded = false", "gravity_loaded = true"), "it would fall"),
+        (('driver = "operator"', 'driver = "zaber"'), 'only the driver "operator" speaks with a terminal'),
+        (
+            ("gravity_loaded = false", 'gravity_loaded = false\nencoder = { driver = "operator", port = "/dev/a" }'),
+            "an encoder belongs to",
+        ),
+        (
+            (
+                'port = "terminal"',
+                'port = "/dev/a"\nencoder = { driver = "zaber", port = "/dev/a" }',
+            ),
+            "two devices use this port",
+        ),
+    ],
+)
+def test_what_a_person_cannot_be_is_refused(change: tuple[str, str], said: str) -> None:
+    with pytest.raises(SpecError, match=re.escape(said)):
+        parse_rig(BY_HAND.replace(*change))
+
+
+def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
+    rig = parse_rig(BY_HAND)
+    with pytest.raises(ValueError, match="axis x is turned by whoever sits at the terminal, and there is none"):
+        run(hand_recipe(), tmp_path / "run", rig=rig)
+    assert not (tmp_path / "run").exists()
+    # Asked what it is, it answers; making it safe asks nobody.
+    with open_rig(rig, VirtualClock()) as bench:
+        axis = bench.axes["x"]
+        assert axis.identify().driver == "operator"
+        assert axis.safe(AxisSafe.HOLD).verified
+        with pytest.raises(HardwareError, match="no terminal at which somebody could be asked"):
+            axis.home()
+        spin = Move(0.0, "x", "spin", rate_dps=10.0, acceleration_dps2=10.0)
+        (problem,) = beyond_limits(Track((Step("rates", 5.0, moves=(spin,)),)), None, {"x": axis.limits()})
+    assert "it is turned by hand" in problem
+
+
+# -------------------------------------------------------------------------------------------------------- whole runs
+
+
+def hand_recipe(**more: object) -> Recipe:
+    """Of the preset whose gimbal is moved by hand: a minute of it."""
+    moves = [
+        {"rest": "6 s", "read_every": "1 s"},
+        {"turns": 1, "duration": "8 s", "unevenness": 0.3, "shape": "hand"},
+        {"rest": "6 s", "read_every": "1 s"},
+        {"turns": -1, "duration": "8 s", "unevenness": 0.3, "shape": "hand"},
+        {"rest": "6 s", "read_every": "1 s"},
+    ]
+    keys = {
+        "plan.temperature": ["23 degC", "25 degC"],
+        "plan.gradient": "1 K/min",
+        "plan.soak.duration": "2 s",
+        "plan.cycle.moves": moves,
+        "plan.cycle.other_axes.duration": "20 s",
+        "requirement": None,
+    }
+    return unpredicted(changed(parse_spec(presets.text("rig-hand")), keys | more))
+
+
+def test_a_rehearsed_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
+    made = hand_recipe()
+    result = run(made, tmp_path / "run", simulate=True, seed=3)
+    assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
+    folder = RunFolder(tmp_path / "run")
+    contents = folder.contents()
+    repeats = made.motion[0].repeat
+    moves = [event for event in contents.events if event.name == "move"]
+    assert len(moves) == 2 * repeats
+    log = log_of(contents, made, folder.rig())
+    assert log.standstill is not None
+    assert log.table_angle_rad is not None
+    assert int(log.standstill.max()) == 2 * repeats
+    # What was typed is in the journal byte for byte, and it is the log's angle of that standstill.
+    typed = b"".join(
+        record.data
+        for record in contents.records
+        if isinstance(record, Chunk) and record.line.startswith("port ") and record.received
+    )
+    dials = [float(text) % 360.0 for text in re.findall(r"([\d.]+) deg\r", typed.decode("latin-1"))]
+    angles = []
+    for number in range(2 * repeats + 1):
+        rows = log.standstill == number
+        # Every rest keeps its length, however late somebody was.
+        assert np.count_nonzero(rows) >= 5.8 * 125.0
+        (angle,) = set(np.degrees(log.table_angle_rad[rows, 0]))
+        angles.append(angle)
+    assert np.round(np.mod(angles, 360.0), 3).tolist() == np.round(dials, 3).tolist()
+    turned = np.diff(angles)
+    assert np.abs(turned) == pytest.approx(360.0, abs=3.0)
+    assert np.sign(turned).tolist() == [1.0, -1.0] * repeats
+    # The sensor was turned as far as was typed, but for its scale factor and bias.
+    for number, angle in enumerate(turned):
+        last, first = np.flatnonzero(log.standstill == number)[-1], np.flatnonzero(log.standstill == number + 1)[0]
+        measured = float(np.degrees(log.rate_rad_per_s[0, last + 1 : first + 1, 0].sum() / 125.0))
+        assert measured == pytest.approx(angle, abs=0.03 * 360.0)
+
+
+PROGRAM = """
+import fcntl, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+from gradcal_jax.cli import main
+sys.exit(main())
+"""
+
+
+class AtTerminal:
+    """`gradcal` on a pseudo-terminal of its own, and somebody who reads and types."""
+
+    def __init__(self, *words: object) -> None:
+        self.master, slave = os.openpty()
+        environment = {**os.environ, "TERM": "xterm", "OPENBLAS_NUM_THREADS": "1"}
+        environment.pop("NO_COLOR", None)
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, *map(str, words)],
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            start_new_session=True,
+            env=environment,
+        )
+        os.close(slave)
+        self.said = ""
+        self._read = 0
+
+    def wait_for(self, text: str, timeout_s: float = 60.0) -> str:
+        """Read until `text` has come since the last call; what came before it."""
+        end = time.monotonic() + timeout_s
+        while (place := self.said.find(text, self._read)) < 0:
+            if time.monotonic() > end or not self._more(0.5):
+                raise AssertionError(f"never came: {text!r}; the end of what was said: {self.said[-1500:]!r}")
+        before, self._read = self.said[self._read : place], place + len(text)
+        return before
+
+    def _more(self, timeout_s: float) -> bool:
+        if select.select([self.master], [], [], timeout_s)[0]:
+            try:
+                self.said += os.read(self.master, 65536).decode("utf-8", "replace")
+            except OSError:
+                return False  # the other side is closed
+        return True
+
+    def type(self, text: str) -> None:
+        os.write(self.master, text.encode())
+
+    def ends(self, timeout_s: float = 60.0) -> int:
+        end = time.monotonic() + timeout_s
+        while self._more(0.1) and self.process.poll() is None:
+            assert time.monotonic() < end, self.said[-1500:]
+        while self._more(0.0) and select.select([self.master], [], [], 0.0)[0]:
+            pass
+        return self.process.wait(timeout=10.0)
+
+    def __enter__(self) -> "AtTerminal":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        os.close(self.master)
+
+
+def quick_hand_recipe(folder: Path) -> Path:
+    """In real time: a second here, two there."""
+    moves = [
+        {"rest": "1 s", "read_every": "1 s"},
+        {"turns": 1, "duration": "6 s", "unevenness": 0.3, "shape": "hand"},
+        {"rest": "1 s", "read_every": "1 s"},
+        {"turns": -1, "duration": "6 s", "unevenness": 0.3, "shape": "hand"},
+        {"rest": "1 s", "read_every": "1 s"},
+    ]
+    made = hand_recipe(
+        **{
+            "rig.table.max_rate": "200 deg/s",
+            "plan.cycle.moves": moves,
+            "plan.temperature": ["23 degC", "23.3 degC"],
+            "plan.cycle.other_axes": None,
+        }
+    )
+    stability = made.stability.model_copy(update={"for_at_least": Quantity.read("1 s", "time")})
+    write_toml(made.model_copy(update={"stability": stability}), folder / "recipe.toml")
+    return folder / "recipe.toml"
+
+
+@contextlib.contextmanager
+def laboratory(folder: Path) -> Iterator[tuple[SimulatedLab, Path, Path]]:
+    """Chamber and sensor in real time; who turns the gimbal is the test."""
+    recipe = quick_hand_recipe(folder)
+    with SimulatedLab(hand_recipe().spec, RealClock()) as lab:
+        rig = to_toml(lab.rig).replace(lab.ports[1].url, "terminal")
+        (folder / "rig.toml").write_text(rig, encoding="utf-8")
+        yield lab, recipe, folder / "rig.toml"
+
+
+def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with laboratory(tmp_path) as (lab, recipe, rig):
+        plant = lab.axis_plants[0]
+        with AtTerminal("run", recipe, "--rig", rig, "-o", folder) as terminal:
+            terminal.wait_for("x: bring it to its zero mark; let it stand and type the angle that it shows: ")
+            terminal.type("o.02 deg\n")
+            terminal.wait_for("expected an angle such as '30 arcsec'. Type the angle that it shows: ")
+            terminal.type("0.02 deg\n")
+            terminal.wait_for(
+                "\ax: turn by +360 deg in 6 s, to 360 deg; let it stand and type the angle that it shows: "
+            )
+            plant.turn_by_hand(time.monotonic(), 360.4, 1.0, 0.3)
+            time.sleep(1.2)
+            terminal.type("0.3")
+            # Nothing is drawn over what somebody is typing.
+            time.sleep(6.0)
+            terminal.type("8 deg\n")
+            between = terminal.wait_for("x: turn by -360 deg in 6 s, to 0 deg")
+            assert between.replace("\r", "").startswith("0.38 deg\n")
+            # Who types nothing can still end the run: once asks for a pause after the step, again makes safe and ends.
+            terminal.type("\x03")
+            time.sleep(0.5)
+            terminal.type("\x03")
+            assert terminal.ends() == 130
+            assert "x: never mind, leave it where it is." in terminal.said
+            assert "chamber: safe (standby" in terminal.said
+            assert f"gradcal run --resume {folder}" in terminal.said.replace("\r\n", " ")
+    contents = read_journal(folder / "journal")
+    angles = [event.data for event in contents.events if event.name == "angle"]
+    assert [round(angle["position_deg"], 3) for angle in angles] == [0.02, 360.38]
+    assert [event.data["what"] for event in contents.events if event.name == "request"] == ["soft pause", "abort"]
+
+
+@pytest.mark.evidence
+def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with laboratory(tmp_path) as (lab, recipe, rig):
+        plant = lab.axis_plants[0]
+
+        def turn(terminal: AtTerminal, words: str, to_deg: float, typed: str) -> None:
+            terminal.wait_for(words)
+            terminal.wait_for("type the angle that it shows: ")
+            plant.turn_by_hand(time.monotonic(), to_deg, 1.0, 0.3)
+            time.sleep(1.2)
+            terminal.type(typed)
+
+        with AtTerminal("run", recipe, "--rig", rig, "-o", folder) as terminal:
+            turn(terminal, "zero mark", 0.0, "0 deg\n")
+            terminal.wait_for("running")
+            terminal.type("\x03")
+            terminal.wait_for("press Enter to go on")
+            terminal.type("\n")
+            terminal.wait_for("turn by +360 deg")
+            terminal.type("\x04")  # Ctrl-D: nobody is there any more
+            assert terminal.ends() == 3
+            assert "takes no more input" in terminal.said
+        with AtTerminal("run", "--resume", folder) as terminal:
+            turn(terminal, "zero mark", 0.1, "0.1 deg\n")
+            turn(terminal, "turn by +360 deg", 360.2, "360.2 deg\n")
+            turn(terminal, "turn by -360 deg", 0.1, "0.1 deg\n")
+            assert terminal.ends() == 0, terminal.said[-1500:]
+    found = RunFolder(folder)
+    log = log_of(found.contents(), found.recipe(), found.rig())
+    assert log.standstill is not None
+    assert log.table_angle_rad is not None
+    stood = [log.table_angle_rad[log.standstill == number, 0] for number in range(int(log.standstill.max()) + 1)]
+    # The rest before the lost turn, and those of the step that was begun again.
+    assert [np.round(np.degrees(set(angles.tolist()).pop()), 6) for angles in stood] == [0.0, 0.1, 360.2, 0.1]
+    assert log.provenance["run"] == "success"
+    states = [event.data["state"] for event in found.contents().events if event.name == "state"]
+    assert states[:5] == ["running", "pausing", "paused", "running", "aborting"]
+
+
+def test_a_terminal_hands_on_whole_lines_and_lends_one_to_somebody_else() -> None:
+    master, slave = os.openpty()
+    with os.fdopen(slave, "w") as screen:
+        terminal = Terminal(keyboard=slave, screen=screen)
+        assert terminal.read_stamped(0.01)[0] == b""
+        terminal.write(b"\ax: type it: ")
+        assert terminal.asking
+        os.write(master, b"1 de")
+        assert terminal.read_stamped(0.05)[0] == b""
+        os.write(master, b"g\n")
+        assert terminal.read_stamped(2.0)[0] == b"1 deg\n"
+        assert not terminal.asking
+        lent: list[bool] = []
+        terminal.next_line_goes_to(lambda: lent.append(True))
+        os.write(master, b"\n2 deg\n")
+        assert terminal.read_stamped(2.0)[0] == b""
+        assert terminal.read_stamped(2.0)[0] == b"2 deg\n"
+        assert lent == [True]
+        os.write(master, b"\x04")
+        with pytest.raises(Disconnected, match="nobody can be asked"):
+            terminal.read_stamped(2.0)
+    os.close(master)

@@ -8,6 +8,9 @@ from gradcal_jax.files.schedule import GradientSchedule
 from gradcal_jax.formulas import RAMPED_SHAPES
 from gradcal_jax.information import Posterior, unobservable_combinations
 
+# Of a rate: what rounding to a controller's steps takes off is not worth a word.
+_NEARLY = 1e-3
+
 
 def unobservable(spec: Spec) -> list[str]:
     """One sentence for each combination of parameters (named as in the paper, SI) that the plan cannot observe.
@@ -41,7 +44,7 @@ def warnings(built: Assembled, known: dict[Axis, Posterior]) -> list[str]:
             )
         if requirement.quantity == "scale_factor":
             widest = max(abs(float(r)) for r in requirement.rate)
-            if widest > fastest * (1.0 + 1e-6):
+            if widest > fastest * (1.0 + _NEARLY):
                 asked, reached = widest * DEG_PER_S, fastest * DEG_PER_S
                 found.append(
                     f"requirement '{requirement.name}' asks for rates up to {asked:.4g} deg/s, but the plan reaches "

@@ -1,42 +1,34 @@
 """The notebook of a run and its calibration is committed as executed, and comes out alike anew."""
 
 import re
-from pathlib import Path
 
 import pytest
-from test_instability_notebook import printed
+from notebook_cells import check_as_executed, executed, printed, run_cells
 
-nbformat = pytest.importorskip("nbformat")
-nbclient = pytest.importorskip("nbclient")
-
-NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "calibration_from_a_run.ipynb"
+NAME = "calibration_from_a_run"
 
 
 def test_the_calibration_is_committed_as_executed():
-    committed = nbformat.read(NOTEBOOK, as_version=4)
-    nbformat.validate(committed)
-    code = [cell for cell in committed.cells if cell.cell_type == "code"]
-    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
-    assert not any(output["output_type"] == "error" for cell in code for output in cell.outputs)
-    said = "".join(text for text, _ in printed(committed))
+    said = check_as_executed(NAME, pictures=1)
     assert "success; everything left verified safe: True" in said
     assert "simulated: True" in said
-    assert sum(count for _, count in printed(committed)) == 1
-    assert NOTEBOOK.stat().st_size < 300_000
+
+
+def test_its_cells_run_and_page_and_calibration_say_the_same(monkeypatch):
+    names, said = run_cells(NAME, monkeypatch)
+    told, verdict = names["told"], names["verdict"]
+    assert told.achieved == verdict.value
+    assert told.predicted == names["recipe"].prediction.requirements[0].decisive
+    assert f"{told.achieved:.3g} achieved" in said
+    assert names["chance"] > 1e-3
 
 
 @pytest.mark.evidence
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the kernel's own machinery
 def test_the_run_and_its_calibration_come_out_alike():
     """Plan and recipe to the digit; what the rehearsal's threads touch to a fifth of a standard deviation."""
-    committed = nbformat.read(NOTEBOOK, as_version=4)
-    before = [text for text, _ in printed(committed)]
+    before, after = ([text for text, _ in printed(notebook)] for notebook in executed(NAME))
     found = next(place for place, text in enumerate(before) if "truth" in text)
-    client = nbclient.NotebookClient(
-        committed, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(NOTEBOOK.parent)}}
-    )
-    client.execute()
-    after = [text for text, _ in printed(committed)]
     assert after[:found] == before[:found]
     rows = [
         re.findall(r"^(b\d\d) +(-?\d+) +([\d.]+) +([\d.]+) +(-?\d+) ", text[found], flags=re.M)

@@ -4,43 +4,30 @@ import os
 from pathlib import Path
 
 import pytest
+from notebook_cells import FOLDER, check_as_executed, executed, printed, run_cells
 
-nbformat = pytest.importorskip("nbformat")
-nbclient = pytest.importorskip("nbclient")
-
-NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "instability_of_a_real_sensor.ipynb"
-FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
-
-
-def printed(notebook):
-    """What each cell prints, and how many pictures it draws."""
-    found = []
-    for cell in notebook.cells:
-        outputs = cell.get("outputs", [])
-        text = "".join(o["text"] for o in outputs if o["output_type"] == "stream" and o["name"] == "stdout")
-        found.append((text, sum("image/png" in o.get("data", {}) for o in outputs)))
-    return found
+NAME = "instability_of_a_real_sensor"
+DATA = Path(os.environ.get("GRADCAL_DATA", FOLDER.parents[1] / "shared" / "data"))
+recorded = pytest.mark.skipif(not DATA.is_dir(), reason="the recorded data are not here: set GRADCAL_DATA")
 
 
 def test_it_is_committed_as_executed_with_small_pictures():
-    committed = nbformat.read(NOTEBOOK, as_version=4)
-    nbformat.validate(committed)
-    code = [cell for cell in committed.cells if cell.cell_type == "code"]
-    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
-    assert sum(count for _, count in printed(committed)) == 2
-    assert NOTEBOOK.stat().st_size < 300_000
-    assert not any(o["output_type"] == "error" for cell in code for o in cell.outputs)
+    check_as_executed(NAME, pictures=2)
+
+
+@recorded
+def test_its_cells_say_the_same_of_one_axis(monkeypatch):
+    monkeypatch.setenv("GRADCAL_DATA", str(DATA))
+    _, said = run_cells(NAME, monkeypatch, AXES=("y",))
+    lines = [line for line in said.splitlines() if line]
+    assert len(lines) > 10
+    assert set(lines) <= set(check_as_executed(NAME, pictures=2).splitlines())
 
 
 @pytest.mark.evidence
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the kernel's own machinery
-@pytest.mark.skipif(not FOLDER.is_dir(), reason="the recorded data are not here: set GRADCAL_DATA")
+@recorded
 def test_executed_anew_it_says_the_same(monkeypatch):
-    monkeypatch.setenv("GRADCAL_DATA", str(FOLDER))
-    committed = nbformat.read(NOTEBOOK, as_version=4)
-    before = printed(committed)
-    client = nbclient.NotebookClient(
-        committed, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(NOTEBOOK.parent)}}
-    )
-    client.execute()
-    assert printed(committed) == before
+    monkeypatch.setenv("GRADCAL_DATA", str(DATA))
+    before, after = executed(NAME)
+    assert printed(after) == printed(before)

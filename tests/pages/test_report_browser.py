@@ -73,4 +73,19 @@ def test_a_page_prints(html, chromium, tmp_path):
     chromium.print_pdf(tmp_path / "page.pdf")
     data = (tmp_path / "page.pdf").read_bytes()
     assert data.startswith(b"%PDF")
-    assert 2 <= data.count(b"/Type /Page\n") + data.count(b"/Type /Page ") <= 12
+    assert 2 <= data.count(b"/Type /Page\n") + data.count(b"/Type /Page ") <= 8
+
+
+def test_on_paper_tables_are_tables(html, chromium):
+    """A page of A4 is as narrow as a small tablet, whose layout is not for paper."""
+    chromium.open(html, 680)
+    chromium.call("Emulation.setEmulatedMedia", media="print")
+    try:
+        displays = chromium.evaluate(
+            "[...document.querySelectorAll('td, thead')].map(c => getComputedStyle(c).display)"
+        )
+        assert set(displays) == {"table-cell", "table-header-group"}
+        assert overlaps(chromium.evaluate(BOXES)) == []
+        assert chromium.evaluate("document.documentElement.scrollWidth") <= 680
+    finally:
+        chromium.call("Emulation.setEmulatedMedia", media="")

@@ -181,10 +181,10 @@ def finished(
     now, sentence, converged = exact(plan, of), found.sentence, found.converged
     if before is not None and now >= before and not of.limits and motion is None:
         plan = rounded(spec, steps_of(spec)).spec
+        now, converged = exact(plan, of), False
         sentence = (
             f"nothing better than the plan as it was ({now:.4g} {of.unit}): that is kept; try more moves or starts"
         )
-        now, converged = exact(plan, of), False
     return Optimised(
         plan,
         of.name,

@@ -82,7 +82,8 @@ def run(
 def resume(folder: str | Path, **attended: Unpack[Attended]) -> RunResult:
     """Go on with a run that was ended or lost, by the recipe and on the rig (or the simulation) in its folder.
 
-    `attended` and what is returned: as `run`. Errors: `ValueError` where the folder holds no run, a complete one, or
+    The step that was cut short is done again; a simulated run goes on 60 s after the last thing recorded. `attended`
+    and what is returned: as `run`. Errors: `ValueError` where the folder holds no run, a complete one, or
     one of another recipe or version; `HardwareError` where other devices answer than the run began with.
     """
     found = RunFolder(Path(folder))

@@ -29,6 +29,9 @@ from .run_folder import SESSION, exit_status
 from .setup import DRIVERS, config_of
 
 _MARGIN_S: Final = 0.02
+# Stamps of samples are late by what unit, adapter and system take, nobody knows how much; a row too few at rest costs
+# nothing, and one that still turned would be taken for rest.
+_SETTLED_S: Final = 0.1
 _BETWEEN_SESSIONS_S: Final = 60.0
 Floats = NDArray[np.float64]
 
@@ -132,7 +135,7 @@ def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | 
     number = np.full(len(rows), -1, np.int64)
     period = float(np.median(np.diff(samples.device_time_s)))
     for place, (start, end) in enumerate(standing):
-        first, last = np.searchsorted(host, [start + _MARGIN_S + period, end - _MARGIN_S])
+        first, last = np.searchsorted(host, [start + _SETTLED_S + period, end - _MARGIN_S])
         number[first:last] = place
     angles = (
         np.stack([_angles(session.events, axis, host, number) for axis in axes], axis=-1)

@@ -168,12 +168,6 @@ class Transport:
                 break
         return dropped
 
-    def set_baudrate(self, baudrate: int) -> None:
-        try:
-            self._port.baudrate = baudrate
-        except (serial.SerialException, OSError, ValueError) as problem:
-            raise PortRefused(f"The port {self.url} does not take {baudrate} baud: {problem}.") from None
-
     def close(self) -> None:
         """Idempotent, and never raises: it runs where something has already failed."""
         if self._closed:

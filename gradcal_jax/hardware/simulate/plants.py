@@ -75,9 +75,6 @@ class ChamberPlant:
             self.advance(now_s)
             return self._set_point_c
 
-    def at_target(self, now_s: float) -> bool:
-        return abs(self.set_point_c(now_s) - self._target_c) < 1e-9
-
     def load_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Temperature of the load at recent times, `(n,) -> (n,)`."""
         with self._lock:

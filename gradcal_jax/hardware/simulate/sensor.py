@@ -165,14 +165,6 @@ class SimulatedSensor:
         """How many samples are complete and not yet taken."""
         return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self._taken)
 
-    def skip_to(self, now_s: float) -> None:
-        """Samples that nobody wants (the unit was not streaming): the drifts go on without them."""
-        count = self.due(now_s)
-        decay = self._decays**count
-        fresh = self._random.standard_normal(self._states.shape)
-        self._states = self._states * decay + self._sigmas * np.sqrt(1.0 - decay**2) * fresh
-        self._taken += count
-
     def take(self, count: int) -> SensorSamples:
         truth = self.truth
         ends = self._start_s + (self._taken + np.arange(count + 1.0)) * self.true_period_s
@@ -204,9 +196,6 @@ class SimulatedSensor:
             up + truth.acceleration_noise_g * draws[:, 3:6],
             temperature + truth.temperature_noise_c * draws[:, 6],
         )
-
-    def true_temperature_c(self, now_s: float) -> float:
-        return self._chamber.load_c(now_s)
 
     def _markov(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
         """`(n, 3, processes)` standard normals -> states of the Gauss–Markov processes at the samples."""

@@ -1,0 +1,310 @@
+"""Runs killed (SIGKILL) wherever they are and gone on with: what is in the journal stays, what is measured is whole.
+
+A laboratory in a process of its own outlives the runs on it. When to kill is drawn by what the journal shows: while a
+run starts, while it waits for its temperature, in any part of a step with data, while it makes the rig safe. In which
+of these a kill fell is read from the journal afterwards.
+"""
+
+import collections
+import itertools
+import signal
+import subprocess
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hardware_bench import short_recipe
+from hardware_evidence import record
+from hardware_processes import laboratory, start_run
+
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.writing import write_toml
+from gradcal_jax.hardware.binding import track_of
+from gradcal_jax.hardware.journal import Event, JournalContents, parse_journal, read_journal
+from gradcal_jax.hardware.recording import log_of
+from gradcal_jax.hardware.run_folder import RunFolder, exit_status
+from gradcal_jax.hardware.track import Step, Track
+
+SPEED = 20.0
+RATE_HZ = 125.0
+STARTING, WAITING, TURNING, STANDING, SAFE = "starting", "waiting for its temperature", "turning", "standing", "safe"
+AIMS = (STARTING, WAITING, TURNING, SAFE)
+SHARES = (0.1, 0.1, 0.68, 0.12)
+
+
+def prepared(folder: Path, ramp_k: float) -> Track:
+    made = short_recipe(ramp_k, stable_for="10 s")
+    write_toml(made, folder / "recipe.toml")
+    return track_of(made, ["x"])
+
+
+# ---------------------------------------------------------------------------------------------------------- killing
+
+
+class Watched:
+    """A run as a process, and the part of the journal that it has written so far."""
+
+    def __init__(self, folder: Path, run: Path) -> None:
+        self.journal = run / "journal"
+        self._from = self.journal.stat().st_size if self.journal.exists() else 0
+        self.process = start_run(folder, run, SPEED)
+
+    def written(self) -> bytes:
+        if not self.journal.exists():
+            return b""
+        with self.journal.open("rb") as file:
+            file.seek(self._from)
+            return file.read()
+
+    def await_word(self, word: bytes) -> bool:
+        """False when the run ended before."""
+        end = time.monotonic() + 120.0
+        while word not in self.written():
+            if self.process.poll() is not None:
+                return False
+            assert time.monotonic() < end, f"never came: {word!r}"
+            time.sleep(0.01)
+        return True
+
+    def lasts(self, real_s: float) -> bool:
+        """Wait so long; False when the run ended before."""
+        try:
+            self.process.wait(timeout=real_s)
+        except subprocess.TimeoutExpired:
+            return True
+        return False
+
+    def end(self) -> str:
+        """Wait for the process and close its pipe; what it said."""
+        assert self.process.stdout is not None
+        said = self.process.stdout.read()
+        self.process.wait()
+        self.process.stdout.close()
+        return said
+
+
+def strike(run: Watched, aim: str, track: Track, first: int, random: np.random.Generator) -> bool:
+    """Let the run come to where it is to be killed, and kill it there. False when it ended before."""
+    if aim == STARTING:
+        alive = run.lasts(float(random.uniform(0.0, 1.2)))
+    elif aim == WAITING:
+        alive = run.await_word(b'"state":"running"') and run.lasts(float(random.uniform(0.0, 0.8)))
+    else:
+        # A step with data, of those that come next, and an instant in it.
+        coming = [number for number in range(first, len(track.steps)) if track.steps[number].read_at_s]
+        number = coming[min(int(random.choice(3, p=(0.3, 0.4, 0.3))), len(coming) - 1)] if coming else first
+        step = track.steps[min(number, len(track.steps) - 1)]
+        begins = b'"event":"step begins","step":"%s"' % step.name.encode()
+        alive = (
+            bool(coming) and run.await_word(begins) and run.lasts(float(random.uniform(0.0, step.duration_s)) / SPEED)
+        )
+        if alive and aim == SAFE:
+            run.process.send_signal(signal.SIGTERM)
+            run.await_word(b'"event":"ending"')
+            alive = run.lasts(float(random.uniform(0.0, 0.1)))
+    if alive:
+        run.process.send_signal(signal.SIGKILL)
+    return alive
+
+
+def fell_in(events: list[Event], track: Track) -> str:
+    """What the run did when it was killed, by the journal of its last session."""
+    state = STARTING
+    turning: set[str] = set()
+    for event in events:
+        if event.name == "session":
+            state = STARTING
+            turning.clear()
+        elif event.name == "ending":
+            state = SAFE
+        elif event.name == "step" and state != SAFE:
+            state = WAITING
+        elif event.name == "step begins":
+            state = STANDING if event.data["data"] else WAITING
+        elif event.name == "move" and event.data["kind"] == "turn":
+            turning.add(event.data["axis"])
+        elif event.name == "angle" and not event.data["moving"]:
+            turning.discard(event.data["axis"])
+    return TURNING if state == STANDING and turning else state
+
+
+@dataclass
+class Tally:
+    """What was killed, where, and what became of it."""
+
+    kills: collections.Counter[str] = field(default_factory=collections.Counter)
+    runs: int = 0
+    seams: int = 0
+    samples: int = 0
+    missing: int = 0
+
+
+def killed_runs(folder: Path, track: Track, kills: int, seed: int, *, runs: int = 1) -> Tally:
+    """Kill runs and go on with each until it is complete, until there are as many as asked."""
+    random, tally = np.random.default_rng(seed), Tally()
+    with laboratory(folder, SPEED):
+        whole = Watched(folder, folder / "whole")
+        said = whole.end()
+        assert whole.process.returncode == 0, said
+        wanted = data_set(folder / "whole", track, tally)
+        while tally.kills.total() < kills or tally.runs < runs:
+            one_run(folder, folder / f"run{tally.runs}", track, kills, random, tally)
+            found = data_set(folder / f"run{tally.runs}", track, tally)
+            require_equal(found, wanted)
+            tally.runs += 1
+    return tally
+
+
+def one_run(folder: Path, path: Path, track: Track, kills: int, random: np.random.Generator, tally: Tally) -> None:
+    torn, records = b"", []
+    while True:
+        done = [int(event.data["number"]) for event in parse_journal(torn).events if event.name == "step done"]
+        first = max(done, default=-1) + 1
+        run = Watched(folder, path)
+        aim = AIMS[int(random.choice(len(AIMS), p=SHARES))]
+        killed = tally.kills.total() < kills and strike(run, aim, track, first, random)
+        said = run.end()
+        journal = (path / "journal").read_bytes() if (path / "journal").exists() else b""
+        # Nothing that was on the disk is ever lost or changed, and it reads as it did.
+        assert journal.startswith(torn)
+        contents = parse_journal(journal)
+        assert contents.records[: len(records)] == records
+        torn, records = journal, contents.records
+        if killed:
+            tally.kills[fell_in(contents.events, track)] += 1
+        # A kill may come between the run's last word and the end of its process.
+        if run.process.returncode == 0 or exit_status(contents) == "success":
+            return
+        assert run.process.returncode == -signal.SIGKILL or "SIGTERM" in said, said
+        if not (path / "run.json").exists():
+            for entry in path.glob("*"):
+                entry.unlink()
+
+
+# ------------------------------------------------------------------------------------------------------ the data set
+
+
+@dataclass(frozen=True)
+class StepData:
+    """What one step with data gave: its samples (`missing` ones counted), and its turns, by the table's readings and by
+    the integral of the sensor's rate, deg."""
+
+    name: str
+    samples: int
+    missing: int
+    table_deg: tuple[float, ...]
+    sensor_deg: tuple[float, ...]
+
+
+def data_set(path: Path, track: Track, tally: Tally) -> list[StepData]:
+    """Of a complete run: what every step gave, in order. All else in its log belongs to what was interrupted, and there
+    a seam is marked."""
+    contents = read_journal(path / "journal")
+    assert exit_status(contents) == "success"
+    finished = [event.data["number"] for event in contents.events if event.name == "step done"]
+    assert finished == list(range(len(track.steps)))
+    log = log_of(contents, read_recipe(path / "recipe.toml"), RunFolder(path).rig())
+    assert log.host_time_s is not None
+    begins = {e.data["number"]: e.data["begins_s"] for e in contents.events if e.name == "step begins"}
+    found = [step_data(log, step, begins[number]) for number, step in enumerate(track.steps) if step.read_at_s]
+    tally.samples += sum(data.samples for data in found)
+    tally.missing += sum(data.missing for data in found)
+    tally.seams += require_seams(contents, track)
+    # A stretch of the log begins anew at a seam, or where samples are missing, and nowhere else.
+    again = [e.data["begins_s"] for e in contents.events if e.name == "step begins" and e.data["data"]]
+    for row in log.stretch_starts[1:].tolist():
+        at_s, step_s = float(log.host_time_s[row]), float(log.time_s[row] - log.time_s[row - 1])
+        lost = 0.5 < round(step_s * RATE_HZ) - 1 < 0.5 * RATE_HZ
+        assert lost or min(abs(at_s - begin) for begin in again) < 0.1, (at_s, step_s)
+    return found
+
+
+def require_seams(contents: JournalContents, track: Track) -> int:
+    """Every session that goes on in the middle of the track marks one seam, at the step with which it goes on, before
+    it does anything of it; no other does. How many there are."""
+    sessions: list[list[Event]] = []
+    for event in contents.events:
+        if event.name == "session":
+            sessions.append([])
+        if sessions:
+            sessions[-1].append(event)
+    seams = 0
+    for number, events in enumerate(sessions):
+        first = int(events[0].data["first_step"])
+        names = [event.name for event in events]
+        if "step" not in names:
+            continue
+        marked = [event for event in events if event.name == "seam"]
+        assert len(marked) == (number > 0 and first > 0)
+        for seam in marked:
+            assert seam.data["step"] == track.steps[first].name
+            assert names.index("seam") < names.index("step")
+        seams += len(marked)
+    return seams
+
+
+def step_data(log: Log, step: Step, begins_s: float) -> StepData:
+    assert log.host_time_s is not None
+    assert log.standstill is not None
+    assert log.table_angle_rad is not None
+    rows = np.flatnonzero((log.host_time_s > begins_s) & (log.host_time_s <= begins_s + step.duration_s))
+    missing = int(np.sum(np.rint(np.diff(log.time_s[rows]) * RATE_HZ) - 1))
+    numbers = [int(n) for n in dict.fromkeys(log.standstill[rows].tolist()) if n >= 0]
+    table: list[float] = []
+    sensor: list[float] = []
+    for before, after in itertools.pairwise(numbers):
+        # From the middle of a rest to the middle of the next: at twenty times the speed of a clock the samples' stamps
+        # are late by some tenths of the run's seconds.
+        start, end = (int(np.median(rows[log.standstill[rows] == n])) for n in (before, after))
+        table.append(float(np.degrees(log.table_angle_rad[end, 0] - log.table_angle_rad[start, 0])))
+        sensor.append(float(np.degrees(log.rate_rad_per_s[0, start + 1 : end + 1, 0].sum()) / RATE_HZ))
+    return StepData(step.name, len(rows), missing, tuple(table), tuple(sensor))
+
+
+def require_equal(found: list[StepData], wanted: list[StepData]) -> None:
+    """The same steps with the same samples and the same turns, but for the noise of the sensor and of the readings."""
+    assert [data.name for data in found] == [data.name for data in wanted]
+    for data, other in zip(found, wanted, strict=True):
+        # Where a step begins among the samples is known as well as their stamps are.
+        there, expected = data.samples + data.missing, other.samples + other.missing
+        assert abs(there - expected) <= 0.03 * expected, (data, other)
+        # Readings of the paper's table scatter by 0.05 deg each.
+        np.testing.assert_allclose(data.table_deg, other.table_deg, atol=0.5)
+        assert [round(angle / 360.0) for angle in data.table_deg] == [1, -1], data
+        if not (data.missing or other.missing):
+            np.testing.assert_allclose(data.sensor_deg, other.sensor_deg, atol=0.1)
+
+
+# -------------------------------------------------------------------------------------------------------- the proofs
+
+
+def test_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path) -> None:
+    tally = killed_runs(tmp_path, prepared(tmp_path, 1.0), 2, seed=3)
+    assert tally.kills.total() == 2
+    assert tally.runs >= 1
+
+
+@pytest.mark.evidence
+def test_a_hundred_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path) -> None:
+    began = time.monotonic()
+    tally = killed_runs(tmp_path, prepared(tmp_path, 2.0), 100, seed=7, runs=10)
+    kills = tally.kills
+    executing = kills[TURNING] + kills[STANDING]
+    assert kills.total() >= 100
+    assert tally.runs >= 10
+    assert executing >= 0.5 * kills.total(), kills
+    assert min(kills[state] for state in (STARTING, WAITING, TURNING, STANDING, SAFE)) >= 3, kills
+    assert tally.missing <= 0.005 * tally.samples
+    record(
+        "runs killed at random (SIGKILL) and resumed",
+        f"{kills.total()} kills of {tally.runs} runs, by what the journal shows: {kills[TURNING]} while the table "
+        f"turned, {kills[STANDING]} while it stood in a step with data, {kills[WAITING]} while it waited for its "
+        f"temperature or soaked, {kills[STARTING]} while it started, {kills[SAFE]} while it made the rig safe. All "
+        f"complete; every journal a continuation of what the kill left; {tally.seams} seams marked; every step's data "
+        f"equal to those of a run that nobody killed (samples, turns by table and by sensor); of {tally.samples} "
+        f"samples {tally.missing} missing; {time.monotonic() - began:.0f} s",
+        "tests/hardware/test_killed_runs.py",
+    )

@@ -328,6 +328,7 @@ class Runner:
         self._was_settled, self._settled = self._settled, False
         flows, axes = step.follows and not again, self._axes
         begin = self._step_ends_s if flows else self._begin(step, again)
+        axes.late_s = axes.late_s if flows else 0.0
         self._step_ends_s = begin + step.duration_s
         self._settled = self._is_settled(step)
         self._event("step begins", step=step.name, number=self._steps_done, begins_s=begin, data=bool(step.read_at_s))

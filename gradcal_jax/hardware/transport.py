@@ -96,8 +96,10 @@ class Transport:
             port.open()
         except (serial.SerialException, OSError, ValueError) as problem:
             self._lock.release()
+            # pyserial wraps the system's words in its own, number and name twice over.
+            why = str(problem).rpartition("] ")[2].removesuffix(f": {url!r}")
             raise PortRefused(
-                f"The port {url} cannot be opened: {problem}. Check its name, the cable, the rights of your account, "
+                f"The port {url} cannot be opened: {why}. Check its name, the cable, the rights of your account, "
                 "and that no other program holds it."
             ) from None
         self._port = port

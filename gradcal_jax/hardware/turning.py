@@ -71,7 +71,6 @@ class AxesDuty:
                 goes = Move(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
                 self._command(step, goes)
                 self.settle(name, meanwhile)
-        self.late_s = 0.0
 
     def move(self, step: str, move: Move, meanwhile: Callable[[], None]) -> None:
         """A turn waits until the turn before it has ended; how late that makes it is in the journal."""

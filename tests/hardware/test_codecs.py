@@ -14,6 +14,7 @@ from gradcal_jax.hardware.drivers.stim300_datagrams import LAYOUTS, Stim300Decod
 from gradcal_jax.hardware.errors import ChecksumError, FramingError, HardwareError, LimitExceeded, Rejected
 from gradcal_jax.hardware.exchange import NotThisReply
 from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
+from gradcal_jax.hardware.roles import ImuBatch
 
 # --- check sums -------------------------------------------------------------------------------------------------------
 
@@ -498,6 +499,23 @@ def test_stim300_whole_wraps_lost_in_a_disturbance_are_reckoned_with_the_hosts_c
     following = stim300_stream(4)[3 * 42 :]
     batch = decoder.push(following[20:] + following, 10.0 + 33 * 0.008)
     assert batch.gap_before.tolist() == [32]
+
+
+def test_stim300_lost_rounds_are_counted_right_in_bursts_and_after_the_computer_was_busy() -> None:
+    frames = [stim300_stream(512)[i : i + 42] for i in range(0, 512 * 42, 42)]
+
+    def burst(decoder: Stim300Decoder, first: int, last: int, host_s: float, cut: int = 0) -> ImuBatch:
+        return decoder.push(b"".join(frames[first:last])[cut:], host_s)
+
+    # Half a second of samples at a time; one damaged datagram at a burst's beginning is one sample and no round.
+    decoder = Stim300Decoder()
+    burst(decoder, 0, 64, 10.512)
+    assert burst(decoder, 64, 128, 11.024, cut=3).gap_before.tolist() == [1] + [0] * 62
+    # Nobody read for two seconds: what was kept is stamped late, 100 samples and a half were lost behind it.
+    kept = burst(decoder, 128, 192, 13.1)
+    assert kept.gap_before.tolist() == [0] * 64
+    after = burst(decoder, 292, 356, 10.0 + 356 * 0.008, cut=20)
+    assert after.gap_before.tolist() == [101] + [0] * 62
 
 
 def test_stim300_special_datagram_in_the_stream_is_no_damage() -> None:

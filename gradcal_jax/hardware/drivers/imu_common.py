@@ -1,5 +1,6 @@
 """What the decoders of IMU streams share: building and joining batches, and counting what is missing."""
 
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from ..roles import ImuBatch
 
 STANDARD_GRAVITY = 9.80665  # m/s² in one g of every data sheet here
+_ARRIVALS = 256
 
 
 def join(batches: Sequence[ImuBatch]) -> ImuBatch:
@@ -31,14 +33,16 @@ class GapCounter:
     """Unwraps a sample counter and says how many samples are missing before each one.
 
     A counter that wraps after `modulus` samples cannot show the loss of a whole number of wraps by itself. Where the
-    stream was disturbed the host's clock says how many wraps went by; where it was not, a late chunk is only late.
+    stream was disturbed the host's clock says how many wraps went by; where it was not, a late chunk is only late. The
+    host's clock is held against the quickest of the recent arrivals: what is read after a computer has been busy for a
+    while is stamped late.
     """
 
     def __init__(self, *, step: int, modulus: int, ticks_per_s: float) -> None:
         self._step, self._modulus, self._ticks_per_s = step, modulus, ticks_per_s
         self._count = 0
         self._last_raw: int | None = None
-        self._last_host_s = 0.0
+        self._offsets_s: deque[float] = deque(maxlen=_ARRIVALS)
 
     def push(
         self, raw: NDArray[np.int64], host_time_s: float, *, disturbed: bool
@@ -47,9 +51,12 @@ class GapCounter:
         previous = raw[0] - self._step if self._last_raw is None else self._last_raw
         delta = np.mod(np.diff(raw, prepend=previous), self._modulus)
         delta[delta == 0] = self._modulus
-        if disturbed and self._last_raw is not None:
-            elapsed = (host_time_s - self._last_host_s) * self._ticks_per_s
-            delta[0] += self._modulus * max(0, round((elapsed - float(delta[0])) / self._modulus))
+        if disturbed and self._offsets_s:
+            # The last of the samples has waited least: where the counter is when the host has it.
+            now = (host_time_s - min(self._offsets_s)) * self._ticks_per_s
+            lost = (now - float(self._count + delta.sum())) / self._modulus
+            delta[0] += self._modulus * max(0, round(lost))
         counts = self._count + np.cumsum(delta)
-        self._count, self._last_raw, self._last_host_s = int(counts[-1]), int(raw[-1]), host_time_s
+        self._count, self._last_raw = int(counts[-1]), int(raw[-1])
+        self._offsets_s.append(host_time_s - self._count / self._ticks_per_s)
         return counts, delta // self._step - 1

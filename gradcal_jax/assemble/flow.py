@@ -151,9 +151,9 @@ def allan(
 ) -> tuple[identify.AllanDeviation, identify.AllanFit]:
     """The overlapping Allan deviation of a record at rest, and the coefficients of a weighted fit (IEEE 952).
 
-    The channel as in `instability`. `terms`: which the sensor may have. The deviation `(times,)` is in rad/s against
-    averaging times in s; the fit has quantisation (rad), angle random walk (rad/√s), bias instability (rad/s) and rate
-    random walk (rad/s/√s), each with its standard error, and bounds of the given `confidence`.
+    One channel, prepared as in `instability` (`bias_degree`, `lag`). `terms`: which the sensor may have. The deviation
+    `(times,)` is in rad/s against averaging times in s; the fit has quantisation (rad), angle random walk (rad/√s),
+    bias instability (rad/s) and rate random walk (rad/s/√s), each with its standard error, and bounds of `confidence`.
 
     Errors: `LogError` where nothing stands still; `ValueError` for unknown terms.
     """

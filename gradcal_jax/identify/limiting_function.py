@@ -106,8 +106,9 @@ def limiting_function_of_mean(
 ) -> Float[Array, "..."]:
     """Standard deviation of [mean rate over the next t] - [mean rate over the last Δ]: the paper's eqs. 6-7.
 
-    `D_L² = σ² g(t, Δ, τ) + N² (1/t + 1/Δ)`; g is `drift_shape_of_mean`. Arguments and units as in `limiting_function`,
-    with `averaging_time_s` Δ > 0, s. Differentiable in every argument. Errors: none.
+    `D_L² = σ² g(t, Δ, τ) + N² (1/t + 1/Δ)`; g is `drift_shape_of_mean`. `integration_time_s`, `drift_std`,
+    `correlation_time_s` and `angle_random_walk` as in `limiting_function`, `averaging_time_s` Δ > 0, s. Differentiable
+    in every argument. Errors: none.
     """
     t, sigma, tau, walk, delta = _floating(
         integration_time_s, drift_std, correlation_time_s, angle_random_walk, averaging_time_s

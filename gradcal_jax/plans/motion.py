@@ -203,11 +203,14 @@ def turn(
     others_read_every: float | None = None,
     longest_piece: float = np.inf,
 ) -> Move:
-    """A turn from plain numbers (rad/s, s); see `Move`.
+    """A turn of `axis` from plain numbers: `peak_rate` rad/s, signed; `duration` and each `ramp` in s.
 
-    `read_every` reads on the move, too, and then `read_at_end` does not matter. `longest_piece` (a few of the shortest
-    correlation time of the noise) divides the parts on which the rate varies. Errors: `ValueError` for an unknown
-    shape or ramps longer than the move.
+    `shape`: one of `formulas.SHAPES`; `cycles` of a sinusoid, `controls` of a spline (over the peak rate), `unevenness`
+    of a turn by hand. `read_at_end`: the angle is read where the turn ends; `others_read_every` s: of axes that stand
+    meanwhile. `read_every` reads on the move, too, and then `read_at_end` does not matter. `longest_piece` (a few of
+    the shortest correlation time of the noise) divides the parts on which the rate varies.
+
+    Errors: `ValueError` for an unknown shape or ramps longer than the move.
     """
     if 2.0 * ramp > duration * (1 + 1e-9):
         raise ValueError(f"two ramps of {ramp} s do not fit into a move of {duration} s: shorten the ramp or the rate")

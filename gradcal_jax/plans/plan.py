@@ -166,7 +166,7 @@ def gradient_plan(
     used: tuple[tuple[int, int], ...] | None = None,
     read_every: float | None = 1.0,
 ) -> GradientPlan:
-    """Fit the moves into the used parts of a programme, as often as they go.
+    """Fit the `moves` (and `after` them those of other axes) into the used parts of a programme, as often as they go.
 
     `used`: (first, last) of the programme's stretches, last not included; None: all. `read_every` s: spacing of the
     readings while the axis stands for what the cycles leave; None: unread. Errors: `ValueError` when the moves fit

@@ -1,0 +1,113 @@
+"""The public names: each explained so that `help` is enough, and the README's lines do the whole job with them."""
+
+import inspect
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.cli.app import build
+from gradcal_jax.files.recipe import read_recipe
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+CALLABLE = [name for name in gj.__all__ if name != "presets"]
+UNITS = re.compile(r"\bSI\b|\bs\b|°C|\brad\b|rad/s|\bppm\b|deg/h|deg/s|\bunits?\b")
+# Commands for whoever sits at a terminal: text to copy, to print or to look words up in.
+AT_A_TERMINAL = {"demo", "glossary", "new", "rig", "show"}
+# The paper's gyro with maps of degree one, for six minutes at room temperature.
+SMALL = {
+    "sensor.scale_factor.temperature.degree": 1,
+    "sensor.scale_factor.rate.degree": 1,
+    "rig.table.max_acceleration": "300 deg/s^2",
+    "requirement": [
+        {
+            "name": "all rates",
+            "quantity": "scale_factor",
+            "temperature": ["20 degC", "26 degC"],
+            "rate": ["-200 deg/s", "200 deg/s"],
+            "grid": [11, 21],
+        }
+    ],
+    "plan.temperature": ["20 degC", "26 degC"],
+    "plan.soak": {"duration": "60 s", "used": False},
+    "plan.cycle.moves": [
+        {"rest": "20 s", "read_every": "1 s"},
+        {"turn": "1080 deg", "peak_rate": "150 deg/s", "shape": "cosine ramps"},
+        {"rest": "20 s", "read_every": "1 s"},
+        {"turn": "-1080 deg", "peak_rate": "60 deg/s", "shape": "cosine ramps"},
+    ],
+    "plan.cycle.other_axes": None,
+    "design": {
+        "minimise": "all rates",
+        "free": ["duration", "peak_rate", "ramp"],
+        "moves": 2,
+        "cycles": "alike",
+        "starts": 1,
+    },
+}
+
+
+@pytest.mark.parametrize("name", CALLABLE)
+def test_the_help_of_a_public_name_says_what_it_does_in_which_units_and_its_errors(name):
+    told = inspect.getdoc(getattr(gj, name))
+    assert told is not None
+    assert len(told.split()) >= 15
+    assert re.search(r"\b(Errors:|Raises\b)", told), "no word of its errors"
+    assert UNITS.search(told), "no word of units"
+
+
+@pytest.mark.parametrize("name", [name for name in CALLABLE if inspect.isfunction(getattr(gj, name))])
+def test_the_help_of_a_function_tells_its_parameters(name):
+    """By their names; a first one or two that the sentence is about, and paths, explain themselves."""
+    told = inspect.getdoc(getattr(gj, name)) or ""
+    clear = {"spec", "specs", "log", "path", "recipe", "calibration", "model", "name", "text", "plan", "unit", "axis"}
+    clear |= {"folder", "output", "job", "runner", "progress", "changes", "source", "runs", "seed", "known", "info"}
+    clear |= {"quantity", "temperature", "rate", "limits", "columns", "target", "count"}
+    given = {name for name in inspect.signature(getattr(gj, name)).parameters if name not in clear}
+    missing = {name for name in given if not re.search(rf"`{name}`", told)}
+    assert len(missing) <= 1, missing
+
+
+def test_functions_have_the_names_of_commands():
+    commands = {name for name in build() if not name.startswith("-")}
+    assert commands - AT_A_TERMINAL <= set(gj.__all__)
+    for name in commands - AT_A_TERMINAL:
+        assert inspect.isfunction(getattr(gj, name)), name
+        assert getattr(gj, name).__name__ == name
+
+
+def test_a_name_of_a_command_is_its_function_whatever_was_imported_before():
+    """No room of the package has the name of a command, so that no import of a module takes its place."""
+    script = """
+import importlib, json, pkgutil
+import gradcal_jax as gj
+for found in pkgutil.walk_packages(gj.__path__, "gradcal_jax."):
+    importlib.import_module(found.name)
+print(json.dumps([name for name in gj.__all__ if name != "presets" and not callable(getattr(gj, name))]))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1]) == []
+
+
+def test_the_lines_of_the_readme_do_the_whole_job(tmp_path, monkeypatch, capsys):
+    (lines,) = re.findall(r"```python\n(.+?)```", README, flags=re.S)
+    assert 8 <= sum(1 for line in lines.splitlines() if "gj." in line) <= 10
+    gj.write_toml(gj.changed(gj.parse_spec(gj.presets.text("paper-dynamic-gradient")), SMALL), tmp_path / "design.toml")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(lines, "README.md", "exec"), {})
+    before, now, limit = (float(number) for number in re.findall(r"([\d.]+) ppm", capsys.readouterr().out))
+    made, found = read_recipe("run/recipe.toml"), gj.read_calibration("run/calibration.toml")
+    page = Path("report.html").read_text(encoding="utf-8")
+    assert limit < now < 0.8 * before
+    assert made.prediction.requirements[0].decisive == pytest.approx(now, rel=1e-9)
+    assert made.optimisation is not None
+    assert found.simulated
+    assert found.provenance["recipe"] == made.fingerprint
+    assert found.result[0].value == pytest.approx(now, rel=0.2)
+    for value in (before, now, found.result[0].value):
+        assert f"{value:.4g}\N{NO-BREAK SPACE}ppm" in page

@@ -1,0 +1,102 @@
+"""What holds of every command: wrong files are sentences, numbers are to be had as JSON, colour is for terminals."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from gradcal_jax.cli import main
+from gradcal_jax.cli.app import build
+from gradcal_jax.files import presets
+
+PROGRAM = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
+# FILE: what is wrong in turn; OUT: a name that is free.
+ARGUMENTS = {
+    "allan": "FILE",
+    "apply": "FILE FILE -o OUT",
+    "check": "FILE",
+    "compare": "FILE FILE",
+    "demo": "--data FILE -o OUT",
+    "estimate": "FILE --spec FILE",
+    "export": "FILE --format csv",
+    "frontier": "FILE --motion 50min",
+    "instability": "FILE",
+    "limit": "FILE",
+    "log": "FILE",
+    "new": "FILE -o OUT",
+    "optimise": "FILE -o OUT",
+    "predict": "FILE",
+    "recipe": "FILE -o OUT",
+    "recipes": "FILE -o OUT",
+    "report": "FILE -o OUT",
+    "rig check": "FILE",
+    "run": "FILE --simulate -o OUT",
+    "schema": "FILE",
+    "sensitivity": "FILE",
+    "show": "FILE",
+    "sweep": "FILE -o OUT",
+    "timeline": "FILE",
+    "validate": "FILE FILE",
+}
+# These print words alone.
+WITHOUT_NUMBERS = {"glossary", "new", "rig", "schema"}
+
+
+def test_every_command_is_tried():
+    assert {name.split()[0] for name in ARGUMENTS} | {"glossary"} == {n for n in build() if not n.startswith("-")}
+
+
+@pytest.mark.parametrize("command", ARGUMENTS)
+@pytest.mark.parametrize("wrong", ["missing", "folder", "bytes", "text"])
+def test_a_wrong_file_is_a_sentence_and_status_2(command, wrong, tmp_path, capsys):
+    path = tmp_path / "wrong.toml"
+    if wrong == "folder":
+        path.mkdir()
+    elif wrong == "bytes":
+        path.write_bytes(bytes(range(256)) * 4)
+    elif wrong == "text":
+        path.write_text('format = "gradcal-something/1"\n', encoding="utf-8")
+    free = tmp_path / "free"
+    words = [{"FILE": str(path), "OUT": str(free)}.get(word, word) for word in ARGUMENTS[command].split()]
+    assert main([*command.split(), *words]) == 2
+    told = capsys.readouterr()
+    assert told.err.startswith("gradcal: ")
+    assert "Traceback" not in told.err
+    assert len(told.err) < 2000
+    assert not free.exists()
+
+
+@pytest.mark.parametrize("command", [name for name in build() if not name.startswith("-")])
+def test_whatever_prints_numbers_prints_them_as_json_too(command, capsys):
+    assert main([command, "--help"]) == 0
+    assert ("--json" in capsys.readouterr().out) == (command not in WITHOUT_NUMBERS)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
+@pytest.mark.parametrize(
+    ("environment", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False), ({"TERM": "dumb"}, False)]
+)
+def test_a_terminal_gets_colour_unless_it_is_unwanted(environment, coloured, tmp_path):
+    path = tmp_path / "my.toml"
+    path.write_text(presets.text("paper-static-gradient"), encoding="utf-8")
+    leader, follower = os.openpty()
+    plain = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "TERM")}
+    command = [sys.executable, "-c", PROGRAM, "check", "--files-only", str(path)]
+    with subprocess.Popen(
+        command, stdout=follower, stderr=follower, env={**plain, "TERM": "xterm", **environment}
+    ) as done:
+        os.close(follower)
+        said = b""
+        while True:
+            try:
+                part = os.read(leader, 4096)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            said += part
+    os.close(leader)
+    assert done.returncode == 0
+    assert b"the spec is sound" in said
+    assert (b"\x1b[" in said) == coloured

@@ -154,9 +154,13 @@ class _Watcher:
 
     def _show(self, progress: "Progress") -> None:
         """Called by the run itself, so it must be quick."""
-        if self._terminal is not None and self._terminal.asking:
-            return  # somebody types on this line
         now = (progress.state.value, progress.step)
+        if self._terminal is not None and self._terminal.asking:
+            # Somebody types on this line.
+            if now[0] == "pausing" != self._last[0]:
+                self._terminal.remark("pausing after this step; Ctrl-C again makes everything safe and ends")
+                self._last = now
+            return
         if self._quiet:
             pass
         elif self._plain:

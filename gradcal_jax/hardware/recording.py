@@ -33,6 +33,7 @@ _MARGIN_S: Final = 0.02
 # nothing, and one that still turned would be taken for rest.
 _SETTLED_S: Final = 0.1
 _BETWEEN_SESSIONS_S: Final = 60.0
+_FEWEST_ARRIVALS: Final = 3
 Floats = NDArray[np.float64]
 
 
@@ -54,16 +55,19 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
     """
     device = _device(rig, unit)
     parts: list[_Part] = []
+    aside = 0
     found = _sessions(contents)
     for session in found:
         part = _part(session, device, [axis.name for axis in rig.axis])
-        if part is not None:
+        if isinstance(part, _Part):
             parts.append(part)
+        else:
+            aside += part
     if not parts:
         raise HardwareError(
             "The journal holds no samples of a stretch with data: the run ended before its first stretch began."
         )
-    return _joined(parts, recipe, device, exit_status(contents), len(found))
+    return _joined(parts, recipe, device, exit_status(contents), len(found), aside)
 
 
 def _device(rig: RigFile, unit: str | None) -> ImuDevice:
@@ -110,23 +114,25 @@ class _Part:
     repeated: int
 
 
-def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | None:
+def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | int:
+    """What a session gave; where it ended before it gave anything, the number of its samples."""
     decoder = _decoder(session, device)
     chunks = session.chunks.get(device.name, [])
     if decoder is None or not chunks:
-        return None
+        return 0
     samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks])
-    if len(samples) < 10:
-        return None
+    stretches = _stretches(session.events)
+    if not stretches or len(np.unique(samples.host_time_s)) < _FEWEST_ARRIVALS:
+        return len(samples)
     resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
     clock = fit_clock(samples.device_time_s, samples.host_time_s, resolution_s=resolution_s)
     host = clock.host_time_s(samples.device_time_s)
     kept = np.zeros(len(samples), bool)
-    for start, end in _stretches(session.events):
+    for start, end in stretches:
         kept |= (host > start) & (host <= end)
     rows = np.flatnonzero(kept)
     if len(rows) < 2:
-        return None
+        return len(samples)
     broken = np.diff(rows, prepend=rows[0] - 2) > 1
     missing = samples.gap_before[rows]
     starts = np.flatnonzero(broken | (missing > 0))
@@ -253,7 +259,7 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
 # ------------------------------------------------------------------------------------------------------------ joined
 
 
-def _joined(parts: Sequence[_Part], recipe: Recipe, device: ImuDevice, status: str, sessions: int) -> Log:
+def _joined(parts: Sequence[_Part], recipe: Recipe, device: ImuDevice, status: str, sessions: int, aside: int) -> Log:
     times: list[Floats] = []
     hosts: list[Floats] = []
     standstills: list[NDArray[np.int64]] = []
@@ -276,7 +282,7 @@ def _joined(parts: Sequence[_Part], recipe: Recipe, device: ImuDevice, status: s
         row += len(own)
     samples = join([part.samples for part in parts])
     marked = np.where(samples.status != 0, np.uint16(Reason.MARKED.value), np.uint16(0)).astype(np.uint16)
-    read = sum(part.read for part in parts)
+    read = aside + sum(part.read for part in parts)
     names = [f"axis {n}" for n in range(parts[0].angles_deg.shape[1])]
     turned = {move.axis for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")}
     labels = tuple(sorted(turned)) if len(turned) == len(names) else tuple(names)

@@ -127,7 +127,7 @@ class Runner:
         self._problem: str = ""
         self._working = threading.Event()
         self._watching = threading.Event()
-        self._shown_s = -float("inf")
+        self._shown_s = -math.inf
         self._steps_done = self.first_step
         self._step_ends_s = 0.0
         self._settled = self._was_settled = False
@@ -442,7 +442,6 @@ class Runner:
 
     def _wait_paused(self) -> None:
         self._enter(State.PAUSED)
-        self._shown_s = -math.inf
         while True:
             if self.clock.now() - self._shown_s >= self.chamber_every_s:
                 self._shown_s = self.clock.now()
@@ -491,6 +490,7 @@ class Runner:
         if state not in WAYS[self.state] and not (self.state is State.IDLE and state is State.STOPPING):
             raise AssertionError(f"There is no way from {self.state.value} to {state.value}.")
         self.state = state
+        self._shown_s = -math.inf
         self._event("state", quietly=quietly, state=state.value)
 
     def _event(self, name: str, /, *, quietly: bool = False, **data: Any) -> None:

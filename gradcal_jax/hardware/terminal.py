@@ -40,6 +40,7 @@ class Terminal:
         self.recorder: Recorder | None = None
         self.asking = False
         self.heard = False
+        self._question = ""
         self._diverted: Callable[[], None] | None = None
 
     def next_line_goes_to(self, whom: Callable[[], None]) -> None:
@@ -51,9 +52,17 @@ class Terminal:
             raise HardwareError("An axis is turned by hand, and there is no terminal at which somebody could be asked.")
         self._record(">", data)
         text = data.decode("utf-8", "replace")
-        fresh = not self.asking and bool(text.strip("\a"))
-        self.asking = not text.endswith("\n") and (self.asking or fresh)
-        self._screen.write((_CLEAR if fresh and self._screen.isatty() else "") + text)
+        words = text.strip("\a")
+        if words:
+            cleared = "" if self.asking or not self._screen.isatty() else _CLEAR
+            self.asking, self._question = not text.endswith("\n"), words
+            text = cleared + text
+        self._screen.write(text)
+        self._screen.flush()
+
+    def remark(self, text: str) -> None:
+        """Show something while a question stands there, and the question again below it."""
+        self._screen.write(f"\r\n{text}\r\n{self._question}")
         self._screen.flush()
 
     def read_stamped(self, timeout_s: float) -> tuple[bytes, float]:

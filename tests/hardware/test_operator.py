@@ -455,7 +455,8 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
             assert between.replace("\r", "").startswith("0.38 deg\n")
             # Who types nothing can still end the run: once asks for a pause after the step, again makes safe and ends.
             terminal.type("\x03")
-            time.sleep(0.5)
+            terminal.wait_for("pausing after this step; Ctrl-C again makes everything safe and ends")
+            terminal.wait_for("x: turn by -360 deg in 6 s, to 0 deg")
             terminal.type("\x03")
             assert terminal.ends() == 130
             assert "x: never mind, leave it where it is." in terminal.said

@@ -17,7 +17,7 @@ from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.errors import HardwareError
-from gradcal_jax.hardware.journal import read_journal
+from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
 from gradcal_jax.hardware.recording import log_of
 from gradcal_jax.hardware.run_folder import (
     RunFolder,
@@ -137,6 +137,12 @@ def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
     # The interrupted cycle was made again: one more of it, up to where it was interrupted.
     more = len(log.time_s) - len(uninterrupted.time_s)
     assert 0 < more < 14 * 125
+    # A session that was killed after its first bytes gives nothing, and costs nothing but the count of its samples.
+    first = next(n for n, entry in enumerate(contents.records) if isinstance(entry, Chunk) and entry.line == "unit1")
+    torn = JournalContents([*contents.records[: first + 1], *contents.records])
+    again = log_of(torn, made, folder.rig())
+    np.testing.assert_array_equal(again.rate_rad_per_s, log.rate_rad_per_s)
+    assert 0 < again.rows_read - log.rows_read < 200
     with pytest.raises(RunFolderError, match="is complete"):
         prepare_resume(folder)
 

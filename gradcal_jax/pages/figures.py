@@ -18,8 +18,8 @@ from gradcal_jax.assemble.achieved import Box
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.course import Course, rates_of
-from gradcal_jax.pages.facts import MapFact
 from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor
 from gradcal_jax.plots.style import style_of
 from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, turned_axes

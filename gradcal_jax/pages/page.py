@@ -10,10 +10,11 @@ import gradcal_jax
 from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.coefficients import ParameterFact
-from gradcal_jax.pages.facts import Facts, RequirementFact
+from gradcal_jax.pages.facts import Facts
 from gradcal_jax.pages.figures import found_pictures, map_pictures, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.units import time_text
 

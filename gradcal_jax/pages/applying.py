@@ -1,0 +1,64 @@
+"""How a calibration is applied: one reading worked out, and what other programs can carry of it."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax.assemble.knowledge import PPM
+from gradcal_jax.files import correction, exports
+from gradcal_jax.files.calibration import AxisCalibration, Calibration
+
+_ENDINGS: Final = {"ardupilot": "parm", "px4": "params", "kalibr": "yaml", "c-header": "h", "csv": "csv"}
+
+
+class ExampleFact(NamedTuple):
+    """What a calibration makes of one reading: rates in deg/s."""
+
+    axis: str
+    temperature_c: float
+    measured_dps: float
+    bias_dps: float
+    scale_factor_ppm: float
+    corrected_dps: float
+
+
+class ExportFact(NamedTuple):
+    """A program that takes the calibration, and what it cannot carry."""
+
+    target: str
+    command: str
+    losses: tuple[str, ...]
+
+
+def example_of(axis: AxisCalibration) -> ExampleFact:
+    """A reading at a third of the largest rate, at room temperature where that is covered."""
+    cold, warm = (float(end) for end in axis.valid_temperature)
+    at = 25.0 if cold <= 25.0 <= warm else 0.5 * (cold + warm)
+    said_dps = float(f"{np.degrees(max(abs(float(end)) for end in axis.valid_rate)) / 3.0:.1g}")
+    temperature, said = np.array([at]), np.array([np.radians(said_dps)])
+    true = correction.correct(axis, said, temperature)
+    return ExampleFact(
+        axis.name,
+        at,
+        said_dps,
+        float(np.degrees(correction.bias(axis, temperature)[0])),
+        float(correction.scale_factor(axis, temperature, true)[0]) * PPM,
+        float(np.degrees(true[0])),
+    )
+
+
+def exports_of(calibration: Calibration, name: str) -> list[ExportFact]:
+    """Every target with its command and its losses."""
+    found: list[ExportFact] = []
+    for target in exports.FORMATS:
+        warm = example_of(calibration.axis[0]).temperature_c
+        option = f' --temperature "{warm:g} degC"' if target == "kalibr" else ""
+        command = f"gradcal export {name} --format {target}{option} -o calibration.{_ENDINGS[target]}"
+        try:
+            done = exports.export(calibration, target, temperature_c=warm if option else None)
+        except ValueError as error:
+            found.append(ExportFact(target, "", (f"not for this calibration: {error}",)))
+            continue
+        losses = tuple(f"axis {x.axis}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
+        found.append(ExportFact(target, command, losses))
+    return found

@@ -1,0 +1,69 @@
+"""What a page's numbers rest on, and where they come from."""
+
+from gradcal_jax.files.calibration import Calibration
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.pages.sources import Sources
+
+
+def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> list[tuple[str, str]]:
+    """The noise figures that numbers rest on: the spec's, or those that the calibration keeps."""
+    rows: list[tuple[str, str]] = []
+    if recipe is not None:
+        sensor, angle = recipe.spec.sensor, recipe.spec.rig.table.angle
+        rows.append(("angle random walk", str(sensor.angle_random_walk)))
+        for drift in sensor.drift:
+            rows.append(("bias instability", f"{drift.standard_deviation}, correlation time {drift.correlation_time}"))
+        for wander in sensor.scale_factor_instability:
+            words = f"{wander.standard_deviation}, correlation time {wander.correlation_time}"
+            rows.append(("scale-factor instability", words))
+        given = (
+            ("rate random walk", sensor.rate_random_walk),
+            ("turn-on bias", sensor.turn_on_bias),
+            ("sample clock error", sensor.sample_clock_error),
+            ("thermal lag", sensor.thermal_lag),
+            ("reading noise", angle.reading_noise or None),
+            ("standstill offset", angle.standstill_offset or None),
+            ("timing error", angle.timing_error or None),
+        )
+        return rows + [(name, str(value)) for name, value in given if value is not None]
+    if calibration is not None and calibration.noise is not None:
+        rows.append(("angle random walk", str(calibration.noise.angle_random_walk)))
+        if calibration.noise.rate_random_walk is not None:
+            rows.append(("rate random walk", str(calibration.noise.rate_random_walk)))
+    return rows
+
+
+def provenance_of(sources: Sources) -> list[tuple[str, str]]:
+    """Fingerprints, versions, seeds and names of files."""
+    rows: list[tuple[str, str]] = []
+    recipe, calibration, run = sources.recipe, sources.calibration, sources.run
+    if recipe is not None:
+        rows += [
+            ("recipe", recipe.fingerprint),
+            ("recipe made by", recipe.made.by),
+            ("versions", ", ".join(f"{name} {number}" for name, number in recipe.made.versions.items())),
+            ("plan", recipe.status),
+        ]
+        if recipe.made.seed is not None:
+            rows.append(("seed of the optimisation", str(recipe.made.seed)))
+    if run is not None:
+        notes = run.notes()
+        rows += [
+            ("run", run.path.name),
+            ("run begun", str(notes.get("begun", ""))),
+            ("run by", f"gradcal {notes['version']}"),
+        ]
+        if notes.get("simulated"):
+            rows.append(("seed of the simulation", str(notes["simulation"]["seed"])))
+    if calibration is not None:
+        rows += [("unit", calibration.serial_number), ("frame", calibration.frame), ("order", calibration.order)]
+        names = {
+            "program": "estimated by",
+            "estimator": "estimator",
+            "readings": "readings",
+            "log": "log",
+            "spec": "model",
+        }
+        rows += [(words, calibration.provenance[key]) for key, words in names.items() if key in calibration.provenance]
+    rows += [(f"SHA-256 of {name}", digest) for name, digest in sources.paths]
+    return rows

@@ -1,0 +1,186 @@
+"""The requirements of a page: before, as predicted, as achieved, and the residual maps behind the numbers."""
+
+import re
+from typing import Final, NamedTuple, cast
+
+import numpy as np
+
+from gradcal_jax import assemble
+from gradcal_jax.assemble.achieved import Box, found_map, grid_of, prior_map
+from gradcal_jax.assemble.knowledge import UNIT_OF
+from gradcal_jax.files import Spec
+from gradcal_jax.files.calibration import AxisCalibration, Calibration, Result
+from gradcal_jax.files.contracts import RequirementRow
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.information import statistic
+from gradcal_jax.information.residual import Statistic
+from gradcal_jax.pages.sources import Sources
+
+# Of a residual: what shows in the digits of a page.
+_SEEN: Final = 1e-3
+
+
+class RequirementFact(NamedTuple):
+    """A requirement before, as predicted, as achieved (1σ, in `unit`); None: not observable, or not there to tell.
+
+    `verdict`: of what was achieved, otherwise of what is predicted; `limit`: proven for any plan.
+    """
+
+    name: str
+    axis: str
+    quantity: str
+    statistic: str
+    unit: str
+    temperature_c: tuple[float, float] | None
+    rate_dps: tuple[float, float] | None
+    before: float | None
+    predicted: float | None
+    achieved: float | None
+    target: float | None
+    verdict: str | None
+    limited_by: str | None
+    limit: float | None
+
+
+class MapFact(NamedTuple):
+    """Residual maps of one requirement and axis, in order: before, predicted, achieved, as far as they are known."""
+
+    name: str
+    axis: str
+    quantity: str
+    maps: tuple[tuple[str, Box], ...]
+
+
+def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[MapFact]]:
+    """What "before" means, every requirement, and its maps."""
+    recipe, calibration = sources.recipe, sources.calibration
+    if recipe is None:
+        assert calibration is not None
+        maps = [_found_alone(axis, quantity) for axis in calibration.axis for quantity in _quantities(axis)]
+        return "", [_result_alone(row) for row in calibration.result], maps
+    built = assemble.assemble(recipe.spec)
+    known = {channel: assemble.knowledge(built, channel) for channel in built.channels}
+    other = _other_plan(sources.before)
+    rows: list[RequirementFact] = []
+    maps: list[MapFact] = []
+    before_is = ""
+    for row in recipe.prediction.requirements:
+        requirement = next(r for r in recipe.spec.requirement if r.name == row.name)
+        drawn: list[tuple[str, Box]] = []
+        earlier = _before(other, recipe.spec, requirement, row.axis)
+        if earlier is not None:
+            before_is = "what the spec's priors say, without a calibration"
+            if other is not None:
+                before_is = f"the plan of {sources.before_name}, on the rig of that file"
+            drawn.append(("before", earlier))
+        values = assemble.residual_map(built, known[row.axis], requirement)
+        drawn.append(("predicted", Box(*values, row.unit)))
+        axis = _axis_of(calibration, row.axis)
+        if axis is not None and requirement.quantity in _quantities(axis):
+            _, deviation = found_map(axis, requirement.quantity, *grid_of(axis, requirement, requirement.quantity))
+            drawn.append(("achieved", deviation))
+        maps.append(MapFact(row.name, row.axis, row.quantity, tuple(drawn)))
+        rows.append(_requirement(row, requirement, calibration, earlier, sources.limits))
+    if not before_is and (given := _optimised_before(recipe)):
+        before_is = "the plan that the optimisation began with"
+        rows = [row._replace(before=given.get(row.name)) for row in rows]
+    return before_is, rows, maps
+
+
+def hidden_by_structure(requirements: list[RequirementFact], maps: list[MapFact]) -> list[str]:
+    """A calibration file has the covariance of its coefficients; what their structure may hide is in results alone."""
+    names: list[str] = []
+    for row, fact in zip(requirements, maps, strict=False):
+        drawn = dict(fact.maps).get("achieved")
+        if drawn is None or row.achieved is None or row.temperature_c is None:
+            continue
+        shown = statistic(cast("Statistic", row.statistic), drawn.values)
+        if abs(shown - row.achieved) > _SEEN * row.achieved:
+            names.append(f"{row.name} ({shown:.4g} {row.unit} in the map, {row.achieved:.4g} {row.unit} in the table)")
+    if not names:
+        return []
+    return [
+        "the achieved maps leave out what the results count besides the coefficients' covariance, such as a model "
+        f"discrepancy: {', '.join(names)}"
+    ]
+
+
+def _requirement(
+    row: RequirementRow,
+    requirement: Requirement,
+    calibration: Calibration | None,
+    before: Box | None,
+    limits: dict[str, float],
+) -> RequirementFact:
+    result = _result_of(calibration, row)
+    return RequirementFact(
+        row.name,
+        row.axis,
+        row.quantity,
+        row.statistic,
+        row.unit,
+        row.temperature_c,
+        row.rate_dps,
+        None if before is None else _finite(statistic(requirement.statistic, before.values)),
+        row.decisive,
+        None if result is None else result.value,
+        row.target,
+        row.verdict if result is None else result.verdict,
+        row.limited_by,
+        limits.get(row.name),
+    )
+
+
+def _other_plan(spec: Spec | None):
+    if spec is None:
+        return None
+    built = assemble.assemble(spec)
+    return built, {channel: assemble.knowledge(built, channel) for channel in built.channels}
+
+
+def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | None:
+    """The residual of another plan, or of none where the spec has priors, on the same box."""
+    if other is None:
+        return prior_map(spec, requirement)
+    built, known = other
+    section = built.spec.sensor.bias if requirement.quantity == "bias" else built.spec.sensor.scale_factor
+    if channel not in known or section is None:
+        return None
+    return Box(*assemble.residual_map(built, known[channel], requirement), UNIT_OF[requirement.quantity][0])
+
+
+def _optimised_before(recipe: Recipe) -> dict[str, float]:
+    record = recipe.optimisation or {}
+    objective, value = str(record.get("objective", "")), record.get("before")
+    name = re.sub(r" \([^)]*\)$", "", objective)
+    return {name: float(value)} if isinstance(value, float | int) and name else {}
+
+
+def _result_of(calibration: Calibration | None, row: RequirementRow) -> Result | None:
+    results = () if calibration is None else calibration.result
+    return next((r for r in results if (r.name, r.axis, r.quantity) == (row.name, row.axis, row.quantity)), None)
+
+
+def _result_alone(row: Result) -> RequirementFact:
+    words = row.statistic.removesuffix(", 1 sigma")
+    found = (None, None, None, None, row.value, row.target, row.verdict, None, None)
+    return RequirementFact(row.name, row.axis, row.quantity, words, row.unit, *found)
+
+
+def _found_alone(axis: AxisCalibration, quantity: str) -> MapFact:
+    _, deviation = found_map(axis, quantity, *grid_of(axis, None, quantity))
+    return MapFact("all that the data cover", axis.name, quantity, (("achieved", deviation),))
+
+
+def _axis_of(calibration: Calibration | None, name: str) -> AxisCalibration | None:
+    axes = () if calibration is None else calibration.axis
+    return next((axis for axis in axes if axis.name == name), None)
+
+
+def _quantities(axis: AxisCalibration) -> list[str]:
+    return [name for name, part in (("scale_factor", axis.scale_factor), ("bias", axis.bias)) if part is not None]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

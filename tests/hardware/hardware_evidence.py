@@ -22,6 +22,8 @@ Shown by tests, without figures:
 * the wall clock stepped by years changes nothing (`test_journal_and_safety`, `test_clock_and_physics`);
 * of two runs on one port the second is refused (`test_transport`);
 * a port that leads to another device is a sentence with what was sent and what came back (`test_run_cli`);
+* somebody at the terminal of `gradcal run` turns a gimbal by hand, mistypes, pauses, gives up and goes on
+  (`test_operator`, on a pseudo-terminal of its own);
 * minimalmodbus and the vendor's zaber.serial speak with the simulated F4 and the simulated stage (`test_chambers`,
   `test_axes_and_imus`).
 """

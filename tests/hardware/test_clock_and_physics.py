@@ -281,3 +281,14 @@ def test_a_turn_read_through_the_line_is_the_turn_that_was_made() -> None:
     late = samples.host_time_s - samples.device_time_s / (1.0 + 50e-6)
     assert np.ptp(late) < 0.075
     assert real < 30.0
+
+
+def test_a_command_that_was_held_up_changes_nothing_that_the_sensor_was_told() -> None:
+    plant = AxisPlant(None, 0.0)
+    told = plant.position(np.linspace(0.0, 10.2, 52))
+    # It was given at 10 s, and carried out when the samples had got further.
+    plant.move_to(10.0, 360.0, 150.0, 200.0)
+    np.testing.assert_array_equal(plant.position(np.linspace(0.0, 10.2, 52)), told)
+    steps = np.diff(plant.position(np.linspace(10.2, 20.0, 1000)))
+    assert float(steps.sum()) == pytest.approx(360.0)
+    assert float(np.abs(np.diff(steps)).max()) < 0.1

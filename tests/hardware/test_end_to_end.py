@@ -163,7 +163,7 @@ class Chains:
 
 @pytest.mark.evidence
 def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path: Path) -> None:
-    """The paper's case, optimised, on simulated chamber, table and STIM300, six seeds: χ² of all coefficients."""
+    """The paper's case, optimised, on simulated chamber, table and STIM300, some seeds: χ² of all coefficients."""
     spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
     spec.write_text(presets.text("paper-dynamic-gradient") + DESIGN, encoding="utf-8")
     # Status 1: thirty steps are not always enough to converge; what was found is a sound recipe.
@@ -171,7 +171,7 @@ def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path
     made = read_recipe(recipe)
     assert not made.status.startswith("not optimised")
     chains = Chains(recipe, tmp_path)
-    for seed in range(1, 7):
+    for seed in range(1, 5):
         chains.add(seed, "full range")
     assert 0.001 < chains.chance < 0.999, chains.statistic
     assert np.all(np.abs(np.array(chains.ratios) - 1.0) < 0.1), chains.ratios

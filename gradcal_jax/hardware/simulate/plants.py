@@ -138,7 +138,11 @@ class _Phase:
 
 
 class AxisPlant:
-    """Piecewise constant acceleration: what a motion controller with a trapezoid makes."""
+    """Piecewise constant acceleration: what a motion controller with a trapezoid makes.
+
+    What the sensor was told of the motion stays true: a command that was held up, by a busy computer, takes effect from
+    where the sensor's samples have got to.
+    """
 
     def __init__(self, truth: AxisTruth | None = None, start_s: float = 0.0) -> None:
         self.truth = truth or AxisTruth()
@@ -146,6 +150,7 @@ class AxisPlant:
         self._phases = [_Phase(start_s, 0.0, 0.0, 0.0)]
         self._table: NDArray[np.float64] | None = None
         self._offset_deg = 0.0
+        self._told_s = -math.inf
         self._lock = threading.RLock()
 
     def position(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -156,6 +161,7 @@ class AxisPlant:
                 recent = self._phases[-60:]
                 self._table = np.array([(p.start_s, p.position_deg, p.rate_dps, p.acceleration_dps2) for p in recent])
             table = self._table
+            self._told_s = max(self._told_s, float(times_s[-1]))
         row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]
         after = np.maximum(times_s - row[:, 0], 0.0)
         return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2
@@ -191,6 +197,7 @@ class AxisPlant:
     def spin(self, now_s: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Go to a constant rate and stay there; with rate 0 a controlled stop."""
         with self._lock:
+            now_s = max(now_s, self._told_s)
             position, rate = self.state(now_s)
             phases = self._change(now_s, position, rate, rate_dps, acceleration_dps2)
             self._replace(now_s, self._within_travel(phases))
@@ -198,6 +205,7 @@ class AxisPlant:
     def move_to(self, now_s: float, target_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Trapezoid (or triangle) to an angle; what still moves is stopped first."""
         with self._lock:
+            now_s = max(now_s, self._told_s)
             position, rate = self.state(now_s)
             phases = self._change(now_s, position, rate, 0.0, acceleration_dps2)
             start = phases[-1]
@@ -218,6 +226,7 @@ class AxisPlant:
     def turn_by_hand(self, now_s: float, target_deg: float, duration_s: float, unevenness: float) -> None:
         """A slow and uneven turn from standstill: the plans' own shape, in pieces of constant acceleration."""
         with self._lock:
+            now_s = max(now_s, self._told_s)
             start, _ = self.state(now_s)
             # Rates at the knots whose straight lines between them turn exactly as far as asked.
             knots = np.linspace(0.0, 1.0, _PIECES_BY_HAND + 1)

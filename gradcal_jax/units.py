@@ -36,7 +36,12 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 __all__ = [
+    "ARCSEC",
+    "DEG_PER_H",
+    "DEG_PER_S",
+    "DEG_PER_SQRT_H",
     "DIMENSIONS",
+    "PPM",
     "Dimension",
     "UnitError",
     "convert",
@@ -46,6 +51,13 @@ __all__ = [
     "to_unit",
     "unit_of",
 ]
+
+# What SI numbers (ratios, rad/s, rad/√s, rad) are multiplied by for people to read.
+PPM: Final = 1e6
+DEG_PER_S: Final = 180.0 / math.pi
+DEG_PER_H: Final = 3600.0 * 180.0 / math.pi
+DEG_PER_SQRT_H: Final = 60.0 * 180.0 / math.pi
+ARCSEC: Final = 3600.0 * 180.0 / math.pi
 
 
 class UnitError(ValueError):

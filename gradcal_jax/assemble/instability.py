@@ -10,8 +10,9 @@ import numpy as np
 from gradcal_jax import identify
 from gradcal_jax.assemble.knowledge import DEG_PER_H
 from gradcal_jax.files.log import EvenSeries, Log, LogError
+from gradcal_jax.units import ARCSEC
+from gradcal_jax.units import DEG_PER_SQRT_H as DEG_PER_SQRT_H
 
-DEG_PER_SQRT_H = 60.0 * 180.0 / np.pi
 # A lag is taken for real where it leaves less than this share of what the fit without one leaves.
 _LAG_PAYS = 0.9
 _LONGEST_LAG_S = 1800.0
@@ -257,7 +258,7 @@ def instability_row(found: Instability) -> dict[str, Any]:
 def allan_row(rest: Rest, allan: identify.AllanDeviation, fit: identify.AllanFit) -> dict[str, Any]:
     """Plain numbers for `--json`: the curve with its confidence, and the coefficients with standard errors."""
     scale = {
-        "quantisation_arcsec": (fit.quantisation, 3600.0 * 180.0 / np.pi),
+        "quantisation_arcsec": (fit.quantisation, ARCSEC),
         "angle_random_walk_deg_per_sqrt_h": (fit.angle_random_walk, DEG_PER_SQRT_H),
         "bias_instability_deg_per_h": (fit.bias_instability, DEG_PER_H),
         "rate_random_walk_deg_per_h_per_sqrt_h": (fit.rate_random_walk, DEG_PER_H * 60.0),

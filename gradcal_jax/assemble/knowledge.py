@@ -12,10 +12,10 @@ from gradcal_jax.errormodel import GyroModel
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import Posterior, information, posterior, residual, unweighted
+from gradcal_jax.units import DEG_PER_H as DEG_PER_H
+from gradcal_jax.units import DEG_PER_S as DEG_PER_S
+from gradcal_jax.units import PPM as PPM
 
-PPM = 1e6
-DEG_PER_H = 3600.0 * 180.0 / np.pi
-DEG_PER_S = 180.0 / np.pi
 UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h"], float]]] = {
     "scale_factor": ("ppm", PPM),
     "bias": ("deg/h", DEG_PER_H),

@@ -216,6 +216,7 @@ def _text(report: "EstimateReport") -> str:
 def _channel(channel: "UnitChannel") -> str:
     import numpy as np
 
+    from gradcal_jax import units
     from gradcal_jax.information import parameter_names, to_reported
 
     model = channel.model
@@ -225,13 +226,13 @@ def _channel(channel: "UnitChannel") -> str:
     where = model.columns
     rows = [("parameter", "value", "1σ", "unit")]
     for k, name in enumerate(parameter_names(model)):
-        unit, factor = "ppm", 1e6
+        unit, factor = "ppm", units.PPM
         if k < where.scale.start or where.bias_discrepancy.start <= k < where.bias_discrepancy.stop:
-            unit, factor = "deg/h", float(np.degrees(1.0)) * 3600.0
+            unit, factor = "deg/h", units.DEG_PER_H
         elif where.gradient.start <= k < where.gradient.stop:
-            unit, factor = "deg/h/(K/min)", float(np.degrees(1.0)) * 60.0
+            unit, factor = "deg/h/(K/min)", units.DEG_PER_H / 60.0
         elif where.harmonics.start <= k < where.harmonics.stop:
-            unit, factor = "arcsec", float(np.degrees(1.0)) * 3600.0
+            unit, factor = "arcsec", units.ARCSEC
         if np.isfinite(deviations[k]):
             rows.append((name, f"{values[k] * factor:.4f}", f"{deviations[k] * factor:.4g}", unit))
         else:

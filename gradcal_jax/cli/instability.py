@@ -148,7 +148,7 @@ def _lag(text: str) -> float | str:
 
 
 def _instability_text(found: "Instability", parts) -> str:
-    from gradcal_jax.assemble.instability import DEG_PER_H, DEG_PER_SQRT_H
+    from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 
     bound = found.bound
     times = bound.integration_time_s
@@ -294,11 +294,11 @@ def _terms(text: str) -> list[str]:
 
 
 def _allan_text(fit: "AllanFit") -> str:
-    from gradcal_jax.assemble.instability import DEG_PER_H, DEG_PER_SQRT_H
+    from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
 
     rows = [("coefficient", "value", "standard error", "unit", "")]
     for name, found, factor, unit in (
-        ("Q quantisation", fit.quantisation, 3600.0 * 57.29577951308232, "arcsec"),
+        ("Q quantisation", fit.quantisation, ARCSEC, "arcsec"),
         ("N angle random walk", fit.angle_random_walk, DEG_PER_SQRT_H, "deg/sqrt(h)"),
         ("B bias instability", fit.bias_instability, DEG_PER_H, "deg/h"),
         ("K rate random walk", fit.rate_random_walk, DEG_PER_H * 60.0, "deg/h/sqrt(h)"),

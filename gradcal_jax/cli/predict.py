@@ -1,11 +1,11 @@
 """`gradcal predict` and `gradcal compare`: what plans leave, by requirement."""
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
+from gradcal_jax import units
 from gradcal_jax.cli.console import columns, strong, time_text
 from gradcal_jax.cli.output import Json, Plot, as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
@@ -162,9 +162,9 @@ def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
 
 
 _SHOWN = {
-    "rad/s": ("deg/h", math.degrees(1.0) * 3600.0),
-    "1": ("ppm", 1e6),
-    "rad/K": ("deg/h/(K/min)", math.degrees(1.0) * 60.0),
+    "rad/s": ("deg/h", units.DEG_PER_H),
+    "1": ("ppm", units.PPM),
+    "rad/K": ("deg/h/(K/min)", units.DEG_PER_H / 60.0),
 }
 
 

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from gradcal_jax.files import correction
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.polynomials import normalised_bias, normalised_scale_factor
+from gradcal_jax.units import DEG_PER_H
 
 Floats = NDArray[np.float64]
 _ROUNDS = 8
 _GRID = 41
-_DEG_PER_H = float(np.degrees(1.0)) * 3600.0
 
 
 def write(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list[tuple[str, str, float, str]]]:
@@ -26,7 +26,7 @@ def write(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list[
         said = correction.measured(axis, rate, temperature)
         off = np.abs(corrected(axis, said, temperature) - rate)
         still = np.abs(rate) < 1e-12
-        errors.append((axis.name, "at rest", float(np.max(off[still], initial=0.0)) * _DEG_PER_H, "deg/h"))
+        errors.append((axis.name, "at rest", float(np.max(off[still], initial=0.0)) * DEG_PER_H, "deg/h"))
         turning = np.abs(rate) > 0.1 * max(float(np.max(np.abs(rate))), 1e-12)
         if turning.any():
             relative = float(np.max(off[turning] / np.abs(rate[turning]))) * 1e6

@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from gradcal_jax.files import c_header, correction
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.polynomials import bias_polynomial
+from gradcal_jax.units import DEG_PER_H, PPM
 
 Floats = NDArray[np.float64]
-DEG_PER_H: Final = float(np.degrees(1.0)) * 3600.0
-PPM: Final = 1e6
 _GRID: Final = 201
 _TRIAD: Final = ("x", "y", "z")
 

@@ -4,11 +4,9 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from gradcal_jax.assemble import assemble, knowledge, residual_map
+from gradcal_jax.assemble import UNIT_OF, assemble, knowledge, residual_map
 from gradcal_jax.files import Spec
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
-
-_UNIT = {"scale_factor": "ppm", "bias": "deg/h"}
 
 
 def draw_prediction(spec: Spec) -> Figure:
@@ -23,7 +21,7 @@ def draw_prediction(spec: Spec) -> Figure:
     figure = Figure(figsize=(6.4, 4.2 * len(panels)), layout="constrained")
     for axes, (requirement, channel) in zip(figure.subplots(len(panels), squeeze=False)[:, 0], panels, strict=True):
         temperature, rate, values = residual_map(built, knowledge(built, channel), requirement)
-        unit = _UNIT[requirement.quantity]
+        unit = UNIT_OF[requirement.quantity][0]
         name = requirement.name if len(built.channels) == 1 else f"{requirement.name}, axis {channel}"
         if requirement.quantity == "scale_factor":
             draw_map(temperature, rate, values, unit, title=name, ax=axes)

@@ -21,7 +21,7 @@ from variants import MOVING, STATIC, spec_of
 
 from gradcal_jax.assemble.measure import measure
 from gradcal_jax.assemble.optimise import PRICED, Optimised, eased, optimise
-from gradcal_jax.design import Coordinates, polish
+from gradcal_jax.design import Coordinates, ProgrammeKnots, polish
 
 HERE = Path(__file__).parent
 STEPS = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -40,14 +40,18 @@ def tried(name: str, count: int) -> dict[str, Any]:
     def objective(z, sharpness):
         return of(coordinates.decode(z), sharpness)
 
-    # The kept point is the best polished one: from there no polish gains.
-    found = polish(objective, best.point)
+    knots = coordinates if isinstance(coordinates, ProgrammeKnots) else None
+    linear = None if knots is None else knots.limits
+    found = polish(objective, best.point, linear=linear)
     begun, generator = time.perf_counter(), np.random.default_rng(0)
     values: dict[str, list[float]] = {}
     for k in range(count):
         step = STEPS[k % len(STEPS)]
         point = found.point + step * generator.standard_normal(found.point.shape)
-        values.setdefault(str(step), []).append(polish(objective, point, steps=150).value)
+        if knots is not None:
+            point = knots.near(point)
+        other = polish(objective, point, steps=150, linear=linear)
+        values.setdefault(str(step), []).append(other.value if other.held else np.inf)
         if (k + 1) % 20 == 0:
             print(f"  {k + 1} of {count}: best {min(min(v) for v in values.values()):.5g} {best.unit}", flush=True)
     every = np.concatenate([np.array(v) for v in values.values()])

@@ -288,21 +288,29 @@ def _gradient(
             columns.append(room.columns_at_readings(done.timeline, model, increments, turned))
         return Observations(steps, np.stack(columns), readings, time, temperature, mean_rate)
 
-    def settle(lag: float, parameters: np.ndarray | None = None) -> tuple[Observations, Whitened, Estimate]:
-        """Map and regressors in turn, until neither changes."""
+    def settle(lag: float, parameters: np.ndarray | None = None) -> tuple[Observations, Whitened, Estimate, float]:
+        """Map and regressors in turn, until neither changes; by how many standard deviations the maps still did."""
+        moved = np.inf
         for _ in range(_ROUNDS):
             observations = observe(lag, parameters)
             white = room.whitened(observations, model)
             found = room.solve(white)
             if model.scale is None or not moving.any():
-                break
-            if parameters is not None and _moved(found, parameters, model) < _SETTLED:
+                moved = 0.0
+            elif parameters is not None:
+                moved = _moved(found, parameters, model)
+            if moved < _SETTLED:
                 break
             parameters = found.parameters
-        return observations, white, found  # pyright: ignore[reportPossiblyUnboundVariable]
+        return observations, white, found, moved  # pyright: ignore[reportPossiblyUnboundVariable]
 
     lag, lag_std = _fitted_lag(settle) if options.lag == "fit" else (float(options.lag), None)
-    observations, white, _ = settle(lag)
+    observations, white, _, moved = settle(lag)
+    if moved >= _SETTLED:
+        messages.append(
+            "the maps have not settled: taken at the rates that they themselves make of the sensor's, they still "
+            f"change by {moved:.2g} standard deviations; the maps are wild, or the noise figures far too small"
+        )
     counts = _counts(log, members, done)
     result: dict[int, UnitChannel] = {}
     for k, unit in enumerate(members):
@@ -455,7 +463,7 @@ def _fitted_lag(settle) -> tuple[float, float]:
 
     def chi_squared(lag: float) -> float:
         if lag not in known:
-            _, _, found = settle(lag, last[0])
+            _, _, found, _ = settle(lag, last[0])
             last[0] = found.parameters
             known[lag] = float(found.chi_squared.sum())
         return known[lag]

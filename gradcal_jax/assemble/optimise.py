@@ -14,13 +14,16 @@ from gradcal_jax.assemble.measure import Measure, design_of, measure, overrides
 from gradcal_jax.assemble.prediction import predict
 from gradcal_jax.assemble.structures import AnyCoordinates, Structure, structures
 from gradcal_jax.assemble.written import written
-from gradcal_jax.design import Coordinates, Found, ProgrammeCoordinates, State, polish, search
+from gradcal_jax.design import Coordinates, Found, ProgrammeCoordinates, ProgrammeKnots, State, polish, search
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.rounding import rounded, steps_of
 
 STEPS: Final = 240
 # A turn within this share of its cap is said to be at its limit.
 _AT_LIMIT: Final = 1e-3
+# From the best programme so many steps of these sizes (shares of the time, of the chamber's range) are tried.
+_HOPS: Final = 80
+_HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
 
 
 class Step(NamedTuple):
@@ -171,11 +174,10 @@ def finished(
     if isinstance(coordinates, Coordinates) and "duration" in coordinates.free:
         coordinates, cycle = coordinates.pruned(coordinates.cycle(jnp.asarray(point)))
         point = coordinates.vector(cycle)
-    linear = None
     if isinstance(coordinates, ProgrammeCoordinates):
-        coordinates, point = coordinates.knots(point)
-        linear = coordinates.limits
-    found = polish(lambda z, sharpness: of.of(coordinates.decode(z), sharpness), point, linear=linear)
+        coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed)
+    else:
+        found = polish(lambda z, sharpness: of.of(coordinates.decode(z), sharpness), point)
     # As a recipe will have it, so that the number is of what is executed.
     plan = rounded(written(spec, *_without_vanished(coordinates, found.point)), steps_of(spec)).spec
     now, sentence, converged = exact(plan, of), found.sentence, found.converged
@@ -202,6 +204,19 @@ def finished(
         coordinates,
         found.point,
     )
+
+
+def best_programme(of: Measure, knots: ProgrammeKnots, point: np.ndarray, seed: int) -> tuple[ProgrammeKnots, Found]:
+    """Polish a programme, hop from the best, polish again: programmes that differ in which limits they run along are
+    optima of their own, between which no descent leads."""
+    objective, linear = (lambda z, sharpness: of.of(knots.decode(z), sharpness)), knots.limits
+    found, generator = polish(objective, point, linear=linear), np.random.default_rng(seed)
+    for k in range(_HOPS):
+        step = _HOP_STEPS[k % len(_HOP_STEPS)] * generator.standard_normal(point.shape)
+        other = polish(objective, knots.near(found.point + step), linear=linear)
+        if other.held and other.value < found.value:
+            found = other
+    return knots, found
 
 
 def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:

@@ -116,6 +116,11 @@ class ProgrammeKnots(_Programmes):
         temperatures = self.coldest + (self.warmest - self.coldest) * z[self.stretches :]
         return Programme(temperatures[0], durations, jnp.diff(temperatures) / durations)
 
+    def near(self, z: np.ndarray) -> np.ndarray:
+        """A vector from which a polish sets out: durations fill the time, temperatures are in the chamber's range."""
+        durations = np.maximum(z[: self.stretches], _LEAST_SHARE / self.stretches)
+        return np.concatenate([durations / np.sum(durations), np.clip(z[self.stretches :], 0.0, 1.0)])
+
     @property
     def limits(self) -> Linear:
         """Least durations, both slopes of every stretch, the range at every knot; the durations fill the time."""

@@ -29,8 +29,9 @@ _HOP_GAIN = 2e-3
 CONVERGED = 1e-4
 # Where it has not converged it begins anew, with no memory of curvature, so often in all.
 _POLISHES = 3
-# A limit that is nearer than this binds.
+# A limit that is nearer than this binds; a linear one that is exceeded by less is held.
 _BINDING = 1e-4
+_HELD = 1e-8
 
 
 class State(NamedTuple):
@@ -66,6 +67,7 @@ class Found(NamedTuple):
     """The polished point, its exact objective, and a sentence that says whether it converged.
 
     `gradient_norm`: largest component of the gradient of the objective's logarithm, less what limits hold back.
+    `held`: whether every limit is.
     """
 
     point: np.ndarray
@@ -73,6 +75,7 @@ class Found(NamedTuple):
     gradient_norm: float
     converged: bool
     sentence: str
+    held: bool = True
 
 
 def search(
@@ -211,15 +214,16 @@ def polish(objective: Objective, point: np.ndarray, *, steps: int = 300, linear:
         ).x
         after = exact(jnp.asarray(reached))
         worse = float(after[0]) > float(value) and np.all(np.asarray(excess) <= 1e-6)
-        if not worse and np.all(np.isfinite(reached)):
+        worse |= not np.all(np.isfinite(reached)) or _beyond(linear, reached) > max(_beyond(linear, point), _HELD)
+        if not worse:
             point, (value, excess) = reached, after
         norm = _projected(*at(point), point, linear)
         if worse or norm < CONVERGED:
             break
-    held = bool(np.all(np.asarray(excess) <= 1e-3))
+    held = bool(np.all(np.asarray(excess) <= 1e-3)) and _beyond(linear, point) <= _HELD
     converged = norm < CONVERGED and held
     if not held:
-        over = float(np.exp(np.max(np.asarray(excess)))) - 1.0
+        over = max(float(np.exp(np.max(np.asarray(excess), initial=0.0))) - 1.0, _beyond(linear, point))
         sentence = f"not converged: a limit is still exceeded by {100 * over:.2g} %: no plan of this kind may meet it"
     elif converged:
         sentence = f"converged: the largest gradient component is {norm:.1e} of the objective"
@@ -227,7 +231,15 @@ def polish(objective: Objective, point: np.ndarray, *, steps: int = 300, linear:
         sentence = (
             f"not converged: the largest gradient component is still {norm:.1e} of the objective: take more steps"
         )
-    return Found(np.asarray(point), float(value), norm, converged, sentence)
+    return Found(np.asarray(point), float(value), norm, converged, sentence, held)
+
+
+def _beyond(linear: Linear | None, point: np.ndarray) -> float:
+    """By how much a point exceeds the worst of its linear limits."""
+    if linear is None:
+        return 0.0
+    room = linear.rows @ point - linear.least
+    return float(np.max(np.where(linear.equal, np.abs(room), -room), initial=0.0))
 
 
 def _projected(values: np.ndarray, rows: np.ndarray, point: np.ndarray, linear: Linear | None) -> float:
@@ -236,6 +248,8 @@ def _projected(values: np.ndarray, rows: np.ndarray, point: np.ndarray, linear: 
     if linear is not None:
         held = linear.rows[linear.equal | (linear.rows @ point - linear.least < _BINDING)]
         binding = np.concatenate([binding, -held, linear.rows[linear.equal]])
+    if not (np.all(np.isfinite(gradient)) and np.all(np.isfinite(binding))):
+        return np.inf
     if len(binding):
         gradient = gradient + binding.T @ nnls(binding.T, -gradient)[0]
     return float(np.max(np.abs(gradient)))

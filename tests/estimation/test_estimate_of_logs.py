@@ -124,6 +124,17 @@ def test_a_log_of_the_standard_method_errs_as_it_says():
     np.testing.assert_allclose(ratio, 1.0, rtol=2e-5)  # the table turned at other rates than told, by up to 100 ppm
 
 
+def test_maps_that_do_not_settle_are_said(many):
+    """A sensor whose scale factor changes by 30 % with the rate: the rates at which its map is taken run away."""
+    spec, made = many
+    rate = made.log.rate_rad_per_s[:1]
+    one = replace(made.log, units=made.log.units[:1], temperature_c=made.log.temperature_c[:1], rate_rad_per_s=rate)
+    (sound,) = estimate_channels(spec, one)
+    (wild,) = estimate_channels(spec, replace(one, rate_rad_per_s=rate * (1.0 + 0.3 * np.tanh(rate / 5.0))))
+    assert not any("not settled" in message for message in sound.messages)
+    assert any("not settled" in message for message in wild.messages)
+
+
 def test_gaps_and_masked_rows_are_bridged_by_new_origins_and_counted():
     spec = spec_of()
     made = simulate_log(spec, sample_rate_hz=20.0, seed=9)

@@ -1,13 +1,18 @@
 """The best residual for each duration, and the shortest plan for each residual."""
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import jax
 import numpy as np
 
 from gradcal_jax.assemble.optimise import STEPS, Optimised, Step, optimise
 from gradcal_jax.files import Spec
+
+
+_BLIND: Final = (
+    "no plan found for this duration observes all that is required: try more moves at each turn at the table"
+)
 
 
 class Point(NamedTuple):
@@ -26,7 +31,7 @@ def frontier(
         try:
             for event in optimise(spec, steps=steps, motion=time):
                 if isinstance(event, Optimised):
-                    yield Point(time, event, event.sentence)
+                    yield Point(time, event, event.sentence) if np.isfinite(event.now) else Point(time, None, _BLIND)
                 else:
                     watch(time, event)
         except ValueError as error:

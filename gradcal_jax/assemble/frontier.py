@@ -9,7 +9,6 @@ import numpy as np
 from gradcal_jax.assemble.optimise import STEPS, Optimised, Step, optimise
 from gradcal_jax.files import Spec
 
-
 _BLIND: Final = (
     "no plan found for this duration observes all that is required: try more moves at each turn at the table"
 )

@@ -87,6 +87,23 @@ def test_the_worked_example_is_what_the_program_says(tmp_path):
         assert f"{by_name['bias']['mean']:.4g} deg/h" == bias
 
 
+def test_lines_that_begin_a_users_work_run_as_they_stand(tmp_path, monkeypatch, capsys):
+    """Those of the code blocks that need no run and take no minute, in their order, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    lines = [line.split("#")[0].split() for line in re.findall(r"^ {4}gradcal (.+)$", README, flags=re.M)]
+    quick = [words for words in lines if words[0] in ("new", "check") or words[:2] == ["rig", "new"]]
+    assert len(quick) >= 4
+    for words in quick:
+        assert main(words) == 0, words
+    assert {path.name for path in tmp_path.iterdir()} == {"paper.toml", "my.toml", "rig.toml"}
+    assert "the spec is sound" in capsys.readouterr().out
+
+
+def test_notebooks_of_the_readme_are_all_there_are():
+    linked = set(re.findall(r"\((notebooks/[^)]+)\)", README))
+    assert linked == {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
+
+
 def test_the_known_answers_are_those_of_the_table():
     table = {tuple(row) for row in rows((ROOT / "experiments/paper/table.md").read_text(encoding="utf-8"))}
     known = rows(section("The paper, reproduced"))

@@ -9,12 +9,12 @@ import numpy as np
 from gradcal_jax.assemble.structures import AnyCoordinates
 from gradcal_jax.design import Coordinates, Cycle, ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
 from gradcal_jax.files import Spec, changed
+from gradcal_jax.files.rounding import steps_of
 from gradcal_jax.plans import StandardPlan
 
 DEG = math.pi / 180.0
-# What the controllers are told, where the rig's [rig.resolution] does not say: s and rad/s.
-_TIME = 0.1
-_RATE = 0.01 * DEG
+# A stretch of fewer steps of slope is held level: its time would not survive the rounding.
+_LEVEL = 5
 _STEEP = math.pi / 2.0  # peak acceleration over rate / ramp time, of cosine ramps
 
 
@@ -29,11 +29,13 @@ def written(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> Spec:
 
 
 def _standard(spec: Spec, plan: StandardPlan) -> Spec:
-    temperatures = np.round(np.asarray(plan.temperatures), 1)
-    rates = np.round(np.asarray(plan.rates) / DEG, 2)
+    steps = steps_of(spec)
+    warm, quick, brief = (float(v) for v in (steps.temperature, steps.rate, steps.time))
+    temperatures = np.round(np.asarray(plan.temperatures) / warm) * warm
+    rates = np.round(np.asarray(plan.rates) / quick) * quick / DEG
     keys: dict[str, object] = {
         "plan.temperatures": [_c(t) for t in temperatures],
-        "plan.integration": _s(math.floor(float(plan.integration) / _TIME) * _TIME),
+        "plan.integration": _s(math.floor(float(plan.integration) / brief + 1e-9) * brief),
     }
     if np.any(rates):
         keys["plan.rates"] = [f"{r:.9g} deg/s" for r in rates]
@@ -41,22 +43,38 @@ def _standard(spec: Spec, plan: StandardPlan) -> Spec:
 
 
 def _static(spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, z) -> Spec:
-    """Stretches in whole seconds between temperatures in tenths, as steep as the chamber manages at most."""
+    """Stretches at slopes and temperatures that the controller is told, as steep as the chamber manages at most."""
+    steps = steps_of(spec)
+    slope_step, step = float(steps.slope), float(steps.temperature)
     programme = coordinates.programme(z)
-    here = round(float(programme.start), 1)
+    here = round(float(programme.start) / step) * step
     items: list[dict[str, object]] = [
         {"soak": _s(float(coordinates.soak)), "at": _c(here), "used": coordinates.soak_used}
     ]
-    reached = np.round(np.asarray(programme.knots()[1])[1:], 1)
-    for duration, goal in zip(np.asarray(programme.durations), reached, strict=True):
-        lasting = round(float(duration))
-        steepest = float(coordinates.heating if goal > here else coordinates.cooling) * lasting
-        goal = float(np.clip(goal, here - steepest, here + steepest))
-        if abs(goal - here) < 0.05:
-            items.append({"soak": _s(lasting), "used": True})
-        else:
-            items.append({"ramp_to": _c(goal), "rate": f"{abs(goal - here) / lasting * 60.0:.12g} K/min"})
-            here = goal
+    ends = np.cumsum(np.asarray(programme.durations))
+    written_s = 0.0
+    for end, goal in zip(ends, np.asarray(programme.knots()[1])[1:], strict=True):
+        # What rounding took from the stretches before is made up for here.
+        lasting = float(end) - written_s
+        up = float(goal) > here
+        steepest, room = (
+            (float(coordinates.heating), float(coordinates.warmest) - here)
+            if up
+            else (float(coordinates.cooling), here - float(coordinates.coldest))
+        )
+        count = min(round(abs(float(goal) - here) / lasting / slope_step), int(steepest / slope_step + 1e-6))
+        slope = count * slope_step
+        change = math.floor(min(slope * lasting, room) / step + 1e-6) * step
+        if count < _LEVEL or change <= 0.0:
+            whole = float(round(lasting))
+            items.append({"soak": _s(whole), "used": True})
+            written_s += whole
+            continue
+        here = round((here + (change if up else -change)) / step) * step
+        items.append({"ramp_to": _c(here), "rate": f"{slope * 60.0:.12g} K/min"})
+        written_s += change / slope
+    if (left := math.floor(float(ends[-1]) - written_s + 1e-6)) > 0:
+        items.append({"soak": _s(float(left)), "used": True})
     gone: dict[str, object] = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None}
     return changed(spec, {**gone, "plan.programme": items})
 
@@ -65,9 +83,8 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
     """Rests become whole numbers of readings."""
     frame = coordinates.frame
     every = float(frame.read_every)
-    resolution = spec.rig.resolution
-    time = float(resolution.time) if resolution is not None and resolution.time else _TIME
-    rate = float(resolution.rate) if resolution is not None and resolution.rate else _RATE
+    steps = steps_of(spec)
+    time, rate = float(steps.time), float(steps.rate)
     whole = spec.design is not None and spec.design.whole_turns
     reading = {"read_every": _s(every)} if coordinates.others_read else {"read": "none"}
     durations = _rounded(coordinates, np.asarray(cycle.durations), every, time)

@@ -31,12 +31,21 @@ from gradcal_jax.hardware.track import Step, Track
 SPEED = 20.0
 RATE_HZ = 125.0
 STARTING, WAITING, TURNING, STANDING, SAFE = "starting", "waiting for its temperature", "turning", "standing", "safe"
-AIMS = (STARTING, WAITING, TURNING, SAFE)
-SHARES = (0.1, 0.1, 0.68, 0.12)
+AIMS = (STARTING, WAITING, STANDING, TURNING, SAFE)
+SHARES = (0.08, 0.08, 0.38, 0.38, 0.08)
 
 
 def prepared(folder: Path, ramp_k: float) -> Track:
-    made = short_recipe(ramp_k, stable_for="10 s")
+    """Rests so long that a busy computer does not sleep through them, at twenty times the speed of a clock."""
+    rest = {"rest": "10 s", "read_every": "1 s"}
+    moves = [
+        rest,
+        {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"},
+        rest,
+        {"turns": -1, "peak_rate": "150 deg/s", "shape": "linear ramps"},
+    ]
+    changes = {"plan.cycle.moves": moves, "plan.cycle.other_axes.duration": "10 s", "plan.gradient": "1.5 K/min"}
+    made = short_recipe(ramp_k, stable_for="10 s", changes=changes)
     write_toml(made, folder / "recipe.toml")
     return track_of(made, ["x"])
 
@@ -99,7 +108,9 @@ def strike(run: Watched, aim: str, track: Track, first: int, random: np.random.G
         if ahead < len(coming):
             step = track.steps[coming[ahead]]
             begins = b'"event":"step begins","step":"%s"' % step.name.encode()
-            alive = run.await_word(begins) and run.lasts(float(random.uniform(0.0, step.duration_s)) / SPEED)
+            turns = [(move.start_s, move.start_s + move.duration_s) for move in step.moves]
+            span = turns[int(random.choice(len(turns)))] if aim == TURNING else (0.0, step.duration_s)
+            alive = run.await_word(begins) and run.lasts(float(random.uniform(*span)) / SPEED)
         else:
             alive = aim == SAFE
         if alive and aim == SAFE:
@@ -284,7 +295,7 @@ def require_equal(found: list[StepData], wanted: list[StepData]) -> None:
 
 
 def test_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path) -> None:
-    tally = killed_runs(tmp_path, prepared(tmp_path, 1.0), 2, seed=3)
+    tally = killed_runs(tmp_path, prepared(tmp_path, 2.0), 2, seed=3)
     assert tally.kills.total() == 2
     assert tally.runs >= 1
 
@@ -292,7 +303,7 @@ def test_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path) -> None:
 @pytest.mark.evidence
 def test_a_hundred_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path) -> None:
     began = time.monotonic()
-    tally = killed_runs(tmp_path, prepared(tmp_path, 2.0), 100, seed=7, runs=10)
+    tally = killed_runs(tmp_path, prepared(tmp_path, 3.0), 100, seed=7, runs=10)
     kills = tally.kills
     executing = kills[TURNING] + kills[STANDING]
     assert kills.total() >= 100

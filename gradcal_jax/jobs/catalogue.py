@@ -45,7 +45,7 @@ class Table:
 
 def recipes(
     job: Catalogue,
-    folder: Path,
+    folder: str | Path,
     *,
     runner: Runner | None = None,
     progress: Callable[[Progress], None] = lambda found: None,
@@ -55,6 +55,7 @@ def recipes(
     What is finished is kept in `folder/.finished`, and is not done again while the case and the versions are the same.
     Errors: `ValueError` where `folder` cannot be written to.
     """
+    folder = Path(folder)
     kept_in = folder / ".finished"
     try:
         kept_in.mkdir(parents=True, exist_ok=True)

@@ -88,7 +88,7 @@ def _silent(_: Progress) -> None:
 
 def sweep(
     job: Sweep,
-    output: Path,
+    output: str | Path,
     *,
     runner: Runner | None = None,
     progress: Report = _silent,
@@ -103,7 +103,7 @@ def sweep(
     """
     from gradcal_jax.jobs.dataset import dataset_of, write_dataset
 
-    begun = time.monotonic()
+    begun, output = time.monotonic(), Path(output)
     identity = identity_of(job)
     if finished(job, output):
         raise ValueError(f"{output} holds the finished results of just this sweep; nothing is left to do")

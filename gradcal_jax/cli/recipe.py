@@ -65,6 +65,8 @@ def recipe(
     stability = Stability.model_validate(given)
     if str(output) != "-":
         writable(output, force)
+    elif json:
+        raise ValueError("-o - prints the recipe itself: leave --json out, or name a file")
     use_float64()
     from gradcal_jax import assemble
 

@@ -1,5 +1,6 @@
 """What holds of every command: wrong files are sentences, numbers are to be had as JSON, colour is for terminals."""
 
+import json
 import os
 import subprocess
 import sys
@@ -71,6 +72,16 @@ def test_a_wrong_file_is_a_sentence_and_status_2(command, wrong, tmp_path, capsy
 def test_whatever_prints_numbers_prints_them_as_json_too(command, capsys):
     assert main([command, "--help"]) == 0
     assert ("--json" in capsys.readouterr().out) == (command not in WITHOUT_NUMBERS)
+
+
+def test_check_gives_its_numbers_as_json(tmp_path, capsys):
+    path = tmp_path / "my.toml"
+    path.write_text(presets.text("paper-dynamic-gradient"), encoding="utf-8")
+    assert main(["check", "--files-only", "--json", str(path)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["duration_s"], told["soak_s"], told["motion_s"]) == (9600.0, 3600.0, 6000.0)
+    assert told["requirements"] == ["full range", "reduced range"]
+    assert told["unobservable"] is None
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")

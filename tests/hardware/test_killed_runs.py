@@ -23,9 +23,11 @@ from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
-from gradcal_jax.hardware.journal import Event, JournalContents, parse_journal, read_journal
+from gradcal_jax.hardware.drivers import stim300
+from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, parse_journal, read_journal
 from gradcal_jax.hardware.recording import log_of
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
+from gradcal_jax.hardware.setup import config_of
 from gradcal_jax.hardware.track import Step, Track
 
 SPEED = 20.0
@@ -149,7 +151,8 @@ class Tally:
     runs: int = 0
     seams: int = 0
     samples: int = 0
-    missing: int = 0
+    steps: int = 0
+    torn: int = 0
 
 
 def killed_runs(folder: Path, track: Track, kills: int, seed: int, *, runs: int = 1) -> Tally:
@@ -200,12 +203,13 @@ def one_run(folder: Path, path: Path, track: Track, kills: int, random: np.rando
 
 @dataclass(frozen=True)
 class StepData:
-    """What one step with data gave: its samples (`missing` ones counted), and its turns, by the table's readings and by
-    the integral of the sensor's rate, deg."""
+    """What one step with data gave: its samples (`missing` ones counted; `torn` where a pseudo-terminal overflowed), its
+    turns by the table's readings and by the integral of the sensor's rate, deg."""
 
     name: str
     samples: int
     missing: int
+    torn: bool
     table_deg: tuple[float, ...]
     sensor_deg: tuple[float, ...]
 
@@ -220,9 +224,11 @@ def data_set(path: Path, track: Track, tally: Tally) -> list[StepData]:
     log = log_of(contents, read_recipe(path / "recipe.toml"), RunFolder(path).rig())
     assert log.host_time_s is not None
     begins = {e.data["number"]: e.data["begins_s"] for e in contents.events if e.name == "step begins"}
-    found = [step_data(log, step, begins[number]) for number, step in enumerate(track.steps) if step.read_at_s]
+    torn_s = overflows(contents, RunFolder(path))
+    found = [step_data(log, step, begins[number], torn_s) for number, step in enumerate(track.steps) if step.read_at_s]
     tally.samples += sum(data.samples for data in found)
-    tally.missing += sum(data.missing for data in found)
+    tally.steps += len(found)
+    tally.torn += sum(data.torn for data in found)
     tally.seams += require_seams(contents, track)
     # A stretch of the log begins anew at a seam, or where samples are missing, and nowhere else.
     again = [e.data["begins_s"] for e in contents.events if e.name == "step begins" and e.data["data"]]
@@ -257,7 +263,24 @@ def require_seams(contents: JournalContents, track: Track) -> int:
     return seams
 
 
-def step_data(log: Log, step: Step, begins_s: float) -> StepData:
+def overflows(contents: JournalContents, folder: RunFolder) -> list[float]:
+    """When bytes were lost between laboratory and run: at this speed a busy computer lets a terminal overflow."""
+    (device,) = folder.rig().imu
+    found: list[float] = []
+    decoder, bad = None, 0
+    for entry in contents.records:
+        if isinstance(entry, Event) and entry.name == "configuration":
+            decoder = stim300.decoder_of(config_of(device, "imu", ("imu", 0)), entry.data["registers"])
+            bad = 0
+        elif isinstance(entry, Chunk) and entry.line == device.name and entry.received and decoder is not None:
+            decoder.push(entry.data, entry.time_s)
+            if decoder.bad_bytes > bad:
+                found.append(entry.time_s)
+            bad = decoder.bad_bytes
+    return found
+
+
+def step_data(log: Log, step: Step, begins_s: float, torn_s: list[float]) -> StepData:
     assert log.host_time_s is not None
     assert log.standstill is not None
     assert log.table_angle_rad is not None
@@ -272,19 +295,20 @@ def step_data(log: Log, step: Step, begins_s: float) -> StepData:
         start, end = (int(np.median(rows[log.standstill[rows] == n])) for n in (before, after))
         table.append(float(np.degrees(log.table_angle_rad[end, 0] - log.table_angle_rad[start, 0])))
         sensor.append(float(np.degrees(log.rate_rad_per_s[0, start + 1 : end + 1, 0].sum()) / RATE_HZ))
-    return StepData(step.name, len(rows), missing, tuple(table), tuple(sensor))
+    torn = any(begins_s <= at_s <= begins_s + step.duration_s + 10.0 for at_s in torn_s)
+    return StepData(step.name, len(rows), missing, torn, tuple(table), tuple(sensor))
 
 
 def require_equal(found: list[StepData], wanted: list[StepData]) -> None:
     """The same steps with the same samples and the same turns, but for the noise of the sensor and of the readings."""
     assert [data.name for data in found] == [data.name for data in wanted]
     for data, other in zip(found, wanted, strict=True):
-        # Where a step begins among the samples is known as well as their stamps are.
-        there, expected = data.samples + data.missing, other.samples + other.missing
-        assert abs(there - expected) <= 0.03 * expected, (data, other)
-        if data.missing or other.missing:
-            # A pseudo-terminal that a busy computer let overflow: counted, and what it tore is not compared.
+        if data.torn or other.torn:
+            # How many samples were lost is known to a round of the counter only: counted, and not compared.
             continue
+        assert (data.missing, other.missing) == (0, 0)
+        # Where a step begins among the samples is known as well as their stamps are.
+        assert abs(data.samples - other.samples) <= 0.03 * other.samples, (data, other)
         # Readings of the paper's table scatter by 0.05 deg each.
         np.testing.assert_allclose(data.table_deg, other.table_deg, atol=0.5)
         assert [round(angle / 360.0) for angle in data.table_deg] == [1, -1], data
@@ -310,14 +334,14 @@ def test_a_hundred_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path)
     assert tally.runs >= 10
     assert executing >= 0.5 * kills.total(), kills
     assert min(kills[state] for state in (STARTING, WAITING, TURNING, STANDING, SAFE)) >= 3, kills
-    assert tally.missing <= 0.02 * tally.samples
+    assert tally.torn <= 0.05 * tally.steps
     record(
         "runs killed at random (SIGKILL) and resumed",
         f"{kills.total()} kills of {tally.runs} runs, by what the journal shows: {kills[TURNING]} while the table "
         f"turned, {kills[STANDING]} while it stood in a step with data, {kills[WAITING]} while it waited for its "
         f"temperature or soaked, {kills[STARTING]} while it started, {kills[SAFE]} while it made the rig safe. All "
         f"complete; every journal a continuation of what the kill left; {tally.seams} seams marked; every step's data "
-        f"equal to those of a run that nobody killed (samples, turns by table and by sensor); of {tally.samples} "
-        f"samples {tally.missing} missing; {time.monotonic() - began:.0f} s",
+        f"equal to those of a run that nobody killed (samples, turns by table and by sensor); {tally.torn} of "
+        f"{tally.steps} steps not compared, since the pseudo-terminal had overflowed; {time.monotonic() - began:.0f} s",
         "tests/hardware/test_killed_runs.py",
     )

@@ -97,8 +97,7 @@ class _Window(NamedTuple):
             prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
         )
         unit, factor = UNIT_OF[requirement.quantity]
-        left = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[requirement.statistic]
-        certified = found.certified * factor
+        left, certified = row.decisive, found.certified * factor
         efficiency = None if left is None else certified / left
         return PlanLimit(
             requirement.name,

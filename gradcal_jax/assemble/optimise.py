@@ -107,15 +107,9 @@ def exact(spec: Spec, of: Measure) -> float:
     design = design_of(spec)
     rows = [row for row in spec.requirement if row.name == design.minimise]
     if rows and not design.scenario:
-        predicted = next(row for row in predict(spec).requirements if row.name == rows[0].name)
-        found = {
-            "mean of max": predicted.mean_of_max,
-            "max": predicted.max,
-            "mean": predicted.mean,
-            "rms": predicted.rms,
-        }
-        value = found[rows[0].statistic]
-        return np.inf if value is None else value
+        # Of several axes the worst.
+        found = [row.decisive for row in predict(spec).requirements if row.name == rows[0].name]
+        return max(np.inf if value is None else value for value in found)
     value = float(eqx.filter_jit(lambda p: of.of(p, None)[0])(assemble(spec).plan))
     return value if np.isfinite(value) else np.inf
 

@@ -23,7 +23,7 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.files import Spec
 from gradcal_jax.files.design import Design
-from gradcal_jax.files.moves import ResolvedMove
+from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, StandardSchedule
 from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
 
@@ -190,27 +190,36 @@ def largest_rate(spec: Spec, scenarios: list[Spec]) -> float:
     return min(rates + [float(s.sensor.usable_rate) for s in every if s.sensor.usable_rate is not None])
 
 
+def axes_of(cycle: ResolvedCycle) -> tuple[Axis, ...]:
+    """The axes that turn, in the order in which they do."""
+    turning: list[Axis] = list(dict.fromkeys(move.axis for move in cycle.moves if not move.is_rest))
+    return tuple(turning or ["x"])
+
+
 def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
     cycle = cast("ResolvedCycle", spec.gradient_schedule.cycle)
-    axes = {move.axis for move in cycle.moves if not move.is_rest}
-    if len(axes) > 1:
-        raise ValueError(
-            "optimise designs one axis at a time: keep the moves of one axis, and give the time of the others as "
-            "plan.cycle.other_axes"
-        )
+    axes = axes_of(cycle)
     time = motion_time(spec, design) if motion is None else motion
     free = frozenset(_FREE.get(name, name) for name in design.free) - {"cycle"}
-    own, other = cycle.moving, cycle.other + cycle.idle
+    # Several axes make the same moves in turn: the first is designed, which stands while the others do.
+    own = cycle.moving / len(axes)
+    other = cycle.duration - own
     share = own / (own + other)
     if "duration" not in free:
+        if len(axes) > 1:
+            raise ValueError("the moves of several axes are designed together: add duration to design.free")
         return [_given(spec, scenarios, cycle, free, time)]
-    if "cycle" in design.free:
+    if "cycle" in design.free and len(axes) > 1:
+        choices = [(n, share * time / n, (1.0 - share) * time / n) for n in _FREE_VISITS]
+    elif "cycle" in design.free:
         # The axis keeps its share of the time; its last turn at the table ends with the ramp: both ends are seen.
         choices = [(n, share * time / n, (1.0 - share) * time / (n - 1)) for n in _FREE_VISITS]
     else:
-        choices = [(repetitions(time, own, own + other)[0], own, other)]
+        choices = [(repetitions(time, own * len(axes), own + other)[0], own, other)]
         if choices[0][0] == 0:
-            raise ValueError(f"one turn at the table takes {own:.4g} s, the ramp only {time:.4g} s: give it more time")
+            raise ValueError(
+                f"one turn at the table takes {own * len(axes):.4g} s, the ramp only {time:.4g} s: give it more time"
+            )
     found = []
     for visits, each, between in choices:
         alike = design.cycles == "alike"
@@ -235,10 +244,11 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
             others_read=cycle.other_read_every is not None,
             free=free,
             longest_piece=3.0 * min(shortest_correlation_time(s.sensor) for s in (spec, *scenarios)),
-            axis=next(iter(axes), "x"),
+            axis=axes[0],
         )
         kind = "the same moves in each" if alike else "moves of their own"
-        found.append(Structure(coordinates, f"{cycles * groups} turns at the table of {each:.4g} s, {kind}"))
+        of = "" if len(axes) == 1 else f" of each of {len(axes)} axes"
+        found.append(Structure(coordinates, f"{cycles * groups} turns at the table{of} of {each:.4g} s, {kind}"))
     return found
 
 

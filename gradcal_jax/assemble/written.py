@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.assemble.structures import AnyCoordinates
+from gradcal_jax.assemble.structures import AnyCoordinates, axes_of
 from gradcal_jax.design import Coordinates, Cycle, ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.rounding import steps_of
@@ -88,12 +88,11 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
     whole = spec.design is not None and spec.design.whole_turns
     reading = {"read_every": _s(every)} if coordinates.others_read else {"read": "none"}
     durations = _rounded(coordinates, np.asarray(cycle.durations), every, time)
-    moves: list[dict[str, object]] = []
+    visits: list[list[dict[str, object]]] = [[] for _ in range(coordinates.groups)]
     # Where travel is limited the angle is kept, not the rate; what rounding leaves of it is the next turn's.
     owed = 0.0
     for i, element in enumerate(coordinates.elements):
-        if i and element.group != coordinates.elements[i - 1].group and coordinates.shared:
-            moves.append({"rest": _s(float(frame.other_time)), "other_axes": True, **reading})
+        moves = visits[element.group]
         if element.shape == "rest":
             moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
             continue
@@ -108,9 +107,20 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
         else:
             moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
         owed -= angle
-    cycle_tables: dict[str, object] = {"moves": moves}
-    if coordinates.shared:
-        other: dict[str, object] = {"duration": _s(float(frame.other_time)), "read": coordinates.others_read}
+    given = spec.gradient_schedule.cycle
+    axes = (coordinates.axis,) if given is None else axes_of(given)
+    # What the plan's axes leave of the time between turns at the table is for axes that are not in the plan.
+    idle = float(frame.other_time) - (len(axes) - 1) * float(frame.own_time)
+    idle = idle if idle > 1e-6 else 0.0
+    every_move: list[dict[str, object]] = []
+    for group, moves in enumerate(visits):
+        if group and idle:
+            every_move.append({"rest": _s(idle), "other_axes": True, **reading})
+        for axis in axes:
+            every_move += [move | {"axis": axis} if "axis" in move else move for move in moves]
+    cycle_tables: dict[str, object] = {"moves": every_move}
+    if idle:
+        other: dict[str, object] = {"duration": _s(idle), "read": coordinates.others_read}
         if coordinates.others_read:
             other["read_every"] = _s(every)
         cycle_tables["other_axes"] = other

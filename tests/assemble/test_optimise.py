@@ -11,7 +11,7 @@ from gradcal_jax.assemble import assemble, predict
 from gradcal_jax.assemble.frontier import Point, shortest
 from gradcal_jax.assemble.limit import limits
 from gradcal_jax.assemble.measure import measure
-from gradcal_jax.assemble.optimise import Optimised, optimise
+from gradcal_jax.assemble.optimise import Optimised, exact, optimise
 from gradcal_jax.assemble.sensitivity import sensitivities
 from gradcal_jax.assemble.structures import structures
 from gradcal_jax.assemble.written import written
@@ -159,6 +159,40 @@ def a_point(structure) -> np.ndarray:
 def static(**design) -> files.Spec:
     base = files.read_spec("experiments/paper/static_gradient.toml")
     return changed(base, {"design": {"minimise": "full range", "free": ["programme"], "starts": 2} | design})
+
+
+def test_two_axes_make_the_same_moves_in_turn(spec):
+    """What is designed for the first is written for both; each stands while the other turns, and all fits the ramp."""
+    moves = [
+        {"rest": "10 s", "read_every": "5 s"},
+        {"duration": "50 s", "peak_rate": "200 deg/s", "shape": "cosine ramps", "axis": "x"},
+        {"rest": "10 s", "read_every": "5 s"},
+        {"duration": "50 s", "peak_rate": "200 deg/s", "shape": "cosine ramps", "axis": "z"},
+    ]
+    cycle = {"moves": moves, "other_axes": {"duration": "780 s", "read": True, "read_every": "20 s"}}
+    both = changed(spec, {"plan.cycle": cycle})
+    (structure,) = structures(both, [])
+    assert structure.words.startswith("4 turns at the table of each of 2 axes of 60 s")
+    made = written(both, structure.coordinates, np.random.default_rng(4).standard_normal(structure.coordinates.size))
+    resolved = made.gradient_schedule.cycle
+    assert resolved is not None
+    turns = {axis: [m for m in resolved.moves if m.axis == axis and not m.is_rest] for axis in ("x", "z")}
+    assert [m.angle for m in turns["x"]] == [m.angle for m in turns["z"]] != []
+    assert made.schedule.duration == pytest.approx(both.schedule.duration, rel=1e-9)
+    left = {row.axis: row.mean_of_max for row in predict(made).requirements}
+    assert set(left) == {"x", "z"}
+    # The two meet the ramp a minute apart.
+    assert left["z"] == pytest.approx(left["x"], rel=0.2)
+    of = measure(both)
+    assert exact(made, of) == max(left.values())
+    assert float(
+        of.of(
+            structure.coordinates.decode(
+                jnp.asarray(np.random.default_rng(4).standard_normal(structure.coordinates.size))
+            ),
+            None,
+        )[0]
+    ) == pytest.approx(left["x"], rel=0.1)
 
 
 def test_programmes_and_standard_plans_are_written_within_their_time():

@@ -203,8 +203,8 @@ def one_run(folder: Path, path: Path, track: Track, kills: int, random: np.rando
 
 @dataclass(frozen=True)
 class StepData:
-    """What one step with data gave: its samples (`missing` ones counted; `torn` where a pseudo-terminal overflowed), its
-    turns by the table's readings and by the integral of the sensor's rate, deg."""
+    """What one step with data gave: its samples (`missing` ones counted; `torn` where a pseudo-terminal overflowed),
+    its turns by the table's readings and by the integral of the sensor's rate, deg."""
 
     name: str
     samples: int

@@ -190,10 +190,9 @@ def largest_rate(spec: Spec, scenarios: list[Spec]) -> float:
     return min(rates + [float(s.sensor.usable_rate) for s in every if s.sensor.usable_rate is not None])
 
 
-def axes_of(cycle: ResolvedCycle) -> tuple[Axis, ...]:
+def axes_of(cycle: ResolvedCycle) -> list[Axis]:
     """The axes that turn, in the order in which they do."""
-    turning: list[Axis] = list(dict.fromkeys(move.axis for move in cycle.moves if not move.is_rest))
-    return tuple(turning or ["x"])
+    return list(dict.fromkeys(move.axis for move in cycle.moves if not move.is_rest)) or ["x"]
 
 
 def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:

@@ -108,7 +108,7 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
             moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
         owed -= angle
     given = spec.gradient_schedule.cycle
-    axes = (coordinates.axis,) if given is None else axes_of(given)
+    axes = [coordinates.axis] if given is None else axes_of(given)
     # What the plan's axes leave of the time between turns at the table is for axes that are not in the plan.
     idle = float(frame.other_time) - (len(axes) - 1) * float(frame.own_time)
     idle = idle if idle > 1e-6 else 0.0

@@ -6,7 +6,6 @@ import re
 import shlex
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -50,9 +49,7 @@ def test_a_demo_overwrites_nothing_and_names_the_data_that_it_misses(tmp_path, c
 @pytest.mark.evidence
 def test_the_demos_numbers_are_one_and_the_same(tmp_path):
     folder = tmp_path / "demo"
-    began = time.monotonic()
     text = demo(folder)
-    assert time.monotonic() - began < 600.0
     numbers = json.loads((folder / "demo.json").read_text(encoding="utf-8"))
     made, found = read_recipe(folder / "recipe.toml"), read_calibration(folder / "run" / "calibration.toml")
     page = (folder / "report.html").read_text(encoding="utf-8")

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import jax
 import numpy as np
 
+from gradcal_jax.assemble.knowledge import UNIT_OF
 from gradcal_jax.assemble.limit import limits
 from gradcal_jax.assemble.optimise import STEPS, Optimised, Price, Step, optimise
 from gradcal_jax.assemble.structures import motion_time, ramp_ends
@@ -27,6 +28,7 @@ def quickest(spec: Spec, *, steps: int = STEPS, stop: Callable[[], bool] = lambd
     """
     assert spec.design is not None
     longest = motion_time(spec, spec.design)
+    _refuse_what_no_plan_meets(spec, longest)
     short, long = _least(spec, longest), longest
     # What the plan leaves over its target, for the shortest that is too short and the longest that is not.
     too_much: float | None = None
@@ -66,22 +68,29 @@ def quickest(spec: Spec, *, steps: int = STEPS, stop: Callable[[], bool] = lambd
             raise KeyboardInterrupt
         if best is None and time == longest and found is not None:
             raise ValueError(
-                f"no plan found meets the target in {longest / 60.0:.4g} min: the best leaves {found.now:.3g} times as "
-                f"much{_proven(spec, longest)}"
+                f"no plan found meets the target in {longest / 60.0:.4g} min: "
+                f"the best leaves {found.now:.3g} times as much"
             )
     assert best is not None
     yield _as_time(spec, best, long, longest)
 
 
-def _proven(spec: Spec, longest: float) -> str:
-    """What no plan can do better than, for requirements with a target."""
+def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
+    """A target below the proven limit needs no search."""
     try:
-        rows = limits(spec, motion=longest)
+        rows = {row.name: row for row in limits(spec, motion=longest)}
     except ValueError:
-        return ""
-    wanted = {r.name for r in spec.requirement if r.target is not None}
-    said = [f"{row.certified:.4g} {row.unit} of {row.name!r}" for row in rows if row.name in wanted]
-    return "; no plan leaves less than " + ", ".join(said) if said else ""
+        # There is no proof for such plans or requirements.
+        return
+    for requirement in spec.requirement:
+        row = rows.get(requirement.name)
+        if row is not None and requirement.target is not None:
+            target = float(requirement.target) * UNIT_OF[requirement.quantity][1]
+            if row.certified > target:
+                raise ValueError(
+                    f"no plan meets {row.name!r}: its target is {target:.4g} {row.unit}, and it is proven that none "
+                    f"leaves less than {row.certified:.4g} {row.unit} in {longest / 60.0:.4g} min on this rig"
+                )
 
 
 def _least(spec: Spec, longest: float) -> float:

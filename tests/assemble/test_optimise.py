@@ -12,6 +12,7 @@ from gradcal_jax.assemble.frontier import Point, shortest
 from gradcal_jax.assemble.limit import limits
 from gradcal_jax.assemble.measure import measure
 from gradcal_jax.assemble.optimise import Optimised, exact, optimise
+from gradcal_jax.assemble.quickest import quickest
 from gradcal_jax.assemble.sensitivity import sensitivities
 from gradcal_jax.assemble.structures import structures
 from gradcal_jax.assemble.written import written
@@ -247,6 +248,13 @@ def test_limits_that_exclude_each_other_are_named(spec, changes, says):
 def test_a_design_for_nothing_that_is_required_is_refused(spec):
     with pytest.raises(SpecError, match="minimise"):
         changed(spec, {"design.minimise": "half range"})
+
+
+def test_a_target_that_no_plan_can_meet_is_refused_with_the_limit(spec):
+    limit = limits(spec)[0].certified
+    asked = changed(spec, {"requirement[0].target": f"{0.9 * limit} ppm", "design.minimise": "motion time"})
+    with pytest.raises(ValueError, match=f"it is proven that none leaves less than {limit:.4g} ppm in 50 min"):
+        next(quickest(asked))
 
 
 def test_there_is_no_limit_for_a_plan_without_moves():

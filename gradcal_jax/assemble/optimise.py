@@ -156,11 +156,17 @@ def optimise(
         if stop():
             break
     assert best is not None
-    yield finished(spec, of, known, choices[best[0]], best[1], motion)
+    yield finished(spec, of, known, choices[best[0]], best[1], motion, stop)
 
 
 def finished(
-    spec: Spec, of: Measure, before: float | None, structure: Structure, state: State, motion: float | None = None
+    spec: Spec,
+    of: Measure,
+    before: float | None,
+    structure: Structure,
+    state: State,
+    motion: float | None,
+    stop: Callable[[], bool],
 ) -> Optimised:
     """Prune, polish and round the best point of a search; the plan as it was where that is no better."""
     point = state.best_point
@@ -169,7 +175,7 @@ def finished(
         coordinates, cycle = coordinates.pruned(coordinates.cycle(jnp.asarray(point)))
         point = coordinates.vector(cycle)
     if isinstance(coordinates, ProgrammeCoordinates):
-        coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed)
+        coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed, stop)
     else:
         found = polish(lambda z, sharpness: of.of(coordinates.decode(z), sharpness), point)
     # As a recipe will have it, so that the number is of what is executed.
@@ -200,12 +206,16 @@ def finished(
     )
 
 
-def best_programme(of: Measure, knots: ProgrammeKnots, point: np.ndarray, seed: int) -> tuple[ProgrammeKnots, Found]:
+def best_programme(
+    of: Measure, knots: ProgrammeKnots, point: np.ndarray, seed: int, stop: Callable[[], bool]
+) -> tuple[ProgrammeKnots, Found]:
     """Polish a programme, hop from the best, polish again: programmes that differ in which limits they run along are
     optima of their own, between which no descent leads."""
     objective, linear = (lambda z, sharpness: of.of(knots.decode(z), sharpness)), knots.limits
     found, generator = polish(objective, point, linear=linear), np.random.default_rng(seed)
     for k in range(_HOPS):
+        if stop():
+            break
         step = _HOP_STEPS[k % len(_HOP_STEPS)] * generator.standard_normal(point.shape)
         other = polish(objective, knots.near(found.point + step), linear=linear)
         if other.held and other.value < found.value:

@@ -208,11 +208,10 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
         if len(axes) > 1:
             raise ValueError("the moves of several axes are designed together: add duration to design.free")
         return [_given(spec, scenarios, cycle, free, time)]
-    if "cycle" in design.free and len(axes) > 1:
-        choices = [(n, share * time / n, (1.0 - share) * time / n) for n in _FREE_VISITS]
-    elif "cycle" in design.free:
-        # The axis keeps its share of the time; its last turn at the table ends with the ramp: both ends are seen.
-        choices = [(n, share * time / n, (1.0 - share) * time / (n - 1)) for n in _FREE_VISITS]
+    if "cycle" in design.free:
+        # The axis keeps its share of the time; alone, it ends its last turn at the table with the ramp, seeing both ends.
+        after = 0 if len(axes) == 1 else 1
+        choices = [(n, share * time / n, (1.0 - share) * time / (n - 1 + after)) for n in _FREE_VISITS]
     else:
         choices = [(repetitions(time, own * len(axes), own + other)[0], own, other)]
         if choices[0][0] == 0:

@@ -14,6 +14,8 @@ The best programmes run along the chamber's limits, where slopes that are stoppe
 takes a programme by its own numbers, whose limits are linear (`ProgrammeKnots`).
 """
 
+from abc import abstractmethod
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -49,9 +51,9 @@ class _Programmes(eqx.Module):
     stretches: int = eqx.field(static=True)
     soak_used: bool = eqx.field(static=True)
 
+    @abstractmethod
     def programme(self, z: Float[Array, " size"]) -> Programme:
         """The programme of a vector, without its soak."""
-        raise NotImplementedError
 
     def decode(self, z: Float[Array, " size"]) -> GradientPlan:
         """The plan of a vector, its readings relaxed."""

@@ -209,7 +209,7 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
             raise ValueError("the moves of several axes are designed together: add duration to design.free")
         return [_given(spec, scenarios, cycle, free, time)]
     if "cycle" in design.free:
-        # The axis keeps its share of the time; alone, it ends its last turn at the table with the ramp, seeing both ends.
+        # The axis keeps its share of the time. Where it is alone, its last turn at the table ends with the ramp.
         after = 0 if len(axes) == 1 else 1
         choices = [(n, share * time / n, (1.0 - share) * time / (n - 1 + after)) for n in _FREE_VISITS]
     else:

@@ -10,7 +10,6 @@ kept (by reason), and `status` says of every row that was kept whether it is usa
 
 import importlib
 import json
-import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import IntFlag
@@ -20,6 +19,7 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.problems import nearest
 
 FORMAT: Final = "gradcal-log/1"
@@ -253,22 +253,15 @@ def read_log(path: str | Path) -> Log:
 
     Errors: `LogError` for anything else, with a sentence.
     """
-    xarray: Any = importlib.import_module("xarray")
-    h5py: Any = importlib.import_module("h5py")
     path = Path(path)
     if not path.exists():
         raise LogError(f"{path} does not exist")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what other programs' files lack; the sentences below say what matters
-            # Damaged files are met here: xarray's way of giving up on one prints a traceback of its own.
-            with h5py.File(path, "r") as damaged:
-                damaged.attrs.get("_nc3_strict")
-            # Stamps are plain seconds, never calendar dates.
-            with xarray.open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
-                dataset: Any = opened.load()
-    except Exception as error:  # whatever HDF5 makes of bytes that are no netCDF
-        raise LogError(f"{path} is no netCDF file that can be read ({type(error).__name__}): import it first") from None
+        dataset = load_netcdf(path)
+    except NetcdfError as error:
+        raise LogError(f"{path} is no netCDF file that can be read: {error}") from None
+    except OSError as error:
+        raise LogError(f"{path} cannot be read: {error.strerror or error}") from None
     found = str(dataset.attrs.get("format"))
     if found != FORMAT:
         raise LogError(f'{path} has the format "{found}", where this program reads "{FORMAT}"')

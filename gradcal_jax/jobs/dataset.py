@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from gradcal_jax.files import to_toml
+from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.results import STATISTICS, UNIT_OF, Result, one_line
@@ -135,15 +136,10 @@ def read_dataset(path: str | Path) -> "xarray.Dataset":
     """The results of a sweep as labelled arrays: residuals in the unit of their attributes (ppm, deg/h; 1σ) over the
     sweep's axes, verdicts, and of every failed point the reason. Errors: `ValueError` where it is no sweep's.
     """
-    import xarray
-
     try:
-        with xarray.open_dataset(path, engine="h5netcdf") as data:
-            found = data.load()
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path} is not the results of a sweep ({one_line(error)})") from None
+        found = load_netcdf(path)
+    except NetcdfError as error:
+        raise ValueError(f"{path} is not the results of a sweep: {error}") from None
     if found.attrs.get("format") != "gradcal-sweep-results/1":
         raise ValueError(f"{path} is not the results of a sweep; gradcal sweep writes them")
     return found

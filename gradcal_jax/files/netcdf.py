@@ -1,0 +1,84 @@
+"""Reading netCDF (HDF5) files that may be damaged.
+
+One wrong byte among a file's addresses can send the HDF5 library round in circles, crash it, or have it ask for all the
+memory there is; none of that can be caught in the program that called it. So a file is first read in a process of its
+own, which may be stopped, and here only when that came to its end.
+"""
+
+import subprocess
+import sys
+import warnings
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+_SLOWEST_BYTES_PER_S: Final = 10e6
+
+
+class NetcdfError(ValueError):
+    """A file that is no netCDF that can be read; the message says why, without the file's name."""
+
+
+def load_netcdf(path: str | Path, trial_s: float = 30.0) -> Any:
+    """The whole file as an `xarray.Dataset`; times stay plain numbers, never calendar dates.
+
+    `trial_s` is how long the trial may take, beside a tenth of a second for each megabyte. Errors: `NetcdfError` for
+    whatever is wrong with the file's bytes, `OSError` where it cannot be opened.
+    """
+    path = Path(path)
+    with path.open("rb") as opened:
+        if not _signed(opened):
+            raise NetcdfError("it is no netCDF 4 file")
+    trial = subprocess.Popen(
+        # -P: the modules beside this one must not hide others of the same name.
+        [sys.executable, "-P", __file__, str(path)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    with trial:
+        try:
+            import_module("xarray")  # while the trial imports it, too
+            said, _ = trial.communicate(timeout=trial_s + path.stat().st_size / _SLOWEST_BYTES_PER_S)
+        except subprocess.TimeoutExpired:
+            raise NetcdfError("it is damaged, reading it comes to no end") from None
+        finally:
+            trial.kill()
+    if trial.returncode < 0:
+        raise NetcdfError(f"it is damaged, the HDF5 library does not survive it (signal {-trial.returncode})")
+    if trial.returncode > 0:
+        raise NetcdfError(said.strip() or "the program that tries it first could not run")
+    return _load(path)
+
+
+def _signed(opened: Any) -> bool:
+    """HDF5's signature stands at byte 0, or after a block of the user's: 512, 1024, 2048, … bytes."""
+    at = 0
+    while True:
+        opened.seek(at)
+        begin = opened.read(len(_SIGNATURE))
+        if begin == _SIGNATURE:
+            return True
+        if len(begin) < len(_SIGNATURE):
+            return False
+        at = max(512, 2 * at)
+
+
+def _load(path: str | Path) -> Any:
+    # h5py first: what xarray does when it gives up on a damaged file prints a traceback of its own.
+    with import_module("h5py").File(path, "r") as damaged:
+        damaged.attrs.get("_nc3_strict")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what other programs' files lack; the reader of the contents judges them
+        with import_module("xarray").open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
+            return opened.load()
+
+
+if __name__ == "__main__":
+    try:
+        _load(sys.argv[1])
+    except Exception as error:  # whatever HDF5 makes of bytes that are no netCDF
+        print(f"it is damaged ({type(error).__name__})")
+        sys.exit(1)

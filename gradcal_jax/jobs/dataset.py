@@ -12,7 +12,7 @@ from gradcal_jax.files import to_toml
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.jobs.points import Points
-from gradcal_jax.jobs.results import STATISTICS, UNIT_OF, Result, one_line
+from gradcal_jax.jobs.results import STATISTICS, UNIT_OF, Result
 
 if TYPE_CHECKING:
     import xarray

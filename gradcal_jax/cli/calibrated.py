@@ -7,15 +7,13 @@ from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import columns as table
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Force, Json, as_json, writable
+from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, as_json, writable
 from gradcal_jax.cli.recordings import ColumnMapFile, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.validation import AxisValidation
     from gradcal_jax.files.exports import Export
-
-Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
 
 
 def register(app: App) -> None:
@@ -30,10 +28,10 @@ def apply(
     log: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    output: Output,
     unit: str | None = None,
     columns: ColumnMapFile = None,
-    force: Force = False,
+    force: Flag = False,
     json: Json = False,
 ) -> int:
     """Correct the rates of a log by a calibration, and write them as a log.
@@ -146,12 +144,12 @@ def export(
     /,
     *,
     format: str,
-    output: Output = None,
+    output: OptionalOutput = None,
     temperature: str | None = None,
     instance: int | None = None,
     device_id: int | None = None,
     zero: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    force: Force = False,
+    force: Flag = False,
     json: Json = False,
 ) -> int:
     """Write a calibration in the terms of another program, and say what that program cannot carry.

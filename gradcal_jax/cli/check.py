@@ -2,11 +2,12 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.console import columns, strong, time_text
+from gradcal_jax.cli.output import Flag, Json, as_json
 from gradcal_jax.cli.status import DONE
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def register(app: App) -> None:
     app.command(check)
 
 
-def check(spec: Path, /, *, files_only: Annotated[bool, Parameter(negative="")] = False, json: Json = False) -> int:
+def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int:
     """Say all that is wrong with a spec, or what its plan does.
 
     If nothing is wrong, it also says what the plan cannot observe.
@@ -36,7 +37,6 @@ def check(spec: Path, /, *, files_only: Annotated[bool, Parameter(negative="")] 
     json
         Print the plan's times, notes, and what it cannot observe, as JSON.
     """
-    from gradcal_jax.cli.console import strong
     from gradcal_jax.cli.specs import read_spec
 
     found = read_spec(spec)
@@ -102,14 +102,10 @@ def _sensor(spec: "Spec") -> list[str]:
 
 
 def _times(duration: float, soak: float, motion: float, motion_name: str) -> str:
-    from gradcal_jax.cli.console import time_text
-
     return f"{time_text(duration)} in all: soak {time_text(soak)}, {motion_name} {time_text(motion)}"
 
 
 def _standard(schedule: "StandardSchedule") -> list[str]:
-    from gradcal_jax.cli.console import time_text
-
     temperatures = ", ".join(f"{temperature:g}" for temperature in schedule.temperatures)
     lines = [
         "plan: standard method, " + _times(schedule.duration, schedule.soak, schedule.motion, "integration"),
@@ -122,8 +118,6 @@ def _standard(schedule: "StandardSchedule") -> list[str]:
 
 
 def _gradient(schedule: "GradientSchedule") -> list[str]:
-    from gradcal_jax.cli.console import columns, time_text
-
     total = _times(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
     lines = [f"plan: gradient method, {total}; {len(schedule.segments)} segments"]
     rows: list[tuple[str, ...]] = []
@@ -148,8 +142,6 @@ def _gradient(schedule: "GradientSchedule") -> list[str]:
 
 
 def _cycle(cycle: "ResolvedCycle", schedule: "GradientSchedule") -> list[str]:
-    from gradcal_jax.cli.console import columns, time_text
-
     parts = [f"moves {time_text(cycle.moving)}"]
     if cycle.other:
         read = "not read" if cycle.other_read_every is None else f"read every {time_text(cycle.other_read_every)}"
@@ -164,8 +156,6 @@ def _cycle(cycle: "ResolvedCycle", schedule: "GradientSchedule") -> list[str]:
 
 
 def _move(move: "ResolvedMove") -> tuple[str, ...]:
-    from gradcal_jax.cli.console import time_text
-
     count = f"{move.repeat} ×" if move.repeat > 1 else ""
     if move.read_every is not None:
         read = f"read every {time_text(move.read_every)}"
@@ -187,7 +177,6 @@ def _move(move: "ResolvedMove") -> tuple[str, ...]:
 
 def notes(spec: "Spec") -> list[str]:
     """What is no fault but worth knowing: time left over, and requirements further out than the plan goes."""
-    from gradcal_jax.cli.console import time_text
     from gradcal_jax.files.schedule import GradientSchedule
 
     said: list[str] = []

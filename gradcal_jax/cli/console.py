@@ -26,6 +26,11 @@ def complain(text: str) -> None:
     print(mark + text, file=sys.stderr, flush=True)
 
 
+def amount(value: float | None, unit: str) -> str:
+    """A value with its unit, or the words that it cannot be observed."""
+    return "not observable" if value is None else f"{value:.4g} {unit}"
+
+
 def columns(rows: Sequence[Sequence[str]], *, indent: str = "  ", right: Sequence[int] = ()) -> str:
     """Rows as aligned text; the columns numbered in `right` are flush right."""
     if not rows:

@@ -10,12 +10,12 @@ import json as json_format
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.console import amount, strong
+from gradcal_jax.cli.output import Json, Output, as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 RECORDING: Final = "tofupilot_imu_thermal_cycle.npz"
@@ -61,7 +61,7 @@ def register(app: App) -> None:
 
 def demo(
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("gradcal-demo"),
+    output: Output = Path("gradcal-demo"),
     data: Path | None = None,
     seed: int = 1,
     json: Json = False,
@@ -118,21 +118,21 @@ def _whole_job(told: "_Told", seed: int) -> dict[str, Any]:
     told.step("What the paper's plan will leave")
     paper = told.json("predict paper.toml --json")
     row = paper["requirements"][0]
-    told.say(f"{row['name']}, {row['statistic']}: {_value(row['mean_of_max'], row['unit'])} in {_hours(paper)}")
+    told.say(f"{row['name']}, {row['statistic']}: {amount(row['mean_of_max'], row['unit'])} in {_hours(paper)}")
 
     told.step("A better plan for the same sensor in the same time, on a table of 300 deg/s^2")
     spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), _HEADLINE)
     write_whole(told.folder / "design.toml", to_toml(spec, header="The paper's spec, with a [design]."))
     found = told.json(f"optimise design.toml -o recipe.toml --steps {_STEPS} --json")
     recipe = _recipe(told.folder / "recipe.toml")
-    told.say(f"{recipe['name']}: {_value(recipe['predicted'], recipe['unit'])}; {found['structure']}")
+    told.say(f"{recipe['name']}: {amount(recipe['predicted'], recipe['unit'])}; {found['structure']}")
     told.say(found["sentence"])
 
     told.step("What no plan can beat, proven")
     limits = told.json("limit recipe.toml --json", keep="limit.json")
     limit = next(entry for entry in limits if entry["name"] == recipe["name"])
     told.say(
-        f"no plan on this rig in this time leaves less than {_value(limit['certified'], limit['unit'])}: "
+        f"no plan on this rig in this time leaves less than {amount(limit['certified'], limit['unit'])}: "
         f"efficiency {limit['efficiency']:.0%}"
     )
 
@@ -147,8 +147,8 @@ def _whole_job(told: "_Told", seed: int) -> dict[str, Any]:
     achieved = next(entry for entry in unit["requirements"] if entry["name"] == recipe["name"])
     chance = unit["channels"][0]["consistency"]["chi_squared"]["probability"]
     told.say(
-        f"{achieved['name']}: {_value(achieved['value'], achieved['unit'])} achieved, "
-        f"{_value(recipe['predicted'], recipe['unit'])} predicted; the data agree with the model (chance {chance:.2g})"
+        f"{achieved['name']}: {amount(achieved['value'], achieved['unit'])} achieved, "
+        f"{amount(recipe['predicted'], recipe['unit'])} predicted; the data agree with the model (chance {chance:.2g})"
     )
 
     told.step("The page")
@@ -211,12 +211,12 @@ def _recorded_sensor(told: "_Told", recording: Path) -> dict[str, Any]:
     )
     before = told.json("predict sensor.toml --json")
     row = before["requirements"][0]
-    told.say(f"a plan by hand leaves {_value(row['mean_of_max'], row['unit'])} of {row['name']} in {_hours(before)}")
+    told.say(f"a plan by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {_hours(before)}")
 
     told.step("A plan designed for it")
     found = told.json(f"optimise sensor.toml -o recipe.toml --steps {_STEPS} --json")
     recipe = _recipe(told.folder / "recipe.toml")
-    told.say(f"{recipe['name']}: {_value(recipe['predicted'], recipe['unit'])}; {found['structure']}")
+    told.say(f"{recipe['name']}: {amount(recipe['predicted'], recipe['unit'])}; {found['structure']}")
 
     told.step("The page")
     report = told.json("report recipe.toml -o report.html --before sensor.toml --json")
@@ -309,10 +309,6 @@ def _recipe(path: Path) -> dict[str, Any]:
         "predicted": row.decisive,
         "unit": row.unit,
     }
-
-
-def _value(value: float | None, unit: str) -> str:
-    return "not observable" if value is None else f"{value:.4g} {unit}"
 
 
 def _hours(prediction: dict[str, Any]) -> str:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
+from gradcal_jax.cli.console import amount, strong
 from gradcal_jax.cli.console import columns as table
-from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Force, Json, Plot, as_json, writable
-from gradcal_jax.cli.recordings import ColumnMapFile, described, load, quantity
+from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.recordings import Axes, ColumnMapFile, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from gradcal_jax.assemble.estimate import Options, UnitChannel
     from gradcal_jax.files import Spec
 
-Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
 Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
 
 
@@ -32,7 +31,7 @@ def estimate(
     *,
     spec: Path | None = None,
     recipe: Path | None = None,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    output: OptionalOutput = None,
     axis: Axes = (),
     unit: Units = (),
     table_axis: str | None = None,
@@ -40,12 +39,12 @@ def estimate(
     latitude: str | None = None,
     lag: str = "none",
     smoothness: str = "spec",
-    robust: Annotated[bool, Parameter(negative="")] = False,
+    robust: Flag = False,
     clock: str = "sensor",
     read_every: str = "1 s",
     neighbours: str | None = None,
     columns: ColumnMapFile = None,
-    force: Force = False,
+    force: Flag = False,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
@@ -100,6 +99,7 @@ def estimate(
     files = _files(output, unit or recorded.units)
     for path in files.values():
         writable(path, force)
+    drawable(plot)
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
@@ -113,19 +113,14 @@ def estimate(
     else:
         print(described(recorded, str(log)))
         print(_text(report))
-    written = []
     for name, path in files.items():
         write_calibration(next(c for c in report.calibrations if c.serial_number == name), path)
-        written.append(path)
+        if not json:
+            print(f"wrote {path}")
     if plot is not None:
-        from gradcal_jax import plots
         from gradcal_jax.plots.calibration import draw_estimate
 
-        plots.save(draw_estimate(report), plot)
-        written.append(plot)
-    if not json:
-        for path in written:
-            print(f"wrote {path}")
+        save_figure(draw_estimate(report), plot, quiet=json)
     return DONE if report.as_wished else NOT_AS_WISHED
 
 
@@ -204,9 +199,8 @@ def _text(report: "EstimateReport") -> str:
         if rows:
             shown = [("requirement", "statistic", "residual (1σ)", "target", "verdict")]
             for row in rows:
-                value = "not observable" if row.value is None else f"{row.value:.4g} {row.unit}"
-                target = "" if row.target is None else f"{row.target:.4g} {row.unit}"
-                name = f"{row.requirement.name}, axis {row.axis}"
+                target = "" if row.target is None else amount(row.target, row.unit)
+                name, value = f"{row.requirement.name}, axis {row.axis}", amount(row.value, row.unit)
                 shown.append((name, row.requirement.statistic, value, target, row.verdict or ""))
             lines += ["", table(shown, indent="")]
         lines += [f"note: {message}" for message in report.messages[one.serial_number]]

@@ -2,11 +2,14 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from gradcal_jax.cli.console import columns, is_plain, strong, time_text
+from gradcal_jax.cli.console import amount, columns, strong, time_text
+from gradcal_jax.cli.output import Json, OptionalOutput, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.progress import MovingLine
+from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.frontier import Point
@@ -24,10 +27,10 @@ def frontier(
     *,
     motion: str,
     points: int = 5,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: OptionalOutput = None,
     steps: int = 240,
-    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
-    plot: Path | None = None,
+    json: Json = False,
+    plot: Plot = None,
 ) -> int:
     """Find the best residual for each duration of the ramp, and the shortest plan for each target.
 
@@ -51,36 +54,31 @@ def frontier(
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.cli.specs import read_spec
 
+    drawable(plot)
     found = read_spec(spec)
     times = durations(motion, points)
     use_float64()
     from gradcal_jax import assemble
     from gradcal_jax.assemble import frontier as room
     from gradcal_jax.assemble.optimise import record_of
-    from gradcal_jax.files import to_toml
-    from gradcal_jax.files.writing import write_whole
+    from gradcal_jax.files import write_toml
 
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
     reached: list[Point] = []
-    for point in room.frontier(found, times, steps=steps, watch=_show):
-        reached.append(point)
-        if output is not None and point.plan is not None:
-            made = assemble.recipe(point.plan.spec, status=point.plan.sentence, optimisation=record_of(point.plan))
-            write_whole(output / f"{point.motion / 60.0:.4g}min.toml", to_toml(made))
+    with MovingLine(sys.stderr) as line:
+        for point in room.frontier(found, times, steps=steps, watch=lambda *told: line.show(_progress(*told))):
+            reached.append(point)
+            if output is not None and point.plan is not None:
+                made = assemble.recipe(point.plan.spec, status=point.plan.sentence, optimisation=record_of(point.plan))
+                write_toml(made, output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
         r.name: float(r.target) * assemble.UNIT_OF[r.quantity][1]
         for r in found.requirement
         if r.target is not None and found.design is not None and r.name == found.design.minimise
     }
     times_for = {name: room.shortest(reached, target) for name, target in targets.items()}
-    if plot is not None:
-        from gradcal_jax import plots
-
-        plots.save(plots.draw_frontier(reached, targets), plot)
     if json:
-        from json import dumps
-
         rows = [
             {
                 "motion_s": p.motion,
@@ -91,7 +89,7 @@ def frontier(
             }
             for p in reached
         ]
-        print(dumps({"points": rows, "shortest_s": times_for}, indent=2))
+        print(as_json({"points": rows, "shortest_s": times_for}))
     else:
         print(strong(found.title or str(spec)))
         print(columns([("ramp", "residual", "search"), *(_row(p) for p in reached)], indent=""))
@@ -99,9 +97,11 @@ def frontier(
             time = times_for[name]
             said = "is not reached in these durations" if time is None else f"takes a ramp of about {time_text(time)}"
             print(f"{name} at {target:.4g} {next((p.plan.unit for p in reached if p.plan), '')} {said}")
-        if plot is not None:
-            print(f"wrote {plot}")
-    return 0 if all(p.plan is not None and p.plan.converged for p in reached) else 1
+    if plot is not None:
+        from gradcal_jax.plots import draw_frontier
+
+        save_figure(draw_frontier(reached, targets), plot, quiet=json)
+    return DONE if all(p.plan is not None and p.plan.converged for p in reached) else NOT_AS_WISHED
 
 
 def durations(text: str, points: int) -> list[float]:
@@ -126,13 +126,9 @@ def durations(text: str, points: int) -> list[float]:
 
 
 def _row(point: "Point") -> tuple[str, str, str]:
-    residual = "none" if point.plan is None else f"{point.plan.now:.4g} {point.plan.unit}"
+    residual = "none" if point.plan is None else amount(point.plan.now, point.plan.unit)
     return time_text(point.motion), residual, point.reason
 
 
-def _show(motion: float, step: "Step") -> None:
-    line = f"{time_text(motion)}: {step.share:4.0%}  {step.best:.4g} {step.unit}"
-    if is_plain(sys.stderr):
-        print(line, file=sys.stderr, flush=True)
-    else:
-        print("\r\x1b[K" + line, end="", file=sys.stderr, flush=True)
+def _progress(motion: float, step: "Step") -> str:
+    return f"{time_text(motion)}: {step.share:4.0%}  {amount(step.best, step.unit)}"

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import columns, strong
-from gradcal_jax.cli.output import Json, Plot, as_json
-from gradcal_jax.cli.recordings import ColumnMapFile, described, load, quantity
+from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.recordings import Axes, ColumnMapFile, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.instability import Instability
     from gradcal_jax.identify import AllanFit
 
-Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
 Unit = Annotated[str | None, Parameter(name="--unit")]
 BiasDegree = Annotated[int | None, Parameter(name="--bias-degree")]
 
@@ -83,6 +82,7 @@ def instability(
     plot
         Draw the largest drifts with their bound into this file (.png, .svg, .pdf).
     """
+    drawable(plot)
     delta_s = quantity(delta, "time", "--delta")
     shortest_s, longest_s = quantity(shortest, "time", "--from"), quantity(longest, "time", "--to")
     walk = None if random_walk is None else quantity(random_walk, "angle random walk", "--random-walk")
@@ -134,12 +134,9 @@ def instability(
         for whole, pieces in zip(found, parts, strict=True):
             print("\n" + _instability_text(whole, pieces))
     if plot is not None:
-        from gradcal_jax import plots
         from gradcal_jax.plots.identification import draw_instability
 
-        plots.save(draw_instability(found), plot)
-        if not json:
-            print(f"wrote {plot}")
+        save_figure(draw_instability(found), plot, quiet=json)
     return DONE if all(whole.bound.drift_shows for whole in found) else NOT_AS_WISHED
 
 
@@ -228,6 +225,7 @@ def allan(
     plot
         Draw the deviation, its fit, and the Direct Bound's curve on the same axes into this file.
     """
+    drawable(plot)
     delta_s, lag_s = quantity(delta, "time", "--delta"), _lag(lag)
     chosen = _terms(terms)
     recorded = load(log, columns)
@@ -256,7 +254,6 @@ def allan(
             for message in rest.messages:
                 print(f"note: {message}")
     if plot is not None:
-        from gradcal_jax import plots
         from gradcal_jax.plots.identification import draw_allan_and_bound
 
         bounds = []
@@ -268,9 +265,7 @@ def allan(
                 bounds.append(None)
                 if not json:
                     print(f"note: no Direct Bound of axis {rest.axis}: {error}")
-        plots.save(draw_allan_and_bound(drawn, bounds), plot)
-        if not json:
-            print(f"wrote {plot}")
+        save_figure(draw_allan_and_bound(drawn, bounds), plot, quiet=json)
     return DONE
 
 

@@ -1,11 +1,12 @@
 """`gradcal limit`: what no plan can do better than."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from gradcal_jax.cli.console import columns, strong
+from gradcal_jax.cli.console import amount, columns, strong
+from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.status import DONE
 
 
 def register(app: App) -> None:
@@ -13,7 +14,7 @@ def register(app: App) -> None:
     app.command(limit)
 
 
-def limit(spec: Path, /, *, json: Annotated[bool, Parameter(name="--json", negative="")] = False) -> int:
+def limit(spec: Path, /, *, json: Json = False) -> int:
     """Prove a lower limit on the residual of any plan on this rig in this time, and say how near the plan comes.
 
     The limit relaxes what the rig can do (it says what), so it may lie below what any real plan reaches; no plan lies
@@ -35,17 +36,14 @@ def limit(spec: Path, /, *, json: Annotated[bool, Parameter(name="--json", negat
 
     rows = limits(found)
     if json:
-        from json import dumps
-
-        print(dumps([row._asdict() for row in rows], indent=2))
-        return 0
+        print(as_json([row._asdict() for row in rows]))
+        return DONE
     table = [("requirement", "no plan leaves less than", "relaxed problem reaches", "this plan leaves", "efficiency")]
     for row in rows:
-        value = "not observable" if row.value is None else f"{row.value:.4g} {row.unit}"
         share = "" if row.efficiency is None else f"{row.efficiency:.0%}"
-        bounds = f"{row.certified:.4g} {row.unit}", f"{row.reached:.4g} {row.unit}"
-        table.append((f"{row.name} ({row.statistic})", *bounds, value, share))
+        bounds = amount(row.certified, row.unit), amount(row.reached, row.unit)
+        table.append((f"{row.name} ({row.statistic})", *bounds, amount(row.value, row.unit), share))
     print(strong(found.title or str(spec)))
     print(columns(table, indent=""))
     print("the proof relaxes: " + "; ".join(rows[0].relaxed))
-    return 0
+    return DONE

@@ -1,12 +1,11 @@
 """`gradcal log`: the log of a run, from the journal's raw bytes; it can be made again at any time."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
 from gradcal_jax.cli.console import time_text
-from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.output import Json, OptionalOutput, as_json
 from gradcal_jax.cli.status import DONE
 
 
@@ -15,14 +14,7 @@ def register(app: App) -> None:
     app.command(log)
 
 
-def log(
-    run: Path,
-    /,
-    *,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)] = None,
-    unit: str | None = None,
-    json: Json = False,
-) -> int:
+def log(run: Path, /, *, output: OptionalOutput = None, unit: str | None = None, json: Json = False) -> int:
     """Make the log of a run: samples decoded from the raw bytes, angles, temperatures, standstills.
 
     Parameters

@@ -6,7 +6,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.output import Force, writable
+from gradcal_jax.cli.console import columns
+from gradcal_jax.cli.output import Flag, writable
 from gradcal_jax.cli.status import DONE
 
 
@@ -21,7 +22,7 @@ def new(
     *,
     output: Annotated[str | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)] = None,
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
-    force: Force = False,
+    force: Flag = False,
 ) -> int:
     """Write a commented spec to start from.
 
@@ -36,7 +37,6 @@ def new(
     force
         Overwrite an existing file.
     """
-    from gradcal_jax.cli.console import columns
     from gradcal_jax.files import presets
 
     if listing:

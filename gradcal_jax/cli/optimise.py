@@ -4,16 +4,17 @@ import signal
 import sys
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from gradcal_jax.cli.console import columns, complain, is_plain, strong
+from gradcal_jax.cli.console import amount, columns, complain, strong
+from gradcal_jax.cli.output import Flag, Json, Output, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.progress import MovingLine
+from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.optimise import Optimised, Step
-
-CONVERGED, NOT_CONVERGED, INTERRUPTED = 0, 1, 130
 
 
 def register(app: App) -> None:
@@ -25,12 +26,12 @@ def optimise(
     spec: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
-    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
-    plot: Path | None = None,
+    output: Output,
+    json: Json = False,
+    plot: Plot = None,
     steps: int = 240,
-    resume: Annotated[bool, Parameter(negative="")] = False,
-    force: Annotated[bool, Parameter(negative="")] = False,
+    resume: Flag = False,
+    force: Flag = False,
 ) -> int:
     """Change a plan by gradient descent until it leaves as little as sensor, rig and time allow; write it as a recipe.
 
@@ -56,13 +57,10 @@ def optimise(
     """
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.cli.specs import read_spec
-    from gradcal_jax.files import to_toml
-    from gradcal_jax.files.writing import write_whole
+    from gradcal_jax.files import write_toml
 
-    if output.exists() and not (force or resume):
-        raise ValueError(f"{output} exists; choose another name, or overwrite it with --force")
-    if not output.absolute().parent.is_dir():
-        raise ValueError(f"there is no directory {output.parent}; make it first")
+    writable(output, force or resume)
+    drawable(plot)
     if steps < 20:
         raise ValueError(f"--steps: expected at least 20, got {steps}")
     found = read_spec(spec)
@@ -79,7 +77,7 @@ def optimise(
         raise ValueError("a search for the shortest plan is not kept: start anew, without --resume")
     kept = output.with_name(output.name + ".search.npz")
     checkpoint = checkpoints.read(kept, found) if resume else None
-    with _Interrupt() as interrupt:
+    with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         best: Optimised | None = None
         options = {"steps": steps, "stop": lambda: interrupt.asked}
         events = quickest(found, **options) if shortest else room.optimise(found, **options, checkpoint=checkpoint)
@@ -89,38 +87,36 @@ def optimise(
                 continue
             if not shortest:
                 checkpoints.write(kept, found, event.checkpoint)
-            _show(event)
+            line.show(_progress(event))
         assert best is not None
     record = room.record_of(best)
     status = best.sentence if not interrupt.asked else f"interrupted, the best so far: {best.sentence}"
     seed = found.design.seed if found.design is not None else None
     made = assemble.recipe(best.spec, status=status, seed=seed, optimisation=record)
-    write_whole(output, to_toml(made, header="Made by gradcal optimise; `gradcal show` prints it as a table."))
+    write_toml(made, output, header="Made by gradcal optimise; `gradcal show` prints it as a table.")
     if not interrupt.asked:
         kept.unlink(missing_ok=True)
-    if plot is not None:
-        from gradcal_jax import plots
-
-        plots.save(plots.draw_comparison([("before", found), ("optimised", made.spec)]), plot)
     if json:
-        from json import dumps
-
-        print(dumps(record | {"status": status, "recipe": str(output)}, indent=2))
+        print(as_json(record | {"status": status, "recipe": str(output)}))
     else:
         print(text(best))
-        print(f"wrote {output}; read it with: gradcal show {output}" + (f"\nwrote {plot}" if plot is not None else ""))
+        print(f"wrote {output}; read it with: gradcal show {output}")
+    if plot is not None:
+        from gradcal_jax.plots import draw_comparison
+
+        save_figure(draw_comparison([("before", found), ("optimised", made.spec)]), plot, quiet=json)
     if interrupt.asked:
         complain("interrupted" + ("" if shortest else f"; go on with: gradcal optimise {spec} -o {output} --resume"))
         return INTERRUPTED
-    return CONVERGED if best.converged else NOT_CONVERGED
+    return DONE if best.converged else NOT_AS_WISHED
 
 
 def text(best: "Optimised") -> str:
     """An optimised plan as people read it."""
-    before = "the plan of the spec observes too little" if best.before is None else f"{best.before:.4g} {best.unit}"
+    before = "the plan of the spec observes too little" if best.before is None else amount(best.before, best.unit)
     lines = [
-        strong(f"{best.name}: {before} -> {best.now:.4g} {best.unit} (rounded to the controllers' steps)"),
-        f"{best.structure}; {best.found:.4g} {best.unit} before rounding",
+        strong(f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"),
+        f"{best.structure}; {amount(best.found, best.unit)} before rounding",
         best.sentence,
     ]
     if len(best.starts) > 1:
@@ -136,14 +132,9 @@ def text(best: "Optimised") -> str:
     return "\n".join(lines)
 
 
-def _show(step: "Step") -> None:
-    """One line that is written over, on a terminal; else a line now and then."""
+def _progress(step: "Step") -> str:
     before = "" if step.before is None else f"{step.before:.4g} -> "
-    line = f"{step.share:4.0%}  {step.name}: {before}{step.best:.4g} {step.unit}  ({step.words})"
-    if is_plain(sys.stderr):
-        print(line, file=sys.stderr, flush=True)
-    else:
-        print("\r\x1b[K" + line, end="" if step.share < 0.949 else "\n", file=sys.stderr, flush=True)
+    return f"{step.share:4.0%}  {step.name}: {before}{amount(step.best, step.unit)}  ({step.words})"
 
 
 class _Interrupt:

@@ -2,13 +2,21 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Flag = Annotated[bool, Parameter(negative="")]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
+Output = Annotated[Path, Parameter(name=["--output", "-o"])]
+OptionalOutput = Annotated[Path | None, Parameter(name=["--output", "-o"])]
+OutputOrPrint = Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]
 Plot = Annotated[Path | None, Parameter(name="--plot")]
-Force = Annotated[bool, Parameter(negative="")]
+
+_FIGURES: Final = (".png", ".svg", ".pdf")
 
 
 def as_json(value: Any) -> str:
@@ -24,3 +32,21 @@ def writable(path: Path, force: bool) -> None:
         raise ValueError(f"{path} exists; choose another name, or overwrite it with --force")
     if not path.absolute().parent.is_dir():
         raise ValueError(f"there is no directory {path.parent}; make it first")
+
+
+def drawable(plot: Path | None) -> None:
+    """Refuse a figure that cannot be written, before the work and not after it. Raises `ValueError`."""
+    if plot is None:
+        return
+    if plot.suffix.lower() not in _FIGURES:
+        raise ValueError(f"{plot}: a figure's name ends in .png, .svg or .pdf")
+    writable(plot, force=True)
+
+
+def save_figure(figure: "Figure", plot: Path, *, quiet: bool) -> None:
+    """Write a figure and, unless `quiet`, say so."""
+    from gradcal_jax import plots
+
+    plots.save(figure, plot)
+    if not quiet:
+        print(f"wrote {plot}")

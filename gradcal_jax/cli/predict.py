@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from gradcal_jax import units
-from gradcal_jax.cli.console import columns, strong, time_text
-from gradcal_jax.cli.output import Json, Plot, as_json
+from gradcal_jax.cli.console import amount, columns, strong, time_text
+from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ def predict(
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.cli.specs import read_spec
 
+    drawable(plot)
     found = read_spec(spec)
     use_float64()
     from gradcal_jax import assemble
@@ -69,11 +70,9 @@ def predict(
         if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
     if plot is not None:
-        from gradcal_jax import plots
+        from gradcal_jax.plots import draw_prediction
 
-        plots.save(plots.draw_prediction(found), plot)
-        if not json:
-            print(f"wrote {plot}")
+        save_figure(draw_prediction(found), plot, quiet=json)
     met = all(row.verdict in (None, "met") for row in prediction.requirements)
     return DONE if met and all(test.consistent for test in tests.values()) else NOT_AS_WISHED
 
@@ -97,6 +96,7 @@ def compare(
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.cli.specs import read_spec
 
+    drawable(plot)
     found = [(path.stem, read_spec(path)) for path in specs]
     use_float64()
     from gradcal_jax import assemble
@@ -107,11 +107,9 @@ def compare(
     else:
         print(side_by_side(predictions))
     if plot is not None:
-        from gradcal_jax import plots
+        from gradcal_jax.plots import draw_comparison
 
-        plots.save(plots.draw_comparison(found), plot)
-        if not json:
-            print(f"wrote {plot}")
+        save_figure(draw_comparison(found), plot, quiet=json)
     return DONE
 
 
@@ -137,16 +135,12 @@ def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
         first = (name, *times)
         for row in prediction.requirements or ():
             axis = f", axis {row.axis}" if len({r.axis for r in prediction.requirements}) > 1 else ""
-            rows.append((*first, f"{row.name}{axis} ({row.statistic})", value(row), row.limited_by or ""))
+            left = amount(row.decisive, row.unit)
+            rows.append((*first, f"{row.name}{axis} ({row.statistic})", left, row.limited_by or ""))
             first = ("", "", "", "")
         if not prediction.requirements:
             rows.append((*first, "none", "", ""))
     return columns(rows, indent="")
-
-
-def value(row: "RequirementRow") -> str:
-    """The decisive statistic with its unit, or the words that it cannot be observed."""
-    return "not observable" if row.decisive is None else f"{row.decisive:.4g} {row.unit}"
 
 
 def _times(prediction: "Prediction") -> str:
@@ -156,9 +150,9 @@ def _times(prediction: "Prediction") -> str:
 
 def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
     name = f"{row.name}, axis {row.axis}" if several else row.name
-    target = "" if row.target is None else f"{row.target:.4g} {row.unit}"
-    verdict = row.verdict or ""
-    return (name, row.quantity.replace("_", " "), row.statistic, value(row), target, verdict, row.limited_by or "")
+    left, target = amount(row.decisive, row.unit), "" if row.target is None else amount(row.target, row.unit)
+    verdict, limited_by = row.verdict or "", row.limited_by or ""
+    return (name, row.quantity.replace("_", " "), row.statistic, left, target, verdict, limited_by)
 
 
 _SHOWN = {
@@ -183,7 +177,7 @@ def _simulated(rows, tests, runs: int, seed: int) -> str:
     several = len(tests) > 1
     for row in rows:
         name = f"{row.name}, axis {row.axis}" if several else row.name
-        table.append((name, f"{row.predicted:.4g} {row.unit}", f"{row.simulated:.4g} {row.unit}"))
+        table.append((name, amount(row.predicted, row.unit), amount(row.simulated, row.unit)))
     lines = ["", columns(table, indent="")]
     for axis, test in tests.items():
         where = f" (axis {axis})" if several else ""

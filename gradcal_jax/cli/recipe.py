@@ -1,11 +1,10 @@
 """`gradcal recipe`: the plan of a spec made executable, as it stands."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from gradcal_jax.cli.output import Force, Json, as_json, writable
+from gradcal_jax.cli.output import Flag, Json, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE
 
 
@@ -18,12 +17,12 @@ def recipe(
     spec: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
-    keep_shapes: Annotated[bool, Parameter(negative="")] = False,
+    output: OutputOrPrint,
+    keep_shapes: Flag = False,
     stable_within: str | None = None,
     stable_for: str | None = None,
     timeout: str | None = None,
-    force: Force = False,
+    force: Flag = False,
     json: Json = False,
 ) -> int:
     """Make a recipe of a spec's plan as it stands: rounded to what the controllers accept, predicted as rounded.

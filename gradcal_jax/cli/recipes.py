@@ -1,17 +1,18 @@
 """`gradcal recipes`: a recommended recipe for every sensor, rig and requirement of a catalogue, and one table."""
 
-import json as as_json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from gradcal_jax.cli.console import columns, complain, is_plain, strong
+from gradcal_jax.cli.console import amount, columns, complain, strong
+from gradcal_jax.cli.output import Json, Output, as_json
+from gradcal_jax.cli.progress import Bars
+from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
+from gradcal_jax.cli.workers import check_workers, runner_for
 
 if TYPE_CHECKING:
     from gradcal_jax.jobs.catalogue import Table
-
-DONE, NOT_AS_WISHED = 0, 1
 
 
 def register(app: App) -> None:
@@ -23,10 +24,10 @@ def recipes(
     catalogue: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    output: Output,
     scheduler: str | None = None,
     workers: int | None = None,
-    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Optimise a plan for every sensor, rig, requirement and plan of a catalogue; write recipes and one table.
 
@@ -46,7 +47,6 @@ def recipes(
     json
         Print the table as JSON.
     """
-    from gradcal_jax.cli.sweep import check_workers, runner_for
     from gradcal_jax.files.catalogue import read_catalogue
 
     check_workers(scheduler, workers)
@@ -56,13 +56,13 @@ def recipes(
     from gradcal_jax.jobs import catalogue as jobs
 
     try:
-        with runner_for(scheduler, workers) as runner, _Bar() as report:
-            table = jobs.recipes(job, output, runner=runner, progress=report)
+        with runner_for(scheduler, workers) as runner, Bars() as bars:
+            table = jobs.recipes(job, output, runner=runner, progress=bars.show)
     except KeyboardInterrupt:
         complain(f"interrupted; what is finished is kept in {output}, and the same command goes on from there")
-        return 130
+        return INTERRUPTED
     if json:
-        print(as_json.dumps({"folder": str(output), "failed": table.failed, "rows": list(table.rows)}, indent=2))
+        print(as_json({"folder": str(output), "failed": table.failed, "rows": list(table.rows)}))
     else:
         print(text(table, job.file.title or str(catalogue)))
         print(f"{len(table.rows) - table.failed} recipes, summary.csv and summary.md in {output}")
@@ -80,37 +80,7 @@ def text(table: "Table", title: str) -> str:
             rows.append((*case, "", "no recipe", ""))
             remarks.append(f"{', '.join(case)}: {row['remark']}")
             continue
-        before = "not observable" if row["before"] is None else f"{row['before']:.4g} {row['unit']}"
-        rows.append((*case, before, f"{row['now']:.4g} {row['unit']}", str(row["verdict"])))
+        rows.append((*case, *(amount(row[key], row["unit"]) for key in ("before", "now")), str(row["verdict"])))
         if not row["converged"]:
             remarks.append(f"{', '.join(case)}: {row['remark']}")
     return "\n".join([strong(title), columns(rows, indent=""), *remarks])
-
-
-class _Bar:
-    """A bar on a terminal; one line a case on stderr away from it."""
-
-    def __enter__(self) -> Any:
-        import sys
-
-        self._bar: Any = None
-        if is_plain(sys.stderr):
-            return lambda found: (
-                found.last and print(f"{found.done}/{found.total} {found.last}", file=sys.stderr, flush=True)
-            )
-        from rich.console import Console
-        from rich.progress import Progress
-
-        self._bar = Progress(console=Console(stderr=True))
-        self._task = self._bar.add_task("optimising", total=None)
-        self._bar.start()
-        return self._report
-
-    def _report(self, found: Any) -> None:
-        self._bar.update(self._task, total=found.total, completed=found.done)
-        if found.last:
-            self._bar.console.print(found.last, highlight=False, markup=False)
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()

@@ -10,6 +10,7 @@ from gradcal_jax.cli.console import columns
 if TYPE_CHECKING:
     from gradcal_jax.files.log import Log
 
+Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
 ColumnMapFile = Annotated[Path | None, Parameter(name="--columns")]
 
 _NETCDF = (".nc", ".nc4", ".h5", ".hdf5")

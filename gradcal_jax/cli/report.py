@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.output import Force, Json, as_json, writable
+from gradcal_jax.cli.output import Flag, Json, Output, as_json, writable
 from gradcal_jax.cli.status import DONE
 
 
@@ -18,10 +18,10 @@ def report(
     sources: Annotated[tuple[Path, ...], Parameter(negative="")],
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
+    output: Output,
     before: Path | None = None,
     limits: Path | None = None,
-    force: Force = False,
+    force: Flag = False,
     json: Json = False,
 ) -> int:
     """Make one HTML page of a recipe, a run or a calibration: nothing is fetched by it, and it prints well.

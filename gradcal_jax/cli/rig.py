@@ -2,12 +2,12 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
 from gradcal_jax.cli.console import columns, strong
-from gradcal_jax.cli.output import Force, Json, as_json, writable
+from gradcal_jax.cli.output import Flag, Json, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
 
 if TYPE_CHECKING:
@@ -22,11 +22,7 @@ def register(app: App) -> None:
     app.command(rig)
 
 
-def new(
-    *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)],
-    force: Force = False,
-) -> int:
+def new(*, output: OutputOrPrint, force: Flag = False) -> int:
     """Write a commented rig file to start from.
 
     Parameters

@@ -4,13 +4,14 @@ import sys
 import threading
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
 from gradcal_jax import units
-from gradcal_jax.cli.console import complain, is_plain, time_text
-from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.console import complain, time_text
+from gradcal_jax.cli.output import Flag, Json, OptionalOutput, as_json
+from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED
 
 if TYPE_CHECKING:
@@ -31,9 +32,9 @@ def run(
     /,
     *,
     rig: Path | None = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    output: OptionalOutput = None,
     resume: Path | None = None,
-    simulate: Annotated[bool, Parameter(negative="")] = False,
+    simulate: Flag = False,
     speed: float | None = None,
     seed: int = 0,
     sample_rate: str = "125 Hz",
@@ -127,7 +128,7 @@ class _Watcher:
         self._simulated = simulated
         self._quiet = quiet
         self._terminal = _terminal()
-        self._plain = is_plain(sys.stdout)
+        self._line = MovingLine(sys.stdout)
         self._last: tuple[str, str] = ("", "")
         self._runner: Runner | None = None
         self._asked = False
@@ -136,8 +137,7 @@ class _Watcher:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if not self._plain and not self._quiet:
-            print()
+        self._line.end()
 
     def attends(self) -> "Attended":
         """For the run that is shown."""
@@ -161,13 +161,8 @@ class _Watcher:
                 self._terminal.remark("pausing after this step; Ctrl-C again makes everything safe and ends")
                 self._last = now
             return
-        if self._quiet:
-            pass
-        elif self._plain:
-            if now != self._last:
-                print(progress_text(progress, self._simulated), flush=True)
-        else:
-            print(f"\r\x1b[2K{progress_text(progress, self._simulated)}", end="", flush=True)
+        if not self._quiet and (now != self._last or not self._line.plain):
+            self._line.show(progress_text(progress, self._simulated))
         self._last = now
         if progress.state.value == "paused" and not self._asked:
             self._asked = True

@@ -4,6 +4,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
+from gradcal_jax.cli.output import as_json
 from gradcal_jax.cli.status import DONE
 
 
@@ -24,8 +25,6 @@ def schema(
     listing
         List the names.
     """
-    import json
-
     from gradcal_jax.files import schemas
 
     if listing:
@@ -33,5 +32,5 @@ def schema(
         return DONE
     if name is None:
         raise ValueError(f"which one? Known: {', '.join(schemas.names())}")
-    print(json.dumps(schemas.schema(name), indent=2, ensure_ascii=False))
+    print(as_json(schemas.schema(name)))
     return DONE

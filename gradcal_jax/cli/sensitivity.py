@@ -1,11 +1,12 @@
 """`gradcal sensitivity`: what a better encoder, a longer ramp, a quieter sensor is worth."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from gradcal_jax.cli.console import columns, strong
+from gradcal_jax.cli.console import amount, columns, strong
+from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.status import DONE
 
 # Less than this share of a per cent is nothing.
 _NOTHING = 5e-4
@@ -16,13 +17,7 @@ def register(app: App) -> None:
     app.command(sensitivity)
 
 
-def sensitivity(
-    spec: Path,
-    /,
-    *,
-    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
-    plot: Path | None = None,
-) -> int:
+def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
     """Say what one per cent more of every figure of sensor, rig and plan changes, in per cent of the residual.
 
     For an optimised recipe this is also what is left of the change once the plan is optimised again.
@@ -39,26 +34,23 @@ def sensitivity(
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.cli.specs import read_spec
 
+    drawable(plot)
     found = read_spec(spec)
     use_float64()
     from gradcal_jax.assemble.sensitivity import sensitivities
 
     known = sensitivities(found)
-    if plot is not None:
-        from gradcal_jax import plots
-
-        plots.save(plots.draw_sensitivities(known), plot)
     if json:
-        from json import dumps
-
         rows = [row._asdict() for row in known.rows]
-        print(dumps({"residuals": known.residuals, "percent_per_percent": rows}, indent=2))
-        return 0
-    print(strong(found.title or str(spec)))
-    for name, (value, unit) in known.residuals.items():
-        print(f"\n{name}: {value:.4g} {unit}; one per cent more of ... changes it by")
-        shown = [row for row in known.rows if row.requirement == name and abs(row.percent) >= _NOTHING]
-        print(columns([(row.figure, f"{row.percent:+.3f} %") for row in shown], right=(1,)))
+        print(as_json({"residuals": known.residuals, "percent_per_percent": rows}))
+    else:
+        print(strong(found.title or str(spec)))
+        for name, (value, unit) in known.residuals.items():
+            print(f"\n{name}: {amount(value, unit)}; one per cent more of ... changes it by")
+            shown = [row for row in known.rows if row.requirement == name and abs(row.percent) >= _NOTHING]
+            print(columns([(row.figure, f"{row.percent:+.3f} %") for row in shown], right=(1,)))
     if plot is not None:
-        print(f"wrote {plot}")
-    return 0
+        from gradcal_jax.plots import draw_sensitivities
+
+        save_figure(draw_sensitivities(known), plot, quiet=json)
+    return DONE

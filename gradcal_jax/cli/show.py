@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import columns, strong
+from gradcal_jax.cli.console import amount, columns, strong
 from gradcal_jax.cli.output import Json
 from gradcal_jax.cli.status import DONE
 
@@ -64,10 +64,9 @@ def text(recipe: "Recipe", name: str) -> str:
 
 
 def _left(row: "RequirementRow") -> tuple[str, ...]:
-    from gradcal_jax.cli.predict import value
-
-    target = "" if row.target is None else f"target {row.target:.4g} {row.unit}: {row.verdict}"
-    return (row.name, f"axis {row.axis}", row.statistic, value(row), target, row.limited_by or "")
+    target = "" if row.target is None else f"target {amount(row.target, row.unit)}: {row.verdict}"
+    left = amount(row.decisive, row.unit)
+    return (row.name, f"axis {row.axis}", row.statistic, left, target, row.limited_by or "")
 
 
 def _free(table: dict[str, Any], indent: str) -> list[str]:

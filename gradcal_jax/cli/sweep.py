@@ -1,12 +1,15 @@
 """`gradcal sweep`: one spec, many values of its keys, all predicted or optimised, as labelled results."""
 
-import json as as_json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from gradcal_jax.cli.console import columns, complain, is_plain, strong, time_text
+from gradcal_jax.cli.console import amount, columns, complain, strong, time_text
+from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.progress import Bars
+from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, NOT_AS_WISHED
+from gradcal_jax.cli.workers import check_workers, runner_for
 
 if TYPE_CHECKING:
     import xarray
@@ -14,7 +17,6 @@ if TYPE_CHECKING:
     from gradcal_jax.files.sweep import Sweep
     from gradcal_jax.jobs.sweep import Estimate
 
-DONE, NOT_AS_WISHED, FAILED = 0, 1, 3
 _VERDICTS = ("met", "missed", "unobservable")
 
 
@@ -27,12 +29,12 @@ def sweep(
     file: Path,
     /,
     *,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
-    dry_run: Annotated[bool, Parameter(negative="")] = False,
+    output: OptionalOutput = None,
+    dry_run: Flag = False,
     scheduler: str | None = None,
     workers: int | None = None,
-    json: Annotated[bool, Parameter(name="--json", negative="")] = False,
-    plot: Annotated[Path | None, Parameter(name="--plot")] = None,
+    json: Json = False,
+    plot: Plot = None,
 ) -> int:
     """Predict (or optimise) a spec for many values of its keys; labelled results with units in a netCDF file.
 
@@ -61,25 +63,26 @@ def sweep(
     if output is None and not dry_run:
         raise ValueError("where to? Name the results with -o results.nc, or ask for --dry-run")
     check_workers(scheduler, workers)
-    if plot is not None:
-        _drawable(plot)
+    drawable(plot)
     job = read_sweep(file)
     from gradcal_jax.jobs import sweep as jobs
 
     if dry_run:
-        with runner_for(scheduler, workers) as runner, _Bar() as report:
-            found = jobs.dry_run(job, runner=runner, progress=report)
-        print(as_json.dumps(_estimate(found), indent=2) if json else _estimated(found, job))
+        with runner_for(scheduler, workers) as runner, Bars() as bars:
+            found = jobs.dry_run(job, runner=runner, progress=bars.show)
+        print(as_json(_estimate(found)) if json else _estimated(found, job))
         return DONE
     assert output is not None
     if jobs.finished(job, output):
         if not json:
             print(f"{output} is finished: it holds the results of just this sweep")
     else:
-        _writable(output)
+        writable(output, force=True)
+        if output.exists():
+            raise ValueError(f"{output} exists and is not of this sweep; choose another output, or delete it")
         try:
-            with runner_for(scheduler, workers) as runner, _Bar() as report:
-                jobs.sweep(job, output, runner=runner, progress=report)
+            with runner_for(scheduler, workers) as runner, Bars() as bars:
+                jobs.sweep(job, output, runner=runner, progress=bars.show)
         except jobs.SweepIncomplete as error:
             complain(str(error))
             return FAILED
@@ -87,93 +90,17 @@ def sweep(
             complain(
                 f"interrupted; what is finished is kept in {output}.parts, and the same command goes on from there"
             )
-            return 130
+            return INTERRUPTED
     from gradcal_jax.jobs.dataset import read_dataset
 
     results = read_dataset(output)
     summary = summary_of(results)
-    print(as_json.dumps({"output": str(output), **summary}, indent=2) if json else text(summary, job, str(output)))
+    print(as_json({"output": str(output), **summary}) if json else text(summary, job, str(output)))
     if plot is not None:
-        from gradcal_jax.plots import save
         from gradcal_jax.plots.sweep import draw_sweep
 
-        save(draw_sweep(results), plot)
-        if not json:
-            print(f"wrote {plot}")
+        save_figure(draw_sweep(results), plot, quiet=json)
     return NOT_AS_WISHED if summary["failed"] else DONE
-
-
-def check_workers(scheduler: str | None, workers: int | None) -> None:
-    """Refuse what cannot be meant."""
-    if workers is not None and not 1 <= workers <= 1024:
-        raise ValueError(f"--workers {workers}: give a number from 1 to 1024")
-    if workers is not None and scheduler is not None:
-        raise ValueError("--workers or --scheduler: a cluster decides for itself how many it has")
-
-
-def runner_for(scheduler: str | None, workers: int | None) -> Any:
-    """The machine's own workers, which keep compiled programs where the other commands do, or a cluster's."""
-    if scheduler is not None:
-        from gradcal_jax.jobs.cluster import Cluster
-
-        return Cluster(scheduler)
-    from gradcal_jax.cli.precision import cache_folder
-    from gradcal_jax.jobs.pool import LocalPool
-
-    folder = cache_folder()
-    return LocalPool(workers, None if folder is None else str(folder))
-
-
-class _Bar:
-    """A bar on a terminal; away from it nothing is said until the end."""
-
-    def __enter__(self) -> Any:
-        import sys
-
-        if is_plain(sys.stderr):
-            return lambda found: None
-        from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
-
-        parts = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        self._bar = Progress(*parts, TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True))
-        self._tasks: dict[str, Any] = {}
-        self._bar.start()
-        return self._report
-
-    def _report(self, found: Any) -> None:
-        words = {"reading": "reading points", "predict": "predicting", "optimise": "optimising"}[found.stage]
-        if found.stage not in self._tasks:
-            self._tasks[found.stage] = self._bar.add_task(words, total=found.total)
-        self._bar.update(self._tasks[found.stage], completed=found.done)
-
-    def __exit__(self, *_: object) -> None:
-        if hasattr(self, "_bar"):
-            self._bar.stop()
-
-
-def _writable(path: Path) -> None:
-    if path.is_dir():
-        raise ValueError(f"{path} is a directory; name a file in it")
-    if not path.parent.is_dir():
-        raise ValueError(f"there is no directory {path.parent}; make it first")
-    if path.exists():
-        raise ValueError(f"{path} exists and is not of this sweep; choose another output, or delete it")
-
-
-def _drawable(path: Path) -> None:
-    """Before an hour of work, not after it."""
-    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise ValueError(f"{path}: a figure's name ends in .png, .svg or .pdf")
-    if not path.parent.is_dir():
-        raise ValueError(f"there is no directory {path.parent}; make it first")
 
 
 def _estimate(found: "Estimate") -> dict[str, Any]:
@@ -259,7 +186,7 @@ def text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
     for row in summary["requirements"]:
         values = ("none",) * 3
         if row["least"] is not None:
-            values = tuple(f"{row[k]:.4g} {row['unit']}" for k in ("least", "median", "most"))
+            values = tuple(amount(row[k], row["unit"]) for k in ("least", "median", "most"))
         verdicts = " / ".join(str(row[word]) for word in _VERDICTS)
         table.append((f"{row['name']}, {row['statistic']}", *values, verdicts))
     lines += ["", columns(table, indent="")]

@@ -4,14 +4,14 @@ import csv
 import hashlib
 import io
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.catalogue import Case, Catalogue
 from gradcal_jax.jobs.pool import LocalPool, Runner, Task
+from gradcal_jax.jobs.progress import Progress, Report, unwatched
 from gradcal_jax.jobs.store import write_safely
 from gradcal_jax.jobs.sweep import versions
 
@@ -19,15 +19,6 @@ _COLUMNS: Final[tuple[str, ...]] = (
     "sensor", "rig", "requirement", "plan", "objective", "unit", "before", "now", "limit", "efficiency", "hours",
     "verdict", "limited_by", "converged", "recipe", "remark",
 )  # fmt: skip
-
-
-class Progress(NamedTuple):
-    """`done` of `total` cases, `kept` of them from an earlier run; `last` says of the newest what came out."""
-
-    done: int
-    total: int
-    kept: int
-    last: str = ""
 
 
 @dataclass(frozen=True)
@@ -48,7 +39,7 @@ def recipes(
     folder: str | Path,
     *,
     runner: Runner | None = None,
-    progress: Callable[[Progress], None] = lambda found: None,
+    progress: Report = unwatched,
 ) -> Table:
     """Write `<case>.toml` for every case, `summary.csv` and `summary.md` (ppm, deg/h; 1σ) into `folder`.
 
@@ -71,7 +62,7 @@ def recipes(
         if row is not None and (not row["recipe"] or (folder / row["recipe"]).is_file()):
             rows[number] = row
     kept = len(rows)
-    progress(Progress(kept, len(job.cases), kept))
+    progress(Progress("optimise", kept, len(job.cases), kept))
     tasks = [
         Task(number, "recommend", (tables_of(case.spec),))
         for number, case in enumerate(job.cases)
@@ -91,7 +82,7 @@ def recipes(
             write_safely(kept_in / f"{case.slug}.json", json.dumps([identities[number], row], indent=1))
             rows[number] = row
             said = row["remark"] if not row["recipe"] else f"{row['now']:.4g} {row['unit']}"
-            progress(Progress(len(rows), len(job.cases), kept, f"{', '.join(case.names)}: {said}"))
+            progress(Progress("optimise", len(rows), len(job.cases), kept, f"{', '.join(case.names)}: {said}"))
     finally:
         if own:
             runner.close()

@@ -9,7 +9,6 @@ import hashlib
 import json
 import platform
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,6 +19,7 @@ from gradcal_jax.files import tables_of
 from gradcal_jax.files.sweep import Sweep, tables_of_sweep
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.pool import LocalPool, Runner, Task
+from gradcal_jax.jobs.progress import Progress, Report, unwatched
 from gradcal_jax.jobs.results import Result
 from gradcal_jax.jobs.room import OWN_SHAPE, Counts, Surveyed, room_for
 from gradcal_jax.jobs.store import Store
@@ -28,15 +28,6 @@ CHUNK: Final = {"predict": 64, "optimise": 1}
 """Points in a chunk: a second's work, or a minute's."""
 _SURVEY_CHUNK: Final = 250
 _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix")
-
-
-class Progress(NamedTuple):
-    """`stage`: "reading", then "predict" or "optimise"; `done` of `total` points, `kept` from an earlier run."""
-
-    stage: str
-    done: int
-    total: int
-    kept: int = 0
 
 
 class Chunk(NamedTuple):
@@ -79,19 +70,12 @@ class SweepIncomplete(RuntimeError):
     """Workers were lost, again and again, before all was done; what is finished is kept."""
 
 
-Report = Callable[[Progress], None]
-
-
-def _silent(_: Progress) -> None:
-    pass
-
-
 def sweep(
     job: Sweep,
     output: str | Path,
     *,
     runner: Runner | None = None,
-    progress: Report = _silent,
+    progress: Report = unwatched,
 ) -> Swept:
     """Do a sweep and write its results (netCDF, each variable with its unit) to `output`, for `read_dataset`.
 
@@ -164,7 +148,7 @@ def finished(job: Sweep, output: Path) -> bool:
     return output.is_file() and identity_in(output) == identity_of(job)
 
 
-def dry_run(job: Sweep, *, runner: Runner | None = None, progress: Report = _silent) -> Estimate:
+def dry_run(job: Sweep, *, runner: Runner | None = None, progress: Report = unwatched) -> Estimate:
     """How large a sweep is and how long it will take, by its largest group's first chunk, done twice. Nothing is
     written.
     """
@@ -213,7 +197,7 @@ def _each_group_first(chunks: list[Chunk], left: list[int]) -> list[int]:
     return [number for _, number in sorted(order)]
 
 
-def survey(job: Sweep, points: Points, runner: Runner, progress: Report = _silent) -> list[Surveyed]:
+def survey(job: Sweep, points: Points, runner: Runner, progress: Report = unwatched) -> list[Surveyed]:
     """Every point, read. Errors: `ValueError` where not one of them is a spec."""
     count = len(points)
     base = tables_of(job.base)
@@ -276,7 +260,6 @@ __all__ = [
     "CHUNK",
     "Chunk",
     "Estimate",
-    "Progress",
     "SweepIncomplete",
     "Swept",
     "chunks_of",

@@ -5,6 +5,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from search_problem import SPEC
 
 from gradcal_jax import files
 from gradcal_jax.assemble import assemble, predict
@@ -19,52 +20,6 @@ from gradcal_jax.assemble.written import written
 from gradcal_jax.design import ProgrammeCoordinates, polish
 from gradcal_jax.files import SpecError, changed
 
-SPEC = """
-format = "gradcal-spec/1"
-[sensor]
-quantity          = "gyro"
-angle_random_walk = "0.1 deg/sqrt(h)"
-[[sensor.drift]]
-standard_deviation = "1 deg/h"
-correlation_time   = "120 s"
-[sensor.scale_factor]
-temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
-rate        = { basis = "polynomial", degree = 1, scale = "300 deg/s" }
-[rig.table]
-max_rate         = "300 deg/s"
-max_acceleration = "300 deg/s^2"
-travel           = "unlimited"
-[rig.table.angle]
-reading_noise = "0.05 deg"
-[rig.chamber]
-range       = ["-40 degC", "85 degC"]
-max_heating = "2 K/min"
-max_cooling = "1.5 K/min"
-[[requirement]]
-name        = "full range"
-quantity    = "scale_factor"
-temperature = ["-30 degC", "70 degC"]
-rate        = ["-300 deg/s", "300 deg/s"]
-statistic   = "mean of max"
-grid        = [21, 21]
-[plan]
-method      = "gradient"
-temperature = ["-30 degC", "70 degC"]
-gradient    = "2 K/min"
-[plan.cycle]
-other_axes = { duration = "780 s", read = true, read_every = "20 s" }
-moves = [
-  { rest = "10 s", read_every = "5 s" },
-  { duration = "50 s", peak_rate = "200 deg/s" , shape = "cosine ramps" },
-  { rest = "10 s", read_every = "5 s" },
-  { duration = "50 s", peak_rate = "-150 deg/s" , shape = "cosine ramps" },
-]
-[design]
-minimise = "full range"
-free = ["duration","peak_rate","ramp"]
-starts = 2
-moves = 2
-"""
 DEG = math.pi / 180.0
 
 

@@ -105,7 +105,7 @@ def test_where_no_drift_shows_the_status_says_so(tmp_path, capsys):
         (("allan", "missing.nc"), "does not exist"),
         (("allan", "table.csv"), "--columns"),
         (("allan", "LOG", "--columns", "map.toml"), "needs no --columns"),
-        (("allan", "LOG", "--plot", "picture.docx"), "ends in one of"),
+        (("allan", "LOG", "--plot", "picture.docx"), "ends in .png, .svg or .pdf"),
     ],
 )
 def test_wrong_input_is_a_sentence(record, arguments, sentence, capsys):

@@ -39,6 +39,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "sensitivity": "assemble.flow",
     "recipe": "assemble",
     "read_recipe": "files.recipe",
+    "show": "pages.bench_sheet",
     # many at once
     "read_sweep": "files.sweep",
     "sweep": "jobs.sweep",

@@ -17,7 +17,7 @@ README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 CALLABLE = [name for name in gj.__all__ if name != "presets"]
 UNITS = re.compile(r"\bSI\b|\bs\b|°C|\brad\b|rad/s|\bppm\b|deg/h|deg/s|\bunits?\b")
 # Commands for whoever sits at a terminal: text to copy, to print or to look words up in.
-AT_A_TERMINAL = {"demo", "glossary", "new", "rig", "show"}
+AT_A_TERMINAL = {"demo", "glossary", "new", "rig"}
 # The paper's gyro with maps of degree one, for six minutes at room temperature.
 SMALL = {
     "sensor.scale_factor.temperature.degree": 1,
@@ -106,6 +106,7 @@ def test_the_lines_of_the_readme_do_the_whole_job(tmp_path, monkeypatch, capsys)
     assert limit < now < 0.8 * before
     assert made.prediction.requirements[0].decisive == pytest.approx(now, rel=1e-9)
     assert made.optimisation is not None
+    assert f"{now:.4g} ppm" in gj.show(made)
     assert found.simulated
     assert found.provenance["recipe"] == made.fingerprint
     assert found.result[0].value == pytest.approx(now, rel=0.2)

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.console import columns as table
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, as_json, writable
 from gradcal_jax.cli.recordings import ColumnMapFile, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.validation import AxisValidation

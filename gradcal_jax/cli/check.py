@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import columns, strong, time_text
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, as_json
 from gradcal_jax.cli.status import DONE
+from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.files import Spec
@@ -37,9 +39,9 @@ def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int
     json
         Print the plan's times, notes, and what it cannot observe, as JSON.
     """
-    from gradcal_jax.cli.specs import read_spec
+    from gradcal_jax.files.recipe import spec_in
 
-    found = read_spec(spec)
+    found = spec_in(spec)
     if json:
         print(as_json(numbers(found) | {"unobservable": None if files_only else unobservable(found)}))
         return DONE

@@ -14,9 +14,10 @@ from typing import Any, Final
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import amount, strong
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Output, as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.pages.plain_text import amount
 
 RECORDING: Final = "tofupilot_imu_thermal_cycle.npz"
 

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.console import amount, strong
-from gradcal_jax.cli.console import columns as table
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.recordings import Axes, ColumnMapFile, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.pages.plain_text import amount
+from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.calibration import EstimateReport

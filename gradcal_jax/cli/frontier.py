@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import amount, columns, strong, time_text
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, OptionalOutput, Plot, as_json, drawable, save_figure
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.pages.plain_text import amount, columns
+from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.frontier import Point
@@ -52,10 +54,10 @@ def frontier(
         Draw the frontier into this file.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.cli.specs import read_spec
+    from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
-    found = read_spec(spec)
+    found = spec_in(spec)
     times = durations(motion, points)
     use_float64()
     from gradcal_jax import assemble

@@ -2,8 +2,8 @@
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import columns
 from gradcal_jax.cli.status import DONE
+from gradcal_jax.pages.plain_text import columns
 
 
 def register(app: App) -> None:

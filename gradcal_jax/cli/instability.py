@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.console import columns, strong
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
 from gradcal_jax.cli.recordings import Axes, ColumnMapFile, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.pages.plain_text import columns
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.instability import Instability

@@ -4,9 +4,10 @@ from pathlib import Path
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import amount, columns, strong
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, as_json
 from gradcal_jax.cli.status import DONE
+from gradcal_jax.pages.plain_text import amount, columns
 
 
 def register(app: App) -> None:
@@ -28,9 +29,9 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
         Print the limits for other programs.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.cli.specs import read_spec
+    from gradcal_jax.files.recipe import spec_in
 
-    found = read_spec(spec)
+    found = spec_in(spec)
     use_float64()
     from gradcal_jax.assemble.limit import limits
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import time_text
 from gradcal_jax.cli.output import Json, OptionalOutput, as_json
 from gradcal_jax.cli.status import DONE
+from gradcal_jax.units import time_text
 
 
 def register(app: App) -> None:

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.console import columns
 from gradcal_jax.cli.output import Flag, writable
 from gradcal_jax.cli.status import DONE
+from gradcal_jax.pages.plain_text import columns
 
 
 def register(app: App) -> None:

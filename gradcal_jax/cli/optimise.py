@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import amount, columns, complain, strong
+from gradcal_jax.cli.console import complain, strong
 from gradcal_jax.cli.output import Flag, Json, Output, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
+from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.optimise import Optimised, Step
@@ -56,14 +57,14 @@ def optimise(
         Overwrite an existing file.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.cli.specs import read_spec
     from gradcal_jax.files import write_toml
+    from gradcal_jax.files.recipe import spec_in
 
     writable(output, force or resume)
     drawable(plot)
     if steps < 20:
         raise ValueError(f"--steps: expected at least 20, got {steps}")
-    found = read_spec(spec)
+    found = spec_in(spec)
     use_float64()
     from gradcal_jax import assemble
     from gradcal_jax.assemble import checkpoints

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from gradcal_jax import units
-from gradcal_jax.cli.console import amount, columns, strong, time_text
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.pages.plain_text import amount, columns
+from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.files import Prediction
@@ -48,10 +50,10 @@ def predict(
         Of the simulated calibrations.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.cli.specs import read_spec
+    from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
-    found = read_spec(spec)
+    found = spec_in(spec)
     use_float64()
     from gradcal_jax import assemble
 
@@ -94,10 +96,10 @@ def compare(
     if not specs:
         raise ValueError("compare what? Name two or more spec files")
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.cli.specs import read_spec
+    from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
-    found = [(path.stem, read_spec(path)) for path in specs]
+    found = [(path.stem, spec_in(path)) for path in specs]
     use_float64()
     from gradcal_jax import assemble
 

@@ -50,11 +50,11 @@ def recipe(
         Print what was written, and what rounding left of it, as JSON.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.cli.specs import read_spec
     from gradcal_jax.files import Quantity, to_toml
+    from gradcal_jax.files.recipe import spec_in
     from gradcal_jax.files.tracks import Stability
 
-    found = read_spec(spec)
+    found = spec_in(spec)
     wishes = {
         "within": ("temperature difference", stable_within),
         "for_at_least": ("time", stable_for),

@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import amount, columns, complain, strong
+from gradcal_jax.cli.console import complain, strong
 from gradcal_jax.cli.output import Json, Output, as_json
 from gradcal_jax.cli.progress import Bars
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 from gradcal_jax.cli.workers import check_workers, runner_for
+from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
     from gradcal_jax.jobs.catalogue import Table

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.console import columns
+from gradcal_jax.pages.plain_text import columns
 
 if TYPE_CHECKING:
     from gradcal_jax.files.log import Log

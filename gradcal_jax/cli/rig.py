@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import columns, strong
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
+from gradcal_jax.pages.plain_text import columns
 
 if TYPE_CHECKING:
     from gradcal_jax.hardware.setup import DeviceReport

@@ -4,9 +4,10 @@ from pathlib import Path
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import amount, columns, strong
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
 from gradcal_jax.cli.status import DONE
+from gradcal_jax.pages.plain_text import amount, columns
 
 # Less than this share of a per cent is nothing.
 _NOTHING = 5e-4
@@ -32,10 +33,10 @@ def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
         Draw them as bars into this file.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.cli.specs import read_spec
+    from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
-    found = read_spec(spec)
+    found = spec_in(spec)
     use_float64()
     from gradcal_jax.assemble.sensitivity import sensitivities
 

@@ -5,11 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import amount, columns, complain, strong, time_text
+from gradcal_jax.cli.console import complain, strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.progress import Bars
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, NOT_AS_WISHED
 from gradcal_jax.cli.workers import check_workers, runner_for
+from gradcal_jax.pages.plain_text import amount, columns
+from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     import xarray

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.console import columns, time_text
 from gradcal_jax.cli.output import Json
 from gradcal_jax.cli.status import DONE
+from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.files import Timeline
@@ -47,9 +48,9 @@ def timeline(
     if json and csv:
         raise ValueError("--json or --csv: choose one")
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.cli.specs import read_spec
+    from gradcal_jax.files.recipe import spec_in
 
-    found = read_spec(spec)
+    found = spec_in(spec)
     use_float64()
     from gradcal_jax import assemble
 

@@ -19,7 +19,7 @@ from gradcal_jax.files.problems import Problem, SpecError, from_validation
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.spec import Spec, spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
 
 FORMAT: Final = "gradcal-recipe/1"
@@ -122,6 +122,12 @@ def read_recipe(path: str | Path) -> Recipe:
     Errors: `SpecError` that lists everything wrong with it, and where its tracks do not follow from its spec.
     """
     return parse_recipe(read_text(path), str(path))
+
+
+def spec_in(path: str | Path) -> Spec:
+    """The spec in a file, or the one inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
+    document = read_toml(read_text(path), str(path))
+    return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:

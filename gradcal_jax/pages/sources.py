@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.files import Spec, spec_of
+from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import FORMAT as CALIBRATION
 from gradcal_jax.files.calibration import Calibration, read_calibration
 from gradcal_jax.files.document import read_text, read_toml
-from gradcal_jax.files.recipe import Recipe, is_recipe, recipe_of
+from gradcal_jax.files.recipe import Recipe, is_recipe, recipe_of, spec_in
 from gradcal_jax.hardware.run_folder import RunFolder
 
 CALIBRATION_IN_RUN = "calibration.toml"
@@ -80,16 +80,11 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
     if not found:
         raise ValueError("a report of what? Name the folder of a run, a recipe, or a calibration")
     if before is not None:
-        found["before"], found["before_name"] = _plan(before), before.name
+        found["before"], found["before_name"] = spec_in(before), before.name
         named.append((before.name, hashlib.sha256(before.read_bytes()).hexdigest()))
     if limits is not None:
         found["limits"] = _limits(limits)
     return Sources(**found, paths=tuple(named), notes=tuple(_misfits(found)))
-
-
-def _plan(path: Path) -> Spec:
-    document = read_toml(read_text(path), str(path))
-    return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
 
 
 def _limits(path: Path) -> dict[str, float]:

@@ -9,8 +9,9 @@ import time
 import pytest
 
 from gradcal_jax.cli import main
-from gradcal_jax.cli.console import columns, time_text
 from gradcal_jax.files import presets
+from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.units import time_text
 
 GRADCAL = [sys.executable, "-c", "import sys; from gradcal_jax.cli import main; sys.exit(main())"]
 
@@ -178,7 +179,7 @@ def test_an_interrupt_ends_with_130(monkeypatch, capsys):
     def interrupted(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gradcal_jax.cli.specs.read_spec", interrupted)
+    monkeypatch.setattr("gradcal_jax.files.recipe.spec_in", interrupted)
     assert main(["check", "my.toml"]) == 130
     assert capsys.readouterr().err == "gradcal: interrupted\n"
 

@@ -5,8 +5,12 @@ import json
 import re
 import subprocess
 import sys
+import typing
+from collections.abc import Iterator
 from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
 
 import gradcal_jax as gj
@@ -16,6 +20,7 @@ from gradcal_jax.files.recipe import read_recipe
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 CALLABLE = [name for name in gj.__all__ if name != "presets"]
 UNITS = re.compile(r"\bSI\b|\bs\b|°C|\brad\b|rad/s|\bppm\b|deg/h|deg/s|\bunits?\b")
+SHAPE = re.compile(r"`\(|\[[a-z]+(, [a-z ]+)*\]|\bShapes\s+broadcast\b")
 # Commands for whoever sits at a terminal: text to copy, to print or to look words up in.
 AT_A_TERMINAL = {"demo", "glossary", "new", "rig"}
 # The paper's gyro with maps of degree one, for six minutes at room temperature.
@@ -70,6 +75,59 @@ def test_the_help_of_a_function_tells_its_parameters(name):
     given = {name for name in inspect.signature(getattr(gj, name)).parameters if name not in clear}
     missing = {name for name in given if not re.search(rf"`{name}`", told)}
     assert len(missing) <= 1, missing
+
+
+def hints_of(named: object) -> dict[str, object]:
+    try:
+        return typing.get_type_hints(named)
+    except NameError:  # of what is imported for type checkers alone
+        return inspect.get_annotations(named)
+
+
+def parts(hint: object) -> Iterator[object]:
+    yield hint
+    for part in typing.get_args(hint):
+        yield from parts(part)
+
+
+def is_array(hint: object, *, with_shape: bool) -> bool:
+    """Whether an annotation is an array's; `with_shape`: also where it tells the shape itself."""
+    if hasattr(hint, "dim_str"):
+        return with_shape and hint.dim_str != ""
+    return hint in (np.ndarray, jax.Array) or typing.get_origin(hint) is np.ndarray
+
+
+def test_the_help_of_a_function_of_arrays_tells_their_shapes():
+    functions = {name: getattr(gj, name) for name in CALLABLE if inspect.isfunction(getattr(gj, name))}
+    of_arrays = {
+        name
+        for name, function in functions.items()
+        if any(is_array(part, with_shape=True) for hint in hints_of(function).values() for part in parts(hint))
+    }
+    assert len(of_arrays) >= 3
+    assert [name for name in sorted(of_arrays) if not SHAPE.search(inspect.getdoc(functions[name]) or "")] == []
+
+
+def test_whatever_public_names_give_tells_the_shapes_of_its_arrays():
+    """Results, what they are made of, and so on, field by field: in the annotation, or in words beside it."""
+    waiting: list[object] = [getattr(gj, name) for name in CALLABLE]
+    seen: set[object] = set()
+    silent: list[str] = []
+    while waiting:
+        named = waiting.pop()
+        if named in seen:
+            continue
+        seen.add(named)
+        hints = hints_of(named)
+        if inspect.isclass(named):
+            bare = any(is_array(part, with_shape=False) for hint in hints.values() for part in parts(hint))
+            if bare and not SHAPE.search(inspect.getsource(named)):
+                silent.append(named.__name__)
+        given = hints.values() if inspect.isclass(named) else [hints.get("return")]
+        found = [part for hint in given for part in parts(hint) if inspect.isclass(part)]
+        waiting += [part for part in found if part.__module__.startswith("gradcal_jax")]
+    assert len(seen) > 100
+    assert silent == []
 
 
 def test_functions_have_the_names_of_commands():

@@ -26,7 +26,6 @@ _ROUNDS = 8
 _SETTLED = 1e-3
 _LONGEST_LAG_S = 1800.0
 _CORRELATION_TIMES_A_PIECE = 3.0
-EARTH_RATE = 7.292115e-5
 # To which the ranges of a calibration are rounded, outwards.
 _TEMPERATURE_STEP, _RATE_STEP = 0.1, float(np.radians(0.1))
 
@@ -60,7 +59,7 @@ class UnitChannel(NamedTuple):
     white: Whitened
     consistency: room.Consistency
     weights: np.ndarray
-    """Of the readings used; 1: counted in full."""
+    """`(n,)`, of the readings used; 1: counted in full."""
     lag_s: float
     lag_std_s: float | None
     smoothness: Smoothness | None

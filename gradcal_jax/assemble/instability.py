@@ -22,7 +22,10 @@ _TELLING_SPAN = 5.0
 
 @dataclass(frozen=True)
 class Rest:
-    """One channel of a log at rest, with B(T) taken off where asked; rates in rad/s."""
+    """One channel of a log at rest on an even grid, with B(T) taken off where asked.
+
+    `rate` `(samples,)` rad/s, `valid` `(samples,)`: what may be used, `temperature_c` `(samples,)` °C.
+    """
 
     axis: str
     unit: str

@@ -60,6 +60,7 @@ class Optimised(NamedTuple):
 
     `before`: of the plan in the spec, None where it observes too little; `found`: of the optimum; `now`: of the rounded
     plan, exactly. `starts`: where the starts of the chosen structure ended. `active`: the limits that bind, in words.
+    `point` `(n,)`: the optimum before rounding, any numbers, which `coordinates` decode.
     """
 
     spec: Spec

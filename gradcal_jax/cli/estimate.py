@@ -1,8 +1,9 @@
 """`gradcal estimate`: a calibration from a log, with covariance, tests and verdicts."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import App, Parameter
 
@@ -15,9 +16,10 @@ from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.calibration import EstimateReport
-    from gradcal_jax.assemble.estimate import Options, UnitChannel
+    from gradcal_jax.assemble.estimate import UnitChannel
     from gradcal_jax.files import Spec
 
+_EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
 
 
@@ -94,7 +96,7 @@ def estimate(
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
-    options = _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every, neighbours)
+    options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours)
     model = _spec(spec, recipe)
     recorded = load(log, columns)
     files = _files(output, unit or recorded.units)
@@ -105,10 +107,12 @@ def estimate(
 
     use_float64()
     from gradcal_jax.assemble import calibration as work
+    from gradcal_jax.assemble.estimate import Options
     from gradcal_jax.files.calibration import write_calibration
 
     sources = {"log": log.name, "spec": (spec or recipe or Path()).name}
-    report = work.estimate_calibration(model, recorded, axes=axis, units=unit, options=options, sources=sources)
+    asked = Options(**options, table_axis=table_axis, robust=robust)
+    report = work.estimate_calibration(model, recorded, axes=axis, units=unit, options=asked, sources=sources)
     if json:
         print(as_json(work.estimate_rows(report)))
     else:
@@ -125,12 +129,23 @@ def estimate(
     return DONE if report.as_wished else NOT_AS_WISHED
 
 
-def _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, read_every, neighbours) -> "Options":
+def _options(
+    earth_rate: str | None,
+    latitude: str | None,
+    lag: str,
+    smoothness: str,
+    clock: str,
+    read_every: str,
+    neighbours: str | None,
+) -> dict[str, Any]:
+    """Texts as the fields of `assemble.estimate.Options`, in SI. Raises `ValueError`s that name the option."""
     earth = 0.0
     if earth_rate is not None and latitude is not None:
         raise ValueError("--earth-rate and --latitude say the same thing twice: give one of them")
     if earth_rate is not None:
         earth = quantity(earth_rate, "angular rate", "--earth-rate")
+    elif latitude is not None:
+        earth = _EARTH_RATE_RAD_PER_S * math.sin(quantity(latitude, "angle", "--latitude"))
     lag_s = "fit" if lag == "fit" else 0.0 if lag == "none" else quantity(lag, "time", "--lag")
     if lag_s != "fit" and lag_s < 0.0:
         raise ValueError(f"--lag {lag!r}: a lag is not negative")
@@ -144,26 +159,8 @@ def _options(table_axis, earth_rate, latitude, lag, smoothness, robust, clock, r
     width = None if neighbours is None else quantity(neighbours, "temperature difference", "--neighbours")
     if width is not None and width <= 0.0:
         raise ValueError(f"--neighbours {neighbours!r}: must be some kelvins")
-    angle = None if latitude is None else quantity(latitude, "angle", "--latitude")
-    from gradcal_jax.cli.precision import use_float64
-
-    use_float64()
-    from gradcal_jax.assemble.estimate import EARTH_RATE, Options
-
-    if angle is not None:
-        import math
-
-        earth = EARTH_RATE * math.sin(angle)
-    return Options(
-        earth_rate=earth,
-        robust=robust,
-        lag=lag_s,
-        smoothness="auto" if smoothness == "auto" else "spec",
-        clock="host" if clock == "host" else "sensor",
-        read_every=every,
-        table_axis=table_axis,
-        neighbours_k=width,
-    )
+    told = {"earth_rate": earth, "lag": lag_s, "smoothness": smoothness, "clock": clock}
+    return told | {"read_every": every, "neighbours_k": width}
 
 
 def _spec(spec: Path | None, recipe: Path | None) -> "Spec":

@@ -272,21 +272,17 @@ def allan(
 
 _TERMS = {
     "q": "quantisation",
-    "n": "angle random walk",
-    "b": "bias instability",
-    "k": "rate random walk",
+    "n": "angle_random_walk",
+    "b": "bias_instability",
+    "k": "rate_random_walk",
 }
 
 
 def _terms(text: str) -> list[str]:
-    from gradcal_jax.identify.allan import TERMS
-
-    found = []
-    for letter in text.replace(" ", "").split(","):
-        if letter.lower() not in _TERMS:
-            raise ValueError(f"--terms {text!r}: expected some of Q, N, B, K with commas between")
-        found.append(next(term for term in TERMS if term.replace("_", " ") == _TERMS[letter.lower()]))
-    return found
+    letters = text.lower().replace(" ", "").split(",")
+    if not set(letters) <= set(_TERMS):
+        raise ValueError(f"--terms {text!r}: expected some of Q, N, B, K with commas between")
+    return [_TERMS[letter] for letter in letters]
 
 
 def _allan_text(fit: "AllanFit") -> str:

@@ -43,13 +43,15 @@ def report(
         Print every number of the page as JSON.
     """
     from gradcal_jax.cli.precision import use_float64
+    from gradcal_jax.pages.sources import read_sources
 
     writable(output, force)
+    found = read_sources(sources, before=before, limits=limits)
     use_float64()
     from gradcal_jax.pages.facts import as_tables
-    from gradcal_jax.pages.report import report as make
+    from gradcal_jax.pages.report import write_page
 
-    facts = make(sources, output, before=before, limits=limits)
+    facts = write_page(found, output)
     if json:
         print(as_json(as_tables(facts)))
     else:

@@ -59,8 +59,8 @@ def limiting_function(
     With Δ = 0 both are the drift without alignment, `σ² V(t)/t² + N²/t`.
 
     **Arguments:** `integration_time_s` t > 0 and `correlation_time_s` τ > 0, finite, s; `drift_std` σ ≥ 0, rad/s;
-    `angle_random_walk` N ≥ 0, rad/√s; `alignment_time_s` Δ ≥ 0, s. Any one coherent unit of angle will do. Shapes
-    broadcast.
+    `angle_random_walk` N ≥ 0, rad/√s; `alignment_time_s` Δ ≥ 0, s. Any one coherent unit of angle will do.
+    Shapes broadcast.
 
     **Returns:** D_L, rad/s; the angle error itself is `t * D_L`. Differentiable in every argument. Source: Berman,
     section 2, Figures 3–5. Errors: `ValueError` for another `correction`.
@@ -107,8 +107,8 @@ def limiting_function_of_mean(
     """Standard deviation of [mean rate over the next t] - [mean rate over the last Δ]: the paper's eqs. 6-7.
 
     `D_L² = σ² g(t, Δ, τ) + N² (1/t + 1/Δ)`; g is `drift_shape_of_mean`. `integration_time_s`, `drift_std`,
-    `correlation_time_s` and `angle_random_walk` as in `limiting_function`, `averaging_time_s` Δ > 0, s. Differentiable
-    in every argument. Errors: none.
+    `correlation_time_s` and `angle_random_walk` as in `limiting_function`, `averaging_time_s` Δ > 0, s. Shapes
+    broadcast. Returns D_L, rad/s, differentiable in every argument. Errors: none.
     """
     t, sigma, tau, walk, delta = _floating(
         integration_time_s, drift_std, correlation_time_s, angle_random_walk, averaging_time_s

@@ -32,9 +32,11 @@ class Device(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What was done. Times in s since the run began; `rate_dps` of an axis: mean between two readings of its angle.
+    """What was done. Times in s since the run began.
 
-    `status`: "success", "stopped", "aborted" or "lost"; `damaged_bytes`: of the journal, that belong to no record.
+    `chamber_s`, `chamber_c` `(n,)`: when the chamber was read, and its temperature. `angles`: of each axis, when it was
+    read and its angle (deg), both `(m,)`. `status`: "success", "stopped", "aborted" or "lost"; `damaged_bytes`: of the
+    journal, that belong to no record.
     """
 
     begun: str

@@ -6,7 +6,7 @@ from pathlib import Path
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.pages.facts import Facts, facts_of
 from gradcal_jax.pages.page import page
-from gradcal_jax.pages.sources import read_sources
+from gradcal_jax.pages.sources import Sources, read_sources
 
 
 def report(
@@ -31,6 +31,11 @@ def report(
         before=None if before is None else Path(before),
         limits=None if limits is None else Path(limits),
     )
-    facts = facts_of(found)
-    write_whole(output, page(found, facts))
+    return write_page(found, output)
+
+
+def write_page(sources: Sources, output: str | Path) -> Facts:
+    """The page of sources that are read already."""
+    facts = facts_of(sources)
+    write_whole(output, page(sources, facts))
     return facts

@@ -68,6 +68,28 @@ def test_a_wrong_file_is_a_sentence_and_status_2(command, wrong, tmp_path, capsy
     assert not free.exists()
 
 
+def test_wrong_files_are_refused_before_jax_is_loaded(tmp_path):
+    """Loading it takes seconds; who misspells a name waits for none."""
+    words = {
+        command: [*command.split(), *({"FILE": "missing.toml", "OUT": "free"}.get(w, w) for w in given.split())]
+        for command, given in ARGUMENTS.items()
+    }
+    script = f"""
+import json, sys
+from gradcal_jax.cli import main
+slow = []
+for command, words in {words!r}.items():
+    assert main(words) == 2, command
+    if "jax" in sys.modules:
+        slow.append(command)
+        break
+print(json.dumps(slow))
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1]) == []
+
+
 @pytest.mark.parametrize("command", [name for name in build() if not name.startswith("-")])
 def test_whatever_prints_numbers_prints_them_as_json_too(command, capsys):
     assert main([command, "--help"]) == 0

@@ -1,0 +1,48 @@
+"""Text with units <-> SI numbers, at the edge of the house only.
+
+A strict grammar of our own: what is not understood *exactly* is refused, with the nearest right spelling. (General unit
+libraries read ``0.1 °/√h`` as degrees per hour, ``10 mg`` as milligrams and ``30″`` as a pure number.)
+
+    quantity := number unit | duration | sexagesimal angle        "0.1 deg/sqrt(h)"   "2 h 40 min"   "1° 30′ 15″"
+    unit     := factor ("·" factor)* ("/" factor)*                a product after a division needs parentheses
+    factor   := (name | "(" unit ")") power? | "√" name | "√(" unit ")" | "sqrt(" unit ")" | "rt-" name
+    power    := "^" k | "**" k | superscript                      k a multiple of one half between -3 and 3
+
+Every quantity has a *dimension*, one of the names in `DIMENSIONS`; angle is a dimension of its own, so that ``Hz`` is
+no angular rate. SI means rad, s, m, K and °C for absolute temperatures; scale factors are plain ratios.
+
+Decisions where practice is divided:
+
+* Absolute temperatures are written in degC or degF. ``K`` is refused there, since a number in K next to a ``scale`` in
+  K is nearly always a slip; differences are written in K, and ``degC`` is refused there for the same reason. Inside a
+  compound (``ppm/°C``, ``degC/min``) K and °C mean the same.
+* ``deg/h/sqrt(Hz)`` is 1/60 of ``deg/sqrt(h)``, as in IEEE 952 and all data sheets.
+* ``g`` is standard gravity, ``mg`` and ``µg`` its parts; ``m`` is the metre, never the minute.
+* A scale factor needs its unit too: ``ppm``, ``ppb``, ``%``, ``‰``, or ``1`` for a plain ratio (``0.01 1``).
+* Zero needs a unit like any other number; nan and infinity are no quantities.
+
+Numbers are multiplied out in decimal arithmetic and rounded once, so `parse` gives the float nearest to what was
+written, and `format_quantity` the shortest text that `parse` reads back as the very same float.
+"""
+
+from gradcal_jax.units.dimensions import DIMENSIONS, Dimension
+from gradcal_jax.units.quantities import UnitError, convert, dimension_of, format_quantity, parse, to_unit, unit_of
+from gradcal_jax.units.shown import ARCSEC, DEG_PER_H, DEG_PER_S, DEG_PER_SQRT_H, PPM, time_text
+
+__all__ = [
+    "ARCSEC",
+    "DEG_PER_H",
+    "DEG_PER_S",
+    "DEG_PER_SQRT_H",
+    "DIMENSIONS",
+    "PPM",
+    "Dimension",
+    "UnitError",
+    "convert",
+    "dimension_of",
+    "format_quantity",
+    "parse",
+    "time_text",
+    "to_unit",
+    "unit_of",
+]

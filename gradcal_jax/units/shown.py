@@ -1,0 +1,24 @@
+"""What people read: factors from SI, and times in words."""
+
+import math
+from typing import Final
+
+# What SI numbers (ratios, rad/s, rad/√s, rad) are multiplied by for people to read.
+PPM: Final = 1e6
+DEG_PER_S: Final = 180.0 / math.pi
+DEG_PER_H: Final = 3600.0 * 180.0 / math.pi
+DEG_PER_SQRT_H: Final = 60.0 * 180.0 / math.pi
+ARCSEC: Final = 3600.0 * 180.0 / math.pi
+
+
+def time_text(seconds: float) -> str:
+    """Hours, minutes and seconds as people say them: '2 h 40 min', '45.45 s'."""
+    if seconds < 120.0:
+        return f"{seconds:.4g} s"
+    whole = round(seconds)
+    hours, rest = divmod(whole, 3600)
+    minutes, left = divmod(rest, 60)
+    parts = [f"{hours} h"] if hours else []
+    parts += [f"{minutes} min"] if minutes else []
+    parts += [f"{left} s"] if left and hours < 10 else []
+    return " ".join(parts) if parts else "0 s"

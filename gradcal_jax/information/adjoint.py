@@ -99,9 +99,8 @@ def _backwards(filtered: Filtered) -> tuple[Array, Array, Array]:
 
     first = jnp.broadcast_to(jnp.eye(n, dtype=rows.dtype)[:, :, None], (n, n, blocks))
     _, seen = jax.lax.scan(from_the_start, first, (filtered.closed, steps.observation))
-    added = jnp.einsum("kib,bkp->ibp", seen * filtered.per_std[:, None], rows)
-    nothing = jnp.zeros((n, p), rows.dtype)
-    ends, first_of_all = over_blocks(transposed(filtered.through), added, nothing, reverse=True)
+    effect, nothing = seen * filtered.per_std[:, None], jnp.zeros((n, p), rows.dtype)
+    ends, first_of_all = over_blocks(transposed(filtered.through), effect, rows, nothing, reverse=True)
 
     def step(carry, now):
         rho, us, rhos = carry

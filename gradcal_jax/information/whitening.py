@@ -186,8 +186,7 @@ def filter_columns(
     if missing := blocks * length - count:
         columns = jnp.concatenate([columns, jnp.zeros((missing, p), columns.dtype)])
     data = jnp.reshape(columns, (blocks, length, p))
-    added = jnp.einsum("kib,bkp->ibp", effect, data)
-    starts, mean = over_blocks(through, added, first @ state.mean)
+    starts, mean = over_blocks(through, effect, data, first @ state.mean)
     rows, states = _rows(cut_steps, closed, gain, per_std, data, starts, keep)
     return Filtered(cut_steps, rows, states, before, closed, gain, per_std, through, FilterState(mean, end))
 
@@ -257,21 +256,31 @@ def _triangle(rows: Float[Array, "K n B"]) -> Float[Array, "n n B"]:
 
 def _gains(steps: Steps, before: Array) -> tuple[Array, Array, Array]:
     """`A`, `g` and `1/√S` of every reading, from the covariance before it."""
-    covariance, transition = jnp.moveaxis(before, 0, 2), jnp.moveaxis(steps.transition, 0, 2)
-    h = jnp.moveaxis(steps.observation, 0, 1)
-    cross, reciprocal = _innovation(covariance, h, steps.variance, steps.used)
-    gain = applied(transition, cross) * reciprocal[None]
-    closed = transition - gain[:, None] * h[None]
-    return jnp.moveaxis(closed, 2, 0), jnp.moveaxis(gain, 1, 0), _root(reciprocal)
+
+    def of_readings(now: Steps, covariance):
+        cross, reciprocal = _innovation(covariance, now.observation, now.variance, now.used)
+        gain = applied(now.transition, cross) * reciprocal[None]
+        return now.transition - gain[:, None] * now.observation[None], gain, _root(reciprocal)
+
+    return jax.vmap(of_readings)(steps, before)
 
 
 def over_blocks(
-    through: Float[Array, "n n B"], added: Float[Array, "n B p"], start: Float[Array, "n p"], *, reverse: bool = False
+    through: Float[Array, "n n B"],
+    effect: Float[Array, "K n B"],
+    data: Float[Array, "B K p"],
+    start: Float[Array, "n p"],
+    *,
+    reverse: bool = False,
 ) -> tuple[Float[Array, "n B p"], Float[Array, "n p"]]:
-    """`x⁺ = Ψx + added`, one step a block: x at the start of every block, and after the last."""
-    step = lambda x, now: (now[0] @ x + now[1], x)  # noqa: E731
-    blocks = (jnp.moveaxis(through, -1, 0), jnp.moveaxis(added, 1, 0))
-    end, starts = jax.lax.scan(step, start, blocks, reverse=reverse)
+    """`x⁺ = Ψx + E y`, one step a block: x at the start of every block, and after the last."""
+    added = jnp.transpose(effect, (2, 1, 0)) @ data
+
+    def step(x, now):
+        through, added = now
+        return times(through, x) + added, x
+
+    end, starts = jax.lax.scan(step, start, (jnp.moveaxis(through, -1, 0), added), reverse=reverse)
     return jnp.moveaxis(starts, 0, 1), end
 
 

@@ -67,6 +67,16 @@ def compare_with_kalman(scene: Scene, made: Engine, found: np.ndarray, tolerance
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance)), found, rtol=tolerance, atol=0)
 
 
+def compare_in_single_precision(steps: NoiseSteps, columns, prior, reported, found: np.ndarray) -> None:
+    single = jax.tree.map(
+        lambda x: x.astype(jnp.float32) if jnp.issubdtype(x.dtype, jnp.floating) else x,
+        (steps, columns, prior, reported),
+    )
+    rough = deviations(*single)
+    assert rough.dtype == jnp.float32
+    np.testing.assert_allclose(rough, found, rtol=1e-3, atol=0)
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_whitening_is_dense_least_squares_in_every_unit_and_precision(name):
     rng = np.random.default_rng(len(name))
@@ -80,15 +90,9 @@ def test_whitening_is_dense_least_squares_in_every_unit_and_precision(name):
         steps, columns = in_unit(made.steps, made.columns, factor)
         here = deviations(steps, columns, made.prior, reported)
         np.testing.assert_allclose(here, found, rtol=1e-9, atol=0)
-        if name in ("everything", "bases"):
-            continue  # One compilation in single precision for each size of state is enough; the sweep takes them all.
-        single = jax.tree.map(
-            lambda x: x.astype(jnp.float32) if jnp.issubdtype(x.dtype, jnp.floating) else x,
-            (steps, columns, made.prior, reported),
-        )
-        rough = deviations(*single)
-        assert rough.dtype == jnp.float32
-        np.testing.assert_allclose(rough, found, rtol=1e-3, atol=0)
+        if name not in ("everything", "bases"):
+            # One compilation in single precision for each size of state is enough; the evidence takes them all.
+            compare_in_single_precision(steps, columns, made.prior, reported, found)
 
 
 @pytest.mark.parametrize(("prior", "tolerance"), [(1e-4, 1e-9), (1e-2, 1e-9), (10.0, 1e-6)])
@@ -202,4 +206,19 @@ def test_random_plans(seed):
     found = compare_with_dense(scene, made)
     # The textbook filter itself loses up to 2e-9 here, in float64; the dense road, in 80 bits, is the judge.
     compare_with_kalman(scene, made, found, 1e-8)
+    compare_in_single_precision(
+        made.steps, made.columns, made.prior, jnp.asarray(to_reported(core_model(scene))), found
+    )
     jax.clear_caches()
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", SCENES)
+def test_single_precision_in_every_unit(name):
+    made = engine(SCENES[name])
+    found = compare_with_dense(SCENES[name], made)
+    for factor in ANGLE_UNITS.values():
+        steps, columns = in_unit(made.steps, made.columns, factor)
+        compare_in_single_precision(
+            steps, columns, made.prior, jnp.asarray(to_reported(core_model(SCENES[name]))), found
+        )

@@ -1,4 +1,4 @@
-"""The demo: one sitting whose numbers are the same on the terminal, in its files, in its JSON and on its page."""
+"""The demo: one sitting whose numbers are the same on the terminal, in its files, its JSON, its page, a notebook."""
 
 import json
 import os
@@ -47,7 +47,7 @@ def test_a_demo_overwrites_nothing_and_names_the_data_that_it_misses(tmp_path, c
 
 
 @pytest.mark.evidence
-def test_the_demos_numbers_are_one_and_the_same(tmp_path):
+def test_the_demos_numbers_are_one_and_the_same(tmp_path, monkeypatch):
     folder = tmp_path / "demo"
     text = demo(folder)
     numbers = json.loads((folder / "demo.json").read_text(encoding="utf-8"))
@@ -76,6 +76,13 @@ def test_the_demos_numbers_are_one_and_the_same(tmp_path):
     assert told(text, r"achieved, (\S+) ppm predicted") == float(f"{row.decisive:.4g}")
     for value in (paper, row.decisive, limit, achieved):
         assert f"{value:.4g}\N{NO-BREAK SPACE}ppm" in page
+
+    from notebook_cells import run_cells
+
+    monkeypatch.setenv("GRADCAL_DEMO", str(folder))
+    names, said = run_cells("calibration_from_a_run", monkeypatch, only="demo")
+    assert list(names["numbers"].values()) == [pytest.approx(paper, rel=1e-9), row.decisive, limit, achieved]
+    assert re.findall(r"(\S+) ppm", said) == [f"{value:.4g}" for value in (paper, row.decisive, limit, achieved)]
 
     # What is worth showing: far below the paper's plan, above what no plan can beat, and the truth within reach.
     assert limit < row.decisive < 4.0 < 80.0 < paper

@@ -56,22 +56,26 @@ def executed(name: str) -> tuple[Any, Any]:
 
 
 def run_cells(
-    name: str, monkeypatch: pytest.MonkeyPatch, *, without: str = "\0", **settings: object
+    name: str, monkeypatch: pytest.MonkeyPatch, *, without: str = "\0", only: str = "", **settings: object
 ) -> tuple[dict[str, Any], str]:
     """Run a notebook's code here: its names, and what it prints.
 
-    `settings` in the place of those of its cell of that tag; `without` the cells that have this in them.
+    `settings` in the place of those of its cell of that tag; `without` the cells that have this in them; after the
+    imports, `only` the cells of this tag.
     """
     monkeypatch.chdir(FOLDER)
     names: dict[str, Any] = {"__name__": "notebook"}
     text = io.StringIO()
     with contextlib.redirect_stdout(text), mpl.rc_context():
         for number, cell in enumerate(committed(name).cells):
+            tags = cell.metadata.get("tags", [])
             if cell.cell_type != "code" or without in cell.source:
+                continue
+            if only and only not in tags and "import gradcal_jax" not in cell.source:
                 continue
             lines = "\n".join(line for line in cell.source.splitlines() if not line.startswith("%"))
             exec(compile(lines, f"{name}, cell {number + 1}", "exec"), names)
-            if "settings" in cell.metadata.get("tags", []):
+            if "settings" in tags:
                 assert set(settings) <= set(names)
                 names |= settings
         plt.close("all")

@@ -3,9 +3,10 @@
 import re
 
 import pytest
-from notebook_cells import check_as_executed, executed, printed, run_cells
+from notebook_cells import FOLDER, check_as_executed, executed, printed, run_cells
 
 NAME = "calibration_from_a_run"
+README = (FOLDER.parent / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_calibration_is_committed_as_executed():
@@ -21,6 +22,15 @@ def test_its_cells_run_and_page_and_calibration_say_the_same(monkeypatch):
     assert told.predicted == names["recipe"].prediction.requirements[0].decisive
     assert f"{told.achieved:.3g} achieved" in said
     assert names["chance"] > 1e-3
+
+    shows = README[README.index("## What the demo shows") :]
+    told_by_demo = list(names["numbers"].values())
+    limit, planned, achieved, paper = sorted(told_by_demo)
+    assert told_by_demo == [paper, planned, limit, achieved]
+    for value in told_by_demo:
+        assert f" {value:.4g} ppm" in said
+        assert f" {value:.1f}" in shows
+    assert said[said.index("the paper's plan") :] in check_as_executed(NAME, pictures=1)
 
 
 @pytest.mark.evidence

@@ -1,8 +1,10 @@
 """A device's own clock against the run's clock: one line per stream, with what is left over.
 
 Bytes arrive late, never early: by the latency of the unit, of the adapter and of the operating system, sometimes by a
-lot. So the line is fitted to the samples of the quickest arrivals: least squares, then again without what lies above
-the bulk. The rate is what calibration needs (a sensor's clock is a scale factor); the offset holds the usual latency.
+lot, and of a burst that is fetched in pieces all but the last piece has waited for the rest of it. How late the most
+arrivals are says nothing, then, and the line runs where the quickest are: through the quickest of each of many
+stretches of the stream, and everything that lies as near to it as they do. The rate is what calibration needs (a
+sensor's clock is a scale factor); the offset holds the latency of the quickest.
 
 The scatter of many stamps averages out, the grid that they lie on does not: two ends of a line that are each known to
 the stamps' resolution leave the rate uncertain by resolution over span, however small the scatter (on virtual time,
@@ -11,9 +13,15 @@ where bytes take no time at all, it is nothing but rounding).
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+_ARRIVALS_A_STRETCH: Final = 8
+_STRETCHES: Final = 128
+_ROUNDING_S: Final = 1e-9
+_CREDIBLE: Final = 0.01  # no unit's clock is off by more
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,7 @@ def fit_clock(
     """Fit the line. Both `(n,)`, in the order of arrival; samples that came in one chunk share their host time.
 
     `resolution_s` of the coarser of the two stamps: `rate_std` is not below what it leaves over the whole span.
+    A rate that no unit has, of a stretch too short to show one, counts as 1, known to `_CREDIBLE`.
 
     Raises:
         ValueError: fewer than three arrivals, or times that do not increase.
@@ -56,17 +65,27 @@ def fit_clock(
         )
     middle = float(device.mean())
     centred = device - middle
-    kept = np.ones(device.size, bool)
+    stretches = np.array_split(np.arange(device.size), min(max(3, device.size // _ARRIVALS_A_STRETCH), _STRETCHES))
     offset, rate = _line(centred, host)
-    residual = host - offset - rate * centred
-    for _ in range(10):
-        spread = 1.4826 * float(np.median(np.abs(residual[kept] - np.median(residual[kept]))))
-        fresh = residual <= max(4.0 * spread, 1e-9)
-        if fresh.sum() < 3 or np.array_equal(fresh, kept):
-            break
-        kept = fresh
-        offset, rate = _line(centred[kept], host[kept])
+    quickest = np.zeros(0, np.int64)
+    for _ in range(20):
         residual = host - offset - rate * centred
+        fresh = np.array([stretch[np.argmin(residual[stretch])] for stretch in stretches], np.int64)
+        fresh = fresh[_not_above(residual[fresh])]
+        if np.array_equal(fresh, quickest):
+            break
+        quickest = fresh
+        offset, rate = _line(centred[quickest], host[quickest])
+    residual = host - offset - rate * centred
+    kept = residual <= max(float(residual[quickest].max()), _ROUNDING_S)
+    offset, rate = _line(centred[kept], host[kept])
+    residual = host - offset - rate * centred
+    unknown = 0.0
+    if abs(rate - 1.0) > _CREDIBLE:
+        # Too short a stretch, and everything late: what the line shows is the lateness.
+        unknown, rate, offset = _CREDIBLE, 1.0, float(np.min(host - centred))
+        residual = host - offset - centred
+        kept = residual <= float(np.sort(residual)[2])
     used = residual[kept]
     rms = float(np.sqrt(np.mean(used**2)))
     lever = float(np.sqrt(np.sum((centred[kept] - centred[kept].mean()) ** 2)))
@@ -75,12 +94,20 @@ def fit_clock(
     return ClockMap(
         offset_s=offset - rate * middle,
         rate=rate,
-        rate_std=math.hypot(rms / lever, grid),
+        rate_std=max(math.hypot(rms / lever, grid), unknown),
         residual_rms_s=rms,
         residual_max_s=float(np.max(np.abs(used))),
         used=int(kept.sum()),
         late=int((~kept).sum()),
     )
+
+
+def _not_above(residual: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Without those that lie above the bulk: of a stretch in which nothing came quickly. At least three stay."""
+    middle = float(np.median(residual))
+    spread = 1.4826 * float(np.median(np.abs(residual - middle)))
+    kept = residual <= middle + max(4.0 * spread, _ROUNDING_S)
+    return kept if kept.sum() >= 3 else np.ones(residual.size, bool)
 
 
 def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:

@@ -11,7 +11,7 @@ import itertools
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -25,6 +25,7 @@ from .drivers.imu_common import join
 from .errors import HardwareError
 from .journal import Chunk, Event, JournalContents
 from .roles import ImuBatch, ImuDecoder
+from .rounds import Doubt, rounds_resolved
 from .run_folder import SESSION, exit_status
 from .setup import DRIVERS, config_of
 
@@ -58,11 +59,9 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
     aside = 0
     found = _sessions(contents)
     for session in found:
-        part = _part(session, device, [axis.name for axis in rig.axis])
-        if isinstance(part, _Part):
-            parts.append(part)
-        else:
-            aside += part
+        kept, left = _parts(session, device, [axis.name for axis in rig.axis])
+        parts += kept
+        aside += left
     if not parts:
         raise HardwareError(
             "The journal holds no samples of a stretch with data: the run ended before its first stretch began."
@@ -98,7 +97,7 @@ def _sessions(contents: JournalContents) -> list[_Session]:
 
 @dataclass
 class _Part:
-    """The rows of one session that count, on the session's clock."""
+    """The rows of one session that count, on the session's clock; of several where the unit began anew in it."""
 
     session: _Session
     samples: ImuBatch
@@ -110,20 +109,43 @@ class _Part:
     starts: list[int]
     read: int
     missing: int
-    bad_bytes: int
-    repeated: int
+    doubts: tuple[tuple[float, Doubt], ...]
+    restarted: bool
+    round_samples: int
+    bad_bytes: int = 0
+    repeated: int = 0
 
 
-def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | int:
-    """What a session gave; where it ended before it gave anything, the number of its samples."""
+def _parts(session: _Session, device: ImuDevice, axes: Sequence[str]) -> tuple[list[_Part], int]:
+    """What a session gave, and the number of the samples of what ended before it gave anything."""
     decoder = _decoder(session, device)
     chunks = session.chunks.get(device.name, [])
     if decoder is None or not chunks:
-        return 0
+        return [], 0
     samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks])
+    found: list[_Part] = []
+    aside = 0
+    starts = np.flatnonzero(samples.restarted[1:]) + 1
+    for rows in np.split(np.arange(len(samples)), starts):
+        part = _part(session, decoder, _taken(samples, rows), axes, restarted=bool(len(rows) and rows[0]))
+        if isinstance(part, _Part):
+            found.append(part)
+        else:
+            aside += part
+    if found:
+        # The decoder counts for the session, and every sum is taken over all parts.
+        found[0] = replace(found[0], bad_bytes=decoder.bad_bytes, repeated=decoder.repeated_datagrams)
+    return found, aside
+
+
+def _part(
+    session: _Session, decoder: ImuDecoder, samples: ImuBatch, axes: Sequence[str], *, restarted: bool
+) -> _Part | int:
+    """What a unit gave from its start on; where that is nothing, the number of its samples."""
     stretches = _stretches(session.events)
     if not stretches or len(np.unique(samples.host_time_s)) < _FEWEST_ARRIVALS:
         return len(samples)
+    samples, doubts = rounds_resolved(samples, decoder.round_samples, decoder.sample_s)
     resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
     clock = fit_clock(samples.device_time_s, samples.host_time_s, resolution_s=resolution_s)
     host = clock.host_time_s(samples.device_time_s)
@@ -136,15 +158,18 @@ def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | 
     broken = np.diff(rows, prepend=rows[0] - 2) > 1
     missing = samples.gap_before[rows]
     starts = np.flatnonzero(broken | (missing > 0))
-    host = host[rows]
+    at_s = host[rows]
     standing = _standstills(session.events, axes)
     number = np.full(len(rows), -1, np.int64)
-    period = float(np.median(np.diff(samples.device_time_s)))
+    # The line of the clocks is as sure as the arrivals that it was laid through agree: a row may be earlier or later by
+    # that much.
+    unsure_s = clock.residual_max_s
     for place, (start, end) in enumerate(standing):
-        first, last = np.searchsorted(host, [start + _SETTLED_S + period, end - _MARGIN_S])
-        number[first:last] = place
+        begun, over = start + _SETTLED_S + decoder.sample_s + unsure_s, end - _MARGIN_S - unsure_s
+        first, last = np.searchsorted(at_s, [begun, over])
+        number[first : max(first, last)] = place
     angles = (
-        np.stack([_angles(session.events, axis, host, number) for axis in axes], axis=-1)
+        np.stack([_angles(session.events, axis, at_s, number) for axis in axes], axis=-1)
         if axes
         else np.zeros((len(rows), 0))
     )
@@ -153,15 +178,16 @@ def _part(session: _Session, device: ImuDevice, axes: Sequence[str]) -> _Part | 
         session,
         _taken(samples, rows),
         samples.device_time_s[rows],
-        host,
+        at_s,
         clock,
         angles,
         number,
         [int(start) for start in starts],
         len(samples),
         int(np.maximum(missing[1:], 0).sum()),
-        decoder.bad_bytes,
-        decoder.repeated_datagrams,
+        tuple((float(host[doubt.row] - host[rows[0]]), doubt) for doubt in doubts),
+        restarted,
+        decoder.round_samples,
     )
 
 
@@ -312,6 +338,17 @@ def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
     if missing:
         gaps = sum(int(np.count_nonzero(part.samples.gap_before[1:])) for part in parts)
         found.append(Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places"))
+    found += _findings_of_rounds(parts)
+    unsure = max(part.clock.residual_max_s for part in parts)
+    if unsure > _SETTLED_S:
+        message = f"the computer was so busy that its stamps are sure to {unsure:.2g} s only: so much more is left away"
+        found.append(Finding("late stamps", "mask", 0, f"{message} at both ends of every standstill"))
+    anew = sum(part.restarted for part in parts)
+    if anew:
+        message = (
+            f"the unit began anew {anew} time{'s' * (anew > 1)} in the run; what it would have sent is not counted"
+        )
+        found.append(Finding("unit restarted", "split", anew, message))
     bad = sum(part.bad_bytes for part in parts)
     if bad:
         found.append(Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram"))
@@ -319,6 +356,24 @@ def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
     if twice:
         found.append(Finding("repeated datagram", "keep", 0, f"{twice} datagrams came twice and count once"))
     return tuple(found)
+
+
+def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
+    """Where it is not certain how many samples are missing: each kind with the first place of it."""
+    found: list[Finding] = []
+    for traced, kind in ((True, "gap of doubtful length"), (False, "stamps that come later")):
+        places = [(part, *said) for part in parts for said in part.doubts if said[1].traced == traced]
+        if places:
+            part, first_s, first = places[0]
+            samples = part.round_samples
+            message = (
+                f"{len(places)} of the gaps may be longer or shorter by a round of the counter ({samples} samples)"
+                if traced
+                else f"in {len(places)} places {samples} samples or a multiple of it may be missing; none are counted"
+            )
+            where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"
+            found.append(Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}"))
+    return found
 
 
 def _provenance(

@@ -176,7 +176,9 @@ class ImuBatch:
     temperature_c   (n, 3) of the gyro axes
     raw_gyro        (n, 3) integers as sent; zeros where the unit sends floating point
     status          (n,)   status bits, 0 = good; the meaning is the driver's
-    gap_before      (n,)   number of samples missing just before this one
+    gap_before      (n,)   number of samples missing just before this one, as far as the decoder has seen
+    disturbed       (n,)   whether bytes just before it belong to no sound frame; False where stamps are absolute
+    restarted       (n,)   whether the unit began anew before it, so that its own time does not go on
     """
 
     host_time_s: NDArray[np.float64]
@@ -187,6 +189,8 @@ class ImuBatch:
     raw_gyro: NDArray[np.int32]
     status: NDArray[np.int64]
     gap_before: NDArray[np.int64]
+    disturbed: NDArray[np.bool_]
+    restarted: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return self.host_time_s.shape[0]
@@ -198,6 +202,10 @@ class ImuDecoder(Protocol):
 
     resolution_s: float
     """Of the unit's own stamps."""
+    sample_s: float
+    """Interval of samples by the unit's own clock."""
+    round_samples: int
+    """After how many samples the unit's counter begins anew; 0 where its stamps are absolute."""
     repeated_datagrams: int
     """Datagrams that were passed over because they had come before."""
 

@@ -7,9 +7,13 @@ of these a kill fell is read from the journal afterwards.
 
 import collections
 import itertools
+import shutil
 import signal
 import subprocess
+import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -153,6 +157,7 @@ class Tally:
     samples: int = 0
     steps: int = 0
     torn: int = 0
+    slept: int = 0
 
 
 def killed_runs(folder: Path, track: Track, kills: int, seed: int, *, runs: int = 1) -> Tally:
@@ -165,10 +170,25 @@ def killed_runs(folder: Path, track: Track, kills: int, seed: int, *, runs: int 
         wanted = data_set(folder / "whole", track, tally)
         while tally.kills.total() < kills or tally.runs < runs:
             one_run(folder, folder / f"run{tally.runs}", track, kills, random, tally)
-            found = data_set(folder / f"run{tally.runs}", track, tally)
-            require_equal(found, wanted)
+            with kept_where_it_fails(folder, tally.runs):
+                found = data_set(folder / f"run{tally.runs}", track, tally)
+                require_equal(found, wanted)
             tally.runs += 1
     return tally
+
+
+@contextmanager
+def kept_where_it_fails(folder: Path, number: int) -> Iterator[None]:
+    """A run whose data are not as they should be is worth more than its verdict: its folder is copied to where no later
+    test clears it away, beside that of the run that nobody killed."""
+    try:
+        yield
+    except BaseException as problem:
+        kept = Path(tempfile.mkdtemp(prefix="gradcal-killed-run-"))
+        for name in ("whole", f"run{number}"):
+            shutil.copytree(folder / name, kept / name)
+        problem.add_note(f"run{number} and the run that nobody killed are kept in {kept}")
+        raise
 
 
 def one_run(folder: Path, path: Path, track: Track, kills: int, random: np.random.Generator, tally: Tally) -> None:
@@ -204,12 +224,14 @@ def one_run(folder: Path, path: Path, track: Track, kills: int, random: np.rando
 @dataclass(frozen=True)
 class StepData:
     """What one step with data gave: its samples (`missing` ones counted; `torn` where a pseudo-terminal overflowed),
-    its turns by the table's readings and by the integral of the sensor's rate, deg."""
+    its turns by the table's readings and by the integral of the sensor's rate, deg. Two turns whose rest the computer
+    slept through, all but a moment of which nothing is sure, are one (`slept`)."""
 
     name: str
     samples: int
     missing: int
     torn: bool
+    slept: bool
     table_deg: tuple[float, ...]
     sensor_deg: tuple[float, ...]
 
@@ -229,6 +251,7 @@ def data_set(path: Path, track: Track, tally: Tally) -> list[StepData]:
     tally.samples += sum(data.samples for data in found)
     tally.steps += len(found)
     tally.torn += sum(data.torn for data in found)
+    tally.slept += sum(data.slept for data in found)
     tally.seams += require_seams(contents, track)
     # A stretch of the log begins anew at a seam, or where samples are missing, and nowhere else.
     again = [e.data["begins_s"] for e in contents.events if e.name == "step begins" and e.data["data"]]
@@ -266,6 +289,7 @@ def require_seams(contents: JournalContents, track: Track) -> int:
 def overflows(contents: JournalContents, folder: RunFolder) -> list[float]:
     """When bytes were lost between laboratory and run: at this speed a busy computer lets a terminal overflow."""
     (device,) = folder.rig().imu
+    # Most cuts leave part of a datagram; one in twenty falls between two of them and shows by the counter.
     found: list[float] = []
     decoder, bad = None, 0
     for entry in contents.records:
@@ -273,8 +297,8 @@ def overflows(contents: JournalContents, folder: RunFolder) -> list[float]:
             decoder = stim300.decoder_of(config_of(device, "imu", ("imu", 0)), entry.data["registers"])
             bad = 0
         elif isinstance(entry, Chunk) and entry.line == device.name and entry.received and decoder is not None:
-            decoder.push(entry.data, entry.time_s)
-            if decoder.bad_bytes > bad:
+            gaps = decoder.push(entry.data, entry.time_s).gap_before
+            if decoder.bad_bytes > bad or gaps.any():
                 found.append(entry.time_s)
             bad = decoder.bad_bytes
     return found
@@ -290,13 +314,18 @@ def step_data(log: Log, step: Step, begins_s: float, torn_s: list[float]) -> Ste
     table: list[float] = []
     sensor: list[float] = []
     for before, after in itertools.pairwise(numbers):
-        # From the middle of a rest to the middle of the next: at twenty times the speed of a clock the samples' stamps
-        # are late by some tenths of the run's seconds.
+        # From the middle of a rest to the middle of the next; whatever row it is, the table stands.
         start, end = (int(np.median(rows[log.standstill[rows] == n])) for n in (before, after))
         table.append(float(np.degrees(log.table_angle_rad[end, 0] - log.table_angle_rad[start, 0])))
         sensor.append(float(np.degrees(log.rate_rad_per_s[0, start + 1 : end + 1, 0].sum()) / RATE_HZ))
+    resting = log.standstill[rows] >= 0
+    assert np.degrees(np.abs(log.rate_rad_per_s[0, rows[resting], 0])).max() < 0.5, step.name
     torn = any(begins_s <= at_s <= begins_s + step.duration_s + 10.0 for at_s in torn_s)
-    return StepData(step.name, len(rows), missing, torn, tuple(table), tuple(sensor))
+    slept = len(table) < len(step.moves)
+    # Whatever the rests were, between them the sensor saw what the table says, but for its scale factor.
+    for by_table, by_sensor in zip(table, sensor, strict=True) if not torn else ():
+        assert abs(by_sensor - by_table) <= 0.5 + 0.003 * abs(by_table), (step.name, table, sensor)
+    return StepData(step.name, len(rows), missing, torn, slept, tuple(table), tuple(sensor))
 
 
 def require_equal(found: list[StepData], wanted: list[StepData]) -> None:
@@ -309,6 +338,8 @@ def require_equal(found: list[StepData], wanted: list[StepData]) -> None:
         assert (data.missing, other.missing) == (0, 0)
         # Where a step begins among the samples is known as well as their stamps are.
         assert abs(data.samples - other.samples) <= 0.03 * other.samples, (data, other)
+        if data.slept or other.slept:
+            continue
         # Readings of the paper's table scatter by 0.05 deg each.
         np.testing.assert_allclose(data.table_deg, other.table_deg, atol=0.5)
         assert [round(angle / 360.0) for angle in data.table_deg] == [1, -1], data
@@ -334,7 +365,7 @@ def test_a_hundred_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path)
     assert tally.runs >= 10
     assert executing >= 0.5 * kills.total(), kills
     assert min(kills[state] for state in (STARTING, WAITING, TURNING, STANDING, SAFE)) >= 3, kills
-    assert tally.torn <= 0.05 * tally.steps
+    assert tally.torn + tally.slept <= 0.05 * tally.steps
     record(
         "runs killed at random (SIGKILL) and resumed",
         f"{kills.total()} kills of {tally.runs} runs, by what the journal shows: {kills[TURNING]} while the table "
@@ -342,6 +373,7 @@ def test_a_hundred_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path)
         f"temperature or soaked, {kills[STARTING]} while it started, {kills[SAFE]} while it made the rig safe. All "
         f"complete; every journal a continuation of what the kill left; {tally.seams} seams marked; every step's data "
         f"equal to those of a run that nobody killed (samples, turns by table and by sensor); {tally.torn} of "
-        f"{tally.steps} steps not compared, since the pseudo-terminal had overflowed; {time.monotonic() - began:.0f} s",
+        f"{tally.steps} steps not compared, since the pseudo-terminal had overflowed, and of {tally.slept} only the "
+        f"sum of the turns, since the computer slept through the rest between them; {time.monotonic() - began:.0f} s",
         "tests/hardware/test_killed_runs.py",
     )

@@ -24,6 +24,8 @@ def join(batches: Sequence[ImuBatch]) -> ImuBatch:
             raw_gyro=np.zeros((0, 3), np.int32),
             status=np.zeros(0, np.int64),
             gap_before=np.zeros(0, np.int64),
+            disturbed=np.zeros(0, np.bool_),
+            restarted=np.zeros(0, np.bool_),
         )
     names = ImuBatch.__dataclass_fields__
     return ImuBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names})
@@ -36,6 +38,9 @@ class GapCounter:
     stream was disturbed the host's clock says how many wraps went by; where it was not, a late chunk is only late. The
     host's clock is held against the quickest of the recent arrivals: what is read after a computer has been busy for a
     while is stamped late.
+
+    That is as much as the past can tell, and right where the chunk behind a disturbance is later than the quickest of
+    the `_ARRIVALS` before it by less than half a wrap. A log is made with what comes after as well (`rounds`).
     """
 
     def __init__(self, *, step: int, modulus: int, ticks_per_s: float) -> None:

@@ -78,6 +78,8 @@ def _int24(columns: NDArray[np.uint8]) -> NDArray[np.int32]:
 class Stim300Decoder:
     """Bytes of Normal Mode -> samples. `acceleration_range_g` comes from the unit itself (`$irng`).
 
+    A unit whose start-up bit comes up in the middle of a stream has begun anew: power was cut, or it was reset.
+
     Special datagrams between normal ones are passed over and counted; before the first lock, as after power-on, they
     cannot be told from noise and count as `bad_bytes`. A datagram that comes twice, at once or late, counts once.
     """
@@ -103,10 +105,13 @@ class Stim300Decoder:
         self._locked: int | None = None
         self._disturbed = False
         self._step = round(INTERNAL_RATE_HZ / sample_rate_hz)
+        self.sample_s = self._step / INTERNAL_RATE_HZ
+        self.round_samples = _MODULUS // self._step
         self._gaps = GapCounter(step=self._step, modulus=_MODULUS, ticks_per_s=float(INTERNAL_RATE_HZ))
         # Within a round of the counter no two datagrams are alike, so one that is was sent once and came twice.
         self._recent: deque[bytes] = deque(maxlen=_MODULUS // self._step - 1)
         self._last_count: int | None = None
+        self._starting_up = True
         self._bad_bytes = 0
         self.special_datagrams = 0
         self.repeated_datagrams = 0
@@ -227,6 +232,9 @@ class Stim300Decoder:
             return join([])
         raw = _int24(block[:, 1:10])
         status = block[:, 10].astype(np.int64)
+        starting = (status & START_UP) != 0
+        restarted = starting & ~np.concatenate(([self._starting_up], starting[:-1]))
+        self._starting_up = bool(starting[-1])
         acceleration = np.full((count, 3), np.nan)
         if (at := layout.acceleration) >= 0:
             acceleration = _int24(block[:, at : at + 9]).astype(np.float64) * self._acceleration_scale
@@ -238,7 +246,8 @@ class Stim300Decoder:
         counts, gaps = self._gaps.push(
             block[:, layout.counter].astype(np.int64), host_time_s, disturbed=self._disturbed
         )
-        self._disturbed = False
+        disturbed = np.zeros(count, np.bool_)
+        disturbed[0], self._disturbed = self._disturbed, False
         return ImuBatch(
             host_time_s=np.zeros(count) + host_time_s,
             device_time_s=counts.astype(np.float64) / float(INTERNAL_RATE_HZ),
@@ -248,4 +257,6 @@ class Stim300Decoder:
             raw_gyro=raw,
             status=status,
             gap_before=gaps,
+            disturbed=disturbed,
+            restarted=restarted,
         )

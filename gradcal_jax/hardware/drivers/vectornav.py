@@ -181,13 +181,16 @@ class VectorNavFramer:
 class VectorNavDecoder:
     """Bytes -> samples. Only packets of the configured output count; others are passed over.
 
-    A binary packet that comes twice counts once: no two have the same time.
+    A binary packet that comes twice counts once: no two have the same time. Time that goes back is a unit that began
+    anew.
     """
 
     resolution_s = 1e-9
+    round_samples = 0
 
     def __init__(self, *, sample_rate_hz: float) -> None:
         self._rate = sample_rate_hz
+        self.sample_s = 1.0 / sample_rate_hz
         self._framer = VectorNavFramer()
         self._last_time_s: float | None = None
         self._recent: deque[bytes] = deque(maxlen=_REMEMBERED)
@@ -218,6 +221,8 @@ class VectorNavDecoder:
             raw_gyro=np.zeros((count, 3), np.int32),
             status=np.array([row[1] for row in rows], np.int64),
             gap_before=np.maximum(steps - 1, 0),
+            disturbed=np.zeros(count, np.bool_),
+            restarted=np.diff(times, prepend=previous) < 0.0,
         )
 
     def _row(self, frame: bytes) -> tuple[list[float], int] | None:

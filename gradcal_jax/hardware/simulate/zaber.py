@@ -115,8 +115,10 @@ class SimulatedZaber:
             if not 1 <= address <= len(self.stages):
                 continue
             stage = self.stages[address - 1]
-            accepted, data = (False, "BADAXIS") if axis > 1 else self._obey(stage, words)
-            state = "BUSY" if self._busy(stage) else "IDLE"
+            # One instant for the whole reply: a position read while the axis turned never comes with "IDLE".
+            now = self._clock.now()
+            accepted, data = (False, "BADAXIS") if axis > 1 else self._obey(stage, words, now)
+            state = "BUSY" if self._busy(stage, now) else "IDLE"
             flag = stage.warning or "--"
             if self.options.chatter and stage.settings["comm.alert"]:
                 replies.append(self._message(f"!{address:02d} 1 {state} {flag}"))
@@ -130,8 +132,7 @@ class SimulatedZaber:
         body = text.encode("ascii")
         return body + (b":%02X" % lrc_zaber(body[1:]) if self._checksums else b"") + b"\r\n"
 
-    def _busy(self, stage: _Stage) -> bool:
-        now = self._clock.now()
+    def _busy(self, stage: _Stage, now: float) -> bool:
         if 0.0 <= stage.homing_until_s <= now:
             stage.homing_until_s = -1.0
             stage.plant.set_zero(now)
@@ -146,9 +147,8 @@ class SimulatedZaber:
         ends = (truth.lowest_deg, truth.highest_deg)
         return rate == 0.0 and stage.homing_until_s < 0.0 and position in ends and position != 0.0
 
-    def _obey(self, stage: _Stage, words: str) -> tuple[bool, str]:
-        now = self._clock.now()
-        busy = self._busy(stage)
+    def _obey(self, stage: _Stage, words: str, now: float) -> tuple[bool, str]:
+        busy = self._busy(stage, now)
         head, _, rest = words.partition(" ")
         if not words:
             return True, "0"

@@ -1,0 +1,228 @@
+"""Logs made of journals that were written by hand, with the bytes of simulated units: a table that turns, bursts that a
+busy computer fetches in pieces and late, samples that are lost, units that begin anew in the middle.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hardware_bench import sensor_on_table, short_recipe
+
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.rig import TEMPLATE, parse_rig
+from gradcal_jax.hardware.clock import VirtualClock
+from gradcal_jax.hardware.journal import Chunk, Event, JournalContents
+from gradcal_jax.hardware.recording import log_of
+from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.hardware.simulate.sensor import SensorTruth
+from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
+from gradcal_jax.hardware.simulate.vectornav import SimulatedVectorNav
+
+START_S = 1000.0
+RATE_DPS, ACCELERATION_DPS2 = 200.0, 300.0
+TURN_S = 360.0 / RATE_DPS + RATE_DPS / ACCELERATION_DPS2
+READ_BYTES = 4095  # that a Linux terminal hands over at once
+REGISTERS = {"irng": "400,400,400,10,10,10,1.7,1.7,1.7,NA", "it": "921600,1,N,1,0,0"}
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One turn of the table, told at `start_s`."""
+
+    start_s: float
+    to_deg: float
+
+
+def no_loss(burst: int, data: bytes) -> bytes:
+    return data
+
+
+def lose_101(burst: int, data: bytes) -> bytes:
+    """Of bursts of half a second the 80th and most of the next one are lost, datagram by datagram."""
+    whole = {80: 10**6, 81: (101 - 62) * 42}
+    return data[whole.get(burst, 0) :]
+
+
+def recorded(
+    turns: Sequence[Turn],
+    end_s: float,
+    *,
+    burst_s: float,
+    late_s: Callable[[int], float],
+    piece_s: float = 0.02,
+    lost: Callable[[int, bytes], bytes] = no_loss,
+    reboots_s: Sequence[float] = (),
+    vectornav: bool = False,
+) -> Log:
+    """The log of a run of one step: the table turns, a unit sends every `burst_s`, the host has the first piece of a
+    burst `late_s(number)` after it was sent and each other `piece_s` later, and loses what `lost` leaves out."""
+    clock = VirtualClock(START_S)
+    plant = AxisPlant(None, START_S)
+    sensor = sensor_on_table(clock, SensorTruth(), axis=plant, sample_rate_hz=200.0 if vectornav else 125.0)
+    unit: Any = SimulatedVectorNav(sensor, clock) if vectornav else SimulatedStim300(sensor, clock, STIM300)
+    text = TEMPLATE
+    if not vectornav:
+        # What it says of itself when it is switched on came before the run.
+        unit.emit(START_S + 4.0 * STIM300.burst_s)
+    else:
+        text = text.replace('"stim300"  ', '"vectornav"').replace('"125 Hz"', '"200 Hz"')
+        unit.registers[75] = "1,4,05,0001,001C"
+    records: list[Event | Chunk] = [
+        Event(START_S, "session", {"number": 0, "simulated": True, "wall_clock_s": 0.0}),
+        Event(START_S, "configuration", {"device": "unit1", "registers": REGISTERS}),
+        Event(START_S + 4.0, "step begins", {"step": "turns", "number": 0, "begins_s": START_S + 4.0, "data": True}),
+    ]
+
+    def angle(at_s: float, position_deg: float) -> None:
+        data = {"axis": "table", "moving": False, "time_s": at_s, "position_deg": position_deg}
+        records.append(Event(at_s, "angle", data))
+
+    angle(START_S + 4.0, 0.0)
+    waiting, rebooting, at_deg, in_hand_s = list(turns), list(reboots_s), 0.0, 0.0
+    for number in range(round(end_s / burst_s)):
+        now = START_S + (number + 1) * burst_s
+        while waiting and START_S + waiting[0].start_s < now:
+            turn = waiting.pop(0)
+            began = START_S + turn.start_s
+            records.append(Event(began, "move", {"axis": "table", "began_s": began, "kind": "turn"}))
+            plant.move_to(began, turn.to_deg, RATE_DPS, ACCELERATION_DPS2)
+            angle(began + abs(turn.to_deg - at_deg) / 360.0 * TURN_S + 0.01, turn.to_deg)
+            at_deg = turn.to_deg
+        clock.sleep_until(now)
+        if rebooting and START_S + rebooting[0] < now:
+            rebooting.pop(0)
+            sensor.take(sensor.due(now))
+            unit.reboot()
+            if vectornav:
+                unit.registers[75] = "1,4,05,0001,001C"
+        data = lost(number, b"".join(unit.emit(now)))
+        for place in range(0, len(data), READ_BYTES):
+            in_hand_s = max(now + late_s(number) + place // READ_BYTES * piece_s, in_hand_s + 1e-6)
+            records.append(Chunk(in_hand_s, "unit1", True, data[place : place + READ_BYTES]))
+    records.append(Event(START_S + end_s, "ending", {"exit_status": "success"}))
+    records.sort(key=lambda record: record.time_s)
+    return log_of(JournalContents(records), short_recipe(), parse_rig(text))
+
+
+STIM300 = Stim300Options(rate_code=0)
+THERE_AND_BACK = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + 10.0, 0.0))
+
+
+def turned_deg(log: Log, pick: Callable[[np.ndarray], int]) -> tuple[list[float], list[float]]:
+    """By the table and by the sensor, from a row of each standstill to one of the next."""
+    assert log.standstill is not None
+    assert log.table_angle_rad is not None
+    numbers = [int(n) for n in dict.fromkeys(log.standstill.tolist()) if n >= 0]
+    rows = [pick(np.flatnonzero(log.standstill == n)) for n in numbers]
+    interval_s = float(np.median(np.diff(log.time_s)))
+    table = np.degrees(np.diff(log.table_angle_rad[rows, 0]))
+    about = log.rate_rad_per_s[0, :, 2]
+    spans = itertools.pairwise(rows)
+    sensor = [float(np.degrees(about[start + 1 : end + 1].sum()) * interval_s) for start, end in spans]
+    return table.tolist(), sensor
+
+
+def require_rest_in_standstills(log: Log) -> None:
+    assert log.standstill is not None
+    resting = log.standstill >= 0
+    assert resting.any()
+    # The Earth turns, too.
+    assert np.degrees(np.abs(log.rate_rad_per_s[0, resting, 2])).max() < 0.02
+
+
+@pytest.mark.parametrize("pick", [lambda rows: rows[0], lambda rows: rows[len(rows) // 2], lambda rows: rows[-1]])
+def test_a_burst_that_is_fetched_in_pieces_moves_no_row_into_a_rest(pick: Callable[[np.ndarray], int]) -> None:
+    log = recorded(THERE_AND_BACK, 40.0, burst_s=2.0, late_s=lambda number: 0.01 + 0.005 * (number % 3))
+    require_rest_in_standstills(log)
+    table, sensor = turned_deg(log, pick)
+    assert table == pytest.approx([360.0, -360.0])
+    assert sensor == pytest.approx([360.0, -360.0], abs=0.1)
+    assert abs(float(log.provenance["clock_rate_error"])) < 2e-3
+    assert log.findings == ()
+
+
+def test_a_rest_that_a_busy_computer_cut_short_is_told_from_the_turn_before_it() -> None:
+    # The second turn began nine seconds late, and of the rest behind it the step had one second left.
+    turns = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + 19.0, 0.0))
+    end_s = 14.0 + 2.0 * TURN_S + 20.0
+    log = recorded(turns, end_s + 1.0, burst_s=2.0, late_s=lambda number: 0.01 + 0.005 * (number % 3))
+    require_rest_in_standstills(log)
+    table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
+    assert table == pytest.approx([360.0, -360.0])
+    assert sensor == pytest.approx([360.0, -360.0], abs=0.1)
+
+
+@pytest.mark.parametrize("rest_s", [0.1, 0.3, 0.6, 1.0, 2.0])
+def test_a_rest_that_a_busy_computer_slept_through_holds_no_row_of_a_turn(rest_s: float) -> None:
+    # As it was caught in the proof of kills: of ten seconds three tenths were left, and rows of the turns stood in it.
+    turns = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + rest_s, 0.0))
+    log = recorded(turns, 40.0, burst_s=2.0, late_s=lambda number: 0.01 + 0.005 * (number % 3))
+    require_rest_in_standstills(log)
+    table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
+    assert table == pytest.approx([360.0, -360.0] if rest_s > 0.2 else [0.0], abs=1e-9)
+    assert sensor == pytest.approx(table, abs=0.1)
+
+
+def test_stamps_that_are_unsure_shorten_every_standstill_and_it_is_said() -> None:
+    # Up and down by half a second, for seconds at a time: no line fits.
+    log = recorded(THERE_AND_BACK, 40.0, burst_s=0.4, late_s=lambda number: 0.25 * (1.0 + math.sin(number / 8.0)))
+    require_rest_in_standstills(log)
+    assert [finding.kind for finding in log.findings if finding.kind == "late stamps"] == ["late stamps"]
+
+
+def test_datagrams_lost_whole_are_counted_with_their_rounds() -> None:
+    # 101 datagrams without a damaged byte: the counter alone shows five.
+    log = recorded(
+        THERE_AND_BACK,
+        60.0,
+        burst_s=0.5,
+        late_s=lambda number: 0.002,
+        lost=lose_101,
+    )
+    (gap,) = log.findings
+    assert (gap.kind, gap.message) == ("gap", "101 samples are missing in 1 places")
+    assert log.stretch_starts.tolist()[1:] == [int(np.argmax(np.diff(log.time_s))) + 1]
+    assert np.diff(log.time_s).max() == pytest.approx(102 * 0.008)
+    require_rest_in_standstills(log)
+
+
+def test_a_gap_whose_rounds_nobody_can_tell_is_said() -> None:
+    log = recorded(
+        THERE_AND_BACK,
+        60.0,
+        burst_s=0.5,
+        late_s=lambda number: 0.002 if number < 80 else 0.05,
+        lost=lose_101,
+    )
+    kinds = {finding.kind: finding for finding in log.findings}
+    assert kinds["gap of doubtful length"].count == 1
+    assert "later by 6.38 rounds" in kinds["gap of doubtful length"].message
+
+
+def test_stamps_that_come_later_from_some_place_on_are_said_and_nothing_is_counted() -> None:
+    log = recorded(THERE_AND_BACK, 60.0, burst_s=0.5, late_s=lambda number: 0.002 if number < 80 else 0.14)
+    assert [finding.kind for finding in log.findings] == ["stamps that come later"]
+    assert np.diff(log.time_s).max() == pytest.approx(0.008)
+
+
+@pytest.mark.parametrize("vectornav", [False, True])
+def test_a_unit_that_begins_anew_in_mid_run_splits_the_log_and_is_said(vectornav: bool) -> None:
+    turns = (*THERE_AND_BACK, Turn(60.0, 360.0), Turn(75.0, 0.0))
+    log = recorded(
+        turns, 90.0, burst_s=0.5, late_s=lambda number: 0.002, reboots_s=(48.3,), vectornav=vectornav
+    )  # fmt: skip
+    kinds = {finding.kind: finding for finding in log.findings}
+    assert kinds["unit restarted"].count == 1
+    (start,) = log.stretch_starts.tolist()[1:]
+    assert 44.0 < log.time_s[start] - log.time_s[0] < 46.0
+    assert log.host_time_s is not None
+    # Both parts lie on the computer's clock.
+    np.testing.assert_allclose(log.time_s, log.host_time_s, atol=0.01)
+    require_rest_in_standstills(log)
+    table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
+    assert table == pytest.approx([360.0, -360.0, 0.0, 360.0, -360.0], abs=1e-9)
+    assert sensor == pytest.approx([360.0, -360.0, 0.0, 360.0, -360.0], abs=0.1)

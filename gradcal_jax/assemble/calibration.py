@@ -7,8 +7,10 @@ import numpy as np
 
 import gradcal_jax
 from gradcal_jax.assemble.build import assemble
-from gradcal_jax.assemble.estimate import Options, UnitChannel, estimate_channels
+from gradcal_jax.assemble.estimate import estimate_channels
+from gradcal_jax.assemble.estimate_options import Options
 from gradcal_jax.assemble.knowledge import DEG_PER_S, PPM, UNIT_OF, residual_map
+from gradcal_jax.assemble.unit_channel import UnitChannel
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (

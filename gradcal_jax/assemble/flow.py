@@ -12,7 +12,7 @@ from gradcal_jax.assemble import instability as noise
 from gradcal_jax.assemble import optimise as search
 from gradcal_jax.assemble.build import assemble
 from gradcal_jax.assemble.calibration import EstimateReport, estimate_calibration
-from gradcal_jax.assemble.estimate import Options
+from gradcal_jax.assemble.estimate_options import Options
 from gradcal_jax.assemble.knowledge import knowledge
 from gradcal_jax.assemble.limit import PlanLimit, limits
 from gradcal_jax.assemble.prediction import predict

@@ -16,7 +16,7 @@ from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
     from gradcal_jax.assemble.calibration import EstimateReport
-    from gradcal_jax.assemble.estimate import UnitChannel
+    from gradcal_jax.assemble.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
@@ -107,7 +107,7 @@ def estimate(
 
     use_float64()
     from gradcal_jax.assemble import calibration as work
-    from gradcal_jax.assemble.estimate import Options
+    from gradcal_jax.assemble.estimate_options import Options
     from gradcal_jax.files.calibration import write_calibration
 
     sources = {"log": log.name, "spec": (spec or recipe or Path()).name}
@@ -138,7 +138,7 @@ def _options(
     read_every: str,
     neighbours: str | None,
 ) -> dict[str, Any]:
-    """Texts as the fields of `assemble.estimate.Options`, in SI. Raises `ValueError`s that name the option."""
+    """Texts as the fields of `assemble.estimate_options.Options`, in SI. Raises `ValueError`s that name the option."""
     earth = 0.0
     if earth_rate is not None and latitude is not None:
         raise ValueError("--earth-rate and --latitude say the same thing twice: give one of them")

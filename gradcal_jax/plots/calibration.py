@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.assemble.calibration import EstimateReport
-from gradcal_jax.assemble.estimate import UnitChannel
 from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM
+from gradcal_jax.assemble.unit_channel import UnitChannel
 from gradcal_jax.information import contrasts
 from gradcal_jax.plots.style import PALETTE, new_axes, style_of
 

@@ -9,7 +9,8 @@ from logs_zoo import GRADIENT, STANDARD, spec_of
 
 from gradcal_jax.assemble import assemble, knowledge
 from gradcal_jax.assemble.calibration import estimate_calibration
-from gradcal_jax.assemble.estimate import Options, estimate_channels
+from gradcal_jax.assemble.estimate import estimate_channels
+from gradcal_jax.assemble.estimate_options import Options
 from gradcal_jax.assemble.simulation import simulate_log
 from gradcal_jax.estimation import nees_band
 from gradcal_jax.files.correction import bias, scale_factor

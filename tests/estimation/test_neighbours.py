@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from logs_zoo import spec_of
 
-from gradcal_jax.assemble.estimate import Options, estimate_channels
+from gradcal_jax.assemble.estimate import estimate_channels
+from gradcal_jax.assemble.estimate_options import Options
 from gradcal_jax.assemble.simulation import simulate_log
 from gradcal_jax.estimation import closest_neighbours, moves_between_rests
 

@@ -8,7 +8,8 @@ from logs_zoo import GRADIENT, spec_of
 from scipy import stats
 
 from gradcal_jax.assemble import assemble
-from gradcal_jax.assemble.estimate import Options, estimate_channels
+from gradcal_jax.assemble.estimate import estimate_channels
+from gradcal_jax.assemble.estimate_options import Options
 from gradcal_jax.assemble.simulation import simulate_log
 from gradcal_jax.estimation import (
     Whitened,

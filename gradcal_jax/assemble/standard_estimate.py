@@ -1,0 +1,112 @@
+"""The standard method: a rate's error at each stable temperature, in the places where the log has the plan's points."""
+
+import numpy as np
+
+from gradcal_jax import estimation as room
+from gradcal_jax.assemble.build import Assembled
+from gradcal_jax.assemble.estimate_options import Options
+from gradcal_jax.assemble.log_rows import Rows, count_rows, followed
+from gradcal_jax.assemble.unit_channel import UnitChannel, covered_rates, covered_temperatures, finished
+from gradcal_jax.estimation import Estimate, Observations
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.information import unweighted
+
+
+def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Rows, options: Options) -> UnitChannel:
+    """One unit at the plan's points, each a stretch of its own. Raises `LogError` where there is no reference."""
+    schedule = built.spec.schedule
+    assert isinstance(schedule, StandardSchedule)
+    planned = np.asarray(schedule.rates, float)
+    table_rate = rows.table_rate
+    if table_rate is None:
+        if rows.angle is not None:
+            table_rate = np.gradient(rows.angle, rows.time)
+        elif np.all(planned == 0.0):
+            table_rate = np.zeros(len(rows.time))
+        else:
+            raise LogError("the log has no table rate, which is the reference of the standard method")
+    found_points = room.plateaus(
+        rows.time,
+        rows.temperature,
+        table_rate,
+        rows.usable,
+        np.asarray(schedule.temperatures, float),
+        planned,
+        float(schedule.integration),
+        axis=axis,
+    )
+    messages = list(rows.messages)
+    if found_points.missing:
+        t, w = found_points.missing[0]
+        messages.append(
+            f"{len(found_points.missing)} of the plan's points are not in the log, the first at {t:g} degC and "
+            f"{np.degrees(w):.4g} deg/s"
+        )
+    model, line = built.model, found_points.timeline
+    edges, broken = _point_edges(found_points)
+    lag = 0.0 if options.lag == "fit" else float(options.lag)
+    temperature_of_maps = followed(rows, lag)
+    if options.lag == "fit":
+        messages.append("at stable temperatures there is no lag to be found: it is taken as zero")
+    moving = np.ones(len(broken), bool)
+    increments = room.increments_of_samples(model, table_rate, temperature_of_maps, rows.step, edges, moving, broken)
+    columns = increments[~broken]
+    error = np.where(rows.usable, rows.rate - table_rate - options.earth_rate, 0.0) * rows.step
+    sums = np.concatenate([[0.0], np.cumsum(error)])
+    readings = (sums[found_points.last + 1] - sums[found_points.first + 1])[:, None]
+    mean_rate = np.asarray(line.terms)[:, 0]
+    time = rows.time[found_points.last]
+    observations = Observations(room.steps_of(line, model), columns, readings, time, np.asarray(line.trail), mean_rate)
+    white = room.whitened(observations, model)
+    used = np.zeros(len(log.time_s), bool)
+    for a, b in zip(found_points.first, found_points.last, strict=True):
+        used[a + 1 : b + 1] = True
+    channel = finished(
+        axis,
+        log.units[unit],
+        model,
+        observations,
+        white,
+        options,
+        rows=rows,
+        done=room.Executed(line, edges, broken, 0),
+        lag=lag,
+        lag_std=None,
+        counts=count_rows(log, unit, used),
+        messages=messages,
+    )
+    section = built.spec.plan
+    if isinstance(section, StandardPlanSection) and section.estimator == "least squares":
+        channel = channel._replace(found=_unweighted(channel, line))
+    return channel._replace(
+        valid_temperature_c=covered_temperatures(np.asarray(line.trail)),
+        valid_rate_rad_per_s=covered_rates(mean_rate),
+    )
+
+
+def _point_edges(points: room.Plateaus) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that divide the log into the points and what lies between them, and which of the parts are such."""
+    edges, broken = [int(points.first[0])], []
+    for a, b in zip(points.first, points.last, strict=True):
+        if int(a) != edges[-1]:
+            edges.append(int(a))
+            broken.append(True)
+        edges.append(int(b))
+        broken.append(False)
+    return np.array(edges), np.array(broken)
+
+
+def _unweighted(channel: UnitChannel, line) -> Estimate:
+    """Ordinary least squares on the points' mean rate errors, as the paper's figure; priors are not used."""
+    observations = channel.observations
+    duration = np.asarray(line.duration)
+    design = observations.columns_of(0) / duration[:, None]
+    scale = np.where((norm := np.linalg.norm(design, axis=0)) > 0, norm, 1.0)
+    data = observations.readings[:, 0] / duration
+    beta = np.linalg.lstsq(design / scale, data, rcond=1e-11)[0] / scale
+    residuals = channel.white.data[0] - channel.white.rows[0] @ beta
+    return channel.found._replace(
+        parameters=beta[None], known=(unweighted(line, channel.model),), residuals=residuals[None]
+    )

@@ -56,6 +56,7 @@ WAYS: Mapping[State, frozenset[State]] = {
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25
 _ARRIVAL_S = 0.1
+_PIECES_S = 0.2
 _LONGEST_ARRIVAL_S = 60.0
 
 
@@ -124,6 +125,7 @@ class Runner:
         self._axes = AxesDuty(self.bench.axes, self.clock, self._event)
         self._imu_heard_s: dict[str, float] = {}
         self._unconfirmed: list[tuple[float, str, int]] = []
+        self._heard_end_s = math.inf
         self._problem: str = ""
         self._working = threading.Event()
         self._watching = threading.Event()
@@ -305,9 +307,14 @@ class Runner:
         self._await_confirmation()
 
     def _confirm_steps(self) -> None:
-        """A step is done when its samples are in the journal too: what a resumed run does not do again is whole."""
+        """A step is done when its samples are in the journal too: what a resumed run does not do again is whole. What
+        is heard first behind its end may be a piece of a burst, and the other pieces hold the step's last samples."""
         heard = min(self._imu_heard_s.values(), default=math.inf)
         while self._unconfirmed and self._unconfirmed[0][0] + _ARRIVAL_S <= heard:
+            self._heard_end_s = min(self._heard_end_s, self.clock.now())
+            if self.clock.now() < self._heard_end_s + _PIECES_S:
+                return
+            self._heard_end_s = math.inf
             _, name, number = self._unconfirmed.pop(0)
             self._event("step done", step=name, number=number)
 

@@ -5,15 +5,19 @@ Streams are drawn: samples come in bursts, the host reads each burst late by wha
 in pieces, and samples are lost between pieces, a few or many rounds of the counter, with damaged bytes or cleanly.
 """
 
+import itertools
 from dataclasses import dataclass
 
+import hardware_golden as golden
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers.imu_common import GapCounter, join
+from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
 from gradcal_jax.hardware.roles import ImuBatch
 from gradcal_jax.hardware.rounds import Doubt, rounds_resolved
 
@@ -201,6 +205,43 @@ def test_lateness_that_stays_is_in_doubt_from_a_quarter_of_a_round_on(late: floa
     assert bool(doubts) == said
     if said:
         assert f"{late + 2 if late > 0.5 else late:.2f}"[-2:] in doubts[0].why
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(0, 14), st.integers(-1, 13)), min_size=2, max_size=60),
+    st.lists(st.tuples(st.integers(1, 60), st.sampled_from([0, 0, 1, 20])), max_size=8),
+)
+def test_datagrams_that_come_twice_count_once_whatever_was_lost_between(
+    drawn: list[tuple[int, int]], cuts: list[tuple[int, int]]
+) -> None:
+    """Each datagram after a loss of less than a round, and then perhaps once more one of the last that came."""
+    came: list[int] = []
+    sent: list[bytes] = []
+    repeated = index = 0
+    for lost, back in drawn:
+        index += lost + 1
+        came.append(index)
+        sent.append(datagram(index))
+        if 0 <= back < len(came):
+            sent.append(datagram(came[-1 - back]))
+            repeated += 1
+    data = b"".join(sent)
+    decoder = Stim300Decoder()
+    places = sorted({0, len(data), *((42 * whole + part) % len(data) for whole, part in cuts)})
+    batches = [decoder.push(data[a:b], 0.0) for a, b in itertools.pairwise(places)]
+    samples = join(batches)
+    assert np.array_equal(
+        np.rint((samples.device_time_s - samples.device_time_s[0]) / SAMPLE_S), np.array(came) - came[0]
+    )
+    assert (decoder.repeated_datagrams, decoder.bad_bytes) == (repeated, 0)
+
+
+def datagram(index: int) -> bytes:
+    """Rates that differ from sample to sample, as a unit's do."""
+    body = golden.STIM300_A5[:2] + index.to_bytes(2, "big") + golden.STIM300_A5[4:35]
+    body += bytes([16 * index % 256]) + golden.STIM300_A5[36:38]
+    return body + checksums.crc32_mpeg2(body + bytes(2)).to_bytes(4, "big")
 
 
 def test_absolute_stamps_are_left_alone() -> None:

@@ -208,12 +208,14 @@ class Stim300Decoder:
         last = int(counts[0]) - self._step if self._last_count is None else self._last_count
         regular = bool(np.all(np.mod(np.diff(counts, prepend=last), _MODULUS) == self._step))
         fresh: list[int] = []
-        for row, count in enumerate(counts.tolist()):
+        for row in range(len(block)):
             datagram = block[row].tobytes()
-            if regular or (count - last) % _MODULUS == self._step or not self._came_before(datagram, layout):
+            # Where something was lost a late repetition may carry the very count that is due: each is looked for. In
+            # a regular block only the last can be one, as what follows has the same count.
+            if (regular and row < len(block) - 1) or not self._came_before(datagram, layout):
                 self._recent.append(datagram)
                 fresh.append(row)
-                last = count
+                last = int(counts[row])
         self._last_count = last
         self.repeated_datagrams += len(block) - len(fresh)
         return block[fresh]

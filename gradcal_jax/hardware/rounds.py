@@ -116,9 +116,10 @@ def _lost(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[dict[int,
     said: deque[tuple[float, int]] = deque()
     shift_s = 0.0
     arrival_of = np.append(np.searchsorted(arrivals.last, traces), arrivals.last.size)
+    bounds: list[int] = np.searchsorted(arrival_of, np.arange(arrivals.last.size + 1)).tolist()
     for number in range(arrivals.last.size):
         host_s = float(arrivals.host_s[number])
-        low, high = np.searchsorted(arrival_of, [number, number + 1])
+        low, high = bounds[number], bounds[number + 1]
         while len(quickest) > 1 and quickest[0][0] < host_s - WINDOW_S:
             quickest.popleft()
         while said and said[0][0] < host_s:
@@ -131,7 +132,7 @@ def _lost(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[dict[int,
                 row = int(traces[high - 1])
                 if rounds:
                     lost[row] = rounds
-                if why := _doubtful(arrivals, number, behind_s, step, round_s, int(high - low)):
+                if why := _doubtful(arrivals, number, behind_s, step, round_s, high - low):
                     doubts.append(Doubt(row, rounds, True, why))
                 shift_s += rounds * round_s
             elif rounds > (before := sum(count for _, count in said)):

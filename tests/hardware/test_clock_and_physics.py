@@ -176,6 +176,27 @@ def test_short_move_is_a_triangle_and_travel_ends_a_spin() -> None:
     assert plant.state(60.0) == (180.0, 0.0)
 
 
+def test_a_rate_is_held_as_well_as_the_table_can_and_its_encoder_does_not_see_it() -> None:
+    plant = AxisPlant(AxisTruth(rate_accuracy=200e-6, seed=5))
+    errors: list[float] = []
+    for index in range(300):
+        told = (100.0, -300.0)[index % 2]
+        plant.spin(100.0 * index, told, 1e6)
+        begin, end = 100.0 * index + 1.0, 100.0 * index + 99.0
+        errors.append((plant.state(end)[0] - plant.state(begin)[0]) / (98.0 * told) - 1.0)
+        assert (plant.reading(end) - plant.reading(begin)) / 98.0 == pytest.approx(told, rel=1e-9)
+    assert np.std(errors) == pytest.approx(200e-6, rel=0.15)
+    assert abs(np.mean(errors)) < 4.0 * 200e-6 / np.sqrt(300.0)
+    # Angles are told in what the encoder says, and turns are as long as they were told.
+    plant.spin(30000.0, 0.0, 1000.0)
+    there = plant.reading(30010.0)
+    plant.move_to(30010.0, there + 360.0, 100.0, 100.0)
+    assert plant.reading(30100.0) - there == pytest.approx(360.0, abs=1e-6)
+    assert plant.state(30100.0)[0] - plant.state(30010.0)[0] == pytest.approx(360.0, abs=1e-6)
+    plant.set_zero(30200.0)
+    assert plant.reading(30201.0) == 0.0
+
+
 def test_encoder_errors_are_of_the_kind_that_was_asked_for() -> None:
     plant = AxisPlant(AxisTruth(standstill_offset_deg=0.05, seed=3))
     offsets = []

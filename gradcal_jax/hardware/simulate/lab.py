@@ -110,6 +110,7 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         harmonics=tuple(harmonics),
         standstill_offset_deg=float(np.degrees(angle.standstill_offset)),
         reading_noise_deg=float(np.degrees(angle.reading_noise)),
+        rate_accuracy=float(spec.rig.table.rate_accuracy or 0.0),
         seed=seed,
     )
     return HiddenTruth(truth, axis)

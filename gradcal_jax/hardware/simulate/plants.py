@@ -118,6 +118,9 @@ class AxisTruth:
 
     The encoder reads the true angle plus a repeatable error (once a turn, and `harmonics`: order, cosine and sine part
     in deg) plus an offset drawn at every standstill plus white noise.
+
+    A constant rate is held to `rate_accuracy`, relative, drawn for each rate that is told, and the encoder does not see
+    it: it counts at the rate that was told, and from where that has led to until the axis is homed.
     """
 
     lowest_deg: float | None = None
@@ -126,6 +129,7 @@ class AxisTruth:
     harmonics: tuple[tuple[int, float, float], ...] = ()
     standstill_offset_deg: float = 0.0
     reading_noise_deg: float = 0.0
+    rate_accuracy: float = 0.0
     seed: int = 0
 
 
@@ -150,6 +154,8 @@ class AxisPlant:
         self._phases = [_Phase(start_s, 0.0, 0.0, 0.0)]
         self._table: NDArray[np.float64] | None = None
         self._offset_deg = 0.0
+        # Of the last spin: where it began, how much too far the axis had turned by then, and its share of too much.
+        self._spun = (0.0, 0.0, 0.0)
         self._told_s = -math.inf
         self._lock = threading.RLock()
 
@@ -186,20 +192,23 @@ class AxisPlant:
         error += sum(c * math.cos(order * turned) + s * math.sin(order * turned) for order, c, s in truth.harmonics)
         if not self.moving(now_s):
             error += self._offset_deg
-        return position + error + truth.reading_noise_deg * float(self._random.standard_normal())
+        return (
+            position - self._too_far(position) + error + truth.reading_noise_deg * float(self._random.standard_normal())
+        )
 
     def set_zero(self, now_s: float, position_deg: float = 0.0) -> None:
         """Stand still at `position_deg` from now on (homing found the reference)."""
         with self._lock:
             self._phases = [_Phase(now_s, position_deg, 0.0, 0.0)]
             self._table = None
+            self._spun = (0.0, 0.0, 0.0)
 
     def spin(self, now_s: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Go to a constant rate and stay there; with rate 0 a controlled stop."""
         with self._lock:
             now_s = max(now_s, self._told_s)
             position, rate = self.state(now_s)
-            phases = self._change(now_s, position, rate, rate_dps, acceleration_dps2)
+            phases = self._change(now_s, position, rate, self._held(position, rate_dps), acceleration_dps2)
             self._replace(now_s, self._within_travel(phases))
 
     def move_to(self, now_s: float, target_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
@@ -209,6 +218,8 @@ class AxisPlant:
             position, rate = self.state(now_s)
             phases = self._change(now_s, position, rate, 0.0, acceleration_dps2)
             start = phases[-1]
+            self._held(start.position_deg, 0.0)
+            target_deg += self._too_far(start.position_deg)
             way = target_deg - start.position_deg
             peak = min(rate_dps, math.sqrt(abs(way) * acceleration_dps2))
             if peak > 0.0:
@@ -244,6 +255,17 @@ class AxisPlant:
     def coast(self, now_s: float, deceleration_dps2: float = 20.0) -> None:
         """Without power: friction alone slows it."""
         self.spin(now_s, 0.0, deceleration_dps2)
+
+    def _held(self, position_deg: float, told_dps: float) -> float:
+        """The rate that the axis goes to when it is told one."""
+        error = self.truth.rate_accuracy * float(self._random.standard_normal()) if told_dps else 0.0
+        self._spun = (position_deg, self._too_far(position_deg), error / (1.0 + error))
+        return told_dps * (1.0 + error)
+
+    def _too_far(self, position_deg: float) -> float:
+        """How much farther an axis that spins has turned than its encoder says, deg."""
+        began_deg, before_deg, share = self._spun
+        return before_deg + share * (position_deg - began_deg)
 
     def _change(
         self, now_s: float, position: float, rate: float, wanted: float, acceleration_dps2: float

@@ -34,7 +34,6 @@ class Rest:
     sample_interval_s: float
     temperature_c: np.ndarray | None
     thermal: identify.ThermalBias | None
-    thermal_without_lag: identify.ThermalBias | None
     messages: tuple[str, ...]
 
 
@@ -102,7 +101,7 @@ def at_rest(
         bias_degree = 3 if span >= _TELLING_SPAN else 0
     if bias_degree > 0 and not known:
         raise LogError("the log has no temperature for every usable row, so no bias over temperature can be taken off")
-    thermal = at_once = None
+    thermal = None
     if bias_degree == 0 or (bias_degree > 0 and temperature is None):
         rate = rate - rate[valid].mean()
     elif bias_degree > 0:
@@ -129,7 +128,6 @@ def at_rest(
         even.sample_interval_s,
         temperature,
         thermal,
-        at_once,
         tuple(messages),
     )
 

@@ -39,7 +39,7 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
     rate = np.where(np.isfinite(raw), raw, 0.0)
     usable &= np.isfinite(raw)
     temperature = room.smoothed_temperature(time, _temperature(built, log, unit))
-    table = _table_axis(log, axis, options.table_axis)
+    table = table_axis_of(log, axis, options.table_axis)
     angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
     table_rate = None if table is None or log.table_rate_rad_per_s is None else log.table_rate_rad_per_s[:, table]
     if log.standstill is not None:
@@ -101,7 +101,8 @@ def _temperature(built: Assembled, log: Log, unit: int) -> np.ndarray:
     return np.full(len(log.time_s), 20.0)
 
 
-def _table_axis(log: Log, axis: str, named: str | None) -> int | None:
+def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
+    """Which of the table's axes turns a sensor's; None where the log has none. Raises `LogError` where unclear."""
     if named is not None:
         if named not in log.table_axes:
             raise LogError(f"the log has no table axis '{named}': it has {', '.join(log.table_axes) or 'none'}")

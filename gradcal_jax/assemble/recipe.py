@@ -1,12 +1,11 @@
 """A spec's plan as a recipe: rounded to what the controllers accept, predicted as rounded."""
 
-import platform
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import gradcal_jax
 from gradcal_jax.assemble.prediction import predict
+from gradcal_jax.assemble.versions import versions_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.recipe import FORMAT, Made, Predicted, Recipe
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
@@ -15,6 +14,7 @@ from gradcal_jax.files.tracks import Stability, tracks_of
 if TYPE_CHECKING:
     from gradcal_jax.assemble.optimise import Optimised
 
+_VERSIONS = ("jax", "numpy", "equinox")
 NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
 
 
@@ -54,7 +54,7 @@ def recipe(
         "status": status or NOT_OPTIMISED,
         "notes": (*notes, *made.notes) or None,
         "rounded": made.changes or None,
-        "made": Made(by=f"gradcal {gradcal_jax.__version__}", versions=_versions(), **_given(seed=seed)),
+        "made": Made(by=f"gradcal {gradcal_jax.__version__}", versions=versions_of(_VERSIONS), **_given(seed=seed)),
         "resolution": ControllerSteps(**{name: getattr(steps, name) for name in type(steps).model_fields}),
         "stability": _written_out(stability or Stability()),
         "chamber": chamber,
@@ -74,13 +74,3 @@ def _written_out(stability: Stability) -> Stability:
 def _given(**values: Any) -> dict[str, Any]:
     """A file holds no key for what is None."""
     return {name: value for name, value in values.items() if value is not None}
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in ("jax", "numpy", "equinox"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

@@ -6,7 +6,13 @@ from gradcal_jax import estimation as room
 from gradcal_jax.assemble.build import Assembled
 from gradcal_jax.assemble.estimate_options import Options
 from gradcal_jax.assemble.log_rows import Rows, count_rows, followed
-from gradcal_jax.assemble.unit_channel import UnitChannel, covered_rates, covered_temperatures, finished
+from gradcal_jax.assemble.unit_channel import (
+    UnitChannel,
+    covered_rates,
+    covered_temperatures,
+    finished,
+    integrated_rows,
+)
 from gradcal_jax.estimation import Estimate, Observations
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
@@ -60,9 +66,7 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
     time = rows.time[found_points.last]
     observations = Observations(room.steps_of(line, model), columns, readings, time, np.asarray(line.trail), mean_rate)
     white = room.whitened(observations, model)
-    used = np.zeros(len(log.time_s), bool)
-    for a, b in zip(found_points.first, found_points.last, strict=True):
-        used[a + 1 : b + 1] = True
+    done = room.Executed(line, edges, broken)
     channel = finished(
         axis,
         log.units[unit],
@@ -71,10 +75,10 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
         white,
         options,
         rows=rows,
-        done=room.Executed(line, edges, broken, 0),
+        done=done,
         lag=lag,
         lag_std=None,
-        counts=count_rows(log, unit, used),
+        counts=count_rows(log, unit, integrated_rows(done, len(log.time_s))),
         messages=messages,
     )
     section = built.spec.plan

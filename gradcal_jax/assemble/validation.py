@@ -11,6 +11,8 @@ import numpy as np
 
 from gradcal_jax import estimation as room
 from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM
+from gradcal_jax.assemble.log_rows import count_rows, table_axis_of
+from gradcal_jax.assemble.unit_channel import integrated_rows
 from gradcal_jax.files import correction
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.log import Log, LogError
@@ -84,7 +86,7 @@ def _axis(
     new = corrected.rate_rad_per_s[0, :, column]
     usable = log.usable(unit) & np.isfinite(raw)
     usable[log.stretch_starts] = False
-    table = room_table(log, axis, table_axis)
+    table = table_axis_of(log, axis, table_axis)
     angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
     if log.standstill is not None:
         standing = log.standstill >= 0
@@ -133,26 +135,8 @@ def _axis(
         rests = int(still.sum())
         bias = (_rms(before, elapsed[still]), _rms(after, elapsed[still]))
         cells += _cells(at[still], None, before, after, parts, "deg/h")
-    used = np.zeros(len(raw), bool)
-    for a, b, lost in zip(done.rows[:-1], done.rows[1:], done.broken, strict=True):
-        if not lost:
-            used[a + 1 : b + 1] = True
-    masked = log.counts(unit)
-    whole = masked.pop("used")
-    count = int(np.count_nonzero(used & log.usable(unit)))
-    rows = {"used": count, "without a reference": whole - count, **masked}
+    rows = count_rows(log, unit, integrated_rows(done, len(raw)))
     return AxisValidation(axis, moves, rests, scale, bias, tuple(cells), rows, tuple(messages))
-
-
-def room_table(log: Log, axis: str, named: str | None) -> int | None:
-    """The table's axis that turns a sensor's. **Raises:** `LogError` for a name that is not there."""
-    if named is not None:
-        if named not in log.table_axes:
-            raise LogError(f"the log has no table axis '{named}': it has {', '.join(log.table_axes) or 'none'}")
-        return log.table_axes.index(named)
-    if axis in log.table_axes:
-        return log.table_axes.index(axis)
-    return 0 if len(log.table_axes) == 1 else None
 
 
 def _moves(moving: np.ndarray) -> list[tuple[int, int]]:

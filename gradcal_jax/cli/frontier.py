@@ -62,7 +62,6 @@ def frontier(
     use_float64()
     from gradcal_jax import assemble
     from gradcal_jax.assemble import frontier as room
-    from gradcal_jax.assemble.optimise import record_of
     from gradcal_jax.files import write_toml
 
     if output is not None:
@@ -72,8 +71,7 @@ def frontier(
         for point in room.frontier(found, times, steps=steps, watch=lambda *told: line.show(_progress(*told))):
             reached.append(point)
             if output is not None and point.plan is not None:
-                made = assemble.recipe(point.plan.spec, status=point.plan.sentence, optimisation=record_of(point.plan))
-                write_toml(made, output / f"{point.motion / 60.0:.4g}min.toml")
+                write_toml(assemble.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
         r.name: float(r.target) * assemble.UNIT_OF[r.quantity][1]
         for r in found.requirement

@@ -90,15 +90,13 @@ def optimise(
                 checkpoints.write(kept, found, event.checkpoint)
             line.show(_progress(event))
         assert best is not None
-    record = room.record_of(best)
     status = best.sentence if not interrupt.asked else f"interrupted, the best so far: {best.sentence}"
-    seed = found.design.seed if found.design is not None else None
-    made = assemble.recipe(best.spec, status=status, seed=seed, optimisation=record)
+    made = assemble.recipe(best, status=status)
     write_toml(made, output, header="Made by gradcal optimise; `gradcal show` prints it as a table.")
     if not interrupt.asked:
         kept.unlink(missing_ok=True)
     if json:
-        print(as_json(record | {"status": status, "recipe": str(output)}))
+        print(as_json(room.record_of(best) | {"status": status, "recipe": str(output)}))
     else:
         print(text(best))
         print(f"wrote {output}; read it with: gradcal show {output}")

@@ -30,13 +30,12 @@ _FOLLOWS = 0.02
 
 class Executed(NamedTuple):
     """`timeline` of `P` pieces; `rows` `(P + 1,)`: piece k is the log's rows `rows[k] + 1 … rows[k+1]`, none of which
-    count where `broken[k]`. `unused` rows lie before the first standstill or after the last.
+    count where `broken[k]`.
     """
 
     timeline: Timeline
     rows: np.ndarray
     broken: np.ndarray
-    unused: int
 
 
 def executed(
@@ -98,7 +97,7 @@ def executed(
     where = np.array(rows)
     lost = np.array(broken)
     timeline = _timeline(time_s, temperature_c, rate_rad_per_s, angle_rad, where, axis, read, rest, gap, moving)
-    return Executed(timeline, where, lost, int(where[0] + len(time_s) - 1 - where[-1]))
+    return Executed(timeline, where, lost)
 
 
 def momentary_stops(

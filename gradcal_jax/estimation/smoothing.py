@@ -31,7 +31,6 @@ class Smoothness(NamedTuple):
 
     bias: float | None
     scale_factor: float | None
-    log_likelihood: float
     at_edge: bool
 
 
@@ -86,7 +85,7 @@ def choose_smoothness(white: Whitened, model: GyroModel, unit: int = 0) -> Smoot
     for k, value in zip(free, found.x, strict=True):
         chosen[k] = float(np.exp(value))
     at_edge = bool(np.any(np.abs(np.abs(found.x - start) - reach) < 0.01 * reach))
-    return Smoothness(chosen[0], chosen[1], -0.5 * float(found.fun), at_edge)
+    return Smoothness(chosen[0], chosen[1], at_edge)
 
 
 def _simplex(at: np.ndarray, size: float) -> np.ndarray:

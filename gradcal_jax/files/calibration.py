@@ -9,13 +9,13 @@ their functions: `a_bin3`, `b_spline2_1`. Numbers without a unit are SI.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from gradcal_jax.files.bases import RateBasis, RatePolynomial, TemperatureBasis, TemperaturePolynomial, increasing
-from gradcal_jax.files.document import format_problem, read_text, read_toml
-from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
     Flag,
@@ -28,7 +28,7 @@ from gradcal_jax.files.quantity import (
     Text,
     Time,
 )
-from gradcal_jax.files.section import Section, refuse, with_spelling
+from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.writing import write_toml
 
 FORMAT: Final = "gradcal-calibration/1"
@@ -220,16 +220,7 @@ def read_calibration(path: str | Path) -> Calibration:
 
 def parse_calibration(text: str, source: str = "") -> Calibration:
     """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
-    document: dict[str, Any] = read_toml(text, source)
-    wrong = format_problem(document, FORMAT)
-    if wrong is not None:
-        raise SpecError([wrong], source)
-    try:
-        return Calibration.model_validate(document)
-    except ValidationError as error:
-        raise SpecError(with_spelling(from_validation(error), Calibration, document), source) from None
-    except SpecError as error:
-        raise SpecError(error.problems, source) from None
+    return model_of(Calibration, read_toml(text, source), FORMAT, source)
 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> None:

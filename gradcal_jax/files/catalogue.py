@@ -31,11 +31,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, cast
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from gradcal_jax.files.changes import patched, tables_of
-from gradcal_jax.files.document import format_problem, read_text, read_toml
-from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec import Spec, spec_of
@@ -149,16 +149,7 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
 
     A combination that is no spec (a table too slow for the sensor's range, say) is a case with a failure, not an error.
     """
-    document = read_toml(text, source)
-    problem = format_problem(document, FORMAT)
-    if problem is not None:
-        raise SpecError([problem], source)
-    try:
-        file = CatalogueFile.model_validate(document)
-    except ValidationError as error:
-        raise SpecError(from_validation(error), source) from None
-    except SpecError as error:
-        raise SpecError(error.problems, source) from None
+    file = model_of(CatalogueFile, read_toml(text, source), FORMAT, source)
     return Catalogue(file, text, tuple(_cases(file, Path(folder), source)))
 
 

@@ -3,10 +3,14 @@
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from gradcal_jax.files.problems import Problem, SpecError, nearest
+from pydantic import ValidationError
 
+from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest
+from gradcal_jax.files.section import Section, with_spelling
+
+Model = TypeVar("Model", bound=Section)
 _LARGEST = 20_000_000
 
 
@@ -63,3 +67,16 @@ def format_problem(document: Mapping[str, Any], expected: str) -> Problem | None
     if isinstance(found, str) and found.split("/")[0] == kind:
         return Problem(("format",), f'this version of the program reads "{expected}"', found)
     return Problem(("format",), f'expected "{expected}"', found)
+
+
+def model_of(kind: type[Model], document: Mapping[str, Any], expected: str, source: str) -> Model:
+    """A document of the format `expected` as the model of it. Raises `SpecError` that lists everything wrong."""
+    problem = format_problem(document, expected)
+    if problem is not None:
+        raise SpecError([problem], source)
+    try:
+        return kind.model_validate(document)
+    except ValidationError as error:
+        raise SpecError(with_spelling(from_validation(error), kind, document), source) from None
+    except SpecError as error:
+        raise SpecError(error.problems, source) from None

@@ -35,16 +35,16 @@ from typing import Annotated, Any, Final, Literal, TextIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from gradcal_jax import units
-from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 from gradcal_jax.files.matlab_file import read_matlab
-from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest
+from gradcal_jax.files.problems import Problem, nearest
 from gradcal_jax.files.quantity import Flag, Number, Of, PositiveRate, Quantity, Text, Whole
-from gradcal_jax.files.section import Section, refuse, with_spelling
+from gradcal_jax.files.section import Section, refuse
 
 FORMAT: Final = "gradcal-columns/1"
 Array = NDArray[Any]
@@ -202,16 +202,7 @@ def parse_column_map(text: str, source: str = "") -> ColumnMap:
 
     Errors: `SpecError` with every fault.
     """
-    document = read_toml(text, source)
-    wrong = format_problem(document, FORMAT)
-    if wrong is not None:
-        raise SpecError([wrong], source)
-    try:
-        return ColumnMap.model_validate(document)
-    except ValidationError as error:
-        raise SpecError(with_spelling(from_validation(error), ColumnMap, document), source) from None
-    except SpecError as error:
-        raise SpecError(error.problems, source) from None
+    return model_of(ColumnMap, read_toml(text, source), FORMAT, source)
 
 
 def read_column_map(path: str | Path) -> ColumnMap:

@@ -11,11 +11,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from gradcal_jax.files.contracts import ParameterRow, Prediction, RequirementRow, Size
-from gradcal_jax.files.document import format_problem, read_text, read_toml
-from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
 from gradcal_jax.files.section import Section, refuse
@@ -137,19 +137,10 @@ def parse_recipe(text: str, source: str = "") -> Recipe:
 
 def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:
     """A recipe from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    problem = format_problem(document, FORMAT)
-    if problem is not None:
-        if document.get("format") == "gradcal-spec/1":
-            message = "this is a spec; make a recipe of it: gradcal recipe SPEC -o recipe.toml"
-            problem = Problem(("format",), message, document["format"])
-        raise SpecError([problem], source)
-    try:
-        return Recipe.model_validate(document)
-    except ValidationError as error:
-        problems = from_validation(error)
-    except SpecError as error:
-        problems = list(error.problems)
-    raise SpecError(problems, source)
+    if document.get("format") == "gradcal-spec/1":
+        message = "this is a spec; make a recipe of it: gradcal recipe SPEC -o recipe.toml"
+        raise SpecError([Problem(("format",), message, document["format"])], source)
+    return model_of(Recipe, document, FORMAT, source)
 
 
 def is_recipe(document: Mapping[str, Any]) -> bool:

@@ -26,13 +26,13 @@ from decimal import Context, Decimal
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, cast
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from gradcal_jax import units
 from gradcal_jax.files import presets
 from gradcal_jax.files.changes import changed, split_key
-from gradcal_jax.files.document import format_problem, read_text, read_toml
-from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import is_recipe, recipe_of
 from gradcal_jax.files.section import Section, refuse
@@ -277,16 +277,7 @@ def read_sweep(path: str | Path) -> Sweep:
 
 def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
-    document = read_toml(text, source)
-    problem = format_problem(document, FORMAT)
-    if problem is not None:
-        raise SpecError([problem], source)
-    try:
-        file = SweepFile.model_validate(document)
-    except ValidationError as error:
-        raise SpecError(from_validation(error), source) from None
-    except SpecError as error:
-        raise SpecError(error.problems, source) from None
+    file = model_of(SweepFile, read_toml(text, source), FORMAT, source)
     base = named_spec(file.base, Path(folder), source)
     try:
         if file.change:

@@ -37,12 +37,14 @@ def write_toml(model: Section, path: str | Path, *, header: str = "") -> None:
 
 
 def write_whole(path: str | Path, text: str) -> None:
-    """Write a text under a passing name beside its goal and move it there, so that no half file is ever seen."""
+    """Write a text under a passing name beside its goal and move it there: after a kill it is whole or not there."""
     path = Path(path)
     handle, passing = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
             stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
         umask = os.umask(0)
         os.umask(umask)
         Path(passing).chmod(0o666 & ~umask)

@@ -10,9 +10,9 @@ from typing import Any, Final
 
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.catalogue import Case, Catalogue
+from gradcal_jax.files.writing import write_whole
 from gradcal_jax.jobs.pool import LocalPool, Runner, Task
 from gradcal_jax.jobs.progress import Progress, Report, unwatched
-from gradcal_jax.jobs.store import write_safely
 from gradcal_jax.jobs.sweep import versions
 
 _COLUMNS: Final[tuple[str, ...]] = (
@@ -77,9 +77,9 @@ def recipes(
                 row = _failed(case, str(found))
             else:
                 name = f"{case.slug}.toml"
-                write_safely(folder / name, found.pop("toml"))
+                write_whole(folder / name, found.pop("toml"))
                 row = _row(case, recipe=name, remark=found.pop("sentence"), **found)
-            write_safely(kept_in / f"{case.slug}.json", json.dumps([identities[number], row], indent=1))
+            write_whole(kept_in / f"{case.slug}.json", json.dumps([identities[number], row], indent=1))
             rows[number] = row
             said = row["remark"] if not row["recipe"] else f"{row['now']:.4g} {row['unit']}"
             progress(Progress("optimise", len(rows), len(job.cases), kept, f"{', '.join(case.names)}: {said}"))
@@ -87,8 +87,8 @@ def recipes(
         if own:
             runner.close()
     table = Table(_ordered([rows[number] for number in range(len(job.cases))]), kept)
-    write_safely(folder / "summary.csv", as_csv(table))
-    write_safely(folder / "summary.md", as_markdown(table, job.file.title))
+    write_whole(folder / "summary.csv", as_csv(table))
+    write_whole(folder / "summary.md", as_markdown(table, job.file.title))
     return table
 
 

@@ -250,10 +250,9 @@ def optimise_points(
 
 
 def _optimised(index: int, spec: Spec) -> Result:
-    from gradcal_jax.assemble.optimise import Optimised, optimise
+    from gradcal_jax.assemble.flow import optimise
 
-    *_, found = optimise(spec)
-    assert isinstance(found, Optimised)
+    found = optimise(spec)
     done = _result(index, found.spec, _alone(found.spec))
     return done._replace(before=found.before, note=found.sentence, spec=to_toml(found.spec))
 

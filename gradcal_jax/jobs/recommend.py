@@ -11,13 +11,11 @@ HEADER = "Made by gradcal recipes; `gradcal show` prints it as a table."
 def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The optimised recipe of a spec as TOML text, and its row of the summary. Errors: `ValueError` as `optimise`'s."""
     from gradcal_jax import assemble
-    from gradcal_jax.assemble.optimise import Optimised, optimise, record_of
+    from gradcal_jax.assemble.flow import optimise
 
     spec = spec_of(tables)
-    *_, best = optimise(spec)
-    assert isinstance(best, Optimised)
-    seed = None if spec.design is None else spec.design.seed
-    made = assemble.recipe(best.spec, status=best.sentence, seed=seed, optimisation=record_of(best))
+    best = optimise(spec)
+    made = assemble.recipe(best)
     wanted = None if spec.design is None else spec.design.minimise
     decisive = next((row for row in made.prediction.requirements if row.name == wanted), None)
     limit = limit_of(spec)

@@ -2,11 +2,11 @@
 
 import hashlib
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
 
+from gradcal_jax.files.writing import write_whole
 from gradcal_jax.jobs.results import Result, as_json, from_json
 
 
@@ -32,7 +32,7 @@ class Store:
             raise ValueError(f"{self.folder} exists and is not a sweep's; move it away, or choose another output")
         else:
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_safely(mark, json.dumps(identity, indent=1))
+            write_whole(mark, json.dumps(identity, indent=1))
 
     def read(self, chunk: int) -> list[Result] | None:
         """A finished chunk; None where it is not there, or not whole."""
@@ -46,7 +46,7 @@ class Store:
     def write(self, chunk: int, results: list[Result]) -> None:
         """Keep a finished chunk: wholly or not at all."""
         body = as_json(results)
-        write_safely(self._path(chunk), f"{_digest(body)}\n{body}")
+        write_whole(self._path(chunk), f"{_digest(body)}\n{body}")
 
     def remove(self) -> None:
         """The folder, once its contents are in the output."""
@@ -58,13 +58,3 @@ class Store:
 
 def _digest(body: str) -> str:
     return hashlib.sha256(body.encode()).hexdigest()
-
-
-def write_safely(path: Path, text: str) -> None:
-    """Write a file so that after a kill at any time it is there as a whole or not at all."""
-    passing = path.with_name(f".{path.name}.{os.getpid()}")
-    with passing.open("w", encoding="utf-8") as stream:
-        stream.write(text)
-        stream.flush()
-        os.fsync(stream.fileno())
-    os.replace(passing, path)

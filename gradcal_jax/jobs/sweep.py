@@ -7,14 +7,13 @@ how often the sweep was killed and begun again.
 
 import hashlib
 import json
-import platform
 import time
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import gradcal_jax
+from gradcal_jax.assemble.versions import versions_of
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.sweep import Sweep, tables_of_sweep
 from gradcal_jax.jobs.points import Points
@@ -247,13 +246,7 @@ def identity_of(job: Sweep) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Versions of what the numbers come from."""
-    found = {"gradcal_jax": gradcal_jax.__version__, "python": platform.python_version()}
-    for name in _VERSIONS:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
+    return {"gradcal_jax": gradcal_jax.__version__, **versions_of(_VERSIONS)}
 
 
 __all__ = [

@@ -36,6 +36,7 @@ from gradcal_jax.hardware.track import Step, Track
 
 SPEED = 20.0
 RATE_HZ = 125.0
+EDGE = 31
 STARTING, WAITING, TURNING, STANDING, SAFE = "starting", "waiting for its temperature", "turning", "standing", "safe"
 AIMS = (STARTING, WAITING, STANDING, TURNING, SAFE)
 SHARES = (0.08, 0.08, 0.38, 0.38, 0.08)
@@ -318,8 +319,11 @@ def step_data(log: Log, step: Step, begins_s: float, torn_s: list[float]) -> Ste
         start, end = (int(np.median(rows[log.standstill[rows] == n])) for n in (before, after))
         table.append(float(np.degrees(log.table_angle_rad[end, 0] - log.table_angle_rad[start, 0])))
         sensor.append(float(np.degrees(log.rate_rad_per_s[0, start + 1 : end + 1, 0].sum()) / RATE_HZ))
-    resting = log.standstill[rows] >= 0
-    assert np.degrees(np.abs(log.rate_rad_per_s[0, rows[resting], 0])).max() < 0.5, step.name
+    for number in numbers:
+        # How late the quickest of all stamps are, nobody knows: five milliseconds are a tenth of a second of this run,
+        # as much as a log leaves away. A quarter of a second from its ends a standstill is one.
+        within = rows[log.standstill[rows] == number][EDGE:-EDGE]
+        assert np.all(np.degrees(np.abs(log.rate_rad_per_s[0, within, 0])) < 0.5), (step.name, number)
     torn = any(begins_s <= at_s <= begins_s + step.duration_s + 10.0 for at_s in torn_s)
     slept = len(table) < len(step.moves)
     # Whatever the rests were, between them the sensor saw what the table says, but for its scale factor.

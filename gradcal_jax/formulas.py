@@ -130,7 +130,6 @@ def _terms(**terms: float) -> tuple[float, ...]:
     return tuple(terms.get(name, 0.0) for name in names)
 
 
-REST = _terms()
 CONSTANT = _terms(one=1.0)
 _COSINE_UP, _COSINE_DOWN = _terms(one=0.5, cos1=-0.5), _terms(one=0.5, cos1=0.5)
 _LINEAR_UP, _LINEAR_DOWN = _terms(u=1.0), _terms(one=1.0, u=-1.0)

@@ -35,7 +35,6 @@ Scalar = Any
 
 # Peak acceleration over (peak rate / time), the time being the ramp's, or the whole move's for shapes without ramps.
 _STEEPNESS = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0, "half sine": np.pi, "raised cosine": np.pi}
-SEARCHED_SHAPES = tuple(_STEEPNESS)
 
 # A rest, and the standing while others turn, are searched with this many pieces; each one's reading stands for all that
 # fall into it.

@@ -1,34 +1,27 @@
 """JSON Schema of every file and contract, by name."""
 
 from collections.abc import Mapping
-from typing import Any, Final
+from importlib import import_module
+from typing import Any, Final, cast
 
 from pydantic.json_schema import GenerateJsonSchema
 
-from gradcal_jax.files.calibration import Calibration
-from gradcal_jax.files.catalogue import CatalogueFile
-from gradcal_jax.files.contracts import Prediction, Timeline
-from gradcal_jax.files.importers import ColumnMap
-from gradcal_jax.files.log_contents import LogContents
 from gradcal_jax.files.problems import nearest
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.spec import Spec
-from gradcal_jax.files.sweep import SweepFile
 
-_MODELS: Final[Mapping[str, type[Section]]] = {
-    "spec": Spec,
-    "rig": RigFile,
-    "timeline": Timeline,
-    "prediction": Prediction,
-    "columns": ColumnMap,
-    "log": LogContents,
-    "calibration": Calibration,
-    "recipe": Recipe,
-    "sweep": SweepFile,
-    "catalogue": CatalogueFile,
+# By module and class: a program that reads specs need not load the importers of logs.
+_MODELS: Final[Mapping[str, tuple[str, str]]] = {
+    "spec": ("spec", "Spec"),
+    "rig": ("rig", "RigFile"),
+    "timeline": ("contracts", "Timeline"),
+    "prediction": ("contracts", "Prediction"),
+    "columns": ("importers", "ColumnMap"),
+    "log": ("log_contents", "LogContents"),
+    "calibration": ("calibration", "Calibration"),
+    "recipe": ("recipe", "Recipe"),
+    "sweep": ("sweep", "SweepFile"),
+    "catalogue": ("catalogue", "CatalogueFile"),
 }
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
@@ -52,7 +45,9 @@ def schema(name: str) -> dict[str, Any]:
     """
     plain = name.removeprefix("gradcal-").removesuffix("/1")
     if plain in _MODELS:
-        body = _MODELS[plain].model_json_schema(mode="validation", schema_generator=_WithTexts)
+        module, model = _MODELS[plain]
+        section = cast("type[Section]", getattr(import_module(f"gradcal_jax.files.{module}"), model))
+        body = section.model_json_schema(mode="validation", schema_generator=_WithTexts)
         return {"$schema": _DIALECT, "$id": f"gradcal-{plain}/1", **body}
     close = nearest(plain, _MODELS)
     ending = f'; nearest: "{close}"' if close else f"; known: {', '.join(_MODELS)}"

@@ -86,7 +86,7 @@ def slsqp(seconds: float) -> dict:
     from scipy.optimize import minimize
 
     from gradcal_jax.assemble import assemble
-    from gradcal_jax.assemble.measure import box
+    from gradcal_jax.assemble.knowledge import box
     from gradcal_jax.design import criterion
     from gradcal_jax.information import at_readings, noise_steps
 

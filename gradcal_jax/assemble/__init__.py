@@ -5,7 +5,7 @@ read.
 """
 
 from gradcal_jax.assemble.build import Assembled, assemble, basis, bias_map, scale_factor_map
-from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM, UNIT_OF, knowledge, residual_map
+from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM, UNIT_OF, knowledge, residual_map, target_of
 from gradcal_jax.assemble.prediction import predict
 from gradcal_jax.assemble.recipe import recipe
 from gradcal_jax.assemble.shares import error_shares
@@ -30,6 +30,7 @@ __all__ = [
     "recipe",
     "residual_map",
     "scale_factor_map",
+    "target_of",
     "timeline",
     "unobservable",
 ]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM, UNIT_OF
+from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM, UNIT_OF, box
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import AxisCalibration, bias_names, scale_factor_names
@@ -75,17 +75,14 @@ def prior_map(spec: Spec, requirement: Requirement) -> Box | None:
     """What is known before any calibration: the spec's priors on a requirement's box; None where they are flat."""
     unit, factor = UNIT_OF[requirement.quantity]
     bias, scale = spec.sensor.bias, spec.sensor.scale_factor
-    cold, warm = (float(end) for end in requirement.temperature)
-    temperatures = np.linspace(cold, warm, requirement.grid[0])
+    temperatures, rates = box(requirement)
     if requirement.quantity == "bias":
         if bias is None or bias.prior is None:
             return None
         squares = np.sum(basis_values(bias.temperature, temperatures) ** 2, axis=1)[:, None]
-        return Box(temperatures, np.zeros(1), np.sqrt(squares) * float(bias.prior) * factor, unit)
+        return Box(temperatures, rates, np.sqrt(squares) * float(bias.prior) * factor, unit)
     if scale is None or scale.prior is None:
         return None
-    slow, fast = requirement.rate
-    rates = np.linspace(float(slow), float(fast), requirement.grid[1])
     over_temperature = np.sum(basis_values(scale.temperature, temperatures) ** 2, axis=1)
     over_rate = np.sum(basis_values(scale.rate, rates) ** 2, axis=1)
     values = np.sqrt(np.outer(over_temperature, over_rate)) * float(scale.prior) * factor

@@ -9,7 +9,7 @@ import gradcal_jax
 from gradcal_jax.assemble.build import assemble
 from gradcal_jax.assemble.estimate import estimate_channels
 from gradcal_jax.assemble.estimate_options import Options
-from gradcal_jax.assemble.knowledge import DEG_PER_S, PPM, UNIT_OF, residual_map
+from gradcal_jax.assemble.knowledge import DEG_PER_S, PPM, UNIT_OF, residual_map, target_of, verdict
 from gradcal_jax.assemble.unit_channel import UnitChannel
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
@@ -102,16 +102,12 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
     built = assemble(spec)._replace(model=channel.model)
     rows: list[Verdict] = []
     for requirement in spec.requirement:
-        unit, factor = UNIT_OF[requirement.quantity]
         _, _, values = residual_map(built, channel.found.known[0], requirement)
         # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
         value = statistic(requirement.statistic, values) * max(1.0, _excess(channel))
-        target = None if requirement.target is None else float(requirement.target) * factor
-        if not np.isfinite(value):
-            rows.append(Verdict(requirement, channel.axis, None, unit, target, "unobservable"))
-        else:
-            verdict = None if target is None else ("met" if value <= target else "missed")
-            rows.append(Verdict(requirement, channel.axis, value, unit, target, verdict))
+        seen = value if np.isfinite(value) else None
+        unit = UNIT_OF[requirement.quantity][0]
+        rows.append(Verdict(requirement, channel.axis, seen, unit, target_of(requirement), verdict(requirement, seen)))
     return rows
 
 

@@ -107,7 +107,7 @@ def gradient_channels(
     result: dict[int, UnitChannel] = {}
     for k, unit in enumerate(members):
         own = observations._replace(columns=observations.columns_of(k), readings=observations.readings[:, k : k + 1])
-        single = Whitened(white.rows_of(k)[None], white.data[k : k + 1], white.prior)
+        single = white.of_unit(k)
         result[unit] = finished(
             axis,
             log.units[unit],

@@ -69,11 +69,31 @@ def residual_map(
     built: Assembled, known: Posterior, requirement: Requirement
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Temperatures (°C), rates (deg/s) and the residual `(n_T, n_ω)` in ppm or deg/h, on a requirement's box."""
-    cold, warm = requirement.temperature
-    temperatures = np.linspace(float(cold), float(warm), requirement.grid[0])
-    rates = np.zeros(1)
-    if requirement.quantity == "scale_factor":
-        slow, fast = requirement.rate
-        rates = np.linspace(float(slow), float(fast), requirement.grid[1])
+    temperatures, rates = box(requirement)
     values = residual(known, built.model, requirement.quantity, temperatures, rates)
     return temperatures, rates * DEG_PER_S, values * UNIT_OF[requirement.quantity][1]
+
+
+def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side."""
+    cold, warm = requirement.temperature
+    temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
+    if requirement.quantity == "bias":
+        return temperatures, np.zeros(1)
+    slow, fast = requirement.rate
+    return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
+
+
+def target_of(requirement: Requirement) -> float | None:
+    """In ppm or deg/h."""
+    return None if requirement.target is None else float(requirement.target) * UNIT_OF[requirement.quantity][1]
+
+
+def verdict(requirement: Requirement, residual: float | None) -> Literal["met", "missed", "unobservable"] | None:
+    """What a residual (ppm or deg/h; None: not observable) is against a requirement's target, if it has one."""
+    if residual is None:
+        return "unobservable"
+    target = target_of(requirement)
+    if target is None:
+        return None
+    return "met" if residual <= target else "missed"

@@ -6,8 +6,8 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.assemble.build import Assembled, assemble
-from gradcal_jax.assemble.knowledge import UNIT_OF
-from gradcal_jax.assemble.measure import box, design_of
+from gradcal_jax.assemble.knowledge import UNIT_OF, box
+from gradcal_jax.assemble.measure import design_of
 from gradcal_jax.assemble.prediction import predict
 from gradcal_jax.assemble.structures import LEAST_TURN, largest_rate, motion_time
 from gradcal_jax.design import (

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from gradcal_jax import plans
 from gradcal_jax.assemble.build import Assembled, assemble
-from gradcal_jax.assemble.knowledge import UNIT_OF
+from gradcal_jax.assemble.knowledge import UNIT_OF, box
 from gradcal_jax.design import Criterion, Optimality, criterion
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Scenario
@@ -117,16 +117,6 @@ def _leaves(tables: dict[str, Any], before: str):
 def _criterion(built: Assembled, requirement: Requirement) -> Criterion:
     temperature, rate = box(requirement, _GRID)
     return criterion(built.model, requirement.quantity, temperature, rate, requirement.statistic)
-
-
-def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side."""
-    cold, warm = requirement.temperature
-    temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
-    if requirement.quantity == "bias":
-        return temperatures, np.zeros(1)
-    slow, fast = requirement.rate
-    return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
 
 
 def _optimality(built: Assembled, name: str) -> Optimality:

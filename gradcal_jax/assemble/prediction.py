@@ -3,7 +3,7 @@
 import numpy as np
 
 from gradcal_jax.assemble.build import Assembled, assemble
-from gradcal_jax.assemble.knowledge import UNIT_OF, knowledge, residual_map
+from gradcal_jax.assemble.knowledge import UNIT_OF, knowledge, residual_map, target_of, verdict
 from gradcal_jax.assemble.shares import error_shares, limited_by
 from gradcal_jax.assemble.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
@@ -52,18 +52,10 @@ def _requirement_row(built: Assembled, known: Posterior, requirement: Requiremen
     if requirement.quantity == "bias":
         del found["mean of max"]
     found = {name: value if np.isfinite(value) else None for name, value in found.items()}
-    unit, factor = UNIT_OF[requirement.quantity]
-    target = None if requirement.target is None else float(requirement.target) * factor
-    decisive = found[requirement.statistic]
-    verdict = None
-    if decisive is None:
-        verdict = "unobservable"
-    elif target is not None:
-        verdict = "met" if decisive <= target else "missed"
     return RequirementRow(
         name=requirement.name,
         quantity=requirement.quantity,
-        unit=unit,
+        unit=UNIT_OF[requirement.quantity][0],
         axis=channel,
         temperature_c=(float(requirement.temperature[0]), float(requirement.temperature[1])),
         rate_dps=(float(rates[0]), float(rates[-1])) if requirement.quantity == "scale_factor" else None,
@@ -73,8 +65,8 @@ def _requirement_row(built: Assembled, known: Posterior, requirement: Requiremen
         max=found["max"],
         mean=found["mean"],
         rms=found["rms"],
-        target=target,
-        verdict=verdict,
+        target=target_of(requirement),
+        verdict=verdict(requirement, found[requirement.statistic]),
     )
 
 

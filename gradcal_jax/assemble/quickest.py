@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import jax
 import numpy as np
 
-from gradcal_jax.assemble.knowledge import UNIT_OF
+from gradcal_jax.assemble.knowledge import target_of
 from gradcal_jax.assemble.limit import limits
 from gradcal_jax.assemble.optimise import STEPS, Optimised, Price, Step, optimise
 from gradcal_jax.assemble.structures import motion_time, ramp_ends
@@ -84,13 +84,12 @@ def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
         return
     for requirement in spec.requirement:
         row = rows.get(requirement.name)
-        if row is not None and requirement.target is not None:
-            target = float(requirement.target) * UNIT_OF[requirement.quantity][1]
-            if row.certified > target:
-                raise ValueError(
-                    f"no plan meets {row.name!r}: its target is {target:.4g} {row.unit}, and it is proven that none "
-                    f"leaves less than {row.certified:.4g} {row.unit} in {longest / 60.0:.4g} min on this rig"
-                )
+        target = target_of(requirement)
+        if row is not None and target is not None and row.certified > target:
+            raise ValueError(
+                f"no plan meets {row.name!r}: its target is {target:.4g} {row.unit}, and it is proven that none "
+                f"leaves less than {row.certified:.4g} {row.unit} in {longest / 60.0:.4g} min on this rig"
+            )
 
 
 def _least(spec: Spec, longest: float) -> float:

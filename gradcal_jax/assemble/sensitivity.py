@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.assemble.build import Assembled, assemble
-from gradcal_jax.assemble.knowledge import UNIT_OF
-from gradcal_jax.assemble.measure import box
+from gradcal_jax.assemble.knowledge import UNIT_OF, box
 from gradcal_jax.design import criterion
 from gradcal_jax.files import Spec
 from gradcal_jax.information import information

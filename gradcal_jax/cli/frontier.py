@@ -73,9 +73,9 @@ def frontier(
             if output is not None and point.plan is not None:
                 write_toml(assemble.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
-        r.name: float(r.target) * assemble.UNIT_OF[r.quantity][1]
+        r.name: target
         for r in found.requirement
-        if r.target is not None and found.design is not None and r.name == found.design.minimise
+        if (target := assemble.target_of(r)) is not None and found.design and r.name == found.design.minimise
     }
     times_for = {name: room.shortest(reached, target) for name, target in targets.items()}
     if json:

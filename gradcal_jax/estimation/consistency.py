@@ -70,7 +70,7 @@ def consistency(
     residual = found.residuals[unit]
     degrees = int(found.degrees[unit])
     fit = _test(float(found.chi_squared[unit]), degrees)
-    single = Whitened(white.rows_of(unit)[None], white.data[unit : unit + 1], white.prior)
+    single = white.of_unit(unit)
     splits = [split(single, name, subset, to_reported) for name, subset in subsets.items()]
     return Consistency(
         fit,

@@ -4,7 +4,7 @@ A reading is taken at the first and the last row of every standstill and every `
 reading to reading are those of a plan's timeline. Moves that follow one another without a rest stop for an instant
 between them: the row of that instant is read, too. Moves are divided so that the noise that the rate drives can be
 followed. The motion inside a piece counts for the noise alone (mean rates will do); the regressors come from the
-samples themselves (`estimate.samples`).
+samples themselves (`estimation.samples`).
 
 Row `i` of a log stands for the time from row `i − 1` to itself. Where rows are missing or masked the integral is
 broken: the angle's origin is read anew at the first row of rest after it (a gap piece).
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.signal import find_peaks
 
+from gradcal_jax.estimation.standstill import runs
 from gradcal_jax.formulas import CONSTANT
 from gradcal_jax.plans import Timeline
 from gradcal_jax.plans.timeline import IndexArray
@@ -221,7 +222,4 @@ def _parts(time: np.ndarray, before: int, after: int, longest: float) -> list[in
 
 def _runs(where: np.ndarray) -> list[tuple[int, int]]:
     """First and last row of every run of true values."""
-    padded = np.zeros(len(where) + 2, np.int8)
-    padded[1:-1] = where
-    edges = np.flatnonzero(np.diff(padded)).reshape(-1, 2)
-    return [(int(a), int(b) - 1) for a, b in edges]
+    return [(int(first), int(end) - 1) for first, end in runs(where)]

@@ -10,9 +10,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.formulas import CONSTANT
 from gradcal_jax.plans import Timeline
-from gradcal_jax.plans.timeline import IndexArray
+from gradcal_jax.plans.timeline import points_timeline
 
 # A table at a set point is within this of it: relative, and rad/s.
 _RATE_TOLERANCE = (0.02, np.radians(0.5))
@@ -76,38 +75,8 @@ def plateaus(
             [np.average(values[i + 1 : j + 1], weights=step[i + 1 : j + 1]) for i, j in zip(a, b, strict=True)]
         )
 
-    duration = time_s[b] - time_s[a]
-    return Plateaus(
-        _timeline(time_s[a], duration, mean(table_rate_rad_per_s), mean(temperature_c), axis), a, b, missing
-    )
-
-
-def _timeline(start, duration, rate, temperature, axis) -> Timeline:
-    count = len(start)
-    yes = jnp.ones(count, bool)
-    return Timeline(
-        start=jnp.asarray(start),
-        duration=jnp.asarray(duration),
-        u_start=jnp.zeros(count),
-        u_end=jnp.ones(count),
-        terms=jnp.asarray(rate[:, None] * np.asarray(CONSTANT)[None]),
-        share=jnp.ones(count),
-        trail=jnp.asarray(temperature),
-        slope=jnp.zeros(count),
-        excess=jnp.zeros(count),
-        lag_rate=jnp.zeros(()),
-        read=yes,
-        at_rest=~yes,
-        moving=yes,
-        reset=yes,
-        segment=jnp.arange(count),
-        moving_pieces=IndexArray(np.arange(count)),
-        varying_pieces=IndexArray(()),
-        gap_pieces=IndexArray(()),
-        segment_moves=(-1,) * count,
-        axis=axis,
-        rate_reference=True,
-    )
+    points = (time_s[a], time_s[b] - time_s[a], mean(table_rate_rad_per_s), mean(temperature_c))
+    return Plateaus(points_timeline(*(jnp.asarray(values) for values in points), axis=axis), a, b, missing)
 
 
 def _temperature_tolerance(planned: np.ndarray) -> np.ndarray:

@@ -45,7 +45,7 @@ def estimate_robustly(
     whites: list[Whitened] = []
     weights = np.ones((observations.unit_count, int(used.sum())))
     for unit in range(observations.unit_count):
-        single = Whitened(plain.rows_of(unit)[None], plain.data[unit : unit + 1], plain.prior)
+        single = plain.of_unit(unit)
         one = _unit(first, unit)
         if np.max(np.abs(one.residuals), initial=0.0) > threshold:
             alone = observations._replace(

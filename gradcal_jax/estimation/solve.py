@@ -38,6 +38,10 @@ class Whitened(NamedTuple):
     def rows_of(self, unit: int) -> np.ndarray:
         return self.rows[unit if len(self.rows) > 1 else 0]
 
+    def of_unit(self, unit: int) -> "Whitened":
+        """One unit alone."""
+        return Whitened(self.rows_of(unit)[None], self.data[unit : unit + 1], self.prior)
+
     def only(self, subset: np.ndarray) -> "Whitened":
         """Some of the readings `(n,)`: whitened rows are independent, so any subset is an experiment of its own."""
         return Whitened(self.rows[:, subset], self.data[:, subset], self.prior)

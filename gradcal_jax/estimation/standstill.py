@@ -49,7 +49,7 @@ def find_standstills(
     still = usable & (spread <= quiet) & np.all(np.abs(mean) <= largest_bias, axis=1)
     number = np.full(len(still), -1, np.int64)
     count = 0
-    for first, end in _runs(still):
+    for first, end in runs(still):
         calm = np.flatnonzero(spread[first:end] <= factor * max(float(np.median(spread[first:end])), least))
         # A window that touches a move is restless half its width too early and too late, on the safe side.
         first, end = first + int(calm[0]), first + int(calm[-1]) + 1
@@ -75,7 +75,7 @@ def _about_each_row(rate: np.ndarray, usable: np.ndarray, width: int) -> tuple[n
     return mean + middle, np.sqrt(np.sum(np.maximum(square - mean**2, 0.0), axis=1))
 
 
-def _runs(mask: np.ndarray) -> np.ndarray:
+def runs(mask: np.ndarray) -> np.ndarray:
     """First row and row after the last of each run of true, `(runs, 2)`."""
     padded = np.zeros(len(mask) + 2, np.int8)
     padded[1:-1] = mask

@@ -15,7 +15,7 @@ import numpy as np
 
 from gradcal_jax.assemble import assemble, knowledge
 from gradcal_jax.assemble.build import error_model
-from gradcal_jax.assemble.knowledge import UNIT_OF
+from gradcal_jax.assemble.knowledge import UNIT_OF, box, verdict
 from gradcal_jax.errormodel import GyroModel, Map
 from gradcal_jax.files import Spec, changed, spec_of, to_toml
 from gradcal_jax.files.plan import StandardPlan
@@ -170,13 +170,8 @@ def _row(i: int, channel: str, requirement: Requirement, values: np.ndarray) -> 
         value = statistic(name, values) * factor
         none = not np.isfinite(value) or (requirement.quantity == "bias" and name == "mean of max")
         found.append(None if none else value)
-    decisive = found[STATISTICS.index(requirement.statistic)]
-    verdict = ""
-    if decisive is None:
-        verdict = "unobservable"
-    elif requirement.target is not None:
-        verdict = "met" if decisive <= float(requirement.target) * factor else "missed"
-    return Residual(i, channel, tuple(found), verdict)
+    said = verdict(requirement, found[STATISTICS.index(requirement.statistic)])
+    return Residual(i, channel, tuple(found), said or "")
 
 
 # --- the residual map -------------------------------------------------------------------------------------------------
@@ -189,7 +184,7 @@ def residual_values(known: Posterior, model: GyroModel, requirement: Requirement
     fewer operations than the square of every row. Maps with a discrepancy, and plans that leave something unobservable,
     take the plain road.
     """
-    temperatures, rates = _box(requirement)
+    temperatures, rates = box(requirement)
     of = model.bias if requirement.quantity == "bias" else model.scale
     if of is None or of.discrepancy_size or known.hidden.shape[1]:
         return residual(known, model, requirement.quantity, temperatures, rates)
@@ -204,15 +199,6 @@ def residual_values(known: Posterior, model: GyroModel, requirement: Requirement
     square = half @ np.swapaxes(half, 1, 2)
     pairs = (by_w[:, :, None] * by_w[:, None, :]).reshape(len(rates), -1)
     return np.sqrt(np.maximum(square.reshape(len(temperatures), -1) @ pairs.T, 0.0))
-
-
-def _box(requirement: Requirement) -> tuple[np.ndarray, np.ndarray]:
-    cold, warm = (float(t) for t in requirement.temperature)
-    rates = np.zeros(1)
-    if requirement.quantity == "scale_factor":
-        slow, fast = (float(w) for w in requirement.rate)
-        rates = np.linspace(slow, fast, requirement.grid[1])
-    return np.linspace(cold, warm, requirement.grid[0]), rates
 
 
 def _values(of: Map, which: str, points: np.ndarray) -> np.ndarray:

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from gradcal_jax.formulas import CONSTANT, reading_times, repetitions
+from gradcal_jax.formulas import reading_times, repetitions
 from gradcal_jax.plans.motion import Division, Move, Pieces, divide, join, repeat, standing
 from gradcal_jax.plans.programme import Programme
-from gradcal_jax.plans.timeline import IndexArray, Timeline
+from gradcal_jax.plans.timeline import IndexArray, Timeline, points_timeline
 
 
 class Stretch(NamedTuple):
@@ -223,42 +223,25 @@ class StandardPlan(eqx.Module):
     def timeline(self, channel: str = "x", thermal_lag: Float[Array, ""] | float | None = None) -> Timeline:
         """One piece a point. With a thermal lag, each temperature's step decays through its soak and points."""
         n_t, n_r = self.temperatures.shape[0], self.rates.shape[0]
-        count = n_t * n_r
         stay = self.soak + n_r * self.integration
         into = jnp.tile(self.soak + self.integration * jnp.arange(n_r, dtype=float), n_t)
         start = jnp.repeat(stay * jnp.arange(n_t, dtype=float), n_r) + into
-        lag_rate = jnp.zeros(()) if thermal_lag is None else 1.0 / jnp.asarray(thermal_lag, dtype=start.dtype)
-        excess = jnp.zeros(count)
+        lag_rate = excess = None
         if thermal_lag is not None:
+            lag_rate = 1.0 / jnp.asarray(thermal_lag, dtype=start.dtype)
             sensor, left = self.temperatures[0], []
             for k in range(n_t):
                 left.append(sensor - self.temperatures[k])
                 sensor = self.temperatures[k] + left[k] * jnp.exp(-lag_rate * stay)
             excess = jnp.repeat(jnp.stack(left), n_r) * jnp.exp(-lag_rate * into)
-        yes = jnp.ones(count, bool)
-        return Timeline(
-            start=start,
-            duration=jnp.ones(count) * self.integration,
-            u_start=jnp.zeros(count),
-            u_end=jnp.ones(count),
-            terms=jnp.tile(self.rates, n_t)[:, None] * jnp.asarray(CONSTANT)[None, :],
-            share=jnp.ones(count),
-            trail=jnp.repeat(self.temperatures, n_r),
-            slope=jnp.zeros(count),
+        return points_timeline(
+            start,
+            jnp.ones(n_t * n_r) * self.integration,
+            jnp.tile(self.rates, n_t),
+            jnp.repeat(self.temperatures, n_r),
+            axis=channel,
             excess=excess,
             lag_rate=lag_rate,
-            read=yes,
-            at_rest=~yes,
-            moving=yes,
-            reset=yes,
-            segment=jnp.arange(count),
-            moving_pieces=IndexArray(np.arange(count)),
-            varying_pieces=IndexArray(()),
-            gap_pieces=IndexArray(()),
-            segment_moves=(-1,) * count,
-            axis=channel,
-            rate_reference=True,
-            lagged=thermal_lag is not None,
         )
 
 

@@ -98,3 +98,45 @@ class Timeline(eqx.Module):
     def end_rate(self) -> Float[Array, " P"]:
         """Rate (rad/s) at the end of each piece."""
         return jnp.einsum("pm,pm->p", formulas.motion_rate(self.u_end), self.terms)
+
+
+def points_timeline(
+    start: Float[Array, " P"],
+    duration: Float[Array, " P"],
+    rate: Float[Array, " P"],
+    temperature: Float[Array, " P"],
+    *,
+    axis: str = "x",
+    excess: Float[Array, " P"] | None = None,
+    lag_rate: Float[Array, ""] | None = None,
+) -> Timeline:
+    """The standard method's points (s, rad/s, °C): one piece and one reading of a held rate each, all independent.
+
+    `excess` and `lag_rate`: how a lagging sensor comes to the temperature; see the module's head.
+    """
+    count = start.shape[0]
+    yes, nothing = jnp.ones(count, bool), jnp.zeros(count)
+    return Timeline(
+        start=start,
+        duration=duration,
+        u_start=nothing,
+        u_end=jnp.ones(count),
+        terms=rate[:, None] * jnp.asarray(formulas.CONSTANT)[None, :],
+        share=jnp.ones(count),
+        trail=temperature,
+        slope=nothing,
+        excess=nothing if excess is None else excess,
+        lag_rate=jnp.zeros(()) if lag_rate is None else lag_rate,
+        read=yes,
+        at_rest=~yes,
+        moving=yes,
+        reset=yes,
+        segment=jnp.arange(count),
+        moving_pieces=IndexArray(np.arange(count)),
+        varying_pieces=IndexArray(()),
+        gap_pieces=IndexArray(()),
+        segment_moves=(-1,) * count,
+        axis=axis,
+        rate_reference=True,
+        lagged=lag_rate is not None,
+    )

@@ -314,12 +314,21 @@ def test_compound_units_agree_with_pint(top, bottom, number):
 
 
 @pytest.mark.parametrize(
-    ("text", "dimension", "silently"),
-    [("0.1 °/√h", ARW, "degree / hour"), ("10 mg", "acceleration", "milligram"), ("30″", "angle", "dimensionless")],
+    ("text", "dimension", "understood"),
+    [
+        # Until 0.25 silently wrong, refused by 0.26.
+        ("0.1 °/√h", ARW, ("degree / hour", "nothing")),
+        ("30″", "angle", ("dimensionless", "nothing")),
+        ("10 mg", "acceleration", ("milligram",)),
+    ],
 )
-def test_where_a_general_library_is_silently_wrong_this_grammar_is_right(text, dimension, silently):
+def test_where_a_general_library_is_wrong_this_grammar_is_right(text, dimension, understood):
     """Why there is a grammar of our own."""
-    assert str(ureg.Quantity(text).units) == silently
+    try:
+        theirs = str(ureg.Quantity(text).units)
+    except pint.UndefinedUnitError:
+        theirs = "nothing"
+    assert theirs in understood
     expected = {ARW: 0.1 * DEG / 60, "acceleration": 0.0980665, "angle": DEG / 120}[dimension]
     assert parse(text, dimension) == pytest.approx(expected, rel=1e-15)
 

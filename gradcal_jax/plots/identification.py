@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from gradcal_jax.assemble.instability import Instability, Rest
 from gradcal_jax.assemble.knowledge import DEG_PER_H
 from gradcal_jax.identify import AllanDeviation, AllanFit
-from gradcal_jax.plots.style import new_axes, style_of
+from gradcal_jax.plots.style import PALETTE, new_axes, style_of
 
 
 def draw_drift(found: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
@@ -61,7 +61,7 @@ def draw_allan(rest: Rest, allan: AllanDeviation, fit: AllanFit, *, ax: Axes | N
     tau, hour = allan.averaging_time_s, DEG_PER_H
     (line,) = ax.loglog(tau, allan.deviation * hour, label="Allan deviation", **style_of(0))
     ax.fill_between(
-        tau, fit.lower * hour, fit.upper * hour, alpha=0.25, color="#0072B2", label=f"{fit.confidence:.1%} confidence"
+        tau, fit.lower * hour, fit.upper * hour, alpha=0.25, color=PALETTE[0], label=f"{fit.confidence:.1%} confidence"
     )
     ax.loglog(fit.averaging_time_s, fit.model_deviation * hour, label="fitted Q, N, B, K", **style_of(1))
     ax.set(xlabel="averaging or integration time, s", ylabel="rate, deg/h", title=_name(rest))

@@ -15,12 +15,13 @@ def draw_prediction(spec: Spec) -> Figure:
     Errors: `ValueError` for a spec without requirements, which leaves nothing to draw.
     """
     built = assemble(spec)
+    known = {channel: knowledge(built, channel) for channel in built.channels}
     panels = [(r, c) for r in spec.requirement for c in built.channels]
     if not panels:
         raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add one")
     figure = Figure(figsize=(6.4, 4.2 * len(panels)), layout="constrained")
     for axes, (requirement, channel) in zip(figure.subplots(len(panels), squeeze=False)[:, 0], panels, strict=True):
-        temperature, rate, values = residual_map(built, knowledge(built, channel), requirement)
+        temperature, rate, values = residual_map(built, known[channel], requirement)
         unit = UNIT_OF[requirement.quantity][0]
         name = requirement.name if len(built.channels) == 1 else f"{requirement.name}, axis {channel}"
         if requirement.quantity == "scale_factor":
@@ -43,9 +44,9 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
     for axes, (name, quantity) in zip(all_axes, names, strict=True):
         for index, (label, spec) in enumerate(specs):
             built = assemble(spec)
+            known = knowledge(built, built.channels[0])
             for requirement in (r for r in spec.requirement if (r.name, r.quantity) == (name, quantity)):
-                channel = built.channels[0]
-                temperature, rate, values = residual_map(built, knowledge(built, channel), requirement)
+                temperature, rate, values = residual_map(built, known, requirement)
                 if quantity == "scale_factor":
                     draw_worst_over_temperature(rate, values, "ppm", label=label, index=index, ax=axes)
                 else:

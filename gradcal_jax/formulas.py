@@ -12,7 +12,7 @@ so a piece is ten numbers, its angle is a closed form, and shapes mix in one arr
 gives the pieces of each named shape for unit peak rate.
 """
 
-from math import floor, pi
+from math import exp, expm1, floor, pi
 from typing import Any
 
 Array = Any
@@ -258,6 +258,15 @@ def lagged_temperature(t: Array, start: Array, slope: Array, excess: Array, lag_
     """
     xp = t.__array_namespace__()
     return start + slope * t + excess * xp.exp(-lag_rate * t)
+
+
+def lag_filter(interval_s: float, lag_s: float) -> tuple[list[float], list[float]]:
+    """A first-order lag behind samples `interval_s` apart, between which the signal runs straight: numerator and
+    denominator of the recursion, as `scipy.signal.lfilter` takes them. (A plain recursion would lag by half a sample.)
+    """
+    ratio = interval_s / lag_s
+    keep, share = exp(-ratio), -expm1(-ratio) / ratio
+    return [1.0 - share, share - keep], [1.0, -keep]
 
 
 # --- maps -------------------------------------------------------------------------------------------------------------

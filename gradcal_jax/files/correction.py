@@ -132,11 +132,9 @@ def effective_temperature(axis: AxisCalibration, temperature_c: Floats, time_s: 
     if axis.thermal_lag is None:
         return temperature_c
     signal: Any = importlib.import_module("scipy.signal")
-    ratio = float(np.mean(np.diff(time_s))) / float(axis.thermal_lag)
-    keep = float(np.exp(-ratio))
-    share = -float(np.expm1(-ratio)) / ratio
+    filter_ = formulas.lag_filter(float(np.mean(np.diff(time_s))), float(axis.thermal_lag))
     start = temperature_c[0]
-    late: Any = signal.lfilter([1 - share, share - keep], [1.0, -keep], temperature_c - start)
+    late: Any = signal.lfilter(*filter_, temperature_c - start)
     return np.add(cast(Floats, late), start)
 
 

@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import optimize, signal
 
+from gradcal_jax.formulas import lag_filter
+
 
 @dataclass(frozen=True)
 class ThermalBias:
@@ -47,13 +49,9 @@ def lagged(
     """A first-order lag behind temperatures that run straight from sample to sample, in equilibrium at the first."""
     if lag_time_s <= 0:
         return temperature_c
-    ratio = sample_interval_s / lag_time_s
-    keep = np.exp(-ratio)
-    # The exact response to a straight line: a plain recursion would lag by half a sample.
-    share = -np.expm1(-ratio) / ratio
     start = temperature_c[0]
-    result, _ = signal.lfilter([1 - share, share - keep], [1.0, -keep], temperature_c - start, zi=np.zeros(1))
-    return result + start
+    above, _ = signal.lfilter(*lag_filter(sample_interval_s, lag_time_s), temperature_c - start, zi=np.zeros(1))
+    return above + start
 
 
 def fit_thermal_bias(

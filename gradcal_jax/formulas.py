@@ -272,6 +272,14 @@ def lag_filter(interval_s: float, lag_s: float) -> tuple[list[float], list[float
 # --- maps -------------------------------------------------------------------------------------------------------------
 
 
+def runs(where: Array) -> Array:
+    """Where the runs of true values begin and end: `(n,) -> (runs, 2)`, first place and the place after the last."""
+    xp = where.__array_namespace__()
+    outside = xp.zeros(1, dtype=bool)
+    padded = xp.concat([outside, where, outside])
+    return xp.reshape(xp.nonzero(padded[1:] != padded[:-1])[0], (-1, 2))
+
+
 def scale_factor_map(temperature_basis: Array, rate_basis: Array, coefficients: Array) -> Array:
     """`M(T, ω) = Σ_ij ψ_i(T) c_ij χ_j(ω)`: bases `(..., n_T)`, `(..., n_ω)`, coefficients `(n_T, n_ω)` -> `(...)`."""
     return ((temperature_basis @ coefficients) * rate_basis).sum(-1)

@@ -4,6 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import Act, textbook_rate
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.polynomial import chebyshev, legendre
 from scipy.integrate import quad
 from scipy.interpolate import BSpline
@@ -97,3 +99,15 @@ def test_the_scale_factor_map_is_the_sum_over_both_bases():
     rng = np.random.default_rng(1)
     t, w, c = rng.random((5, 3)), rng.random((5, 2)), rng.random((3, 2))
     np.testing.assert_allclose(formulas.scale_factor_map(t, w, c), np.einsum("gi,ij,gj->g", t, c, w))
+
+
+@given(st.lists(st.booleans(), max_size=40))
+def test_runs_are_where_true_values_stand_together(values):
+    where = np.array(values, bool)
+    found = formulas.runs(where)
+    again = np.zeros(len(where), int)
+    for number, (first, end) in enumerate(found.tolist(), start=1):
+        assert end > first
+        again[first:end] = number
+    np.testing.assert_array_equal(again > 0, where)
+    assert np.all(found[1:, 0] > found[:-1, 1])  # something false stands between two

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation as room
+from gradcal_jax import formulas
 from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM
 from gradcal_jax.assemble.log_rows import count_rows, table_axis_of
 from gradcal_jax.assemble.unit_channel import integrated_rows
@@ -141,10 +142,7 @@ def _axis(
 
 def _moves(moving: np.ndarray) -> list[tuple[int, int]]:
     """First and last piece of every move."""
-    padded = np.zeros(len(moving) + 2, np.int8)
-    padded[1:-1] = moving
-    edges = np.flatnonzero(np.diff(padded)).reshape(-1, 2)
-    return [(int(a), int(b) - 1) for a, b in edges]
+    return [(first, end - 1) for first, end in formulas.runs(moving).tolist()]
 
 
 def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.signal import find_peaks
 
-from gradcal_jax.estimation.standstill import runs
-from gradcal_jax.formulas import CONSTANT
+from gradcal_jax.formulas import CONSTANT, runs
 from gradcal_jax.plans import Timeline
 from gradcal_jax.plans.timeline import IndexArray
 

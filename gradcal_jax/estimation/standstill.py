@@ -15,6 +15,8 @@ Stretches that are too short are no standstills.
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from gradcal_jax import formulas
+
 _QUIETEST = 0.10
 # Of a count of a quantised sensor, the spread where it flickers between two values half of the time or less.
 _FLICKER = 0.3
@@ -49,7 +51,7 @@ def find_standstills(
     still = usable & (spread <= quiet) & np.all(np.abs(mean) <= largest_bias, axis=1)
     number = np.full(len(still), -1, np.int64)
     count = 0
-    for first, end in runs(still):
+    for first, end in formulas.runs(still):
         calm = np.flatnonzero(spread[first:end] <= factor * max(float(np.median(spread[first:end])), least))
         # A window that touches a move is restless half its width too early and too late, on the safe side.
         first, end = first + int(calm[0]), first + int(calm[-1]) + 1
@@ -73,13 +75,6 @@ def _about_each_row(rate: np.ndarray, usable: np.ndarray, width: int) -> tuple[n
     mean = uniform_filter1d(apart, width, axis=0) / share
     square = uniform_filter1d(apart**2, width, axis=0) / share
     return mean + middle, np.sqrt(np.sum(np.maximum(square - mean**2, 0.0), axis=1))
-
-
-def runs(mask: np.ndarray) -> np.ndarray:
-    """First row and row after the last of each run of true, `(runs, 2)`."""
-    padded = np.zeros(len(mask) + 2, np.int8)
-    padded[1:-1] = mask
-    return np.flatnonzero(np.diff(padded)).reshape(-1, 2)
 
 
 def _least_step(values: np.ndarray) -> float:

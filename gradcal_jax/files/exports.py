@@ -367,15 +367,6 @@ def _words(basis: Any) -> str:
     return "; ".join(parts)
 
 
-def read_csv(text: str) -> dict[str, dict[str, float]]:
-    """Coefficients by axis and name, from what the csv export wrote."""
-    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    result: dict[str, dict[str, float]] = {}
-    for row in rows:
-        result.setdefault(row["axis"], {})[row["name"]] = float(row["value"])
-    return result
-
-
 FORMATS: Final[Mapping[str, Callable[[Calibration, Mapping[str, Any]], Export]]] = {
     "ardupilot": _ardupilot,
     "px4": _px4,

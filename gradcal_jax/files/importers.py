@@ -29,7 +29,7 @@ at the top. Times count from the first row.
 import array
 import csv
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TextIO, TypeVar
 
@@ -42,7 +42,7 @@ from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 from gradcal_jax.files.matlab_file import read_matlab
-from gradcal_jax.files.problems import Problem, nearest
+from gradcal_jax.files.problems import Problem, instead
 from gradcal_jax.files.quantity import Flag, Number, Of, PositiveRate, Quantity, Text, Whole
 from gradcal_jax.files.section import Section, refuse
 
@@ -404,10 +404,7 @@ def _place(source: Source, header: list[str], named: bool) -> int:
     if not named:
         raise LogError(f"{source.words()} needs a header; without one columns are numbered from 0")
     if source.column not in header:
-        close = nearest(source.column, header)
-        raise LogError(
-            f"there is no {source.words()}; " + (f"nearest: '{close}'" if close else f"there are: {_listed(header)}")
-        )
+        raise LogError(f"there is no {source.words()}; {instead(source.column, header)}")
     return header.index(source.column)
 
 
@@ -496,11 +493,7 @@ def _of_arrays(arrays: Mapping[str, Array]) -> _Table:
     def find(source: Source) -> Array:
         name = str(source.column)
         if name not in arrays:
-            close = nearest(name, arrays)
-            raise LogError(
-                f"there is no {source.words()}; "
-                + (f"nearest: '{close}'" if close else f"there are: {_listed(arrays)}")
-            )
+            raise LogError(f"there is no {source.words()}; {instead(name, arrays)}")
         values = arrays[name]
         if values.ndim == 1 and source.index is None:
             return values
@@ -511,8 +504,3 @@ def _of_arrays(arrays: Mapping[str, Array]) -> _Table:
         )
 
     return _Table(find)
-
-
-def _listed(names: Iterable[str]) -> str:
-    names = list(names)
-    return ", ".join(names[:12]) + (", …" if len(names) > 12 else "") if names else "none"

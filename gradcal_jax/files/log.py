@@ -20,9 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
-from gradcal_jax.files.problems import nearest
+from gradcal_jax.files.problems import instead
 
 FORMAT: Final = "gradcal-log/1"
+_UNITS: Final = {
+    "time": "s",
+    "rate": "rad s-1",
+    "temperature": "degC",
+    "table_angle": "rad",
+    "table_rate": "rad s-1",
+    "host_time": "s",
+}
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Flags = NDArray[np.uint16]
@@ -208,26 +216,23 @@ def write_log(log: Log, path: str | Path) -> None:
     """
     xarray: Any = importlib.import_module("xarray")
 
-    def variable(dimensions: tuple[str, ...], values: NDArray[Any], unit: str, words: str) -> Any:
-        return (dimensions, values, {"units": unit, "long_name": words})
-
-    variables: dict[str, Any] = {
-        "rate": variable(("unit", "time", "axis"), log.rate_rad_per_s, "rad s-1", "angular rate of the sensor")
-    }
-    optional: tuple[tuple[str, tuple[str, ...], NDArray[Any] | None, str, str], ...] = (
-        ("temperature", ("unit", "time"), log.temperature_c, "degC", "temperature of the sensor"),
-        ("table_angle", ("time", "table_axis"), log.table_angle_rad, "rad", "angle of the table, not wrapped"),
-        ("table_rate", ("time", "table_axis"), log.table_rate_rad_per_s, "rad s-1", "rate of the table"),
-        ("standstill", ("time",), log.standstill, "1", "number of the standstill, -1 while moving"),
-        ("host_time", ("time",), log.host_time_s, "s", "stamp of the computer"),
-        ("status", ("unit", "time"), log.status, "1", "0 usable, otherwise bits: " + _bits()),
+    contents: tuple[tuple[str, tuple[str, ...], NDArray[Any] | None, str], ...] = (
+        ("rate", ("unit", "time", "axis"), log.rate_rad_per_s, "angular rate of the sensor"),
+        ("temperature", ("unit", "time"), log.temperature_c, "temperature of the sensor"),
+        ("table_angle", ("time", "table_axis"), log.table_angle_rad, "angle of the table, not wrapped"),
+        ("table_rate", ("time", "table_axis"), log.table_rate_rad_per_s, "rate of the table"),
+        ("standstill", ("time",), log.standstill, "number of the standstill, -1 while moving"),
+        ("host_time", ("time",), log.host_time_s, "stamp of the computer"),
+        ("status", ("unit", "time"), log.status, "0 usable, otherwise bits: " + _bits()),
+        ("stretch_start", ("stretch",), log.stretch_starts, "row at which a stretch begins"),
     )
-    for name, dimensions, values, unit, words in optional:
-        if values is not None:
-            variables[name] = variable(dimensions, values, unit, words)
-    variables["stretch_start"] = variable(("stretch",), log.stretch_starts, "1", "row at which a stretch begins")
+    variables: dict[str, Any] = {
+        name: (dimensions, values, {"units": _UNITS.get(name, "1"), "long_name": words})
+        for name, dimensions, values, words in contents
+        if values is not None
+    }
     coordinates: dict[str, Any] = {
-        "time": ("time", log.time_s, {"units": "s", "long_name": "stamp of the sensor's clock"}),
+        "time": ("time", log.time_s, {"units": _UNITS["time"], "long_name": "stamp of the sensor's clock"}),
         "unit": ("unit", list(log.units)),
         "axis": ("axis", list(log.axes)),
     }
@@ -271,16 +276,6 @@ def read_log(path: str | Path) -> Log:
         raise LogError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError) as error:
         raise LogError(f"{path} is not a whole log: {error}") from None
-
-
-_UNITS: Final = {
-    "time": "s",
-    "rate": "rad s-1",
-    "temperature": "degC",
-    "table_angle": "rad",
-    "table_rate": "rad s-1",
-    "host_time": "s",
-}
 
 
 def _from_dataset(dataset: Any) -> Log:
@@ -331,11 +326,7 @@ def _index(label: str | int, labels: tuple[str, ...], kind: str) -> int:
         raise LogError(f"there is no {kind} number {label}: the log has {len(labels)}, counted from 0")
     if label in labels:
         return labels.index(label)
-    close = nearest(label, labels)
-    raise LogError(
-        f"there is no {kind} '{label}' in this log; "
-        + (f"nearest: '{close}'" if close else f"it has {', '.join(labels)}")
-    )
+    raise LogError(f"there is no {kind} '{label}' in this log; {instead(label, labels)}")
 
 
 def _bits() -> str:

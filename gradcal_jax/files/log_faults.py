@@ -23,6 +23,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gradcal_jax import formulas
 from gradcal_jax.files.log import Finding, Log, LogError, Reason
 from gradcal_jax.files.section import Section
 
@@ -362,7 +363,7 @@ def _stuck_at_extreme(values: Floats) -> Bools:
     usual = float(np.median(np.abs(values[finite] - middle)))
     for extreme in (float(values[finite].max()), float(values[finite].min())):
         if abs(extreme - middle) > 20 * usual > 0:
-            for start, stop in _runs(values == extreme):
+            for start, stop in formulas.runs(values == extreme).tolist():
                 result[start:stop] |= stop - start >= _STUCK
     return result
 
@@ -406,13 +407,6 @@ def _wander(interval: Floats, blocks: int = 50) -> float:
     return float(np.sqrt(max(excess, 0.0))) / float(means.mean())
 
 
-def _runs(where: Bools) -> list[tuple[int, int]]:
-    padded = np.zeros(len(where) + 2, np.int8)
-    padded[1:-1] = where
-    edges = np.flatnonzero(np.diff(padded)).reshape(-1, 2)
-    return [(start, stop) for start, stop in edges.tolist()]
-
-
 def _numbered(standstill: Floats | None) -> NDArray[np.int64] | None:
     """Numbers of standstills: those given, or truth values counted up run by run; -1 while moving."""
     if standstill is None:
@@ -420,7 +414,7 @@ def _numbered(standstill: Floats | None) -> NDArray[np.int64] | None:
     known = np.where(np.isfinite(standstill), standstill, -1.0)
     if np.isin(known, (0.0, 1.0)).all():
         result = np.full(len(known), -1, np.int64)
-        for number, (start, stop) in enumerate(_runs(known == 1.0)):
+        for number, (start, stop) in enumerate(formulas.runs(known == 1.0).tolist()):
             result[start:stop] = number
         return result
     return np.maximum(np.rint(np.clip(known, -1, 2**53)), -1).astype(np.int64)

@@ -108,6 +108,14 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return close[0] if close else None
 
 
+def instead(word: str, known: Iterable[str]) -> str:
+    """``nearest: 'gyro_x'``, or what there is."""
+    names = list(known)
+    if (close := nearest(word, names)) is not None:
+        return f"nearest: '{close}'"
+    return f"there are: {', '.join(names[:12])}" + (", …" if len(names) > 12 else "") if names else "there are none"
+
+
 def one_of(known: Iterable[str]) -> str:
     """``"a", "b" or "c"``."""
     names = [f'"{name}"' for name in known]

@@ -30,6 +30,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import optimize, special
 
+from gradcal_jax import formulas
+
 TERMS = ("quantisation", "angle_random_walk", "bias_instability", "rate_random_walk")
 _FLICKER = 2.0 * np.log(2.0) / np.pi
 # Second differences are summed in pieces that stay in the cache.
@@ -119,9 +121,7 @@ def overlapping_allan(
     usable = np.ones(len(rate), bool) if valid is None else valid
     if usable.shape != rate.shape:
         raise ValueError(f"the mask of usable samples has the shape {usable.shape}, the rates {rate.shape}")
-    padded = np.zeros(len(usable) + 2, np.int8)
-    padded[1:-1] = usable
-    edges = np.flatnonzero(np.diff(padded)).reshape(-1, 2)
+    edges = formulas.runs(usable)
     lengths = tuple((edges[:, 1] - edges[:, 0]).tolist())
     longest = max(lengths, default=0)
     if longest < 2:
@@ -226,7 +226,7 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         raise ValueError("the rate does not change: there is no noise to fit")
     design = _design(tau) * chosen
     steps = np.rint(tau / allan.sample_interval_s).astype(np.int64)
-    runs = _runs(allan.stretch_lengths)
+    runs = _alike(allan.stretch_lengths)
 
     # To begin with every V is as uncertain, relatively, as if its differences were independent over τ.
     expected = np.maximum(variance, variance.max() * 1e-12)
@@ -293,7 +293,7 @@ def _non_negative(
     return squares
 
 
-def _runs(stretch_lengths: tuple[int, ...]) -> list[tuple[int, int]]:
+def _alike(stretch_lengths: tuple[int, ...]) -> list[tuple[int, int]]:
     """(length, how many) of the unbroken stretches."""
     lengths, counts = np.unique(np.array(stretch_lengths), return_counts=True)
     return list(zip(lengths.tolist(), counts.tolist(), strict=True))

@@ -18,11 +18,12 @@ records that resist (many equal values) it is that of the plain passes, done in 
 the length of one channel.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+from gradcal_jax import formulas
 
 _BLOCK = 64
 _BLOCKS_AT_ONCE = 1024
@@ -63,7 +64,7 @@ def longest_integration_time(
     valid: Bool[np.ndarray, " samples"], sample_interval_s: float, averaging_time_s: float
 ) -> float:
     """The longest t (s) for which some unbroken stretch still holds one start; zero or less where there is none."""
-    longest = max((stop - start for start, stop in _stretches(valid)), default=0)
+    longest = max((stop - start for start, stop in formulas.runs(valid).tolist()), default=0)
     return (longest - _whole_samples(averaging_time_s, sample_interval_s)) * sample_interval_s
 
 
@@ -105,7 +106,7 @@ def largest_drift(
     for channel in range(channels):
         mask = usable[:, channel if usable.shape[1] > 1 else 0]
         longest = 0
-        for start, stop in _stretches(mask):
+        for start, stop in formulas.runs(mask).tolist():
             longest = max(longest, stop - start)
             fitting = int(np.searchsorted(lengths, stop - start - before, side="right"))
             if fitting == 0:
@@ -141,7 +142,7 @@ def drifts(
     before = _whole_samples(averaging_time_s, sample_interval_s)
     length = _whole_samples(integration_time_s, sample_interval_s)
     found = [np.zeros(0)]
-    for start, stop in _stretches(np.ones(len(rate), bool) if valid is None else valid):
+    for start, stop in formulas.runs(np.ones(len(rate), bool) if valid is None else valid).tolist():
         if stop - start >= before + length:
             angle = _running_angle(rate[start:stop], first_sample=start)
             anchor = angle[before : len(angle) - length]
@@ -241,14 +242,6 @@ def _running_angle(rate: Float[np.ndarray, " samples"], *, first_sample: int) ->
         raise ValueError(f"the rate of sample {first_sample + bad} is not finite: mark such samples as not valid")
     running[1:] -= mean
     return np.cumsum(running, out=running)
-
-
-def _stretches(valid: Bool[np.ndarray, " samples"]) -> Iterator[tuple[int, int]]:
-    """(start, stop) of each run of usable samples."""
-    padded = np.zeros(len(valid) + 2, np.int8)
-    padded[1:-1] = valid
-    edges = np.flatnonzero(np.diff(padded))
-    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
 def _whole_samples(time_s: float, sample_interval_s: float) -> int:

@@ -90,6 +90,7 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
 def _limits(path: Path) -> dict[str, float]:
     try:
         rows: list[dict[str, Any]] = json.loads(read_text(path))
+        # A slice, since an empty object would pass for an empty list.
         return {str(row["name"]): float(row["certified"]) for row in rows[:]}
     except (ValueError, TypeError, KeyError):
         raise ValueError(f"{path} is not what `gradcal limit --json` prints") from None

@@ -50,10 +50,6 @@ class GradientPlan(eqx.Module):
         """Axes that move, in the order of the moves; `("x",)` for a plan that stands."""
         return tuple(dict.fromkeys(m.axis for m in self.moves if m.shape != "rest")) or ("x",)
 
-    @property
-    def total_time(self) -> Float[Array, ""]:
-        return self.programme.total
-
     def timeline(self, channel: str = "x", thermal_lag: Float[Array, ""] | float | None = None) -> Timeline:
         """The plan as the sensor on `channel` sees it; `thermal_lag` s, of the sensor behind the chamber."""
         pieces, segment, segment_moves = self._pieces(channel)
@@ -215,10 +211,6 @@ class StandardPlan(eqx.Module):
     @property
     def channels(self) -> tuple[str, ...]:
         return ("x",)
-
-    @property
-    def total_time(self) -> Float[Array, ""]:
-        return jnp.asarray(self.temperatures.shape[0] * (self.soak + self.rates.shape[0] * self.integration))
 
     def timeline(self, channel: str = "x", thermal_lag: Float[Array, ""] | float | None = None) -> Timeline:
         """One piece a point. With a thermal lag, each temperature's step decays through its soak and points."""

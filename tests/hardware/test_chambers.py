@@ -57,6 +57,9 @@ def test_every_chamber_holds_settles_and_goes_safe(bench) -> None:
             assert chamber.safe(policy, 23.0).verified
             clock.sleep(7200.0)
             assert chamber.read().air_c == pytest.approx(air, abs=0.1)
+        # Of a room that the chamber's limits leave out, as near as they allow.
+        assert chamber.safe(ChamberSafe.AMBIENT, 500.0).verified
+        assert chamber.read().setpoint_c == limits.highest_c
         assert chamber.safe(ChamberSafe.STANDBY).verified
         assert not chamber.read().conditioning
         assert port.lost_bytes == 0

@@ -11,7 +11,7 @@ from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, Mounting, SensorTruth
+from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, Mounting, Process, SensorTruth
 from gradcal_jax.hardware.simulate.stim300 import Stim300Options
 
 # --- clock ------------------------------------------------------------------------------------------------------------
@@ -209,6 +209,11 @@ def test_encoder_errors_are_of_the_kind_that_was_asked_for() -> None:
     once = AxisPlant(AxisTruth(encoder_error_deg=0.1))
     once.set_zero(0.0, 90.0)
     assert once.reading(1.0) == pytest.approx(90.1)
+    late = AxisPlant(AxisTruth(timing_error_s=0.002, seed=4))
+    assert late.reading(0.0) == 0.0  # nothing moves, and no instant is better than another
+    late.spin(0.0, 100.0, 1e6)
+    read = [late.reading(10.0 + 0.1 * k) - late.state(10.0 + 0.1 * k)[0] for k in range(400)]
+    assert np.std(read) == pytest.approx(100.0 * 0.002, rel=0.15)
 
 
 # --- sensor -----------------------------------------------------------------------------------------------------------
@@ -249,7 +254,7 @@ def test_sensor_noise_has_the_stated_size_and_correlation() -> None:
     angle = np.diff(np.cumsum(white, axis=0)[::125] / 125.0, axis=0)
     # Axis by axis: the Earth's rate is another constant on each.
     np.testing.assert_allclose(np.std(angle, axis=0), 0.1 / 60.0, rtol=0.12)
-    drift = SensorTruth(drifts_dps_s=((1.0 / 3600.0, 5.0),))
+    drift = SensorTruth(processes=(Process(1.0 / 3600.0, 5.0, 1.0),))
     states = sensor_on_table(clock, drift, seed=6).take(250_000).rate_dps[:, 0]
     states = states - states.mean()
     assert np.std(states) == pytest.approx(1.0 / 3600.0, rel=0.1)
@@ -258,8 +263,7 @@ def test_sensor_noise_has_the_stated_size_and_correlation() -> None:
 
 def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
     truth = SensorTruth(
-        drifts_dps_s=((1.0, 10.0), (0.1, 100.0)),
-        residual_scale_factor=(1e-4, 60.0),
+        processes=(Process(1.0, 10.0, 1.0), Process(0.1, 100.0, 1.0), Process(1e-4, 60.0, 0.0, 1.0)),
         angle_random_walk_deg_sqrt_s=0.01,
         turn_on_dps=0.1,
     )

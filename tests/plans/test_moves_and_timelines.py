@@ -70,7 +70,7 @@ def test_a_cycle_repeats_and_the_chambers_knee_divides_a_piece():
     line = plan.timeline()
     start, end = np.asarray(line.start), np.asarray(line.start + line.duration)
     np.testing.assert_allclose(start[1:], end[:-1], atol=1e-12)
-    assert end[-1] == pytest.approx(float(plan.total_time)) == pytest.approx(35.0)
+    assert end[-1] == pytest.approx(float(programme.total)) == pytest.approx(35.0)
     np.testing.assert_allclose(end[np.asarray(line.read)], [2, 4, 10, 17, 19, 25, 28, 31, 34], atol=1e-12)
     assert np.any(np.isclose(start, 21.0))
     ends = np.asarray(line.temperature(jnp.tile(jnp.array([0.0, 1.0]), (line.piece_count, 1))))
@@ -107,7 +107,7 @@ def test_a_lagging_sensor_follows_its_differential_equation():
 def test_a_standard_plan_soaks_then_holds_each_rate():
     plan = plans.standard_plan([-20.0, 50.0], 100.0, 30.0, [-1.0, 0.0, 2.0])
     line = plan.timeline()
-    assert float(plan.total_time) == 2 * (100.0 + 3 * 30.0)
+    assert float(line.start[-1] + line.duration[-1]) == 2 * (100.0 + 3 * 30.0)
     np.testing.assert_allclose(line.start, [100.0, 130.0, 160.0, 290.0, 320.0, 350.0])
     np.testing.assert_allclose(line.turned(), [-30.0, 0.0, 60.0] * 2)
     np.testing.assert_allclose(line.trail, [-20.0] * 3 + [50.0] * 3)

@@ -261,11 +261,10 @@ class EspecChamber:
     def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
         if policy is ChamberSafe.STANDBY:
             self.standby()
-        elif policy is ChamberSafe.HOLD:
-            now = self._ask("TEMP?", parse_temperatures)
-            self.hold(min(max(now.measured_c, now.low_c), now.high_c))
         else:
-            self.hold(ambient_c)
+            now = self._ask("TEMP?", parse_temperatures)
+            wanted = now.measured_c if policy is ChamberSafe.HOLD else ambient_c
+            self.hold(min(max(wanted, now.low_c), now.high_c))
         reading = self.read()
         return SafeReport(policy.value, True, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
 

@@ -25,7 +25,7 @@ from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from .port import SimulatedPort
 from .sensor import Mounting, Process, SensorTruth, SimulatedSensor, Triple, TruthBasis
-from .stim300 import SimulatedStim300, Stim300Options
+from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
 from .zaber import SimulatedZaber, ZaberOptions
 
 _EAST: Final[Triple] = (1.0, 0.0, 0.0)
@@ -110,6 +110,7 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         harmonics=tuple(harmonics),
         standstill_offset_deg=float(np.degrees(angle.standstill_offset)),
         reading_noise_deg=float(np.degrees(angle.reading_noise)),
+        timing_error_s=float(angle.timing_error),
         rate_accuracy=float(spec.rig.table.rate_accuracy or 0.0),
         seed=seed,
     )
@@ -187,8 +188,9 @@ class SimulatedLab:
             ),
             now,
         )
+        axis = self.truth.axis
         self.axis_plants = [
-            AxisPlant(_reseeded(self.truth.axis, number), now) for number, _ in enumerate(self.axes, start=1)
+            AxisPlant(replace(axis, seed=16 * axis.seed + number), now) for number in range(1, len(self.axes) + 1)
         ]
         several = len(self.axes) > 1
         mounting = Mounting(
@@ -218,8 +220,8 @@ class SimulatedLab:
                 for stage in self.table.stages:
                     reach = round(limited / 360.0 * stage.settings["limit.cycle.dist"])
                     stage.settings |= {"limit.min": -reach, "limit.max": reach}
-        code = [125.0, 250.0, 500.0, 1000.0, 2000.0].index(sample_rate_hz)
-        self.imu = SimulatedStim300(self.sensor, clock, Stim300Options(rate_code=code, burst_s=burst_s))
+        options = Stim300Options(rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
+        self.imu = SimulatedStim300(self.sensor, clock, options)
         self.ports = [
             SimulatedPort(device, clock, on_socket=on_sockets) for device in (self.chamber, self.table, self.imu)
         ]
@@ -270,7 +272,3 @@ class SimulatedLab:
 def _axes(spec: Spec) -> tuple[Axis, ...]:
     turned = {move.axis for block in tracks_of(spec)[1] for move in block.moves if move.do not in ("rest", "wait")}
     return tuple(axis for axis in AXES if axis in turned) or ("x",)
-
-
-def _reseeded(truth: AxisTruth, number: int) -> AxisTruth:
-    return replace(truth, seed=truth.seed * 16 + number)

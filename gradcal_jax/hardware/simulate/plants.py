@@ -117,7 +117,8 @@ class AxisTruth:
     """A rotary axis as it is. Travel in degrees each way from zero, None: endless.
 
     The encoder reads the true angle plus a repeatable error (once a turn, and `harmonics`: order, cosine and sine part
-    in deg) plus an offset drawn at every standstill plus white noise.
+    in deg) plus an offset drawn at every standstill plus white noise; each reading is of an instant that is off by
+    `timing_error_s`, one sigma.
 
     A constant rate is held to `rate_accuracy`, relative, drawn for each rate that is told, and the encoder does not see
     it: it counts at the rate that was told, and from where that has led to until the axis is homed.
@@ -129,6 +130,7 @@ class AxisTruth:
     harmonics: tuple[tuple[int, float, float], ...] = ()
     standstill_offset_deg: float = 0.0
     reading_noise_deg: float = 0.0
+    timing_error_s: float = 0.0
     rate_accuracy: float = 0.0
     seed: int = 0
 
@@ -185,8 +187,9 @@ class AxisPlant:
 
     def reading(self, now_s: float) -> float:
         """What the encoder says, deg."""
-        position, _ = self.state(now_s)
         truth = self.truth
+        late_s = truth.timing_error_s * float(self._random.standard_normal()) if truth.timing_error_s else 0.0
+        position, _ = self.state(now_s - late_s)
         turned = math.radians(position)
         error = truth.encoder_error_deg * math.sin(turned)
         error += sum(c * math.cos(order * turned) + s * math.sin(order * turned) for order, c, s in truth.harmonics)

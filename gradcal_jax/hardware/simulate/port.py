@@ -38,10 +38,8 @@ class Device(Protocol):
 
 
 @runtime_checkable
-class StreamingDevice(Protocol):
+class StreamingDevice(Device, Protocol):
     """A device that also speaks by itself."""
-
-    def receive(self, data: bytes) -> list[bytes]: ...
 
     def next_emission_s(self) -> float | None:
         """When, on the run's clock, it speaks next; None while it is silent."""

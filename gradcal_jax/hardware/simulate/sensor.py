@@ -2,10 +2,10 @@
 
     measured = ω + B(T) + k·dT/dt + turn-on + Σ drifts + (M(T, ω) + residual)·ω + random walks
 
-with B and M by the shared formulas in any basis (by default monomials of `(T − centre)/scale` and `ω/rate scale`), the
-Gauss–Markov drifts exactly discretised, the rate the exact mean over each sample's interval, the Earth's rate by
-latitude and attitude, and a sample clock of its own. Vectors: lab frame x east, y north, z up; the table's axes
-outermost first, given in the lab frame at angle zero; `mounting` turns the innermost axis' frame into the sensor's.
+with B and M by the shared formulas in any basis, the Gauss–Markov drifts exactly discretised, the rate the exact mean
+over each sample's interval, the Earth's rate by latitude and attitude, and a sample clock of its own. Vectors: lab
+frame x east, y north, z up; the table's axes outermost first, given in the lab frame at angle zero; `mounting` turns
+the innermost axis' frame into the sensor's.
 """
 
 from collections.abc import Sequence
@@ -20,6 +20,8 @@ from .plants import AxisPlant, ChamberPlant
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 
+# Centre and scale of the monomials of a truth without bases: °C and K, deg/s.
+_OF_TEMPERATURE, _OF_RATE = (20.0, 50.0), (0.0, 300.0)
 _BLOCK = 32
 
 Vectors = NDArray[np.float64]
@@ -62,19 +64,14 @@ class SensorTruth:
     bias_dps       (3, nT)      coefficients of B, deg/s
     scale_factor   (3, nT, nω)  coefficients of M, ratio; row index power of temperature, column power of rate
 
-    The bases are monomials with the centre and scales here, unless others are given. `gradient_deg_per_k` (3,) is the
-    bias for each K/s.
+    Without bases of their own they are of monomials of (T − 20 °C)/50 K and ω/(300 deg/s). `gradient_deg_per_k` (3,) is
+    the bias for each K/s.
     """
 
     bias_dps: tuple[tuple[float, ...], ...] = ((0.0,), (0.0,), (0.0,))
     scale_factor: tuple[tuple[tuple[float, ...], ...], ...] = (((0.0,),), ((0.0,),), ((0.0,),))
-    temperature_centre_c: float = 20.0
-    temperature_scale_k: float = 50.0
-    rate_scale_dps: float = 300.0
     angle_random_walk_deg_sqrt_s: float = 0.0
-    drifts_dps_s: tuple[tuple[float, float], ...] = ()
     turn_on_dps: float = 0.0
-    residual_scale_factor: tuple[float, float] | None = None
     processes: tuple[Process, ...] = ()
     rate_random_walk_dps_sqrt_s: float = 0.0
     gradient_deg_per_k: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -127,20 +124,16 @@ class SimulatedSensor:
         self._chamber, self._axes = chamber, tuple(axes)
         self._bias, self._scale = np.array(truth.bias_dps), np.array(truth.scale_factor)
         self._random = np.random.default_rng(seed)
-        processes = [Process(sigma, tau, 1.0, 0.0) for sigma, tau in truth.drifts_dps_s]
-        if truth.residual_scale_factor:
-            processes.append(Process(*truth.residual_scale_factor, 0.0, 1.0))
-        processes += truth.processes
+        processes = truth.processes
         self._sigmas = np.array([process.sigma for process in processes])
         self._taus_s = np.array([process.tau_s for process in processes])
         self._gains = np.array([(process.bias_gain, process.rate_gain) for process in processes]).reshape(-1, 2)
         self._walked = np.zeros(3)
-        cold = (truth.temperature_centre_c, truth.temperature_scale_k)
         degrees = (self._bias.shape[1] - 1, self._scale.shape[1] - 1, self._scale.shape[2] - 1)
         self._bases = (
-            truth.bias_basis or TruthBasis("polynomial", degrees[0], *cold),
-            truth.temperature_basis or TruthBasis("polynomial", degrees[1], *cold),
-            truth.rate_basis or TruthBasis("polynomial", degrees[2], 0.0, truth.rate_scale_dps),
+            truth.bias_basis or TruthBasis("polynomial", degrees[0], *_OF_TEMPERATURE),
+            truth.temperature_basis or TruthBasis("polynomial", degrees[1], *_OF_TEMPERATURE),
+            truth.rate_basis or TruthBasis("polynomial", degrees[2], *_OF_RATE),
         )
         self.restart(start_s, sample_rate_hz)
         self._states = self._sigmas * self._random.standard_normal((3, len(processes)))

@@ -17,7 +17,7 @@ from ..checksums import crc8_stim300, crc32_mpeg2
 from ..clock import Clock
 from .sensor import SensorSamples, SimulatedSensor
 
-_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
+RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 # Identifier and bytes that the CRC counts but nobody sends, by the code of `$sd`; contents follow from the code.
 _KINDS = {
     0: (0x90, 2, ""),
@@ -116,7 +116,7 @@ class SimulatedStim300:
     # -------------------------------------------------------------------------------------------------- Normal Mode
 
     def _rate_hz(self) -> float:
-        return _RATES_HZ[int(self._registers["im"])]
+        return RATES_HZ[int(self._registers["im"])]
 
     def _restart(self) -> None:
         self.sensor.restart(self._clock.now(), self._rate_hz())
@@ -229,17 +229,13 @@ def _reply(name: str, status: int, data: str = "") -> bytes:
     return f"{body}{crc8_stim300(body.encode())}\r".encode("ascii")
 
 
-def _int24(
-    values: NDArray[np.float64],
-) -> NDArray[np.uint8]:
+def _int24(values: NDArray[np.float64]) -> NDArray[np.uint8]:
     """(n, 3) numbers -> (n, 9) big-endian bytes of the nearest 24-bit integers, held at the ends of the range."""
     whole = np.clip(np.rint(values), -(2**23), 2**23 - 1).astype(">i4")
     return np.ascontiguousarray(whole).view(np.uint8).reshape(-1, 3, 4)[:, :, 1:].reshape(-1, 9)
 
 
-def _overload(
-    values: NDArray[np.float64],
-) -> NDArray[np.uint8]:
+def _overload(values: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Status bit 4 and the channel's bit where a value is beyond the 24 bits."""
     beyond = np.abs(values) >= 2**23 - 1
     bits = (beyond * np.array([1, 2, 4])).sum(axis=1)

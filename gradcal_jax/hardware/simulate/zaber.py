@@ -8,8 +8,6 @@ refused while `FF` or `FH` is up, and infos or alerts may come between (`chatter
 import re
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from ..checksums import lrc_zaber
 from ..clock import Clock
 from .plants import AxisPlant
@@ -54,7 +52,6 @@ class SimulatedZaber:
                 "device.id": self.options.device_id,
                 "deviceid": self.options.device_id,
                 "system.serial": self.options.serial + number,
-                "version": 728,
                 "resolution": 64,
                 "maxspeed": round(turn / 360 * 100 * self.options.velocity_factor),
                 "accel": round(turn / 360 * 200 * self.options.acceleration_factor),
@@ -217,4 +214,4 @@ class SimulatedZaber:
 
     def _acceleration(self, stage: _Stage) -> float:
         turn = self.options.microsteps_per_turn
-        return float(np.float64(stage.settings["accel"]) / self.options.acceleration_factor / turn * 360.0)
+        return stage.settings["accel"] / self.options.acceleration_factor / turn * 360.0

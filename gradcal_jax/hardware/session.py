@@ -41,14 +41,17 @@ def run_session(
 ) -> RunResult:
     """Execute a run's recipe from `first_step` on, and leave everything safe.
 
-    `guard`: a process beside this one makes the rig safe if this one is killed. `with_runner` is handed the runner
-    before it starts. `terminal` is where somebody is asked to turn what is turned by hand. Raises `HardwareError` for
+    `guard`: a process beside this one makes the rig safe if this one is killed or broken off, and tries again where
+    this one ends with a device that is not verified safe. `with_runner` is handed the runner before it starts.
+    `terminal` is where somebody is asked to turn what is turned by hand. Raises `HardwareError` for
     what keeps the run from starting; what happens later is in the result.
     """
     track = track_of(folder.recipe(), [axis.name for axis in rig.axis])
     resumed = folder.contents() if folder.journal_path.exists() else None
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(folder.journal_path))
+        # Before the ports are opened: they are closed again when the guard takes over.
+        watched = stack.enter_context(guarded(folder.path)) if guard else None
         units = {device.port for device in rig.imu}
 
         def recorder_of(url: str) -> Recorder | None:
@@ -61,8 +64,6 @@ def run_session(
         if resumed is not None and number:
             with clock.party():
                 require_same_devices(bench, resumed)
-        if guard:
-            stack.enter_context(guarded(folder.path))
         runner = Runner(
             track,
             bench,
@@ -78,7 +79,12 @@ def run_session(
             with_runner(runner)
         if handle_signals:
             stack.enter_context(signals_to(runner))
-        return runner.run()
+        if watched is not None:
+            watched.begun()
+        result = runner.run()
+        if watched is not None and result.verified_safe:
+            watched.done()
+        return result
 
 
 @contextmanager

@@ -84,6 +84,7 @@ def _unused(segment: ChamberSegment, stability: Stability, *, first: bool) -> St
         course.ramp_k_per_min,
         ready=_stable(stability, first=first) if waits else None,
         start_c=float(segment.temperature_start),
+        courses=(course,),
         follows=not waits and not first,
         again=_again(stability),
         read_every_s=_BETWEEN_READINGS_S,
@@ -126,8 +127,7 @@ def _stretch(
         later = tuple(
             Course(course.start_s - piece.start_s, course.temperature_c, course.ramp_k_per_min)
             for course in knees
-            if piece.start_s + 1e-6 < course.start_s < end - 1e-6
-            or (abs(course.start_s - piece.start_s) <= 1e-6 and number > 0)
+            if piece.start_s - 1e-6 <= course.start_s < end - 1e-6
         )
         steps.append(
             Step(

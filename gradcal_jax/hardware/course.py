@@ -2,7 +2,8 @@
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from .clock import Clock
@@ -10,7 +11,7 @@ from .roles import Chamber, ChamberReading
 from .track import Course, Stable
 
 _SOFT_STEP_S = 5.0
-_REMEMBERED = 4096
+_REMEMBERED = 1 << 14
 
 Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
@@ -27,13 +28,15 @@ class _SoftRamp:
 
 
 class ChamberDuty:
-    """Tells the chamber its course and remembers what it says. Readings may come from another thread."""
+    """Tells the chamber its course and remembers what it says, from any thread: one command after the other."""
 
     def __init__(self, chamber: Chamber, clock: Clock, event: Tell) -> None:
         self.chamber = chamber
         self._clock = clock
         self._event = event
         self._lock = threading.Lock()
+        self._telling = threading.Lock()
+        self._ended = False
         self._history: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
         self._soft: _SoftRamp | None = None
         self._next_soft_s = 0.0
@@ -49,18 +52,57 @@ class ChamberDuty:
             if not self._history or reading.time_s > self._history[-1][0]:
                 self._history.append((reading.time_s, value))
 
+    def end(self, longest_s: float) -> None:
+        """From now on the chamber is told nothing; returns when it has heard what it is being told.
+
+        Or after `longest_s` real seconds.
+        """
+        self._ended = True
+        with self._clock.aside():
+            if self._telling.acquire(timeout=longest_s):
+                self._telling.release()
+
+    @contextmanager
+    def _alone(self) -> Generator[bool, None, None]:
+        """Alone with the chamber; whether it may still be told anything."""
+        if not self._telling.acquire(blocking=False):
+            with self._clock.aside():
+                self._telling.acquire()
+        try:
+            yield not self._ended
+        finally:
+            self._telling.release()
+
     def hold(self, temperature_c: float) -> None:
         """Condition at a temperature, unless that is what it does already."""
+        with self._alone() as may:
+            if may:
+                self._hold(temperature_c)
+
+    def follow(self, course: Course) -> None:
+        """Go where a course says: by the controller's own ramp where it has one, else by `step_soft_ramp`."""
+        with self._alone() as may:
+            if may:
+                self._follow(course)
+
+    def step_soft_ramp(self) -> None:
+        """A ramp by set points, at least five seconds apart; to be called often."""
+        if self._soft is None:
+            return
+        with self._alone() as may:
+            if may:
+                self._step_soft_ramp()
+
+    def _hold(self, temperature_c: float) -> None:
         self._soft = None
         if self._held_c != temperature_c:
             self.chamber.hold(temperature_c)
             self._held_c = temperature_c
             self._event("chamber told", hold_c=temperature_c)
 
-    def follow(self, course: Course) -> None:
-        """Go where a course says: by the controller's own ramp where it has one, else by `step_soft_ramp`."""
+    def _follow(self, course: Course) -> None:
         if course.ramp_k_per_min is None:
-            self.hold(course.temperature_c)
+            self._hold(course.temperature_c)
             return
         self._held_c = None
         told = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
@@ -77,8 +119,7 @@ class ChamberDuty:
         self._next_soft_s = self._clock.now()
         self._event("chamber told", **told, k_per_min=course.ramp_k_per_min, by="steps of the runner")
 
-    def step_soft_ramp(self) -> None:
-        """A ramp by set points, at least five seconds apart; to be called often."""
+    def _step_soft_ramp(self) -> None:
         ramp, now = self._soft, self._clock.now()
         if ramp is None or now < self._next_soft_s:
             return

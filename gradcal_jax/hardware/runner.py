@@ -1,9 +1,11 @@
 """Executes a track on a bench: one clock, everything journalled, safe at the end whatever ends it.
 
 States and the ways between them are in `WAYS`; each change is an event of the journal. Requests (pause, stop, abort)
-may come from any thread or signal handler and are noticed within a quarter of a second of the run's clock. A step that
-was interrupted, by a pause or by the end of the process, is done again from its beginning: the chamber goes back to
-where the step begins and is stable there, the axes go to where they were, and the journal marks the seam.
+may come from any thread or signal handler and are noticed within a quarter of a second of the run's clock, or as soon
+as the device that is just being told something has answered. Nothing turns while a run is paused, and what must end it
+still does. A step that was interrupted, by a pause or by the end of the process, is done again from its beginning: the
+chamber goes back to where the step begins and is stable there, the axes go to where they were, and the journal marks
+the seam.
 
 Besides the thread that executes there is one that reads the chamber, one that feeds the watchdogs of axes, and one for
 each unit that carries its bytes to the disk: no device's slowness delays a move or lets a watchdog expire.
@@ -14,6 +16,7 @@ killed is `guard`.
 
 import math
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -76,7 +79,8 @@ class RunResult:
 
 @dataclass(frozen=True)
 class Progress:
-    """For whoever shows it: handed to `on_progress` once a chamber reading, never waited for."""
+    """For whoever shows it: handed to `on_progress` once a chamber reading, in the run's own thread: the run waits for
+    whoever does not return at once."""
 
     state: State
     step: str
@@ -117,8 +121,8 @@ class Runner:
 
     def __post_init__(self) -> None:
         self.state = State.IDLE
-        self._requests: list[Request] = []
-        self._reasons: list[str] = []
+        self._requests: deque[tuple[Request, str]] = deque()
+        self._pause_first = False
         self._duty: ChamberDuty | None = None
         if self.bench.chamber is not None:
             self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
@@ -139,8 +143,7 @@ class Runner:
 
     def request(self, what: Request, reason: str = "asked for") -> None:
         """Ask for a change; safe in a signal handler."""
-        self._reasons.append(reason)
-        self._requests.append(what)
+        self._requests.append((what, reason))
 
     def dry_run(self) -> list[str]:
         """Compare the track with the limits that the devices report now. Empty: it may start. Nothing moves."""
@@ -158,7 +161,11 @@ class Runner:
                 self._working.set()
                 self._watching.set()
                 self._start_helpers(helpers)
+                self._obey_requests()
                 self._enter(State.RUNNING)
+                if self._pause_first:
+                    self._enter(State.PAUSING)
+                    self._wait_paused()
                 self._execute()
             except _Ended as end:
                 status, reason = end.status, str(end)
@@ -299,12 +306,22 @@ class Runner:
             self._steps_done += 1
             self._confirm_steps()
             if self.state is State.PAUSING and self._steps_done < len(self.track.steps):
-                self._wait_paused()
+                self._pause_between(step)
                 after = self.track.steps[self._steps_done]
                 if after.follows:
                     self._event("seam", step=after.name, why="the run was paused before it")
                     again = True
         self._await_confirmation()
+
+    def _pause_between(self, step: Step) -> None:
+        """Nothing turns while a run is paused, also what the next step would have gone on with."""
+        try:
+            self._axes.end_spins(step.name, step.duration_s)
+            self._axes.settle_all(self._duties)
+        except _Interrupted:
+            pass  # every axis was stopped
+        if self.state is State.PAUSING:
+            self._wait_paused()
 
     def _confirm_steps(self) -> None:
         """A step is done when its samples are in the journal too: what a resumed run does not do again is whole. What
@@ -416,36 +433,49 @@ class Runner:
         if now - self._shown_s >= self.chamber_every_s:
             self._shown_s = now
             self._show(end_s)
+        self._watch()
+
+    def _watch(self) -> None:
+        """Interlocks pause the run or end it; one that is paused or has not begun they can only end."""
         if self._problem:
             raise HardwareError(self._problem)
+        now = self.clock.now()
         ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
         free = free_space_bytes(self.journal.path.parent)
         newest, before = (None, None) if self._duty is None else (self._duty.newest, self._duty.before)
-        situation = Situation(now, newest, before, self._axes.newest, ages, free, self._settled)
+        paused = self.state is State.PAUSED
+        situation = Situation(now, newest, before, self._axes.newest, ages, free, self._settled and not paused)
         tripped = self.interlocks.check(situation)
-        if tripped is not None:
-            rule, text = tripped
-            self._event("interlock", rule=rule.name, action=rule.action, text=text)
-            if rule.action == "abort" or not self.wait_when_paused:
-                raise _Ended("aborted", f"Interlock '{rule.name}': {text}.")
-            self.interlocks.forget()
-            self._axes.stop()
+        if tripped is None or (paused and tripped[0].action != "abort"):
+            return
+        rule, text = tripped
+        self._event("interlock", rule=rule.name, action=rule.action, text=text)
+        if rule.action == "abort" or not self.wait_when_paused or self.state is State.IDLE:
+            raise _Ended("aborted", f"Interlock '{rule.name}': {text}.")
+        self._stop_and_pause()
+
+    def _stop_and_pause(self) -> None:
+        self.interlocks.forget()
+        self._axes.stop()
+        if self.state is State.RUNNING:
             self._enter(State.PAUSING)
-            raise _Interrupted
+        raise _Interrupted
 
     def _obey_requests(self) -> None:
         while self._requests:
-            what, reason = self._requests.pop(0), self._reasons.pop(0)
+            what, reason = self._requests.popleft()
             self._event("request", what=what, reason=reason)
             if what in ("stop", "abort"):
                 raise _Ended("stopped" if what == "stop" else "aborted", reason)
-            if what in ("soft pause", "pause") and self.state is State.RUNNING:
-                self._enter(State.PAUSING)
-            if what == "resume" and self.state is State.PAUSING:
+            if self.state is State.IDLE:
+                # The references are found first.
+                self._pause_first = what != "resume"
+            elif what == "resume" and self.state in (State.PAUSING, State.PAUSED):
                 self._enter(State.RUNNING)
-            if what == "pause":
-                self._axes.stop()
-                raise _Interrupted
+            elif what == "soft pause" and self.state is State.RUNNING:
+                self._enter(State.PAUSING)
+            elif what == "pause" and self.state is not State.PAUSED:
+                self._stop_and_pause()
 
     def _wait_paused(self) -> None:
         self._enter(State.PAUSED)
@@ -453,20 +483,13 @@ class Runner:
             if self.clock.now() - self._shown_s >= self.chamber_every_s:
                 self._shown_s = self.clock.now()
                 self._show(None)
-            if self._requests and self._requests[0] == "resume":
-                self._requests.pop(0)
-                self._event("request", what="resume", reason=self._reasons.pop(0))
-                break
-            if self._requests and self._requests[0] in ("soft pause", "pause"):
-                self._requests.pop(0)
-                self._reasons.pop(0)
             self._obey_requests()
+            if self.state is not State.PAUSED:
+                break
             self._confirm_steps()
-            if self._problem:
-                raise HardwareError(self._problem)
+            self._watch()
             self.clock.sleep(_SLICE_S)
         self.interlocks.forget()
-        self._enter(State.RUNNING)
 
     def _show(self, end_s: float | None) -> None:
         if self.on_progress is None:
@@ -482,11 +505,13 @@ class Runner:
 
     def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
         """Make safe, and say so in the journal if it can still be written."""
-        # A chamber that is being made safe is asked nothing else.
+        # A chamber that is being made safe is told nothing else.
         self._watching.clear()
+        duty = self._duty
+        waits = None if duty is None else lambda: duty.end(0.5 * self.safe_deadline_s)
         self._enter(State.ABORTING if status == "aborted" else State.STOPPING, quietly=True)
         self._event("ending", quietly=True, exit_status=status, reason=reason)
-        outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s))
+        outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, before_chamber=waits))
         for outcome in outcomes:
             self._event("made safe", quietly=True, **plain(outcome))
         good = all(outcome.verified for outcome in outcomes)

@@ -1,7 +1,7 @@
 """Making a rig safe: every device in a thread of its own, with its own deadline, retried, verified by read-back.
 
 A device that hangs keeps nobody waiting but itself. What safe means is written in the rig file; what was done and what
-the device said afterwards is the outcome, also when it failed. Axes are told first, then the chamber, then the units.
+the device said afterwards is the outcome, also when it failed.
 """
 
 import threading
@@ -40,8 +40,17 @@ class _Attempt:
     took_s: float | None = None
 
 
-def make_safe(bench: Bench, clock: Clock, *, deadline_s: float = 60.0, retry_pause_s: float = 0.2) -> list[SafeOutcome]:
+def make_safe(
+    bench: Bench,
+    clock: Clock,
+    *,
+    deadline_s: float = 60.0,
+    retry_pause_s: float = 0.2,
+    before_chamber: Callable[[], None] | None = None,
+) -> list[SafeOutcome]:
     """Bring every device of the bench to the state that its rig file calls safe.
+
+    `before_chamber` is called in the chamber's thread: what somebody else is telling it must come before.
 
     Returns after all devices are verified, or after `deadline_s` real seconds: then those that are not say why. Never
     raises for what a device does.
@@ -60,7 +69,13 @@ def make_safe(bench: Bench, clock: Clock, *, deadline_s: float = 60.0, retry_pau
         begin(entry.name, entry.safe, lambda axis=axis, wanted=wanted: axis.safe(wanted))
     if bench.chamber is not None and bench.rig.chamber is not None:
         chamber, how = bench.chamber, bench.rig.chamber
-        begin("chamber", how.safe, lambda: chamber.safe(ChamberSafe(how.safe), float(how.ambient)))
+
+        def chamber_safe() -> SafeReport:
+            if before_chamber is not None:
+                before_chamber()
+            return chamber.safe(ChamberSafe(how.safe), float(how.ambient))
+
+        begin("chamber", how.safe, chamber_safe)
     for entry in bench.rig.imu:
         begin(entry.name, "left streaming", bench.imus[entry.name].safe)
     with clock.aside():

@@ -64,10 +64,10 @@ class Step:
     """`temperature_c` None leaves the chamber alone; `ramp_k_per_min` None goes there as fast as it can.
 
     With `ready` the step waits until the temperature is stable at `start_c` (None: at `temperature_c`), and only then
-    its own time begins and the chamber is told where to go. `courses` are what it is told later in the step. A step
-    that `follows` begins at the very instant at which the one before ends, and the chamber goes on as it was told;
-    where it must begin by itself (after a pause, or when a run is resumed) the chamber first goes to `start_c` and is
-    stable by `again`, and the axes go to `start_deg`.
+    its own time begins and the chamber is told where to go. `courses` are what it is told in the step's own time. A
+    step that `follows` begins at the very instant at which the one before ends, and the chamber goes on as it was told,
+    unless a course says otherwise; where it must begin by itself (after a pause, or when a run is resumed) the chamber
+    first goes to `start_c` and is stable by `again`, and the axes go to `start_deg`.
 
     The last `slack_s` of the step are waiting only: a turn by hand that was late takes its time from there.
 

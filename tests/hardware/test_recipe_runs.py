@@ -30,6 +30,7 @@ from gradcal_jax.hardware.run_folder import (
 from gradcal_jax.hardware.runner import Progress, Runner, RunResult
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
+from gradcal_jax.hardware.track import Track
 
 SPEED = 20.0
 
@@ -53,6 +54,48 @@ def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name: str) 
         following = ([move.start_s for move in step.moves] + [step.duration_s])[1:]
         for move, end, after in zip(step.moves, ends, following, strict=True):
             assert move.kind != "turn" or end <= after + 1e-6
+
+
+def chamber_hears(track: Track) -> list[tuple[float, float, float | None]]:
+    """When on the track's own time, where to, and with which ramp (K/min)."""
+    told: list[tuple[float, float, float | None]] = []
+    clock = 0.0
+    for step in track.steps:
+        if not step.follows and step.temperature_c is not None:
+            told.append((clock, step.temperature_c, step.ramp_k_per_min))
+        for course in step.courses:
+            if step.follows or course.start_s > 0.0:
+                told.append((clock + course.start_s, course.temperature_c, course.ramp_k_per_min))
+        clock += step.duration_s
+    return told
+
+
+WITH_UNUSED_SEGMENTS = [
+    {"soak": "10 min", "at": "-30 degC"},
+    {"ramp_to": "-20 degC", "rate": "1 K/min"},
+    {"step_to": "-30 degC"},
+    {"soak": "10 min"},
+    {"ramp_to": "-20 degC", "rate": "1 K/min"},
+    {"ramp_to": "-30 degC", "rate": "1 K/min", "used": False},
+    {"ramp_to": "-20 degC", "rate": "0.5 K/min"},
+]
+
+
+@pytest.mark.parametrize("name", [*presets.names(), "programme"])
+def test_the_chamber_hears_every_segment_of_the_recipe_when_it_begins(name: str) -> None:
+    if name == "programme":
+        keys = {"plan.programme": WITH_UNUSED_SEGMENTS, "plan.temperature": None, "plan.gradient": None}
+        spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | {"plan.soak": None})
+    else:
+        spec = parse_spec(presets.text(name))
+    made = unpredicted(spec)
+    begins = np.cumsum([0.0] + [float(segment.duration) for segment in made.chamber.programme])
+    wanted = []
+    for begin, segment in zip(begins, made.chamber.programme, strict=False):
+        ramp = None if segment.slope is None else pytest.approx(abs(float(segment.slope)) * 60.0)
+        wanted.append((pytest.approx(begin, abs=1e-3), pytest.approx(float(segment.temperature_end)), ramp))
+    heard = chamber_hears(track_of(made, ["table"]))
+    assert heard == wanted
 
 
 def test_steps_carry_where_they_begin_by_themselves() -> None:

@@ -16,14 +16,14 @@ from hardware_bench import Rig
 from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.clockmap import fit_clock
 from gradcal_jax.hardware.drivers.imu_common import join
-from gradcal_jax.hardware.interlocks import Limits, standard_rules
+from gradcal_jax.hardware.interlocks import Interlocks, Limits, Rule, Situation, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import ChamberLimits
 from gradcal_jax.hardware.runner import WAYS, Progress, Runner, State
 from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, SensorTruth
-from gradcal_jax.hardware.track import Move, Stable, Step, Track, beyond_limits
+from gradcal_jax.hardware.track import Course, Move, Stable, Step, Track, beyond_limits
 
 TURN = Move(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
 BACK = Move(12.0, "table", "go", position_deg=0.0, rate_dps=60.0, acceleration_dps2=240.0)
@@ -311,3 +311,110 @@ def test_every_state_can_end_safe() -> None:
         for _ in State:
             reachable |= {after for before in reachable for after in WAYS[before]}
         assert State.SAFE in reachable or state in (State.SAFE, State.FAILED)
+
+
+# --- what a pause, an end and a step that follows must do -------------------------------------------------------------
+
+
+def once_paused(runner: Runner, act) -> None:
+    """Call `act` from another thread when the run has been paused for a second."""
+
+    def wait() -> None:
+        while runner.state is not State.PAUSED:
+            runner.clock.sleep(0.5)
+        runner.clock.sleep(1.0)
+        act()
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path: Path) -> None:
+    with lab(tmp_path) as (rig, runner):
+        warm = Step("warmer", 5.0, temperature_c=30.0, courses=(Course(0.0, 30.0),), follows=True)
+        runner.track = Track((Step("soak", 5.0, temperature_c=25.0, ready=Stable(0.5, 5.0, 3600.0)), warm))
+        assert runner.run().exit_status == "success"
+        assert rig.chamber.constant_c == 30.0
+    told = [e for e in read_journal(tmp_path / "journal").events if e.name == "chamber told"]
+    begins = [e for e in read_journal(tmp_path / "journal").events if e.name == "step begins"]
+    assert [e.data["hold_c"] for e in told] == [25.0, 30.0]
+    assert told[1].time_s - begins[1].data["begins_s"] < 10.0
+
+
+def test_nothing_turns_while_a_run_is_paused_between_two_rates(tmp_path: Path) -> None:
+    with lab(tmp_path) as (rig, runner):
+        rates: list[float] = []
+
+        def resume() -> None:
+            rates.append(rig.table.axes[0].plant.state(runner.clock.now())[1])
+            runner.request("resume")
+
+        there, back = ((Move(0.0, "table", "spin", rate_dps=rate, acceleration_dps2=180.0),) for rate in (90.0, -90.0))
+        runner.track = Track((Step("rate 1", 8.0, moves=there), Step("rate 2", 8.0, moves=back, follows=True)))
+        when_step_begins(runner, 0, lambda: runner.request("soft pause"))
+        once_paused(runner, resume)
+        assert runner.run().exit_status == "success"
+        assert rates == [0.0]
+    assert names(read_journal(tmp_path / "journal")).count("seam") == 1
+
+
+def test_an_interlock_pauses_a_run_that_was_to_pause_anyway(tmp_path: Path) -> None:
+    with lab(tmp_path) as (_, runner):
+        runner.track = Track((Step("stand", 20.0),))
+        begun: list[float] = []
+
+        def wrong(now: Situation) -> str:
+            return "something is amiss" if begun and begun[0] < now.time_s < begun[0] + 5.0 else ""
+
+        def pause() -> None:
+            begun.append(runner.clock.now())
+            runner.request("soft pause")
+
+        runner.interlocks = Interlocks((Rule("amiss", "pause", 2.0, wrong),))
+        when_step_begins(runner, 0, pause)
+        once_paused(runner, lambda: runner.request("resume"))
+        assert runner.run().exit_status == "success"
+    events = [e.data["rule"] for e in read_journal(tmp_path / "journal").events if e.name == "interlock"]
+    assert events == ["amiss"]
+
+
+def test_an_alarm_ends_a_paused_run(tmp_path: Path) -> None:
+    with lab(tmp_path) as (rig, runner):
+        when_step_begins(runner, 1, lambda: runner.request("pause"))
+        once_paused(runner, lambda: rig.chamber.raise_alarm(18))
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        assert "alarm 18" in result.reason
+
+
+def test_a_pause_asked_for_while_the_references_are_found_comes_before_the_first_step(tmp_path: Path) -> None:
+    with lab(tmp_path) as (_, runner):
+        runner.track = Track((Step("stand", 2.0, moves=(Move(0.0, "table", "go", 0.0, 60.0, 60.0),)),))
+        runner.request("soft pause")
+        runner.request("pause")
+        once_paused(runner, lambda: runner.request("resume"))
+        assert runner.run().exit_status == "success"
+    events = read_journal(tmp_path / "journal").events
+    first = next(e for e in events if e.name == "step begins")
+    assert any(e.name == "state" and e.data["state"] == "paused" and e.time_s < first.time_s for e in events)
+
+
+def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path) -> None:
+    """The end comes while the chamber is being told its ramp, which takes it seconds."""
+    for seconds in (0.1, 0.2, 0.3):
+        folder = tmp_path / f"{seconds:g}"
+        folder.mkdir()
+        with lab(folder) as (rig, runner):
+            ramp = Course(10.0, 40.0, 1.0)
+            runner.track = Track((Step("ramp", 60.0, temperature_c=25.0, courses=(ramp,)),))
+            runner.chamber_every_s = 0.1
+
+            def look(progress: Progress, runner=runner, seconds=seconds) -> None:
+                if progress.step_left_s is not None and progress.step_left_s <= 50.0 - seconds:
+                    runner.request("abort")
+
+            runner.on_progress = look
+            result = runner.run()
+            assert result.verified_safe
+            runner.clock.sleep(30.0)
+            assert rig.chamber.mode == "STANDBY"
+            assert "RUN PRGM" not in rig.chamber.commands[-1]

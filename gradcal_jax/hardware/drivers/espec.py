@@ -266,7 +266,8 @@ class EspecChamber:
             wanted = now.measured_c if policy is ChamberSafe.HOLD else ambient_c
             self.hold(min(max(wanted, now.low_c), now.high_c))
         reading = self.read()
-        return SafeReport(policy.value, True, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
+        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
+        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
 
     def close(self) -> None:
         self._exchange.transport.close()

@@ -204,7 +204,8 @@ class WatlowF4Chamber:
             self.hold(min(max(wanted, low), high))
         reading = self.read()
         state = "conditioning" if reading.conditioning else "conditioning off"
-        return SafeReport(policy.value, True, f"{reading.mode}, {state}, set point {reading.setpoint_c} degC")
+        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
+        return SafeReport(policy.value, verified, f"{reading.mode}, {state}, set point {reading.setpoint_c} degC")
 
     def close(self) -> None:
         self._exchange.transport.close()

@@ -265,7 +265,8 @@ class WeissChamber:
             wanted = here if policy is ChamberSafe.HOLD else ambient_c
             self.hold(min(max(wanted, layout.lowest_c), layout.highest_c))
         reading = self.read()
-        return SafeReport(policy.value, True, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
+        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
+        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
 
     def close(self) -> None:
         self._exchange.transport.close()

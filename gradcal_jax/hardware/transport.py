@@ -36,9 +36,17 @@ class PortLock:
     def __init__(self, url: str) -> None:
         identity = os.path.realpath(url) if "://" not in url else url
         folder = Path(tempfile.gettempdir()) / "gradcal-ports"
-        folder.mkdir(mode=0o777, exist_ok=True)
         self._path = folder / (hashlib.sha256(identity.encode()).hexdigest()[:24] + ".lock")
-        self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            folder.mkdir(exist_ok=True)
+            _share(folder, 0o1777)
+            self._handle = self._open()
+        except OSError as problem:
+            raise PortRefused(
+                f"The port {url} cannot be locked against other runs: {self._path}: {problem.strerror}. Let every "
+                f"account that uses the rig write in {folder}, or remove it while nothing runs."
+            ) from None
+        _share(self._path, 0o666)
         try:
             self._take()
         except OSError:
@@ -48,9 +56,20 @@ class PortLock:
                 f"The port {url} is in use by another run{f' ({owner})' if owner else ''}. "
                 "Wait until it ends or give this run another port."
             ) from None
-        os.ftruncate(self._handle, 0)
-        # The first byte belongs to the lock (Windows locks a byte range), the note begins behind it.
-        os.write(self._handle, f"\nprocess {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
+        # A full disk keeps nobody from a port: who holds it is a courtesy.
+        with contextlib.suppress(OSError):
+            os.ftruncate(self._handle, 0)
+            # The first byte belongs to the lock (Windows locks a byte range), the note begins behind it.
+            os.write(self._handle, f"\nprocess {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
+
+    def _open(self) -> int:
+        # A link that somebody put there is not followed: what it leads to would be overwritten.
+        flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
+        try:
+            # Linux may forbid O_CREAT for a file of another account in a folder that all may write in.
+            return os.open(self._path, flags)
+        except FileNotFoundError:
+            return os.open(self._path, flags | os.O_CREAT, 0o666)
 
     def _take(self) -> None:
         if sys.platform == "win32":
@@ -62,6 +81,12 @@ class PortLock:
     def release(self) -> None:
         # The file stays: unlinking it would let two processes hold locks on two files of one name.
         os.close(self._handle)
+
+
+def _share(path: Path, mode: int) -> None:
+    """Accounts on one computer share its ports. Only the owner can say so, and has."""
+    with contextlib.suppress(OSError):
+        path.chmod(mode)
 
 
 class Transport:

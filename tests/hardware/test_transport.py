@@ -1,7 +1,11 @@
 """The serial line: exclusive, timed, recorded; what happens when it vanishes; replayed transcripts."""
 
+import errno
+import os
+import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -19,7 +23,7 @@ from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.replay import ReplayedDevice
-from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.hardware.transport import PortLock, Transport
 
 
 class Echo:
@@ -59,6 +63,49 @@ def test_another_process_is_refused_and_a_killed_owner_leaves_no_lock() -> None:
             owner.kill()
             owner.wait()
         Transport(port.url, clock=RealClock()).close()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="accounts and their rights are those of POSIX")
+def test_locks_are_shared_by_the_accounts_of_a_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    before = os.umask(0o077)
+    try:
+        PortLock("/dev/some-port").release()
+    finally:
+        os.umask(before)
+    folder = tmp_path / "gradcal-ports"
+    (file,) = folder.iterdir()
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o1777
+    assert stat.S_IMODE(file.stat().st_mode) == 0o666
+
+    def not_mine(path: Path, mode: int) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    # Another account cannot change what it does not own, and needs not.
+    monkeypatch.setattr(Path, "chmod", not_mine)
+    PortLock("/dev/some-port").release()
+
+
+def test_a_lock_that_cannot_be_had_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "gradcal-ports").write_text("in the way")
+    with pytest.raises(PortRefused, match=r"/dev/some-port cannot be locked against other runs: .*gradcal-ports"):
+        PortLock("/dev/some-port")
+
+
+def test_a_full_disk_keeps_nobody_from_a_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Least of all the guard of a run that ended because its disk was full."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def full(handle: int, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "write", full)
+        lock = PortLock("/dev/some-port")
+    with pytest.raises(PortRefused, match="in use by another run"):
+        PortLock("/dev/some-port")
+    lock.release()
 
 
 def test_missing_port_is_refused_in_a_sentence() -> None:

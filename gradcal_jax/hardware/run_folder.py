@@ -19,12 +19,14 @@ from typing import Any, Final
 from ..files.recipe import Recipe, read_recipe
 from ..files.rig import RigFile, read_rig
 from ..files.writing import write_toml, write_whole
+from .binding import track_of
 from .errors import HardwareError, WrongIdentity
 from .journal import Event, Journal, JournalContents, read_journal
 from .setup import Bench, check_rig
 
 FORMAT: Final = "gradcal-run/1"
 SESSION: Final = "session"
+_FILES: Final = frozenset({"journal", "recipe.toml", "rig.toml", "run.json", "hidden_truth.json"})
 
 
 class RunFolderError(ValueError):
@@ -67,17 +69,21 @@ class RunFolder:
 def new_folder(path: Path, recipe: Recipe, rig: RigFile, *, simulated: dict[str, Any] | None = None) -> RunFolder:
     """Make the folder of a new run, or take that of a run that never began.
 
-    Raises `RunFolderError` where a run's folder is there already, or something else.
+    Raises `RunFolderError` where a run's folder is there already, or something else; `HardwareError`, before anything
+    is made, where the rig lacks an axis that the recipe turns.
     """
+    track_of(recipe, [axis.name for axis in rig.axis])
     there = path / "journal"
-    if there.exists() and not sessions(read_journal(there)):
-        for name in ("journal", "recipe.toml", "rig.toml", "run.json", "hidden_truth.json"):
-            (path / name).unlink(missing_ok=True)
-    if there.exists():
+    if there.exists() and sessions(read_journal(there)):
         raise RunFolderError(
             f"{path} holds a run already: go on with it by `gradcal run --resume {path}`, or name another folder."
         )
-    if path.exists() and any(path.iterdir()):
+    names = {entry.name for entry in path.iterdir()} if path.exists() else set[str]()
+    # A folder that holds anything else, or a journal of somebody else's, is left as it is.
+    if {"journal", "run.json"} <= names <= _FILES:
+        for name in names:
+            (path / name).unlink()
+    elif names:
         raise RunFolderError(f"{path} is not empty; name a new folder for the run.")
     path.mkdir(parents=True, exist_ok=True)
     folder = RunFolder(path)

@@ -120,9 +120,10 @@ class Journal:
         with self._change:
             number = self._lines.get(line)
             if number is None:
-                number = self._lines[line] = self._first_number + len(self._lines)
+                number = self._first_number + len(self._lines)
                 if number > 255:
                     raise HardwareError("A journal holds 256 lines at most, resumed runs included.")
+                self._lines[line] = number
                 note = json.dumps({"event": LINE_EVENT, "number": number, "name": line}).encode()
                 self._append(_EVENT, 0, time_s, note)
             self._append(_RECEIVED if received else _SENT, number, time_s, data)

@@ -170,6 +170,20 @@ def test_many_threads_write_whole_records(tmp_path: Path) -> None:
         closed.event(0.0, "late")
 
 
+def test_a_line_too_many_is_refused_each_time_and_the_others_go_on(tmp_path: Path) -> None:
+    with Journal(tmp_path / "j") as journal:
+        for number in range(256):
+            journal.bytes_of(f"unit{number}", 0.0, b"x", received=True)
+        for _ in range(2):
+            with pytest.raises(HardwareError, match="256 lines at most"):
+                journal.bytes_of("one more", 1.0, b"x", received=True)
+        journal.bytes_of("unit255", 2.0, b"y", received=True)
+    contents = read_journal(tmp_path / "j")
+    assert contents.damaged_bytes == 0
+    assert [chunk.data for chunk in contents.chunks("unit255")] == [b"x", b"y"]
+    assert "one more" not in {event.data["name"] for event in contents.events}
+
+
 # --- safety -----------------------------------------------------------------------------------------------------------
 
 

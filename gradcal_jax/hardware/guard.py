@@ -11,13 +11,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from ..files.rig import read_rig
-from .clock import RealClock
+from ..files.rig import RigFile, read_rig
+from .clock import Clock, RealClock
 from .errors import HardwareError, PortRefused
 from .journal import Journal
 from .safety import SafeOutcome, make_safe
@@ -100,8 +100,8 @@ def make_folder_safe(folder: Path, *, deadline_s: float = 60.0) -> list[SafeOutc
 
     note("guard", what="the run is gone, or left something unsafe; making the rig safe")
     try:
-        with _open_soon(lambda: open_rig(rig, clock)) as bench:
-            outcomes = make_safe(bench, clock, deadline_s=deadline_s)
+        with _open_soon(rig, clock, outcomes) as bench:
+            outcomes += make_safe(bench, clock, deadline_s=deadline_s)
     except HardwareError as problem:
         note("guard", what=f"the rig could not be made safe: {problem}")
     for outcome in outcomes:
@@ -128,16 +128,32 @@ def _write(path: Path, happened: list[tuple[float, str, dict[str, Any]]]) -> Non
         print(problem, *(f"{name}: {data}" for _, name, data in happened), sep="\n", file=sys.stderr)
 
 
-def _open_soon(make: Callable[[], Bench]) -> Bench:
-    """The killed run's ports are free in a moment."""
+def _open_soon(rig: RigFile, clock: Clock, missing: list[SafeOutcome]) -> Bench:
+    """The killed run's ports are free in a moment. A port that is not, as of a cable that was pulled, keeps no other
+    device from being made safe: its device is among the `missing`.
+    """
     end = time.monotonic() + _TO_OPEN_S
     while True:
         try:
-            return make()
+            return open_rig(rig, clock)
         except PortRefused:
             if time.monotonic() > end:
-                raise
+                break
             time.sleep(0.1)
+
+    def opens(name: str, action: str, **alone: Any) -> bool:
+        try:
+            open_rig(nothing.model_copy(update=alone), clock).close()
+        except HardwareError as problem:
+            missing.append(SafeOutcome(name, action, False, str(problem), 0, 0.0))
+            return False
+        return True
+
+    nothing = rig.model_copy(update={"chamber": None, "axis": (), "imu": ()})
+    axes = [entry for entry in rig.axis if opens(entry.name, entry.safe, axis=(entry,))]
+    chamber = rig.chamber if rig.chamber and opens("chamber", rig.chamber.safe, chamber=rig.chamber) else None
+    units = [entry for entry in rig.imu if opens(entry.name, "left streaming", imu=(entry,))]
+    return open_rig(rig.model_copy(update={"chamber": chamber, "axis": tuple(axes), "imu": tuple(units)}), clock)
 
 
 if __name__ == "__main__":

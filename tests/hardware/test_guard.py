@@ -89,6 +89,25 @@ def test_a_full_disk_keeps_no_device_from_being_made_safe(
     assert "made safe: {'by': 'guard', 'device': 'table'" in said
 
 
+def test_a_port_that_is_gone_keeps_no_other_device_from_being_made_safe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guard, "_TO_OPEN_S", 0.3)
+    clock = RealClock()
+    with Rig(clock) as rig:
+        left_turning(rig, tmp_path, clock)
+        rig.ports[2].unplug()
+        outcomes = {outcome.name: outcome for outcome in guard.make_folder_safe(tmp_path, deadline_s=10.0)}
+        assert rig.chamber.mode == "STANDBY"
+        assert rig.table.axes[0].plant.state(clock.now())[1] == 0.0
+    assert {name: outcome.verified for name, outcome in outcomes.items()} == {
+        "table": True, "chamber": True, "unit1": False
+    }  # fmt: skip
+    assert "cannot be opened" in outcomes["unit1"].evidence
+    devices = [event.data.get("device") for event in by_guard(tmp_path / "journal")]
+    assert devices == [None, "unit1", "table", "chamber"]
+
+
 # ------------------------------------------------------------------------------------------------------- when it acts
 
 

@@ -1,10 +1,13 @@
 """From a run's journal to a log: samples decoded from the raw bytes, angles and standstills from the events.
 
 Only rows of stretches with data are kept: soaks, waiting and what a run did before a stretch began are counted as
-removed. A row of a standstill carries the reading of the table's angle that is nearest to it in time; between
-standstills the angle is drawn straight between readings, good for a look and not for estimation. The stamps of a row
-are the sensor's own clock, laid beside the computer's where the stretch begins; `host_time` is the computer's, by a
-straight line through the quickest arrivals, whose slope and residuals are in the log's provenance.
+removed. So is a pause: nobody knows what became of the rig in it, and it ends stretches and standstills. A row of a
+standstill carries the reading of the table's angle that is nearest to it in time; between standstills the angle is
+drawn straight between readings, good for a look and not for estimation.
+
+The stamps of a row are the sensor's own clock, laid on the computer's where data begin; `host_time` is the computer's,
+by a straight line through the quickest arrivals, whose slope and residuals are in the log's provenance. Where a run was
+resumed, or a unit began anew, the computer tells how much later its clock goes on.
 """
 
 import itertools
@@ -33,20 +36,29 @@ _MARGIN_S: Final = 0.02
 # Stamps of samples are late by what unit, adapter and system take, nobody knows how much; a row too few at rest costs
 # nothing, and one that still turned would be taken for rest.
 _SETTLED_S: Final = 0.1
+# Taken where no clock tells how much later a run went on.
 _BETWEEN_SESSIONS_S: Final = 60.0
+# A wall clock that was set by less than this is no sign that the computer was off or asleep.
+_CLOCK_SET_S: Final = 10.0
 _FEWEST_ARRIVALS: Final = 3
 Floats = NDArray[np.float64]
 
 
 @dataclass
 class _Session:
-    """One part of a run: its records in order."""
+    """One part of a run: its records in order. It began at `begun_s` of the run's clock."""
 
     number: int
     simulated: bool
     wall_clock_s: float
+    begun_s: float
     events: list[Event] = field(default_factory=list[Event])
     chunks: dict[str, list[Chunk]] = field(default_factory=dict[str, list[Chunk]])
+
+    @property
+    def origin_s(self) -> float:
+        """When the run's clock stood at zero, by the clock on the wall."""
+        return self.wall_clock_s - self.begun_s
 
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
@@ -58,15 +70,17 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
     parts: list[_Part] = []
     aside = 0
     found = _sessions(contents)
+    axes = _axes_of(found, [axis.name for axis in rig.axis])
     for session in found:
-        kept, left = _parts(session, device, [axis.name for axis in rig.axis])
+        kept, left = _parts(session, device, axes)
         parts += kept
         aside += left
     if not parts:
         raise HardwareError(
             "The journal holds no samples of a stretch with data: the run ended before its first stretch began."
         )
-    return _joined(parts, recipe, device, exit_status(contents), len(found), aside)
+    provenance = _provenance(parts, found, recipe, device, exit_status(contents))
+    return _joined(parts, _labels(axes, recipe, rig), device, provenance, aside)
 
 
 def _device(rig: RigFile, unit: str | None) -> ImuDevice:
@@ -84,7 +98,8 @@ def _sessions(contents: JournalContents) -> list[_Session]:
         if isinstance(record, Event):
             if record.name == SESSION:
                 data = record.data
-                found.append(_Session(int(data["number"]), bool(data["simulated"]), float(data["wall_clock_s"])))
+                wall_clock_s, simulated = float(data["wall_clock_s"]), bool(data["simulated"])
+                found.append(_Session(int(data["number"]), simulated, wall_clock_s, record.time_s))
             if found:
                 found[-1].events.append(record)
         elif found and record.received:
@@ -92,7 +107,23 @@ def _sessions(contents: JournalContents) -> list[_Session]:
     return found
 
 
+def _axes_of(found: Sequence[_Session], names: Sequence[str]) -> list[str]:
+    """The rig's axes that were ever told to move or gave a reading: of what nobody turns or reads nothing is known, and
+    nothing depends on it."""
+    heard = {str(e.data["axis"]) for session in found for e in session.events if e.name in ("angle", *_TOLD_TO_MOVE)}
+    return [name for name in names if name in heard]
+
+
+def _labels(axes: Sequence[str], recipe: Recipe, rig: RigFile) -> tuple[str, ...]:
+    """The axes' names in the log: the rig's, but the recipe's where each has one axis only, whatever their names."""
+    turned = {move.axis for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")}
+    return tuple(turned) if len(axes) == len(rig.axis) == len(turned) == 1 else tuple(axes)
+
+
 # ------------------------------------------------------------------------------------------------------ one session
+
+# Not "stopped": what stood stands on, and what moved was told to.
+_TOLD_TO_MOVE: Final = ("move", "homing")
 
 
 @dataclass
@@ -204,8 +235,13 @@ def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
     return DRIVERS[device.driver].load().decoder_of(config, said.data["registers"])
 
 
+def _breaks_off(event: Event) -> bool:
+    """Whether a run is interrupted or ends here: from now on somebody may be at the rig."""
+    return event.name in ("interlock", "ending") or (event.name == "state" and event.data["state"] == "paused")
+
+
 def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
-    """From where a step with data begins to where it ends, breaks off, or the session does."""
+    """From where a step with data begins to where it ends, the run breaks off, or the session does."""
     found: list[tuple[float, float]] = []
     open_since: float | None = None
     latest = 0.0
@@ -215,7 +251,7 @@ def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
             begin = float(event.data["begins_s"])
             if open_since is None:
                 open_since = begin
-        elif open_since is not None and event.name in ("seam", "ending", "step"):
+        elif open_since is not None and (event.name == "step" or _breaks_off(event)):
             # A step that follows at once goes on with the stretch: its "step begins" comes at the same instant.
             found.append((open_since, event.time_s))
             open_since = None
@@ -231,7 +267,10 @@ def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
 
 
 def _standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[float, float]]:
-    """When no axis moves: from the reading that says so to the next command of motion."""
+    """When no axis moves: from the reading that says so to the next command of motion, or until the run breaks off.
+
+    What stood then stands again from where the next step begins: an angle that somebody typed is not read again.
+    """
     moving = set(axes)
     found: list[tuple[float, float]] = []
     since: float | None = None
@@ -242,11 +281,14 @@ def _standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[flo
             moving.discard(str(event.data["axis"]))
             if not moving:
                 since = float(event.data["time_s"])
-        elif event.name in ("move", "stopped", "homing"):
+        elif event.name == "step begins" and since is None and axes and not moving:
+            since = float(event.data["begins_s"])
+        elif event.name in _TOLD_TO_MOVE or _breaks_off(event):
             if since is not None:
                 found.append((since, float(event.data.get("began_s", event.time_s))))
                 since = None
-            moving.add(str(event.data["axis"]))
+            if event.name in _TOLD_TO_MOVE:
+                moving.add(str(event.data["axis"]))
     if since is not None:
         found.append((since, latest))
     return [(start, end) for start, end in found if end > start]
@@ -264,7 +306,7 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
     times = np.array([float(e.data["time_s"]) for e in readings])
     values = np.array([float(e.data["position_deg"]) for e in readings])
     still = np.array([not e.data["moving"] for e in readings])
-    told_to_move = [e for e in events if e.name in ("move", "stopped", "homing") and e.data["axis"] == axis]
+    told_to_move = [e for e in events if e.name in _TOLD_TO_MOVE and e.data["axis"] == axis]
     moved = np.array([float(e.data.get("began_s", e.time_s)) for e in told_to_move])
     result = np.interp(host, times, values)
     edges = np.flatnonzero(np.diff(standstill, prepend=-1, append=-1))
@@ -285,33 +327,25 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
 # ------------------------------------------------------------------------------------------------------------ joined
 
 
-def _joined(parts: Sequence[_Part], recipe: Recipe, device: ImuDevice, status: str, sessions: int, aside: int) -> Log:
+def _joined(
+    parts: Sequence[_Part], labels: tuple[str, ...], device: ImuDevice, provenance: dict[str, str], aside: int
+) -> Log:
     times: list[Floats] = []
-    hosts: list[Floats] = []
     standstills: list[NDArray[np.int64]] = []
     starts: list[int] = []
-    row, numbered, end_s = 0, 0, -math.inf
-    first_wall = parts[0].session.wall_clock_s
-    for part in parts:
-        # The sensor's own seconds, laid on the computer's where the session's rows begin.
-        own = part.device_s - part.device_s[0] + part.host_s[0]
-        shift = 0.0
-        if end_s > -math.inf:
-            apart = part.session.wall_clock_s - first_wall
-            shift = max(apart, end_s + _BETWEEN_SESSIONS_S - float(own[0])) if own[0] <= end_s else 0.0
-        times.append(own + shift)
-        hosts.append(part.host_s + shift)
-        end_s = float(times[-1][-1])
+    row, numbered = 0, 0
+    hosts = _on_one_clock(parts)
+    for place, (part, host) in enumerate(zip(parts, hosts, strict=True)):
+        # The sensor's own seconds: the computer's tell where the first part begins, and how far apart two parts are.
+        begins_s = float(times[-1][-1] + host[0] - hosts[place - 1][-1]) if place else float(host[0])
+        times.append(part.device_s - part.device_s[0] + begins_s)
         standstills.append(np.where(part.standstill >= 0, part.standstill + numbered, -1))
         numbered += int(part.standstill.max(initial=-1)) + 1
         starts += sorted({row, *(row + start for start in part.starts)})
-        row += len(own)
+        row += len(host)
     samples = join([part.samples for part in parts])
     marked = np.where(samples.status != 0, np.uint16(Reason.MARKED.value), np.uint16(0)).astype(np.uint16)
     read = aside + sum(part.read for part in parts)
-    names = [f"axis {n}" for n in range(parts[0].angles_deg.shape[1])]
-    turned = {move.axis for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")}
-    labels = tuple(sorted(turned)) if len(turned) == len(names) else tuple(names)
     return Log(
         time_s=np.concatenate(times),
         rate_rad_per_s=np.radians(samples.gyro_dps)[None],
@@ -328,8 +362,31 @@ def _joined(parts: Sequence[_Part], recipe: Recipe, device: ImuDevice, status: s
         rows_removed={"not in a stretch of data": read - row} if read > row else {},
         findings=_findings(parts),
         simulated=any(part.session.simulated for part in parts),
-        provenance=_provenance(parts, recipe, device, status, sessions),
+        provenance=provenance,
     )
+
+
+def _on_one_clock(parts: Sequence[_Part]) -> list[Floats]:
+    """The computer's times of all rows, on the clock of the first session.
+
+    That clock goes on in the next session, unless the computer was switched on anew or slept in between: then the clock
+    on the wall went on without it, and tells by how much.
+    """
+    hosts = [parts[0].host_s]
+    shift_s = 0.0
+    for before, part in itertools.pairwise(parts):
+        end_s = float(hosts[-1][-1])
+        stood_s = part.session.origin_s - before.session.origin_s
+        # Simulated devices run on a clock of their own, which has nothing to do with the one on the wall.
+        if stood_s > _CLOCK_SET_S and not part.session.simulated:
+            shift_s += stood_s
+        apart_s = float(part.host_s[0]) + shift_s - end_s
+        if apart_s <= 0.0:
+            again = part.session is before.session
+            least_s = float(part.device_s[1] - part.device_s[0]) if again else _BETWEEN_SESSIONS_S
+            shift_s += least_s - apart_s
+        hosts.append(part.host_s + shift_s)
+    return hosts
 
 
 def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
@@ -377,19 +434,21 @@ def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
 
 
 def _provenance(
-    parts: Sequence[_Part], recipe: Recipe, device: ImuDevice, status: str, sessions: int
+    parts: Sequence[_Part], sessions: Sequence[_Session], recipe: Recipe, device: ImuDevice, status: str
 ) -> dict[str, str]:
+    first_rows = itertools.accumulate((len(part.host_s) for part in parts[:-1]), initial=0)
     said: dict[str, Any] = {
         "recipe": recipe.fingerprint,
         "title": recipe.title or "",
         "run": status,
-        "sessions": sessions,
+        "sessions": len(sessions),
         "unit": device.name,
         "driver": device.driver,
         "simulated": "the devices were simulated" if any(p.session.simulated for p in parts) else "no",
+        "clock_from_row": ", ".join(str(row) for row in first_rows),
         "clock_rate_error": ", ".join(f"{part.clock.rate_error:.3e}" for part in parts),
         "clock_rate_std": ", ".join(f"{part.clock.rate_std:.1e}" for part in parts),
         "clock_residual_rms_s": ", ".join(f"{part.clock.residual_rms_s:.1e}" for part in parts),
-        "seams": sum(event.name == "seam" for part in parts for event in part.session.events),
+        "seams": sum(event.name == "seam" for session in sessions for event in session.events),
     }
     return {name: str(value) for name, value in said.items()}

@@ -200,3 +200,21 @@ def test_hidden_truth_of_a_gimbal_moved_by_hand_lies_within_the_covariance(tmp_p
         chains.words(),
         "tests/hardware/test_end_to_end.py",
     )
+
+
+@pytest.mark.evidence
+def test_hidden_truth_of_the_standard_method_lies_within_the_covariance(tmp_path: Path) -> None:
+    """The paper's standard plan: rates at temperatures, after a soak at each, the table's own rate for reference."""
+    spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
+    spec.write_text(presets.text("paper-dynamic-standard"), encoding="utf-8")
+    assert gradcal("recipe", spec, "-o", recipe).returncode in (0, 1)
+    chains = Chains(recipe, tmp_path)
+    for seed in range(1, 4):
+        chains.add(seed, "full range")
+    assert 0.001 < chains.chance < 0.999, chains.statistic
+    assert np.all(np.abs(np.array(chains.ratios) - 1.0) < 0.1), chains.ratios
+    record(
+        "preset paper-dynamic-standard end to end, the standard method",
+        chains.words(),
+        "tests/hardware/test_end_to_end.py",
+    )

@@ -187,7 +187,8 @@ def _fitted_lag(settle) -> tuple[float, float]:
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     found: Any = optimize.minimize_scalar(chi_squared, bounds=(low, high), method="bounded", options={"xatol": 0.05})
     lag = float(found.x) if found.fun < values[best] else grid[best]
+    # Three lags that differ, also where the one found is none at all.
     width = max(0.05 * lag, 1.0)
-    around = [max(lag - width, 0.0), lag, lag + width]
+    around = max(lag - width, 0.0) + width * np.arange(3.0)
     bend = np.polyfit(around, [chi_squared(x) for x in around], 2)[0]
     return lag, float(1.0 / np.sqrt(bend)) if bend > 0.0 else float("inf")

@@ -1,15 +1,21 @@
 """One unit's rows of one axis, as a log has them, ready for integration."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
+from scipy import signal
 
 from gradcal_jax import estimation as room
 from gradcal_jax.assemble.build import Assembled
 from gradcal_jax.assemble.estimate_options import Options
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.identify import lagged
+from gradcal_jax.formulas import lag_filter
+
+# Over a shorter break the temperature went on as before; behind a longer one a run begins with a stable chamber, and a
+# lag has died away.
+_BRIDGED_S = 60.0
 
 
 class Rows(NamedTuple):
@@ -23,6 +29,8 @@ class Rows(NamedTuple):
     table_rate: np.ndarray | None
     standing: np.ndarray
     usable: np.ndarray
+    starts: np.ndarray
+    """At which each unbroken stretch begins."""
     messages: tuple[str, ...]
 
 
@@ -68,24 +76,57 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
         table_rate,
         standing,
         usable,
+        log.stretch_starts,
         tuple(messages),
     )
 
 
 def _host_time(log: Log) -> tuple[np.ndarray, str]:
-    """The sensor's stamps in seconds of the computer: a straight line through both."""
+    """The sensor's stamps in seconds of the computer: by straight lines through both, of one slope.
+
+    Each unbroken stretch has a line of its own: in a break the sensor's stamps may have been laid on the computer's.
+    """
     if log.host_time_s is None:
         raise LogError("the log has no host time, so the sensor's clock cannot be held against it")
-    sensor, host = log.time_s - log.time_s[0], log.host_time_s - log.host_time_s[0]
-    centred = sensor - sensor.mean()
-    slope = float(centred @ (host - host.mean()) / (centred @ centred))
-    spread = float(np.std(host - slope * sensor))
-    std = spread / float(np.sqrt(centred @ centred))
-    said = (
-        f"a second of the sensor is {slope:.9f} s of the computer (1σ {std * 1e6:.2g} ppm from the stamps' scatter); "
-        "rates are integrated over the computer's time"
-    )
-    return log.time_s[0] + slope * sensor, said
+    starts, stds = _clock_fits(log)
+    sensor, host = _centred(log.time_s, starts), _centred(log.host_time_s, starts)
+    levers = np.add.reduceat(sensor * sensor, starts)
+    if not levers.any():
+        raise LogError("no two rows of the log belong together, so the sensor's clock cannot be held against another")
+    if stds is None:
+        slope = float(sensor @ host / levers.sum())
+        spread = float(np.std(host - slope * sensor))
+        known = "how well that is known the log does not say"
+        if spread > np.spacing(max(np.abs(log.time_s).max(), np.abs(log.host_time_s).max())):
+            known = f"1σ {spread / np.sqrt(levers.sum()) * 1e6:.2g} ppm from the stamps' scatter"
+    else:
+        slopes = np.add.reduceat(sensor * host, starts) / levers
+        slope = float(np.average(slopes, weights=stds**-2.0))
+        known = f"1σ {np.sum(stds**-2.0) ** -0.5 * 1e6:.2g} ppm from when its samples arrived"
+    said = f"a second of the sensor is {slope:.9f} s of the computer ({known}); "
+    time = log.time_s[0] + slope * (log.time_s - log.time_s[0])
+    return time, said + "rates are integrated over the computer's time"
+
+
+def _clock_fits(log: Log) -> tuple[np.ndarray, np.ndarray | None]:
+    """The rows at which lines begin, and the standard deviations of their slopes.
+
+    The host times of a log that was made of a run lie on the lines that were fitted there, which its provenance tells.
+    Of others the stretches are taken; how well their slopes are known is for the stamps to say.
+    """
+    rows = [int(word) for word in log.provenance.get("clock_from_row", "0").split(", ")]
+    stds = np.array([float(word) for word in log.provenance.get("clock_rate_std", "").split(", ") if word])
+    if len(rows) != len(stds) or not np.all(stds > 0.0):
+        return log.stretch_starts, None
+    return np.array(rows), stds
+
+
+def _centred(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """About the mean of each stretch."""
+    counts = np.diff(starts, append=len(values))
+    # First about the stretch's first value: the mean of a computer's stamps, seconds since 1970, is rounded.
+    above = values - np.repeat(values[starts], counts)
+    return above - np.repeat(np.add.reduceat(above, starts) / counts, counts)
 
 
 def _temperature(built: Assembled, log: Log, unit: int) -> np.ndarray:
@@ -120,10 +161,25 @@ def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
 
 
 def followed(rows: Rows, lag: float) -> np.ndarray:
-    """The temperature that the maps follow."""
+    """The temperature that the maps follow: a first-order lag behind the measured one. It begins in equilibrium, again
+    after every long break; over a short one the temperature is taken to run straight on.
+    """
     if lag <= 0.0:
         return rows.temperature
-    return lagged(rows.temperature, float(np.mean(rows.step[1:])), lag)
+    measured = rows.temperature
+    result = np.empty_like(measured)
+    for first, end in itertools.pairwise([*rows.starts, len(measured)]):
+        result[first] = measured[first]
+        if first and (gap := float(rows.step[first])) <= _BRIDGED_S:
+            (now, before), (_, kept) = lag_filter(gap, lag)
+            result[first] = now * measured[first] + before * measured[first - 1] - kept * result[first - 1]
+        if end - first > 1:
+            numerator, denominator = lag_filter(float(np.mean(rows.step[first + 1 : end])), lag)
+            state = numerator[1] * measured[first] - denominator[1] * result[first]
+            result[first + 1 : end], _ = signal.lfilter(
+                numerator, denominator, measured[first + 1 : end], zi=np.array([state])
+            )
+    return result
 
 
 def count_rows(log: Log, unit: int, used: np.ndarray) -> dict[str, int]:

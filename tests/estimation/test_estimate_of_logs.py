@@ -1,6 +1,7 @@
 """Raw samples through the whole door: simulated logs of both methods whose truth is known, and what can go wrong."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import numpy as np
@@ -11,6 +12,8 @@ from gradcal_jax.assemble import assemble, knowledge
 from gradcal_jax.assemble.calibration import estimate_calibration
 from gradcal_jax.assemble.estimate import estimate_channels
 from gradcal_jax.assemble.estimate_options import Options
+from gradcal_jax.assemble.gradient_estimate import _fitted_lag
+from gradcal_jax.assemble.log_rows import Rows, _host_time, followed
 from gradcal_jax.assemble.simulation import simulate_log
 from gradcal_jax.estimation import nees_band
 from gradcal_jax.files.correction import bias, scale_factor
@@ -198,6 +201,45 @@ def test_a_lag_of_the_temperature_is_found():
     assert not split.agreement.passed
 
 
+def rows_at(time: np.ndarray, temperature: np.ndarray, starts: list[int]) -> Rows:
+    """Of a unit that does nothing but get warm."""
+    nothing, every = np.zeros(len(time)), np.ones(len(time), bool)
+    step = np.diff(time, prepend=time[0])
+    return Rows(time, step, nothing, temperature, None, None, every, every, np.array(starts), ())
+
+
+def test_a_lag_does_not_run_across_what_was_not_recorded():
+    hour, lag, per_s = np.arange(0.0, 3600.0, 0.1), 120.0, 1.0 / 60.0
+    up, down = 20.0 + per_s * hour, 80.0 - per_s * hour
+    time = np.concatenate([hour, 3.0 * 3600.0 + hour])
+    late = followed(rows_at(time, np.concatenate([up, down]), [0, len(hour)]), lag)
+    behind = per_s * lag * -np.expm1(-hour / lag)
+    np.testing.assert_allclose(late[: len(hour)], up - behind, atol=1e-9)
+    np.testing.assert_allclose(late[len(hour) :], down + behind, atol=1e-9)
+
+
+def test_a_lag_goes_on_over_samples_that_were_lost():
+    time = np.arange(0.0, 3600.0, 0.1)
+    rows = rows_at(time, 20.0 + time / 60.0, [0])
+    whole = followed(rows, 120.0)
+    kept = np.ones(len(time), bool)
+    # A row alone among losses, and nine seconds.
+    kept[20_000:20_010] = kept[20_011:20_101] = False
+    holed = rows_at(time[kept], rows.temperature[kept], [0, 20_000, 20_001])
+    np.testing.assert_allclose(followed(holed, 120.0), whole[kept], atol=1e-9)
+
+
+@pytest.mark.parametrize(("at_s", "std_s"), [(-3.0, 4.0), (0.3, 0.5), (40.0, 2.0)])
+def test_how_well_a_lag_is_known_is_told_also_where_there_is_none(at_s, std_s):
+    def settle(lag, parameters):
+        found = SimpleNamespace(parameters=np.zeros(1), chi_squared=np.array([((lag - at_s) / std_s) ** 2]))
+        return None, None, found, 0.0
+
+    lag, known = _fitted_lag(settle)
+    assert lag == pytest.approx(max(at_s, 0.0), abs=0.1)
+    assert known == pytest.approx(std_s, rel=1e-6)
+
+
 PROGRAMME = """programme = [
   { soak = "1 min", at = "0 degC" }, { ramp_to = "30 degC", rate = "5 K/min" },
   { ramp_to = "0 degC", rate = "5 K/min" } ]"""
@@ -226,6 +268,42 @@ def test_the_computers_clock_in_the_place_of_the_sensors():
     assert (rows @ wrong.found.parameters[0])[b00] == pytest.approx(truth - 500e-6, abs=5e-6)
     with pytest.raises(LogError, match="no host time"):
         estimate_channels(spec, made.log, options=Options(clock="host"))
+
+
+SLOW = 300e-6
+
+
+def two_hours(far_s: float, **more: object) -> Log:
+    """Of a unit whose clock is slow: two parts that were laid on the computer's clock where each begins."""
+    hour = np.arange(0.0, 3600.0, 0.1)
+    time = np.concatenate([1000.0 + hour, 1000.0 + far_s + hour])
+    host = np.concatenate([1000.0 + hour * (1.0 + SLOW), 1000.0 + far_s + hour * (1.0 + SLOW)])
+    rates = np.zeros((1, len(time), 1))
+    return Log(time, rates, ("u",), ("x",), stretch_starts=np.array([0, len(hour)]), host_time_s=host, **more)
+
+
+def test_the_slope_of_two_clocks_is_that_within_the_stretches():
+    log = two_hours(36_000.0)
+    time, said = _host_time(log)
+    assert np.ptp(time[:36_000]) == pytest.approx(3599.9 * (1.0 + SLOW), abs=1e-6)
+    assert "1.000300000 s of the computer (how well that is known the log does not say)" in said
+    jitter = np.random.default_rng(1).uniform(0.0, 0.01, len(time))
+    _, said = _host_time(replace(log, host_time_s=log.host_time_s + jitter))
+    # 10 ms / √12, by two levers of 3600 s · √(36000 / 12).
+    assert "(1σ 0.01 ppm from the stamps' scatter)" in said
+
+
+def test_how_well_a_runs_clock_is_known_comes_from_the_run():
+    made = {"clock_from_row": "0, 36000", "clock_rate_std": "3.0e-07, 4.0e-07"}
+    log = two_hours(36_000.0, provenance=made)
+    # The second part ran by another clock: the better known counts for more.
+    host = log.host_time_s.copy()
+    host[36_000:] += (log.time_s[36_000:] - log.time_s[36_000]) * 10e-6
+    _, said = _host_time(replace(log, host_time_s=host))
+    assert "1.000303600 s of the computer (1σ 0.24 ppm from when its samples arrived)" in said
+    one = {"clock_rate_std": "2.5e-07"}
+    _, said = _host_time(two_hours(3600.0 * (1.0 + SLOW), provenance=one))
+    assert "(1σ 0.25 ppm from when its samples arrived)" in said
 
 
 def test_what_a_log_lacks_is_a_sentence():

@@ -4,6 +4,7 @@ import sys
 import threading
 from dataclasses import asdict
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
 from cyclopts import App
@@ -123,7 +124,10 @@ def _say(folder: Path, result: "RunResult", json: bool) -> int:
 
 
 class _Watcher:
-    """Shows what the run does: one moving line on a terminal, a line for each step elsewhere; nothing where `quiet`."""
+    """Shows what the run does: one moving line on a terminal, a line for each step elsewhere; nothing where `quiet`.
+
+    In a thread of its own: a terminal that was told to stop (Ctrl-S) stops no move and no interlock.
+    """
 
     def __init__(self, simulated: bool, *, quiet: bool) -> None:
         self._simulated = simulated
@@ -133,17 +137,22 @@ class _Watcher:
         self._last: tuple[str, str] = ("", "")
         self._runner: Runner | None = None
         self._asked = False
+        self._news: SimpleQueue[Progress | None] = SimpleQueue()
+        self._shows = threading.Thread(target=self._show_all, daemon=True, name="showing the run")
 
     def __enter__(self) -> "_Watcher":
+        self._shows.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._news.put(None)
+        self._shows.join(timeout=2.0)
         self._line.end()
 
     def attends(self) -> "Attended":
         """For the run that is shown."""
         return {
-            "on_progress": self._show,
+            "on_progress": self._news.put,
             "with_runner": self._attend,
             "wait_when_paused": sys.stdin.isatty(),
             "handle_signals": threading.current_thread() is threading.main_thread(),
@@ -153,8 +162,11 @@ class _Watcher:
     def _attend(self, runner: "Runner") -> None:
         self._runner = runner
 
+    def _show_all(self) -> None:
+        while (progress := self._news.get()) is not None:
+            self._show(progress)
+
     def _show(self, progress: "Progress") -> None:
-        """Called by the run itself, so it must be quick."""
         now = (progress.state.value, progress.step)
         if self._terminal is not None and self._terminal.asking:
             # Somebody types on this line.

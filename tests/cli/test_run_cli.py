@@ -1,6 +1,7 @@
 """`gradcal rig`, `run` and `log` as users have them: statuses, sentences, Ctrl-C."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -138,3 +139,31 @@ def test_ctrl_c_pauses_and_again_makes_safe_and_ends(tmp_path):
     assert f"gradcal run --resume {run}" in err
     states = [event.data["state"] for event in read_journal(run / "journal").events if event.name == "state"]
     assert states == ["running", "pausing", "paused", "aborting", "safe"]
+
+
+def test_a_terminal_that_was_told_to_stop_stops_no_run(tmp_path):
+    recipe, run = a_recipe(tmp_path), tmp_path / "run"
+    master, slave = os.openpty()
+    program = "import sys; from gradcal_jax.cli import main; sys.exit(main(sys.argv[1:]))"
+    words = [sys.executable, "-c", program, "run", str(recipe), "--simulate", "-o", str(run)]
+    process = subprocess.Popen(words, stdin=slave, stdout=slave, stderr=slave, start_new_session=True)
+    os.close(slave)
+    try:
+        said = b""
+        while b"step 1 of" not in said:
+            said += os.read(master, 4096)
+        os.write(master, b"\x13")  # Ctrl-S
+        deadline = time.monotonic() + 120.0
+        ended = False
+        while not ended and time.monotonic() < deadline:
+            time.sleep(0.5)
+            journal = run / "journal"
+            ended = journal.exists() and any(event.name == "end" for event in read_journal(journal).events)
+        assert ended
+        os.write(master, b"\x11")  # Ctrl-Q
+        while b"make its log" not in said:
+            said += os.read(master, 4096)
+        assert process.wait(timeout=30.0) == 0
+    finally:
+        process.kill()
+        os.close(master)

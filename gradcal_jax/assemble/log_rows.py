@@ -1,21 +1,15 @@
 """One unit's rows of one axis, as a log has them, ready for integration."""
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal
 
 from gradcal_jax import estimation as room
 from gradcal_jax.assemble.build import Assembled
 from gradcal_jax.assemble.estimate_options import Options
+from gradcal_jax.files import correction
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.formulas import lag_filter
-
-# Over a shorter break the temperature went on as before; behind a longer one a run begins with a stable chamber, and a
-# lag has died away.
-_BRIDGED_S = 60.0
 
 
 class Rows(NamedTuple):
@@ -161,25 +155,8 @@ def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
 
 
 def followed(rows: Rows, lag: float) -> np.ndarray:
-    """The temperature that the maps follow: a first-order lag behind the measured one. It begins in equilibrium, again
-    after every long break; over a short one the temperature is taken to run straight on.
-    """
-    if lag <= 0.0:
-        return rows.temperature
-    measured = rows.temperature
-    result = np.empty_like(measured)
-    for first, end in itertools.pairwise([*rows.starts, len(measured)]):
-        result[first] = measured[first]
-        if first and (gap := float(rows.step[first])) <= _BRIDGED_S:
-            (now, before), (_, kept) = lag_filter(gap, lag)
-            result[first] = now * measured[first] + before * measured[first - 1] - kept * result[first - 1]
-        if end - first > 1:
-            numerator, denominator = lag_filter(float(np.mean(rows.step[first + 1 : end])), lag)
-            state = numerator[1] * measured[first] - denominator[1] * result[first]
-            result[first + 1 : end], _ = signal.lfilter(
-                numerator, denominator, measured[first + 1 : end], zi=np.array([state])
-            )
-    return result
+    """The temperature that the maps follow."""
+    return correction.followed(rows.temperature, rows.time, rows.starts, lag)
 
 
 def count_rows(log: Log, unit: int, used: np.ndarray) -> dict[str, int]:

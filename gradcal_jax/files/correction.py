@@ -7,8 +7,9 @@ range that the data covered, the maps' values at its edge hold.
 """
 
 import importlib
+import itertools
 from dataclasses import replace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,9 @@ Floats = NDArray[np.float64]
 _ROUNDS = 200
 _ROWS_AT_ONCE = 1 << 16
 _SLOPE_WINDOW_S = 60.0
+# Over a shorter break the temperature went on as before; behind a longer one a run begins with a stable chamber, and a
+# lag has died away.
+_BRIDGED_S = 60.0
 
 
 class Corrected(NamedTuple):
@@ -127,15 +131,27 @@ def _correct(axis: AxisCalibration, said: Floats, temperature: Floats) -> Floats
     )
 
 
-def effective_temperature(axis: AxisCalibration, temperature_c: Floats, time_s: Floats) -> Floats:
-    """The temperature that the maps follow: the measured one, or its first-order lag, in equilibrium at the start."""
-    if axis.thermal_lag is None:
+def followed(temperature_c: Floats, time_s: Floats, starts: NDArray[np.int64], lag_s: float) -> Floats:
+    """The temperature that the maps follow: a first-order lag behind the measured one `(n,)`, whose unbroken stretches
+    begin at the rows `starts`. It begins in equilibrium, again after every long break; over a short one the
+    temperature is taken to run straight on.
+    """
+    if lag_s <= 0.0:
         return temperature_c
     signal: Any = importlib.import_module("scipy.signal")
-    filter_ = formulas.lag_filter(float(np.mean(np.diff(time_s))), float(axis.thermal_lag))
-    start = temperature_c[0]
-    late: Any = signal.lfilter(*filter_, temperature_c - start)
-    return np.add(cast(Floats, late), start)
+    result = np.empty_like(temperature_c)
+    for first, end in itertools.pairwise([*starts.tolist(), len(temperature_c)]):
+        result[first] = temperature_c[first]
+        if first and (gap := float(time_s[first] - time_s[first - 1])) <= _BRIDGED_S:
+            (now, before), (_, kept) = formulas.lag_filter(gap, lag_s)
+            result[first] = now * temperature_c[first] + before * temperature_c[first - 1] - kept * result[first - 1]
+        if end - first > 1:
+            interval = float(time_s[end - 1] - time_s[first]) / (end - 1 - first)
+            numerator, denominator = formulas.lag_filter(interval, lag_s)
+            state = numerator[1] * temperature_c[first] - denominator[1] * result[first]
+            late: Any = signal.lfilter(numerator, denominator, temperature_c[first + 1 : end], zi=np.array([state]))
+            result[first + 1 : end] = late[0]
+    return result
 
 
 def temperature_slope(temperature_c: Floats, time_s: Floats) -> Floats:
@@ -191,16 +207,16 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     for name in common:
         axis = calibration.axis_of(name)
         column = log.axis_index(name)
-        followed = effective_temperature(axis, temperature, log.time_s)
+        at = followed(temperature, log.time_s, log.stretch_starts, float(axis.thermal_lag or 0.0))
         said = rates[:, column]
         if axis.bias_temperature_gradient is not None:
             said = said - axis.bias_temperature_gradient * temperature_slope(temperature, log.time_s)
         readable = np.isfinite(said)
         found = np.full_like(said, np.nan)
-        found[readable] = correct(axis, said[readable], followed[readable])
+        found[readable] = correct(axis, said[readable], at[readable])
         rates[:, column] = found
         if needs_temperature(calibration):
-            outside_temperature += _outside(followed[usable], axis.valid_temperature)
+            outside_temperature += _outside(at[usable], axis.valid_temperature)
         outside_rate += _outside(found[usable & readable], axis.valid_rate)
     corrected = replace(
         log,

@@ -22,6 +22,7 @@ from gradcal_jax.files.correction import apply, bias, correct, measured, scale_f
 from gradcal_jax.files.log import Log, LogError, Reason, read_log, write_log
 from gradcal_jax.files.log_contents import contents
 from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.writing import to_toml
 
 
@@ -101,6 +102,21 @@ def test_masked_rows_stay_masked_and_missing_temperatures_are_bridged():
     corrected = apply(found, holed).log
     np.testing.assert_allclose(corrected.rate_rad_per_s[0], truth, rtol=1e-9)
     assert corrected.counts() == {"used": 197, "missing temperature": 3}
+
+
+def test_what_is_applied_lags_within_a_stretch_and_not_across_hours():
+    found = parse_calibration(HEAD + axis_text("x"))
+    axis = found.axis[0].model_copy(update={"thermal_lag": Quantity.read("2 min", "time")})
+    found = found.model_copy(update={"axis": (axis,)})
+    hour = np.arange(0.0, 3600.0, 1.0)
+    behind = 120.0 / 60.0 * -np.expm1(-hour / 120.0)  # of a ramp of 1 K/min
+    temperature = np.concatenate([hour / 60.0, 60.0 - hour / 60.0])
+    truth = np.full_like(temperature, 0.3)
+    said = measured(axis, truth, temperature + np.concatenate([-behind, behind]))
+    time = np.concatenate([hour, 3.0 * 3600.0 + hour])
+    starts = np.array([0, len(hour)])
+    log = Log(time, said[None, :, None], ("SN-7",), ("x",), temperature_c=temperature[None], stretch_starts=starts)
+    np.testing.assert_allclose(apply(found, log).log.rate_rad_per_s[0, :, 0], truth, rtol=1e-9)
 
 
 def test_a_log_that_does_not_fit_is_a_sentence():

@@ -184,37 +184,22 @@ def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path
 
 
 @pytest.mark.evidence
-def test_hidden_truth_of_a_gimbal_moved_by_hand_lies_within_the_covariance(tmp_path: Path) -> None:
-    """The preset whose gimbal somebody turns, with a simulated person: uneven, late, now and then mistyped."""
+@pytest.mark.parametrize(
+    ("preset", "requirement", "within", "what"),
+    [
+        # One typed angle a rest in the place of a reading a second, and rates that nobody chose.
+        ("rig-hand", "scale factor", 0.15, "a simulated person turns the gimbal and types its angles"),
+        ("paper-dynamic-standard", "full range", 0.1, "the standard method"),
+    ],
+)
+def test_hidden_truth_of_a_preset_lies_within_the_covariance(tmp_path: Path, preset, requirement, within, what) -> None:
+    """By hand: uneven, late, now and then mistyped. The standard method: a soak and six rates at each temperature."""
     spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
-    spec.write_text(presets.text("rig-hand"), encoding="utf-8")
+    spec.write_text(presets.text(preset), encoding="utf-8")
     assert gradcal("recipe", spec, "-o", recipe).returncode in (0, 1)
     chains = Chains(recipe, tmp_path)
     for seed in range(1, 4):
-        chains.add(seed, "scale factor")
+        chains.add(seed, requirement)
     assert 0.001 < chains.chance < 0.999, chains.statistic
-    # One typed angle a rest in the place of a reading a second, and rates that nobody chose.
-    assert np.all(np.abs(np.array(chains.ratios) - 1.0) < 0.15), chains.ratios
-    record(
-        "preset rig-hand end to end, a simulated person turns the gimbal and types its angles",
-        chains.words(),
-        "tests/hardware/test_end_to_end.py",
-    )
-
-
-@pytest.mark.evidence
-def test_hidden_truth_of_the_standard_method_lies_within_the_covariance(tmp_path: Path) -> None:
-    """The paper's standard plan: rates at temperatures, after a soak at each, the table's own rate for reference."""
-    spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
-    spec.write_text(presets.text("paper-dynamic-standard"), encoding="utf-8")
-    assert gradcal("recipe", spec, "-o", recipe).returncode in (0, 1)
-    chains = Chains(recipe, tmp_path)
-    for seed in range(1, 4):
-        chains.add(seed, "full range")
-    assert 0.001 < chains.chance < 0.999, chains.statistic
-    assert np.all(np.abs(np.array(chains.ratios) - 1.0) < 0.1), chains.ratios
-    record(
-        "preset paper-dynamic-standard end to end, the standard method",
-        chains.words(),
-        "tests/hardware/test_end_to_end.py",
-    )
+    assert np.all(np.abs(np.array(chains.ratios) - 1.0) < within), chains.ratios
+    record(f"preset {preset} end to end, {what}", chains.words(), "tests/hardware/test_end_to_end.py")

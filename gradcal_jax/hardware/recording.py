@@ -205,6 +205,9 @@ def _part(
         else np.zeros((len(rows), 0))
     )
     number[~np.isfinite(angles).all(axis=-1)] = -1
+    # Numbered anew: of a standstill that a pause cut short no row may be left.
+    left = np.unique(number[number >= 0])
+    number[number >= 0] = np.searchsorted(left, number[number >= 0])
     return _Part(
         session,
         _taken(samples, rows),

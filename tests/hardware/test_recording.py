@@ -78,7 +78,11 @@ def recorded(
     records = sorted([*records, *happened], key=lambda record: record.time_s)
     if vectornav:
         rig = rig.replace('"stim300"  ', '"vectornav"').replace('"125 Hz"', '"200 Hz"')
-    return log_of(JournalContents(records), short_recipe(), parse_rig(rig))
+    log = log_of(JournalContents(records), short_recipe(), parse_rig(rig))
+    if log.standstill is not None:
+        numbers = np.unique(log.standstill[log.standstill >= 0])
+        assert numbers.tolist() == list(range(len(numbers)))
+    return log
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from .runner import Progress, Runner, RunResult
 from .session import run_session
 from .setup import configs_of
 from .simulate.lab import SimulatedLab
+from .simulate.stim300 import RATES_HZ
 from .terminal import Terminal
 
-SAMPLE_RATES_HZ: Final = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 # A simulated run goes on so long after the last thing that it recorded.
 _LATER_S: Final = 60.0
 
@@ -72,8 +72,8 @@ def run(
         configs_of(rig)
         _require_somebody(rig, attended)
         return _on_rig(new_folder(path, recipe, rig), 0, attended)
-    if sample_rate_hz not in SAMPLE_RATES_HZ:
-        known = ", ".join(f"{rate:g}" for rate in SAMPLE_RATES_HZ)
+    if sample_rate_hz not in RATES_HZ:
+        known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; it does at {known} Hz")
     simulation = Simulation(seed=seed, speed=speed, sample_rate_hz=sample_rate_hz)
     return _simulated(path, recipe, simulation, None, attended)

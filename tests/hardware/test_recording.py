@@ -51,30 +51,16 @@ def recorded(
     turns: Sequence[Turn],
     end_s: float,
     *,
-    burst_s: float,
-    late_s: Callable[[int], float],
-    piece_s: float = 0.02,
-    lost: Callable[[int, bytes], bytes] = no_loss,
-    reboots_s: Sequence[float] = (),
     vectornav: bool = False,
     happened: Sequence[Event] = (),
     rig: str = TEMPLATE,
+    **sends: Any,
 ) -> Log:
     """The log of a run of one step: the table turns, a unit sends every `burst_s`, the host has the first piece of a
     burst `late_s(number)` after it was sent and each other `piece_s` later, and loses what `lost` leaves out. What else
     `happened` stands in the journal, too."""
     told = Session(START_S, simulated=True)
-    records = session(
-        told,
-        turns,
-        end_s,
-        burst_s=burst_s,
-        late_s=late_s,
-        piece_s=piece_s,
-        lost=lost,
-        reboots_s=reboots_s,
-        vectornav=vectornav,
-    )
+    records = session(told, turns, end_s, vectornav=vectornav, **sends)
     records = sorted([*records, *happened], key=lambda record: record.time_s)
     if vectornav:
         rig = rig.replace('"stim300"  ', '"vectornav"').replace('"125 Hz"', '"200 Hz"')

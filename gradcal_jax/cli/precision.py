@@ -3,10 +3,8 @@
 The library itself never changes JAX's global switches.
 """
 
-import os
 import signal
 import threading
-from pathlib import Path
 from types import FrameType
 
 _SOON_S = 0.05
@@ -17,6 +15,8 @@ def use_float64() -> None:
     call it before anything is computed.
     """
     import jax
+
+    from gradcal_jax.cache import cache_folder
 
     _let_interrupts_through()
     jax.config.update("jax_enable_x64", True)
@@ -40,14 +40,3 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
         threading.Timer(_SOON_S, signal.raise_signal, (number,)).start()
     else:
         signal.default_int_handler(number, frame)
-
-
-def cache_folder() -> Path | None:
-    """`$XDG_CACHE_HOME/gradcal`, or None where it cannot be written: then every run compiles for itself."""
-    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    try:
-        folder = Path(base).expanduser() / "gradcal"
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        return None
-    return folder if os.access(folder, os.W_OK) else None

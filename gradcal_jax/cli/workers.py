@@ -21,7 +21,7 @@ def runner_for(scheduler: str | None, workers: int | None) -> "LocalPool | Clust
         from gradcal_jax.jobs.cluster import Cluster
 
         return Cluster(scheduler)
-    from gradcal_jax.cli.precision import cache_folder
+    from gradcal_jax.cache import cache_folder
     from gradcal_jax.jobs.pool import LocalPool
 
     folder = cache_folder()

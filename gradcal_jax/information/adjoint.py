@@ -15,19 +15,25 @@ estimate it (de Jong's smoother; Durbin and Koopman, Time Series Analysis by Sta
 
 So a value and its gradient cost the filter, one more linear recurrence with the same A, backwards and in the same
 blocks, and a few products; neither the filter's covariances nor its blocks are ever differentiated. The rule is linear
-in the tangents and serves both modes: transposed, it is dense products again.
+in the tangents and serves both modes: transposed, it is dense products again, or the machine code of
+`information.native` where there is some.
 """
+
+from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from gradcal_jax.information.native import Kept, native
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.whitening import (
     Filtered,
     FilterState,
     act,
     applied,
+    block_length,
     cut,
     filter_columns,
     over_blocks,
@@ -36,7 +42,7 @@ from gradcal_jax.information.whitening import (
     transposed,
     whiten,
 )
-from gradcal_jax.linalg import column_norms, factor_tangent, triangular_factor
+from gradcal_jax.linalg import column_norms, factor_tangent, linear_with_transpose, triangular_factor
 
 
 @jax.custom_jvp
@@ -48,9 +54,8 @@ def gram(steps: NoiseSteps, columns: Float[Array, "N p"]) -> Float[Array, "p p"]
 
 @gram.defjvp
 def _gram_jvp(primals, tangents):
-    filtered = _filtered(*primals)
-    rows = jnp.reshape(filtered.rows, (-1, primals[1].shape[1]))
-    return rows.T @ rows, _tangent(filtered, *primals, *tangents)
+    rows, tangent = _linearised(*primals)
+    return rows.T @ rows, tangent(*tangents)
 
 
 @jax.custom_jvp
@@ -67,11 +72,10 @@ def whitened_factor(
 @whitened_factor.defjvp
 def _whitened_factor_jvp(primals, tangents):
     (steps, columns, below), (d_steps, d_columns, d_below) = primals, tangents
-    filtered = _filtered(steps, columns)
-    rows = jnp.reshape(filtered.rows, (-1, columns.shape[1]))
+    rows, tangent = _linearised(steps, columns)
     factor, scale = _factor(rows, below)
     cross = below.T @ d_below
-    d_gram = _tangent(filtered, steps, columns, d_steps, d_columns) + cross + cross.T
+    d_gram = tangent(d_steps, d_columns) + cross + cross.T
     d_factor = factor_tangent(factor, d_gram / (scale[:, None] * scale[None, :]))
     return (factor, scale), (d_factor, jnp.zeros_like(scale))
 
@@ -80,6 +84,49 @@ def _factor(rows: Array, below: Array) -> tuple[Array, Array]:
     everything = jnp.concatenate([rows, below])
     scale = column_norms(everything)
     return triangular_factor(everything / scale[None, :]), scale
+
+
+def _linearised(steps: NoiseSteps, columns: Array) -> tuple[Array, Callable[[NoiseSteps, Array], Array]]:
+    """Whitened rows, and `dG` as a function of the tangents."""
+    code = native(steps, columns)
+    if code is None:
+        filtered = _filtered(steps, columns)
+        rows = jnp.reshape(filtered.rows, (-1, columns.shape[1]))
+        return rows, lambda d_steps, d_columns: _tangent(filtered, steps, columns, d_steps, d_columns)
+    rows, kept = _kept(steps, columns)
+
+    def cotangents(of_product):
+        return code.cotangents(steps, rows, kept, of_product)
+
+    def tangent(d_steps, d_columns):
+        tangents = (*d_steps[:4], d_steps.initial, d_columns)
+        return linear_with_transpose(
+            partial(_tangent_in_blocks, steps, columns), cotangents, tangents, (rows.shape[1],) * 2
+        )
+
+    return rows, tangent
+
+
+@jax.custom_jvp
+def _kept(steps: NoiseSteps, columns: Array) -> tuple[Array, Kept]:
+    code = native(steps, columns)
+    assert code is not None
+    return code.keep(steps, columns)
+
+
+@_kept.defjvp
+def _kept_jvp(primals, tangents):
+    """For second derivatives. What is kept serves the told transpose alone, whose derivative JAX takes from the map."""
+    rows, kept = _kept(*primals)
+    d_rows = jax.jvp(partial(whiten, block=block_length(rows.shape[0])), primals, tangents)[1]
+    return (rows, kept), (d_rows, jax.tree.map(jnp.zeros_like, kept))
+
+
+@jax.jit  # So that it is traced once, and not at every use of `_linearised`.
+def _tangent_in_blocks(steps: NoiseSteps, columns: Array, tangents: tuple[Array, ...]) -> Array:
+    transition, covariance, observation, variance, initial, d_columns = tangents
+    d_steps = NoiseSteps(transition, covariance, observation, variance, steps.used, initial)
+    return _tangent(_filtered(steps, columns), steps, columns, d_steps, d_columns)
 
 
 def _filtered(steps: NoiseSteps, columns: Array) -> Filtered:

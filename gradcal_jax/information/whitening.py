@@ -16,11 +16,12 @@ The readings are cut into `B` blocks of `K`, so that nothing walks through N sma
    is one small product, `x → Ψx + E y`; a short recurrence over the blocks gives every start, and one pass the rows.
 
 Nothing is approximated and any timing is allowed. Derivatives of `rowsᵀ rows` need none of this a second time: see
-`information.adjoint`.
+`information.adjoint`. Where there is machine code for it (`information.native`), the readings are gone through one by
+one instead.
 """
 
 from collections.abc import Iterable
-from functools import reduce
+from functools import partial, reduce
 from operator import add
 from typing import NamedTuple
 
@@ -29,6 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from gradcal_jax.information.native import native
 from gradcal_jax.information.noise_steps import NoiseSteps
 
 
@@ -42,8 +44,9 @@ class FilterState(NamedTuple):
 def whiten(steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None) -> Float[Array, "N p"]:
     """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings.
 
-    The row of a reading that is not used is zero. `block`: K, by default about √N. To differentiate what follows from
-    the rows' product, use `gram` or `whitened_factor`: several times quicker, and exact for singular noise, too.
+    The row of a reading that is not used is zero. `block`: K, by default about √N, or none in machine code. To
+    differentiate what follows from the rows' product, use `gram` or `whitened_factor`: several times quicker, and exact
+    for singular noise, too.
     """
     start = FilterState(jnp.zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype), steps.initial)
     return whiten_from(start, steps, columns, block=block)[0]
@@ -53,9 +56,24 @@ def whiten_from(
     state: FilterState, steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None
 ) -> tuple[Float[Array, "N p"], FilterState]:
     """As `whiten`, from a given state and returning the next: long logs go through in tiles."""
+    if block is None and native(steps, columns, *state) is not None:
+        return _natively(state, steps, columns)
     filtered = filter_columns(state, steps, columns, block)
     rows = jnp.reshape(filtered.rows, (-1, columns.shape[1]))[: columns.shape[0]]
     return rows, filtered.end
+
+
+@jax.custom_jvp
+def _natively(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:
+    code = native(steps, columns, *state)
+    assert code is not None
+    rows, *after = code.whiten(*state, steps, columns)
+    return rows, FilterState(*after)
+
+
+@_natively.defjvp
+def _natively_jvp(primals, tangents):
+    return jax.jvp(partial(whiten_from, block=block_length(len(primals[2]))), primals, tangents)
 
 
 # --- small matrices whose entries are whole arrays: `(i, j, …)` ------------------------------------------------------

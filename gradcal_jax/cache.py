@@ -1,0 +1,15 @@
+"""The user's folder for what was compiled once: JAX's programs, and the filter in machine code."""
+
+import os
+from pathlib import Path
+
+
+def cache_folder() -> Path | None:
+    """`$XDG_CACHE_HOME/gradcal`, or None where it cannot be written: then every run compiles for itself."""
+    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    try:
+        folder = Path(base).expanduser() / "gradcal"
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return None
+    return folder if os.access(folder, os.W_OK) else None

@@ -1,0 +1,258 @@
+// The filter of `whitening.py` and the derivative of `adjoint.py`, reading by reading, in machine code: one pass through
+// the data without leaving the cache. `native.py` compiles it for a number of noise states (STATES) and a precision
+// (REAL) and hands it to JAX. Arrays are as there, row-major; all but `STATES` is known only when it is called, and any
+// number of problems of one shape may stand one after the other.
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+
+#include "xla/ffi/api/ffi.h"
+
+namespace ffi = xla::ffi;
+
+namespace {
+
+using Real = REAL;
+constexpr int n = STATES;
+
+// Columns go side by side through a vector register, a panel of LANES at a time.
+constexpr int64_t LANES = 64 / sizeof(Real);
+using Vec = Real __attribute__((vector_size(64)));
+using Anywhere = Real __attribute__((vector_size(64), aligned(alignof(Real)), may_alias));
+
+int64_t panels(int64_t columns) { return (columns + LANES - 1) / LANES; }
+
+// A panel of which `left` columns are there; the others are zero.
+Vec load(const Real* from, int64_t left) {
+  if (left >= LANES) return *reinterpret_cast<const Anywhere*>(from);
+  Vec panel = {};
+  std::memcpy(&panel, from, left * sizeof(Real));
+  return panel;
+}
+
+void store(Real* to, int64_t left, Vec panel) {
+  if (left >= LANES)
+    *reinterpret_cast<Anywhere*>(to) = panel;
+  else
+    std::memcpy(to, &panel, left * sizeof(Real));
+}
+
+Real total(Vec panel) {
+  Real lane[LANES];
+  std::memcpy(lane, &panel, sizeof panel);
+  for (int half = LANES / 2; half; half /= 2)
+    for (int a = 0; a < half; ++a) lane[a] += lane[a + half];
+  return lane[0];
+}
+
+// The steps of one problem: `transition` and `noise` of the step that leads to each reading.
+struct Steps {
+  const Real *transition, *noise, *observation, *variance;
+  const bool* used;
+};
+
+// What the derivative needs of the filter at each reading: x and P before it, P Hᵀ/S and 1/√S.
+template <typename T>
+struct Kept {
+  T *state, *covariance, *gain, *per_std;
+};
+
+// Whitened `rows` of all columns, and state and covariance after the last reading.
+void filter(int64_t count, int64_t p, Steps steps, const Real* mean, const Real* covariance, const Real* columns,
+            Real* rows, Real* mean_after, Real* covariance_after, const Kept<Real>* kept) {
+  const int64_t m = panels(p);
+  const std::unique_ptr<Vec[]> state(new Vec[m * n]);
+  for (int64_t c = 0; c < m; ++c)
+    for (int i = 0; i < n; ++i) state[c * n + i] = load(mean + i * p + c * LANES, p - c * LANES);
+  Real P[n][n];
+  std::copy_n(covariance, n * n, &P[0][0]);
+  for (int64_t k = 0; k < count; ++k) {
+    const Real *F = steps.transition + k * n * n, *Q = steps.noise + k * n * n, *H = steps.observation + k * n;
+    Real FP[n][n], PH[n], gain[n], S = steps.variance[k];
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < n; ++j) {
+        FP[i][j] = 0;
+        for (int l = 0; l < n; ++l) FP[i][j] += F[i * n + l] * P[l][j];
+      }
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j <= i; ++j) {
+        Real sum = Q[i * n + j];
+        for (int l = 0; l < n; ++l) sum += FP[i][l] * F[j * n + l];
+        P[i][j] = P[j][i] = sum;
+      }
+    for (int i = 0; i < n; ++i) {
+      PH[i] = 0;
+      for (int l = 0; l < n; ++l) PH[i] += P[i][l] * H[l];
+      S += H[i] * PH[i];
+    }
+    // Nothing is learnt where there is no reading, or one that is known beforehand.
+    const Real reciprocal = steps.used[k] && S > 0 ? 1 / S : 0, per_std = std::sqrt(reciprocal);
+    for (int i = 0; i < n; ++i) gain[i] = PH[i] * reciprocal;
+    if (kept) {
+      std::copy_n(&P[0][0], n * n, kept->covariance + k * n * n);
+      std::copy_n(gain, n, kept->gain + k * n);
+      kept->per_std[k] = per_std;
+    }
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < n; ++j) P[i][j] -= gain[i] * PH[j];
+    for (int64_t c = 0; c < m; ++c) {
+      const int64_t a = c * LANES, left = p - a;
+      Vec *x = &state[c * n], before[n], innovation = load(columns + k * p + a, left);
+      for (int i = 0; i < n; ++i) {
+        before[i] = F[i * n] * x[0];
+        for (int l = 1; l < n; ++l) before[i] += F[i * n + l] * x[l];
+      }
+      for (int i = 0; i < n; ++i) innovation -= H[i] * before[i];
+      store(rows + k * p + a, left, per_std * innovation);
+      if (kept)
+        for (int i = 0; i < n; ++i) store(kept->state + (k * n + i) * p + a, left, before[i]);
+      for (int i = 0; i < n; ++i) x[i] = before[i] + gain[i] * innovation;
+    }
+  }
+  for (int64_t c = 0; c < m; ++c)
+    for (int i = 0; i < n; ++i) store(mean_after + i * p + c * LANES, p - c * LANES, state[c * n + i]);
+  std::copy_n(&P[0][0], n * n, covariance_after);
+}
+
+// Cotangents of a filter that began with states of zero, for the cotangent Ḡ of `rowsᵀ rows`, symmetric.
+//
+// With u, ρ, ẑ as in `adjoint.py`: 2 uḠ of a reading's columns, −uḠuᵀ of its variance, −2 uḠẑᵀ of H; of the step that
+// leads to it −2 ρḠẑᵀ, ẑ at the reading before, for F and −ρḠρᵀ for Q. uḠ and ρḠ obey the recursions of u and ρ, with
+// `weighed`, which is rows times Ḡ, in the place of `rows`.
+struct Cotangents {
+  Real *transition, *noise, *observation, *variance, *initial, *columns;
+};
+
+void pull(int64_t count, int64_t p, Steps steps, const Real* initial, const Real* rows, const Real* weighed,
+          Kept<const Real> kept, Cotangents of) {
+  // Of a panel, from the step that follows the reading: Fᵀρ, FᵀρḠ, and ρḠ itself.
+  struct Later {
+    Vec rho[n], weighed[n], before_step[n];
+  };
+  const int64_t m = panels(p);
+  const std::unique_ptr<Later[]> work(new Later[m]());
+  for (int64_t k = count - 1; k >= 0; --k) {
+    const Real *F = steps.transition + k * n * n, *H = steps.observation + k * n;
+    const Real *P = kept.covariance + k * n * n, *gain = kept.gain + k * n, per_std = kept.per_std[k];
+    Vec by_variance = {}, by_observation[n] = {}, by_noise[n][n] = {}, by_transition[n][n] = {};
+    for (int64_t c = 0; c < m; ++c) {
+      Later& later = work[c];
+      const int64_t a = c * LANES, left = p - a;
+      Vec u = per_std * load(rows + k * p + a, left), w = per_std * load(weighed + k * p + a, left);
+      for (int i = 0; i < n; ++i) {
+        u -= gain[i] * later.rho[i];
+        w -= gain[i] * later.weighed[i];
+      }
+      store(of.columns + k * p + a, left, w + w);
+      by_variance += u * w;
+      Vec rho[n], weighed_rho[n];
+      for (int i = 0; i < n; ++i) {
+        rho[i] = later.rho[i] + H[i] * u;
+        weighed_rho[i] = later.weighed[i] + H[i] * w;
+        for (int j = 0; j <= i; ++j) by_noise[i][j] += rho[i] * weighed_rho[j];
+      }
+      for (int j = 0; j < n; ++j) {
+        Vec smoothed = load(kept.state + (k * n + j) * p + a, left);
+        for (int l = 0; l < n; ++l) smoothed += P[j * n + l] * rho[l];
+        by_observation[j] += w * smoothed;
+        for (int i = 0; i < n; ++i) by_transition[i][j] += later.before_step[i] * smoothed;
+      }
+      for (int i = 0; i < n; ++i) {
+        later.before_step[i] = weighed_rho[i];
+        later.rho[i] = F[i] * rho[0];
+        later.weighed[i] = F[i] * weighed_rho[0];
+        for (int j = 1; j < n; ++j) {
+          later.rho[i] += F[j * n + i] * rho[j];
+          later.weighed[i] += F[j * n + i] * weighed_rho[j];
+        }
+      }
+    }
+    of.variance[k] = -total(by_variance);
+    for (int i = 0; i < n; ++i) {
+      of.observation[k * n + i] = -2 * total(by_observation[i]);
+      for (int j = 0; j <= i; ++j)
+        of.noise[(k * n + i) * n + j] = of.noise[(k * n + j) * n + i] = -total(by_noise[i][j]);
+      if (k + 1 < count)
+        for (int j = 0; j < n; ++j) of.transition[((k + 1) * n + i) * n + j] = -2 * total(by_transition[i][j]);
+    }
+  }
+  // Before the first step the states are zero, and what all columns say of them is P₀ρ.
+  Vec by_start[n][n] = {}, by_transition[n][n] = {};
+  for (int64_t c = 0; c < m; ++c)
+    for (int j = 0; j < n; ++j) {
+      Vec smoothed = {};
+      for (int l = 0; l < n; ++l) smoothed += initial[j * n + l] * work[c].rho[l];
+      for (int i = 0; i < n; ++i) {
+        by_start[i][j] += work[c].rho[i] * work[c].weighed[j];
+        by_transition[i][j] += work[c].before_step[i] * smoothed;
+      }
+    }
+  for (int i = 0; i < n; ++i)
+    for (int j = 0; j < n; ++j) {
+      of.initial[i * n + j] = -total(by_start[i][j]);
+      of.transition[i * n + j] = -2 * total(by_transition[i][j]);
+    }
+}
+
+// --- how JAX calls it: arguments and results in the order of `native.py`, with any number of leading axes -----------
+
+struct Call {
+  ffi::RemainingArgs arguments;
+  ffi::RemainingRets results;
+  int64_t problems = 1, count, p;
+
+  Call(ffi::RemainingArgs arguments, ffi::RemainingRets results, size_t columns)
+      : arguments(arguments), results(results) {
+    const auto shape = arguments.get<ffi::AnyBuffer>(columns)->dimensions();
+    count = shape[shape.size() - 2];
+    p = shape[shape.size() - 1];
+    for (size_t i = 0; i + 2 < shape.size(); ++i) problems *= shape[i];
+  }
+
+  // Argument or result `index` of problem `which`, each problem's of `size` numbers.
+  template <typename T = Real>
+  const T* in(size_t index, int64_t which, int64_t size) const {
+    return static_cast<const T*>(arguments.get<ffi::AnyBuffer>(index)->untyped_data()) + which * size;
+  }
+  Real* out(size_t index, int64_t which, int64_t size) const {
+    return static_cast<Real*>((*results.get<ffi::AnyBuffer>(index))->untyped_data()) + which * size;
+  }
+  Steps steps(int64_t b) const {
+    return {in(0, b, count * n * n), in(1, b, count * n * n), in(2, b, count * n), in(3, b, count),
+            in<bool>(4, b, count)};
+  }
+};
+
+ffi::Error filter_all(ffi::RemainingArgs arguments, ffi::RemainingRets results) {
+  const Call call(arguments, results, 7);
+  const int64_t count = call.count, p = call.p;
+  for (int64_t b = 0; b < call.problems; ++b) {
+    Kept<Real> kept;
+    const bool keep = results.size() > 3;
+    if (keep)
+      kept = {call.out(3, b, count * n * p), call.out(4, b, count * n * n), call.out(5, b, count * n),
+              call.out(6, b, count)};
+    filter(count, p, call.steps(b), call.in(5, b, n * p), call.in(6, b, n * n), call.in(7, b, count * p),
+           call.out(0, b, count * p), call.out(1, b, n * p), call.out(2, b, n * n), keep ? &kept : nullptr);
+  }
+  return ffi::Error::Success();
+}
+
+ffi::Error pull_all(ffi::RemainingArgs arguments, ffi::RemainingRets results) {
+  const Call call(arguments, results, 6);
+  const int64_t count = call.count, p = call.p;
+  for (int64_t b = 0; b < call.problems; ++b)
+    pull(count, p, call.steps(b), call.in(5, b, n * n), call.in(6, b, count * p), call.in(7, b, count * p),
+         {call.in(8, b, count * n * p), call.in(9, b, count * n * n), call.in(10, b, count * n), call.in(11, b, count)},
+         {call.out(0, b, count * n * n), call.out(1, b, count * n * n), call.out(2, b, count * n),
+          call.out(3, b, count), call.out(4, b, n * n), call.out(5, b, count * p)});
+  return ffi::Error::Success();
+}
+
+}  // namespace
+
+XLA_FFI_DEFINE_HANDLER_SYMBOL(gradcal_filter, filter_all, ffi::Ffi::Bind().RemainingArgs().RemainingRets());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(gradcal_pull, pull_all, ffi::Ffi::Bind().RemainingArgs().RemainingRets());

@@ -21,6 +21,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 METHODS = {
     "ours": "gradcal_jax, whiten",
+    "ours_blocks": "gradcal_jax, the same without machine code",
     "floor": "floor: ΦᵀΦ of white rows",
     "celerite2_terms": "celerite2, semiseparable solver",
     "tinygp_quasisep": "tinygp, quasiseparable matrices",
@@ -234,10 +235,10 @@ SMALL_NOTES = [
     "* celerite2's *kernels* are sums of stationary exponentials and cannot say this model. Its low-level solver can, "
     "with one decay of zero and factors that depend on time; that is what is timed (C++ driver forward, its JAX "
     "operations for the gradient).",
-    "* Where ours spends its time: every pass over N × p numbers costs XLA about what the floor's product does. The "
-    "covariances, their blocks, the data and the product are five such passes forward, and as many again, with three "
-    "large products and ten sums, for the gradient; celerite2's C++ goes through the readings once, without leaving "
-    "the cache.",
+    "* Ours goes through the readings in machine code, which the machine's C++ compiler made at first use (not timed), "
+    "and makes the product in JAX; a second such pass, backwards, and one more product give the gradient. The "
+    "row below it is what JAX does without a compiler (`GRADCAL_NATIVE=0`), in blocks: each of five passes costs XLA "
+    "about what the floor's product does.",
     "* dynamax adds an absolute 1e-9 to the innovation's variance, which in radians is not small: hence its error, and "
     "hence the difference between rad and deg.",
     "* FilterPy has no gradient; the starred figure is its forward time × the N·p + N + 1 runs that one-sided "

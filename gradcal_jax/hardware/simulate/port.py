@@ -185,7 +185,9 @@ class SimulatedPort:
             time.sleep(0.02)
             return b""
         ready, _, _ = select.select([master], [], [], 0.05)
-        return os.read(master, 4096) if ready else b""
+        with self._send_lock:
+            # Unplugged meanwhile, its number may be another file's by now, whose bytes are not ours to take.
+            return os.read(master, 4096) if ready and self._master == master else b""
 
     def _speak(self) -> None:
         device = self.device

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <cstring>
 #include <memory>
+#include <type_traits>
 
 #include "xla/ffi/api/ffi.h"
 
@@ -24,22 +25,26 @@ using Vec = Real __attribute__((vector_size(64)));
 
 int64_t panels(int64_t columns) { return (columns + LANES - 1) / LANES; }
 
-// A panel of which `left` columns are there; the others are zero. Copies of a known size are one instruction, wherever
-// the numbers lie.
-Vec load(const Real* from, int64_t left) {
+// A panel, `whole` or the last one, of which only `left` columns are there; the others are zero. Copies of a known size
+// are one instruction, wherever the numbers lie.
+template <typename Whole>
+Vec load(const Real* from, int64_t left, Whole whole) {
   Vec panel = {};
-  if (left >= LANES)
-    std::memcpy(&panel, from, sizeof panel);
-  else
-    std::memcpy(&panel, from, left * sizeof(Real));
+  std::memcpy(&panel, from, whole ? sizeof panel : left * sizeof(Real));
   return panel;
 }
 
-void store(Real* to, int64_t left, Vec panel) {
-  if (left >= LANES)
-    std::memcpy(to, &panel, sizeof panel);
-  else
-    std::memcpy(to, &panel, left * sizeof(Real));
+template <typename Whole>
+void store(Real* to, int64_t left, Vec panel, Whole whole) {
+  std::memcpy(to, &panel, whole ? sizeof panel : left * sizeof(Real));
+}
+
+// `each(panel, how many of its columns are there, whether that is all)`: what is known to be whole is compiled apart.
+template <typename Each>
+void for_panels(int64_t p, Each each) {
+  const int64_t whole = p / LANES;
+  for (int64_t c = 0; c < whole; ++c) each(c, LANES, std::true_type{});
+  if (whole < panels(p)) each(whole, p - whole * LANES, std::false_type{});
 }
 
 Real total(Vec panel) {
@@ -65,10 +70,10 @@ struct Kept {
 // Whitened `rows` of all columns, and state and covariance after the last reading.
 void filter(int64_t count, int64_t p, Steps steps, const Real* mean, const Real* covariance, const Real* columns,
             Real* rows, Real* mean_after, Real* covariance_after, const Kept<Real>* kept) {
-  const int64_t m = panels(p);
-  const std::unique_ptr<Vec[]> state(new Vec[m * n]);
-  for (int64_t c = 0; c < m; ++c)
-    for (int i = 0; i < n; ++i) state[c * n + i] = load(mean + i * p + c * LANES, p - c * LANES);
+  const std::unique_ptr<Vec[]> state(new Vec[panels(p) * n]);
+  for_panels(p, [&](int64_t c, int64_t left, auto whole) {
+    for (int i = 0; i < n; ++i) state[c * n + i] = load(mean + i * p + c * LANES, left, whole);
+  });
   Real P[n][n];
   std::copy_n(covariance, n * n, &P[0][0]);
   for (int64_t k = 0; k < count; ++k) {
@@ -100,22 +105,23 @@ void filter(int64_t count, int64_t p, Steps steps, const Real* mean, const Real*
     }
     for (int i = 0; i < n; ++i)
       for (int j = 0; j < n; ++j) P[i][j] -= gain[i] * PH[j];
-    for (int64_t c = 0; c < m; ++c) {
-      const int64_t a = c * LANES, left = p - a;
-      Vec *x = &state[c * n], before[n], innovation = load(columns + k * p + a, left);
+    for_panels(p, [&](int64_t c, int64_t left, auto whole) {
+      const int64_t a = c * LANES;
+      Vec *x = &state[c * n], before[n], innovation = load(columns + k * p + a, left, whole);
       for (int i = 0; i < n; ++i) {
         before[i] = F[i * n] * x[0];
         for (int l = 1; l < n; ++l) before[i] += F[i * n + l] * x[l];
       }
       for (int i = 0; i < n; ++i) innovation -= H[i] * before[i];
-      store(rows + k * p + a, left, per_std * innovation);
+      store(rows + k * p + a, left, per_std * innovation, whole);
       if (kept)
-        for (int i = 0; i < n; ++i) store(kept->state + (k * n + i) * p + a, left, before[i]);
+        for (int i = 0; i < n; ++i) store(kept->state + (k * n + i) * p + a, left, before[i], whole);
       for (int i = 0; i < n; ++i) x[i] = before[i] + gain[i] * innovation;
-    }
+    });
   }
-  for (int64_t c = 0; c < m; ++c)
-    for (int i = 0; i < n; ++i) store(mean_after + i * p + c * LANES, p - c * LANES, state[c * n + i]);
+  for_panels(p, [&](int64_t c, int64_t left, auto whole) {
+    for (int i = 0; i < n; ++i) store(mean_after + i * p + c * LANES, left, state[c * n + i], whole);
+  });
   std::copy_n(&P[0][0], n * n, covariance_after);
 }
 
@@ -140,15 +146,15 @@ void pull(int64_t count, int64_t p, Steps steps, const Real* initial, const Real
     const Real *F = steps.transition + k * n * n, *H = steps.observation + k * n;
     const Real *P = kept.covariance + k * n * n, *gain = kept.gain + k * n, per_std = kept.per_std[k];
     Vec by_variance = {}, by_observation[n] = {}, by_noise[n][n] = {}, by_transition[n][n] = {};
-    for (int64_t c = 0; c < m; ++c) {
+    for_panels(p, [&](int64_t c, int64_t left, auto whole) {
       Later& later = work[c];
-      const int64_t a = c * LANES, left = p - a;
-      Vec u = per_std * load(rows + k * p + a, left), w = per_std * load(weighed + k * p + a, left);
+      const int64_t a = c * LANES;
+      Vec u = per_std * load(rows + k * p + a, left, whole), w = per_std * load(weighed + k * p + a, left, whole);
       for (int i = 0; i < n; ++i) {
         u -= gain[i] * later.rho[i];
         w -= gain[i] * later.weighed[i];
       }
-      store(of.columns + k * p + a, left, w + w);
+      store(of.columns + k * p + a, left, w + w, whole);
       by_variance += u * w;
       Vec rho[n], weighed_rho[n];
       for (int i = 0; i < n; ++i) {
@@ -157,7 +163,7 @@ void pull(int64_t count, int64_t p, Steps steps, const Real* initial, const Real
         for (int j = 0; j <= i; ++j) by_noise[i][j] += rho[i] * weighed_rho[j];
       }
       for (int j = 0; j < n; ++j) {
-        Vec smoothed = load(kept.state + (k * n + j) * p + a, left);
+        Vec smoothed = load(kept.state + (k * n + j) * p + a, left, whole);
         for (int l = 0; l < n; ++l) smoothed += P[j * n + l] * rho[l];
         by_observation[j] += w * smoothed;
         for (int i = 0; i < n; ++i) by_transition[i][j] += later.before_step[i] * smoothed;
@@ -171,7 +177,7 @@ void pull(int64_t count, int64_t p, Steps steps, const Real* initial, const Real
           later.weighed[i] += F[j * n + i] * weighed_rho[j];
         }
       }
-    }
+    });
     of.variance[k] = -total(by_variance);
     for (int i = 0; i < n; ++i) {
       of.observation[k * n + i] = -2 * total(by_observation[i]);

@@ -49,8 +49,8 @@ def with_floats(steps: NoiseSteps, values) -> NoiseSteps:
     return NoiseSteps(*values[:4], steps.used, values[4])
 
 
-def value(steps: NoiseSteps, columns, values, of=gram):
-    return jnp.sum(weights(columns.shape[1]) * of(with_floats(steps, values), columns))
+def value(steps: NoiseSteps, columns, values):
+    return jnp.sum(weights(columns.shape[1]) * gram(with_floats(steps, values), columns))
 
 
 def compiled(function, *arguments):

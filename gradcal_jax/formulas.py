@@ -125,6 +125,26 @@ def motion_angle(u: Array) -> Array:
     )
 
 
+def motion_acceleration(u: Array) -> Array:
+    """Derivative of the motion family, `(...) -> (..., 10)`; over the piece's duration it is an acceleration."""
+    xp = u.__array_namespace__()
+    return xp.stack(
+        [
+            xp.zeros_like(u),
+            xp.ones_like(u),
+            2.0 * u,
+            3.0 * u * u,
+            -pi * xp.sin(pi * u),
+            pi * xp.cos(pi * u),
+            -2 * pi * xp.sin(2 * pi * u),
+            4 * pi * xp.cos(4 * pi * u),
+            6 * pi * xp.cos(6 * pi * u),
+            8 * pi * xp.cos(8 * pi * u),
+        ],
+        axis=-1,
+    )
+
+
 def _terms(**terms: float) -> tuple[float, ...]:
     names = ("one", "u", "u2", "u3", "cos1", "sin1", "cos2", "sin4", "sin6", "sin8")
     return tuple(terms.get(name, 0.0) for name in names)

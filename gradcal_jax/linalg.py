@@ -9,9 +9,13 @@ from math import prod
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
 from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
+
+from gradcal_jax.arrays import AnyArray, namespace
 
 # Rows this many times as tall as wide are worth two products.
 _TALL = 8
@@ -19,8 +23,26 @@ _TALL = 8
 _SOUND = 1e-5
 
 
+def triangular_factor(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, "p p"]:
+    """Upper triangular `R`, diagonal not negative, with `RᵀR = rowsᵀ rows`; JAX's has a derivative for any rows."""
+    if isinstance(rows, jax.Array):
+        return _triangular_factor(rows)
+    n, p = rows.shape
+    if n >= _TALL * p:
+        try:
+            first = np.linalg.cholesky(rows.T @ rows).T
+        except np.linalg.LinAlgError:
+            first = np.zeros((p, p))
+        diagonal = np.diagonal(first)
+        if np.min(diagonal, initial=np.inf) > _SOUND * np.max(diagonal, initial=0.0):
+            orthogonal = scipy.linalg.solve_triangular(first, rows.T, trans=1, check_finite=False)
+            return np.linalg.cholesky(orthogonal @ orthogonal.T).T @ first
+    factor = np.linalg.qr(np.concatenate([rows, np.zeros((max(0, p - n), p))]), mode="r")
+    return np.triu(factor * np.where(np.diagonal(factor) < 0.0, -1.0, 1.0)[:, None])
+
+
 @jax.custom_jvp
-def triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
+def _triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
     """Upper triangular `R`, diagonal not negative, with `RᵀR = rowsᵀ rows`.
 
     The derivative follows from `d(RᵀR) = dRᵀR + RᵀdR`: with `S = R⁻ᵀ d(rowsᵀrows) R⁻¹`, `dR = (upper(S) + ½diag(S))
@@ -52,10 +74,10 @@ def _by_reflections(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
     return jnp.triu(factor * sign[:, None])
 
 
-@triangular_factor.defjvp
+@_triangular_factor.defjvp
 def _triangular_factor_jvp(primals, tangents):
     (rows,), (d_rows,) = primals, tangents
-    factor = triangular_factor(rows)
+    factor = _triangular_factor(rows)
     cross = rows.T @ d_rows
     return factor, factor_tangent(factor, cross + cross.T)
 
@@ -73,16 +95,19 @@ def factor_tangent(factor: Float[Array, "p p"], d_gram: Float[Array, "p p"]) -> 
     return upper @ factor
 
 
-def solve_transposed(factor: Float[Array, "p p"], right: Float[Array, "p m"]) -> Float[Array, "p m"]:
+def solve_transposed(factor: Float[AnyArray, "p p"], right: Float[AnyArray, "p m"]) -> Float[AnyArray, "p m"]:
     """`R⁻ᵀ right` for upper triangular `R`: the columns' norms squared are `rightᵀ (RᵀR)⁻¹ right`."""
+    if namespace(factor, right) is np:
+        return scipy.linalg.solve_triangular(factor, right, trans=1, check_finite=False)
     return solve_triangular(factor, right, trans=1, lower=False)
 
 
-def column_norms(rows: Float[Array, "n p"]) -> Float[Array, " p"]:
+def column_norms(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, " p"]:
     """Euclidean norm of each column, 1 where a column is zero; its derivative is zero there, not NaN."""
-    square = jnp.sum(rows * rows, axis=0)
+    xp = namespace(rows)
+    square = xp.sum(rows * rows, axis=0)
     alive = square > 0.0
-    return jnp.where(alive, jnp.sqrt(jnp.where(alive, square, 1.0)), 1.0)
+    return xp.where(alive, xp.sqrt(xp.where(alive, square, 1.0)), 1.0)
 
 
 def linear_with_transpose(linear: Callable, transpose: Callable, argument, result: tuple[int, ...]) -> Array:

@@ -11,13 +11,14 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline as ScipyBSpline
 from scipy.optimize import brentq
 
-from gradcal_jax import errormodel, plans
-from gradcal_jax.errormodel import Bins, BSpline, GyroModel, Polynomial
+from gradcal_jax import model as models
+from gradcal_jax import trajectory
 from gradcal_jax.information import (
     NoiseSteps,
     Posterior,
@@ -28,6 +29,7 @@ from gradcal_jax.information import (
     square_root,
     whiten,
 )
+from gradcal_jax.model import Bins, BSpline, Polynomial, SensorModel
 
 DEG = np.pi / 180.0
 DEG_PER_H = DEG / 3600.0
@@ -94,20 +96,25 @@ RATE_CUBIC = Polynomial(3, 0.0, 300.0 * DEG)
 RATE_LINEAR = Polynomial(1, 0.0, 300.0 * DEG)
 
 
-def core(scene: Scene) -> tuple[plans.GradientPlan, GyroModel]:
-    """The engine's plan and model of a scene."""
-    programme = plans.programme(scene.start, list(scene.stretches))
+def core(scene: Scene, channel: str | None = None) -> tuple[trajectory.Schedule, SensorModel]:
+    """The engine's plan and model of a scene, as its channel (or another one) sees it."""
+    programme = trajectory.programme(scene.start, list(scene.stretches))
     make = lambda acts: tuple(core_move(a, scene.longest_piece) for a in acts)  # noqa: E731
-    plan = plans.gradient_plan(
-        programme, make(scene.moves), make(scene.after), used=scene.used, read_every=scene.read_every
+    plan = trajectory.gradient_plan(
+        programme,
+        make(scene.moves),
+        make(scene.after),
+        channel=channel or scene.channel,
+        used=scene.used,
+        read_every=scene.read_every,
     )
     return plan, core_model(scene)
 
 
-def core_move(act: Act, longest: float = np.inf) -> plans.Move:
+def core_move(act: Act, longest: float = np.inf) -> trajectory.Move:
     if act.shape == "rest":
-        return plans.rest(act.duration, act.every)
-    return plans.turn(
+        return trajectory.rest(act.duration, act.every)
+    return trajectory.turn(
         act.shape,
         act.peak,
         act.duration,
@@ -123,38 +130,23 @@ def core_move(act: Act, longest: float = np.inf) -> plans.Move:
     )
 
 
-def core_model(scene: Scene) -> GyroModel:
-    processes = errormodel.no_processes()
+def core_model(scene: Scene) -> SensorModel:
+    processes = models.no_processes()
     for noise in scene.noises:
         if noise.kind == "walk":
-            processes = processes + errormodel.rate_random_walk(noise.size)
+            processes = processes + models.rate_random_walk(noise.size)
         elif noise.kind == "constant":
-            processes = processes + errormodel.constant(
-                noise.size, bias_gain=noise.bias_gain, rate_gain=noise.rate_gain
-            )
+            processes = processes + models.constant(noise.size, bias_gain=noise.bias_gain, rate_gain=noise.rate_gain)
         else:
-            processes = processes + errormodel.gauss_markov(
+            processes = processes + models.gauss_markov(
                 noise.size, noise.tau, bias_gain=noise.bias_gain, rate_gain=noise.rate_gain
             )
-    reference = errormodel.angle_reference(scene.reading_noise, scene.offset, scene.timing, 0.0, scene.harmonics)
-    bias = None if scene.bias is None else errormodel.make_map(scene.bias, prior_std=scene.bias_prior)
-    scale = None if scene.scale is None else errormodel.make_map(*scene.scale, prior_std=scene.scale_prior)
-    return gyro_model(bias, scale, scene.arw, processes, reference, gradient=scene.gradient)
-
-
-def gyro_model(
-    bias, scale, arw, processes=None, reference=None, *, turn_on=0.0, gradient=False, gradient_prior=np.inf
-) -> GyroModel:
-    return GyroModel(
-        bias,
-        scale,
-        jnp.asarray(arw),
-        errormodel.no_processes() if processes is None else processes,
-        errormodel.angle_reference() if reference is None else reference,
-        jnp.asarray(turn_on),
-        jnp.asarray(gradient_prior),
-        has_gradient=gradient,
-        has_gradient_prior=bool(np.isfinite(gradient_prior)),
+    reference = models.angle_reference(scene.reading_noise, scene.offset, scene.timing)
+    bias = None if scene.bias is None else models.make_map(scene.bias, prior_std=scene.bias_prior)
+    scale = None if scene.scale is None else models.make_map(*scene.scale, prior_std=scene.scale_prior)
+    flat = np.inf if scene.gradient else None
+    return models.gyro_model(
+        bias, scale, scene.arw, processes, reference, temperature_gradient_std=flat, harmonics=scene.harmonics
     )
 
 
@@ -500,39 +492,43 @@ class Engine(NamedTuple):
 
     def deviations(self, contrasts) -> np.ndarray:
         """By whitening and one triangular factor."""
-        return np.asarray(deviations(*self, jnp.asarray(contrasts)))
+        rows = np.concatenate([whiten(self.steps, self.columns), self.prior])
+        return square_root(rows).deviations(contrasts)
 
 
-@eqx.filter_jit
-def _engine(plan, model, channel, lag) -> Engine:
-    line = plan.timeline(channel, lag)
-    return Engine(noise_steps(line, model), at_readings(line, model), model.prior_rows())
-
-
-@eqx.filter_jit
-def _information(plan, model, channel, lag):
-    return information(plan.timeline(channel, lag), model)
-
-
-def knowledge(plan, model: GyroModel, channel: str = "x", lag: float | None = None) -> Posterior:
-    """The posterior of a plan, compiled once for each structure."""
-    return posterior(_information(plan, model, channel, None if lag is None else jnp.asarray(lag)))
+def knowledge(plan, model: SensorModel, lag: float | None = None) -> Posterior:
+    """The posterior of a plan."""
+    return posterior(information(plan.trajectory(lag), model))
 
 
 @eqx.filter_jit
 def deviations(steps, columns, prior, contrasts, *, block=None):
-    """The engine's road, compiled once for each size of state and number of readings."""
+    """The engine's road through JAX, compiled once for each size of state and number of readings."""
     return square_root(jnp.concatenate([whiten(steps, columns, block=block), prior])).deviations(contrasts)
 
 
-def engine_of(plan, model: GyroModel, channel: str = "x", lag: float | None = None) -> Engine:
-    """Compiled once for each structure."""
-    return _engine(plan, model, channel, None if lag is None else jnp.asarray(lag))
+def engine_of(plan, model: SensorModel, lag: float | None = None) -> Engine:
+    """NumPy's."""
+    line = plan.trajectory(lag)
+    return Engine(noise_steps(line, model), at_readings(line, model), model.prior_rows())
+
+
+@eqx.filter_jit
+def _traced(plan, model, lag, rule) -> Engine:
+    line = plan.trajectory(lag)
+    return Engine(noise_steps(line, model), at_readings(line, model, rule), model.prior_rows())
+
+
+def traced_engine_of(plan, model: SensorModel, lag: float | None = None) -> Engine:
+    """JAX's, everything traced but sizes; compiled once for each structure."""
+    rule = trajectory.rule_of(model, plan.trajectory(lag))
+    as_arrays = lambda tree: jax.tree.map(jnp.asarray, tree)  # noqa: E731
+    return _traced(as_arrays(plan), as_arrays(model), None if lag is None else jnp.asarray(lag), rule)
 
 
 def engine(scene: Scene) -> Engine:
-    """Compiled once for each structure: scenes that are `varied` share it."""
-    return engine_of(*core(scene), scene.channel, scene.lag)
+    """Of a scene."""
+    return engine_of(*core(scene), scene.lag)
 
 
 # --- scenes -----------------------------------------------------------------------------------------------------------

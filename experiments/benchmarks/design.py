@@ -40,8 +40,8 @@ def problem():
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from gradcal_jax.assemble.measure import measure
-    from gradcal_jax.assemble.structures import structures
+    from gradcal_jax.api.measure import measure
+    from gradcal_jax.api.structures import structures
     from gradcal_jax.files import changed, read_spec
 
     spec = changed(read_spec(SPEC), {"design.cycles": "alike", "design.moves": 4, "design.starts": STARTS})
@@ -85,8 +85,8 @@ def slsqp(seconds: float) -> dict:
     from filterpy.kalman import KalmanFilter
     from scipy.optimize import minimize
 
-    from gradcal_jax.assemble import assemble
-    from gradcal_jax.assemble.knowledge import box
+    from gradcal_jax.api import assemble
+    from gradcal_jax.api.posterior_of_plan import box
     from gradcal_jax.design import criterion
     from gradcal_jax.information import at_readings, noise_steps
 
@@ -155,7 +155,7 @@ def pydex(seconds: float) -> dict:
     import numpy as np
     from pydex.core.designer import Designer
 
-    from gradcal_jax.assemble import predict
+    from gradcal_jax.api import predict
     from gradcal_jax.files import changed, read_spec
 
     spec = read_spec(SPEC)

@@ -32,7 +32,7 @@ def loop(points: list[dict]) -> None:
     import numpy as np
     from filterpy.kalman import KalmanFilter
 
-    from gradcal_jax.assemble import assemble
+    from gradcal_jax.api import assemble
     from gradcal_jax.files import changed
     from gradcal_jax.files.sweep import read_sweep
     from gradcal_jax.information import at_readings, contrasts, noise_steps

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from variants import MOVING, STATIC, spec_of
 
-from gradcal_jax.assemble.measure import measure
-from gradcal_jax.assemble.optimise import PRICED, Optimised, eased, optimise
+from gradcal_jax.api.measure import measure
+from gradcal_jax.api.optimise import PRICED, Optimised, eased, optimise
 from gradcal_jax.design import Coordinates, ProgrammeKnots, polish
 
 HERE = Path(__file__).parent

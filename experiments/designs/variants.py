@@ -59,9 +59,9 @@ def spec_of(name: str) -> Spec:
 
 def run(name: str) -> dict[str, object]:
     """Optimise a variant, write its recipe, and say what is to be said of it."""
-    from gradcal_jax import assemble
-    from gradcal_jax.assemble.optimise import Optimised, optimise, record_of
-    from gradcal_jax.assemble.quickest import quickest
+    from gradcal_jax import api
+    from gradcal_jax.api.minimise_time import quickest
+    from gradcal_jax.api.optimise import Optimised, optimise, record_of
 
     spec = spec_of(name)
     begun = time.perf_counter()
@@ -69,7 +69,7 @@ def run(name: str) -> dict[str, object]:
     find = quickest if spec.design.minimise == "motion time" else optimise
     best = next(event for event in find(spec) if isinstance(event, Optimised))
     took = time.perf_counter() - begun
-    made = assemble.recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
+    made = api.recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
     place = path_of(name)
     place.parent.mkdir(exist_ok=True)
     place.write_text(to_toml(made), encoding="utf-8")
@@ -83,8 +83,8 @@ def path_of(name: str) -> Path:
 
 def compared(name: str) -> dict[str, object]:
     """What the kept recipe leaves, and the limit, where there is a proof."""
-    from gradcal_jax.assemble import predict
-    from gradcal_jax.assemble.limit import limits
+    from gradcal_jax.api import predict
+    from gradcal_jax.api.limit import limits
     from gradcal_jax.files.recipe import read_recipe
 
     spec = read_recipe(path_of(name)).spec

@@ -12,7 +12,7 @@ from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
-    from gradcal_jax.assemble.validation import AxisValidation
+    from gradcal_jax.api.validation import AxisValidation
     from gradcal_jax.files.exports import Export
 
 
@@ -124,7 +124,7 @@ def validate(
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
-    from gradcal_jax.assemble import validation as work
+    from gradcal_jax.api import validation as work
 
     name = _unit(recorded, found.serial_number, unit)
     rows = work.validate(found, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis)

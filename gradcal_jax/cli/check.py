@@ -59,9 +59,9 @@ def unobservable(spec: "Spec") -> list[str]:
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
-    from gradcal_jax import assemble
+    from gradcal_jax import api
 
-    return assemble.unobservable(spec)
+    return api.unobservable(spec)
 
 
 def numbers(spec: "Spec") -> dict[str, Any]:

@@ -15,8 +15,8 @@ from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
-    from gradcal_jax.assemble.calibration import EstimateReport
-    from gradcal_jax.assemble.unit_channel import UnitChannel
+    from gradcal_jax.api.calibration import EstimateReport
+    from gradcal_jax.api.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
@@ -106,8 +106,8 @@ def estimate(
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
-    from gradcal_jax.assemble import calibration as work
-    from gradcal_jax.assemble.estimate_options import Options
+    from gradcal_jax.api import calibration as work
+    from gradcal_jax.api.estimate_options import Options
     from gradcal_jax.files.calibration import write_calibration
 
     sources = {"log": log.name, "spec": (spec or recipe or Path()).name}
@@ -209,22 +209,20 @@ def _channel(channel: "UnitChannel") -> str:
     import numpy as np
 
     from gradcal_jax import units
-    from gradcal_jax.information import parameter_names, to_reported
 
     model = channel.model
-    reported = to_reported(model)
+    reported = model.to_reported
     known = channel.found.known[0]
     values, deviations = reported @ channel.found.parameters[0], known.deviations(reported)
-    where = model.columns
+    shown = {
+        "1": ("ppm", units.PPM),
+        "rad/s": ("deg/h", units.DEG_PER_H),
+        "rad/K": ("deg/h/(K/min)", units.DEG_PER_H / 60.0),
+        "rad": ("arcsec", units.ARCSEC),
+    }
     rows = [("parameter", "value", "1σ", "unit")]
-    for k, name in enumerate(parameter_names(model)):
-        unit, factor = "ppm", units.PPM
-        if k < where.scale.start or where.bias_discrepancy.start <= k < where.bias_discrepancy.stop:
-            unit, factor = "deg/h", units.DEG_PER_H
-        elif where.gradient.start <= k < where.gradient.stop:
-            unit, factor = "deg/h/(K/min)", units.DEG_PER_H / 60.0
-        elif where.harmonics.start <= k < where.harmonics.stop:
-            unit, factor = "arcsec", units.ARCSEC
+    for k, (name, si) in enumerate(zip(model.names(), model.units(), strict=True)):
+        unit, factor = shown[si]
         if np.isfinite(deviations[k]):
             rows.append((name, f"{values[k] * factor:.4f}", f"{deviations[k] * factor:.4g}", unit))
         else:

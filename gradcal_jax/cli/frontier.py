@@ -14,8 +14,8 @@ from gradcal_jax.pages.plain_text import amount, columns
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.assemble.frontier import Point
-    from gradcal_jax.assemble.optimise import Step
+    from gradcal_jax.api.frontier import Point
+    from gradcal_jax.api.optimise import Step
 
 
 def register(app: App) -> None:
@@ -60,8 +60,8 @@ def frontier(
     found = spec_in(spec)
     times = durations(motion, points)
     use_float64()
-    from gradcal_jax import assemble
-    from gradcal_jax.assemble import frontier as room
+    from gradcal_jax import api
+    from gradcal_jax.api import frontier as room
     from gradcal_jax.files import write_toml
 
     if output is not None:
@@ -71,11 +71,11 @@ def frontier(
         for point in room.frontier(found, times, steps=steps, watch=lambda *told: line.show(_progress(*told))):
             reached.append(point)
             if output is not None and point.plan is not None:
-                write_toml(assemble.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
+                write_toml(api.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
         r.name: target
         for r in found.requirement
-        if (target := assemble.target_of(r)) is not None and found.design and r.name == found.design.minimise
+        if (target := api.target_of(r)) is not None and found.design and r.name == found.design.minimise
     }
     times_for = {name: room.shortest(reached, target) for name, target in targets.items()}
     if json:

@@ -13,7 +13,7 @@ from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns
 
 if TYPE_CHECKING:
-    from gradcal_jax.assemble.instability import Instability
+    from gradcal_jax.api.instability import Instability
     from gradcal_jax.identify import AllanFit
 
 Unit = Annotated[str | None, Parameter(name="--unit")]
@@ -100,7 +100,7 @@ def instability(
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
-    from gradcal_jax.assemble import instability as work
+    from gradcal_jax.api import instability as work
 
     look = partial(
         work.instability, averaging_time_s=delta_s, shortest_s=shortest_s, longest_s=longest_s, margin=margin
@@ -234,7 +234,7 @@ def allan(
 
     use_float64()
     from gradcal_jax import identify
-    from gradcal_jax.assemble import instability as work
+    from gradcal_jax.api import instability as work
 
     drawn = []
     for name in work.axes_of(recorded, axis):

@@ -33,7 +33,7 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
 
     found = spec_in(spec)
     use_float64()
-    from gradcal_jax.assemble.limit import limits
+    from gradcal_jax.api.limit import limits
 
     rows = limits(found)
     if json:

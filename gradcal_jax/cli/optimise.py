@@ -15,7 +15,7 @@ from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
-    from gradcal_jax.assemble.optimise import Optimised, Step
+    from gradcal_jax.api.optimise import Optimised, Step
 
 
 def register(app: App) -> None:
@@ -66,11 +66,11 @@ def optimise(
         raise ValueError(f"--steps: expected at least 20, got {steps}")
     found = spec_in(spec)
     use_float64()
-    from gradcal_jax import assemble
-    from gradcal_jax.assemble import checkpoints
-    from gradcal_jax.assemble import optimise as room
-    from gradcal_jax.assemble.optimise import Optimised
-    from gradcal_jax.assemble.quickest import quickest
+    from gradcal_jax import api
+    from gradcal_jax.api import checkpoints
+    from gradcal_jax.api import optimise as room
+    from gradcal_jax.api.minimise_time import quickest
+    from gradcal_jax.api.optimise import Optimised
     from gradcal_jax.files.design import TIMES
 
     shortest = found.design is not None and found.design.minimise in TIMES
@@ -91,7 +91,7 @@ def optimise(
             line.show(_progress(event))
         assert best is not None
     status = best.sentence if not interrupt.asked else f"interrupted, the best so far: {best.sentence}"
-    made = assemble.recipe(best, status=status)
+    made = api.recipe(best, status=status)
     write_toml(made, output, header="Made by gradcal optimise; `gradcal show` prints it as a table.")
     if not interrupt.asked:
         kept.unlink(missing_ok=True)

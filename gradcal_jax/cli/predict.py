@@ -55,10 +55,10 @@ def predict(
     drawable(plot)
     found = spec_in(spec)
     use_float64()
-    from gradcal_jax import assemble
+    from gradcal_jax import api
 
-    prediction = assemble.predict(found, limits=not json)
-    rows, tests = ((), {}) if monte_carlo is None else assemble.monte_carlo(found, monte_carlo, seed)
+    prediction = api.predict(found, limits=not json)
+    rows, tests = ((), {}) if monte_carlo is None else api.monte_carlo(found, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
         simulated["covariance"] = {
@@ -101,9 +101,9 @@ def compare(
     drawable(plot)
     found = [(path.stem, spec_in(path)) for path in specs]
     use_float64()
-    from gradcal_jax import assemble
+    from gradcal_jax import api
 
-    predictions = [(name, assemble.predict(spec, limits=True)) for name, spec in found]
+    predictions = [(name, api.predict(spec, limits=True)) for name, spec in found]
     if json:
         print("[" + ",\n".join(prediction.model_dump_json(indent=2) for _, prediction in predictions) + "]")
     else:

@@ -67,9 +67,9 @@ def recipe(
     elif json:
         raise ValueError("-o - prints the recipe itself: leave --json out, or name a file")
     use_float64()
-    from gradcal_jax import assemble
+    from gradcal_jax import api
 
-    made = assemble.recipe(found, stability=stability, keep_shapes=keep_shapes)
+    made = api.recipe(found, stability=stability, keep_shapes=keep_shapes)
     header = (
         "Made by gradcal; `gradcal show` prints it as a table. To change the plan, change the spec and make it anew."
     )

@@ -38,7 +38,7 @@ def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
     drawable(plot)
     found = spec_in(spec)
     use_float64()
-    from gradcal_jax.assemble.sensitivity import sensitivities
+    from gradcal_jax.api.sensitivity import sensitivities
 
     known = sensitivities(found)
     if json:

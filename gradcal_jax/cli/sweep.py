@@ -108,10 +108,9 @@ def sweep(
 def _estimate(found: "Estimate") -> dict[str, Any]:
     return {
         "points": found.points,
-        "points_not_a_spec": found.failing,
+        "failing_in_first_chunk": found.failing,
         "first_reason": found.first_failure or None,
         "chunks": found.chunks,
-        "programs_to_compile": found.programs,
         "workers": found.workers,
         "first_chunk_s": round(found.first_chunk_s, 3),
         "further_chunk_s": round(found.next_chunk_s, 3),
@@ -122,10 +121,10 @@ def _estimate(found: "Estimate") -> dict[str, Any]:
 def _estimated(found: "Estimate", job: "Sweep") -> str:
     lines = [
         strong(job.file.title or "the sweep"),
-        f"{found.points} points, of which {found.failing} are no spec"
+        f"{found.points} points in {found.chunks} chunks on {found.workers} workers",
+        f"of the first chunk {found.failing} fail"
         + (f"; the first says: {found.first_failure}" if found.failing else ""),
-        f"{found.chunks} chunks on {found.workers} workers; {found.programs} programs to compile where not kept",
-        f"a chunk takes {time_text(found.first_chunk_s)} with compiling, {time_text(found.next_chunk_s)} after that",
+        f"a chunk takes {time_text(found.first_chunk_s)} at first, {time_text(found.next_chunk_s)} after that",
         f"expected: {time_text(max(found.seconds, 1.0))}",
     ]
     return "\n".join(lines)

@@ -39,7 +39,7 @@ def timeline(
     spec
         The spec file.
     json
-        Print gradcal-timeline/1: segments, readings and the sensor's model, in SI.
+        Print gradcal-timeline/2: segments, readings and the sensor's model, in SI.
     csv
         Print the rows as comma-separated values, in SI.
     rows
@@ -52,9 +52,9 @@ def timeline(
 
     found = spec_in(spec)
     use_float64()
-    from gradcal_jax import assemble
+    from gradcal_jax import api
 
-    written = assemble.timeline(found)
+    written = api.timeline(found)
     if json:
         print(written.model_dump_json(indent=2, exclude_none=True))
     elif csv:

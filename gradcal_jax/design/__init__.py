@@ -1,7 +1,7 @@
 """Plans by gradient descent: free coordinates, criteria, the search, and a proven limit."""
 
-from gradcal_jax.design.coordinates import Coordinates, Cycle, Element, Frame, Limits, make_coordinates
-from gradcal_jax.design.criteria import Criterion, Optimality, criterion
+from gradcal_jax.design.coordinates import EASED, Coordinates, Cycle, Element, Frame, Limits, make_coordinates
+from gradcal_jax.design.criteria import EXACT, Criterion, Optimality, criterion
 from gradcal_jax.design.limit import Limit, limit
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
@@ -9,21 +9,28 @@ from gradcal_jax.design.noise_floor import (
     least_noise_density,
     scale_factor_floor,
 )
+from gradcal_jax.design.objective import AnyCoordinates, Case, Objective
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
-from gradcal_jax.design.search import Found, Linear, Progress, State, polish, search
+from gradcal_jax.design.search import Compiled, Linear, Optimum, Progress, State, polish, search
 
 __all__ = [
+    "EASED",
+    "EXACT",
     "PRIOR_OF_WALK",
+    "AnyCoordinates",
+    "Case",
+    "Compiled",
     "Coordinates",
     "Criterion",
     "Cycle",
     "Element",
-    "Found",
     "Frame",
     "Limit",
     "Limits",
     "Linear",
+    "Objective",
     "Optimality",
+    "Optimum",
     "ProgrammeCoordinates",
     "ProgrammeKnots",
     "Progress",

@@ -15,20 +15,20 @@ With limited travel each turn takes its share not of the largest angle but of wh
 that only turns which would reach the end of the cable are smaller; a cycle that is made again ends where it began.
 """
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float, Int
 
 from gradcal_jax import formulas
+from gradcal_jax.arrays import AnyArray, filled, namespace, put, scanned, size_class
 from gradcal_jax.formulas import RAMPED_SHAPES
-from gradcal_jax.plans import GradientPlan, Move, Programme
-from gradcal_jax.plans.motion import Division
-from gradcal_jax.plans.plan import Stretch
+from gradcal_jax.trajectory import Programme, Schedule
+from gradcal_jax.trajectory.motion import PieceTable, even_division, standing, turning
+from gradcal_jax.trajectory.schedule import make_schedule
 
 # A number outside, an array within `Coordinates`.
 Scalar = Any
@@ -74,10 +74,10 @@ class Cycle(NamedTuple):
     There is a step for each turn at the table of the whole ramp, taken from its start to the next one's.
     """
 
-    durations: Float[Array, " k"]
-    peak_rates: Float[Array, " k"]
-    ramps: Float[Array, " k"]
-    steps: Float[Array, " v"]
+    durations: Float[AnyArray, " k"]
+    peak_rates: Float[AnyArray, " k"]
+    ramps: Float[AnyArray, " k"]
+    steps: Float[AnyArray, " v"]
 
 
 class Frame(NamedTuple):
@@ -95,56 +95,49 @@ class Frame(NamedTuple):
     read_every: Scalar
 
 
+SHAPES = ("rest", *_STEEPNESS)
+
+
 class Coordinates(eqx.Module):
     """The plans that one structure of cycle allows, over an unbounded vector of `size` numbers.
 
-    `cycles`: how often the cycle is made. Free: which of "duration" (of turns and rests), "peak_rate", "ramp",
-    "gradient" may change; what may not stays as in `nominal`. `shared`: other axes take their time. `tail`: the ramp
-    goes on after the last cycle. `parts`: pieces that each smooth part of a turn is integrated in; `pieces`: those of a
-    rest and of the standing while others turn.
-    Made by `make_coordinates`, which refuses what cannot be.
+    Arrays `(k,)` of the cycle's moves: `shape` (place in `SHAPES`), the `least` time each may take, its turn at the
+    table (`group`), `low` and `high` of its band; `turns` and `ramped` list moves. `visits`: turns at the table in the
+    whole ramp. Free: which of "duration" (of turns and rests), "peak_rate", "ramp", "gradient" may change; what may not
+    stays as in `nominal`. `travels`: the travel is limited; `repeats`: the cycle is made more than once; `others_read`:
+    readings go on while others turn; `parts`: pieces of each smooth part of a turn. `template`: the schedule, whose
+    times are put in: of the standing while others turn, of what is left at the end, of the moves.
+
+    Made by `make_coordinates`, which refuses what cannot be. `padded`, what was added has no effect.
     """
 
-    elements: tuple[Element, ...] = eqx.field(static=True)
     limits: Limits
     frame: Frame
     nominal: Cycle
-    cycles: int = eqx.field(static=True)
-    others_read: bool = eqx.field(static=True)
+    template: Schedule
+    shape: Int[AnyArray, " k"]
+    least: Float[AnyArray, " k"]
+    group: Int[AnyArray, " k"]
+    low: Float[AnyArray, " k"]
+    high: Float[AnyArray, " k"]
+    turns: Int[AnyArray, " t"]
+    ramped: Int[AnyArray, " r"]
+    visits: Int[AnyArray, ""]
+    groups: int = eqx.field(static=True)
     free: frozenset[str] = eqx.field(static=True)
     travels: bool = eqx.field(static=True)
-    shared: bool = eqx.field(static=True)
-    tail: bool = eqx.field(static=True)
-    parts: int = eqx.field(static=True, default=1)
-    axis: str = eqx.field(static=True, default="x")
-    pieces: tuple[int, int] = eqx.field(static=True, default=(_PIECES_A_REST, _PIECES_OF_OTHERS))
-
-    @property
-    def groups(self) -> int:
-        """Turns at the table in a cycle."""
-        return self.elements[-1].group + 1
-
-    @property
-    def visits(self) -> int:
-        """Turns at the table in the whole ramp."""
-        return self.cycles * self.groups
-
-    @property
-    def _turns(self) -> np.ndarray:
-        return np.array([i for i, e in enumerate(self.elements) if e.shape != "rest"], dtype=int)
-
-    @property
-    def _ramped(self) -> np.ndarray:
-        return np.array([i for i, e in enumerate(self.elements) if e.shape in RAMPED_SHAPES], dtype=int)
+    repeats: bool = eqx.field(static=True)
+    others_read: bool = eqx.field(static=True)
+    parts: int = eqx.field(static=True)
 
     @property
     def _sizes(self) -> tuple[int, int, int, int]:
-        timed = len(self.elements) if "duration" in self.free else 0
+        count = lambda values, name: values.shape[0] if name in self.free else 0  # noqa: E731
         return (
-            timed,
-            len(self._turns) if "peak_rate" in self.free else 0,
-            len(self._ramped) if "ramp" in self.free else 0,
-            len(self.nominal.steps) if "gradient" in self.free else 0,
+            count(self.least, "duration"),
+            count(self.turns, "peak_rate"),
+            count(self.ramped, "ramp"),
+            count(self.nominal.steps, "gradient"),
         )
 
     @property
@@ -152,59 +145,91 @@ class Coordinates(eqx.Module):
         """How many free numbers there are."""
         return sum(self._sizes)
 
-    def cycle(self, z: Float[Array, " size"]) -> Cycle:
+    def elements(self) -> tuple[Element, ...]:
+        """The moves of the cycle."""
+        columns = (self.shape, self.least, self.group, self.low, self.high)
+        return tuple(
+            Element(SHAPES[s], float(least), int(g), (float(a), float(b)))
+            for s, least, g, a, b in zip(*columns, strict=True)
+        )
+
+    def cycle(self, z: Float[AnyArray, " size"]) -> Cycle:
         """Decode: see the table at the module's head."""
-        timed, turns, ramps, steps = jnp.split(z, np.cumsum(self._sizes)[:-1])
+        ends = np.cumsum(self._sizes)
+        timed, turns, ramps, steps = (z[a:b] for a, b in pairwise([0, *ends]))
         return self._turned(self._durations(timed), turns, ramps)._replace(steps=self._steps(steps))
 
-    def decode(self, z: Float[Array, " size"]) -> GradientPlan:
+    def decode(self, z: Float[AnyArray, " size"]) -> Schedule:
         """The plan of a vector."""
         return self.plan(self.cycle(z))
 
-    def _durations(self, z: Array) -> Array:
+    def plan(self, cycle: Cycle) -> Schedule:
+        """The plan of a decoded cycle, its rests relaxed: readings by their share, not by whole numbers."""
+        frame, lasting = self.frame, self.lasting()
+        xp = namespace(cycle, frame)
+        before = xp.stack([xp.asarray(frame.other_time), xp.zeros(())])
+        slopes = cycle.steps / xp.where(lasting > 0.0, lasting, 1.0)
+        programme = Programme(xp.asarray(frame.temperature_start), lasting, slopes, xp.zeros(lasting.shape))
+        joined = lambda first, values: xp.concatenate([first, values])  # noqa: E731
+        return eqx.tree_at(
+            lambda s: (s.duration, s.peak_rate, s.ramp, s.spacing, s.programme),
+            self.template,
+            (
+                joined(before, cycle.durations),
+                joined(xp.zeros(2), cycle.peak_rates),
+                joined(xp.zeros(2), cycle.ramps),
+                xp.asarray(frame.read_every),
+                programme,
+            ),
+        )
+
+    def _durations(self, z):
         if not z.shape[0]:
             return self.nominal.durations
-        parts = []
-        for group in range(self.groups):
-            members = np.array([i for i, e in enumerate(self.elements) if e.group == group])
-            least = np.array([self.elements[i].least for i in members])
-            parts.append(least + (self.frame.own_time - np.sum(least)) * jax.nn.softmax(z[members]))
-        return jnp.concatenate(parts)
+        xp = namespace(z, self.least)
+        member = np.arange(self.groups)[:, None] == self.group[None]
+        top = xp.max(xp.where(member, z[None], -xp.inf), axis=1, keepdims=True)
+        # (A padded group has no member.)
+        weight = xp.where(member, xp.exp(xp.where(member, z[None], 0.0) - xp.where(xp.isfinite(top), top, 0.0)), 0.0)
+        left = self.frame.own_time - member @ self.least
+        share = left[:, None] * weight / xp.maximum(xp.sum(weight, axis=1, keepdims=True), 1.0)
+        return self.least + xp.sum(share, axis=0)
 
-    def _turned(self, durations: Array, z_rates: Array, z_ramps: Array) -> Cycle:
+    def _turned(self, durations, z_rates, z_ramps) -> Cycle:
         """Turns at the share of the largest possible rate that is wanted, and less where the travel ends."""
         cap = self._cap(durations)
+        xp = namespace(cap, z_rates)
         if z_rates.shape[0]:
-            low, high = np.array([self.elements[i].band for i in self._turns]).reshape(-1, 2).T
-            wanted = 0.5 * (low + high) + 0.5 * (high - low) * jnp.tanh(z_rates)
-            peak = self.nominal.peak_rates.at[self._turns].set(cap[self._turns] * wanted)
+            low, high = self.low[self.turns], self.high[self.turns]
+            wanted = 0.5 * (low + high) + 0.5 * (high - low) * xp.tanh(z_rates)
+            peak = put(self.nominal.peak_rates, self.turns, cap[self.turns] * wanted)
         else:
-            peak = jnp.clip(self.nominal.peak_rates, -cap, cap)
+            peak = xp.clip(self.nominal.peak_rates, -cap, cap)
         cycle = self._ramps(durations, peak, z_ramps)
-        if not self.travels or not len(self._turns):
+        if not self.travels or not self.turns.shape[0]:
             return cycle
         return self._within_travel(cycle, self._ramps(durations, cap, z_ramps))
 
-    def _cap(self, durations: Array) -> Array:
+    def _cap(self, durations):
         """The largest rate that rig, sensor and the acceleration in so long a move allow."""
-        time = jnp.where(np.isin(np.arange(len(self.elements)), self._ramped), 0.5, 1.0) * durations
-        steep = self._steep
-        return jnp.minimum(
-            self.limits.max_rate, self.limits.max_acceleration * time / np.where(steep > 0.0, steep, 1.0)
-        )
+        xp = namespace(durations, self.limits)
+        time = xp.where(self._of_shape(_HAS_RAMPS), 0.5, 1.0) * durations
+        steep = self._of_shape(_STEEP)
+        largest = self.limits.max_acceleration * time / xp.where(steep > 0.0, steep, 1.0)
+        return xp.minimum(xp.asarray(self.limits.max_rate), largest)
 
-    @property
-    def _steep(self) -> np.ndarray:
-        return np.array([_STEEPNESS.get(e.shape, 0.0) for e in self.elements])
+    def _of_shape(self, table: np.ndarray):
+        return namespace(self.shape).asarray(table)[self.shape]
 
-    def _ramps(self, durations: Array, peak: Array, z_ramps: Array) -> Cycle:
-        least = self._steep * jnp.abs(peak) / self.limits.max_acceleration
-        ramp, ramped = self.nominal.ramps, self._ramped
+    def _ramps(self, durations, peak, z_ramps) -> Cycle:
+        xp = namespace(durations, peak, z_ramps)
+        least = self._of_shape(_STEEP) * xp.abs(peak) / self.limits.max_acceleration
+        ramp, ramped = self.nominal.ramps, self.ramped
         if z_ramps.shape[0]:
             room = 0.5 * durations[ramped] - least[ramped]
-            ramp = ramp.at[ramped].set(least[ramped] + room * jax.nn.sigmoid(z_ramps))
+            ramp = put(ramp, ramped, least[ramped] + room * _sigmoid(z_ramps))
         else:
-            ramp = jnp.clip(ramp, least, 0.5 * durations)
+            ramp = xp.clip(ramp, least, 0.5 * durations)
         return Cycle(durations, peak, ramp, self.nominal.steps)
 
     def _within_travel(self, wanted: Cycle, fastest: Cycle) -> Cycle:
@@ -213,85 +238,91 @@ class Coordinates(eqx.Module):
         A cycle that is made again must end where it began: what no later turn could undo is left out, too, and where
         too much is to be undone, a turn goes back by as much as it must.
         """
-        turns = self._turns
-        asked, most = (jnp.stack([self.angle(c, int(i)) for i in turns]) for c in (wanted, fastest))
-        bound = jnp.full(len(turns), self.limits.travel)
-        if self.cycles > 1:
+        turns = self.turns
+        asked, most = (self.angles(c)[turns] for c in (wanted, fastest))
+        xp = namespace(asked)
+        if turns.shape[0] and xp is not np:
+            # What padding points to is no turn.
+            real = turns < self.least.shape[0]
+            asked, most = xp.where(real, asked, 0.0), xp.where(real, most, 0.0)
+        bound = xp.full(turns.shape, 1.0) * self.limits.travel
+        if self.repeats:
             # What is still to come after each turn.
-            bound = jnp.minimum(bound, jnp.cumsum(most[::-1])[::-1] - most)
+            bound = xp.minimum(bound, xp.cumsum(most[::-1])[::-1] - most)
 
         def turn(at, given):
             angle, reach, furthest = given
-            down = jnp.maximum(-furthest, at - reach) - at
-            up = jnp.minimum(furthest, at + reach) - at
-            share = angle / jnp.where(reach > 0.0, reach, 1.0)
-            made = jnp.clip(share * jnp.where(share > 0.0, up, -down), jnp.minimum(down, up), up)
+            down = xp.maximum(-furthest, at - reach) - at
+            up = xp.minimum(furthest, at + reach) - at
+            share = angle / xp.where(reach > 0.0, reach, 1.0)
+            made = xp.clip(share * xp.where(share > 0.0, up, -down), xp.minimum(down, up), up)
             return at + made, made
 
-        _, made = jax.lax.scan(turn, jnp.zeros(()), (asked, most, bound))
+        made = scanned(turn, xp.zeros(()), (asked, most, bound))
         # A turn that is made smaller keeps its ramp; one that is sent back needs the ramp of the fastest.
-        smaller = jnp.abs(made) <= jnp.abs(asked)
-        of = lambda cycle, angles: cycle.peak_rates[turns] * made / jnp.where(angles == 0.0, 1.0, angles)  # noqa: E731
-        peak = jnp.where(smaller, of(wanted, asked), of(fastest, most))
-        ramp = jnp.where(smaller, wanted.ramps[turns], fastest.ramps[turns])
-        return wanted._replace(peak_rates=wanted.peak_rates.at[turns].set(peak), ramps=wanted.ramps.at[turns].set(ramp))
+        smaller = xp.abs(made) <= xp.abs(asked)
+        of = lambda cycle, angles: cycle.peak_rates[turns] * made / xp.where(angles == 0.0, 1.0, angles)  # noqa: E731
+        peak = xp.where(smaller, of(wanted, asked), of(fastest, most))
+        ramp = xp.where(smaller, wanted.ramps[turns], fastest.ramps[turns])
+        return wanted._replace(peak_rates=put(wanted.peak_rates, turns, peak), ramps=put(wanted.ramps, turns, ramp))
 
-    def lasting(self) -> Array:
+    def lasting(self) -> Float[AnyArray, " v"]:
         """From the start of each turn at the table to the next one's, and to the ramp's end for the last."""
         visit = self.frame.own_time + self.frame.other_time
-        whole = jnp.full(self.visits - 1, visit)
-        return jnp.concatenate([whole, jnp.reshape(self.frame.motion_time - (self.visits - 1) * visit, (1,))])
+        xp = namespace(self.frame, self.visits)
+        number = np.arange(self.nominal.steps.shape[0])
+        last = self.frame.motion_time - (self.visits - 1) * visit
+        return xp.where(number < self.visits - 1, visit, xp.where(number == self.visits - 1, last, 0.0))
 
-    def _steps(self, z: Array) -> Array:
+    def _steps(self, z):
         span = self.frame.temperature_end - self.frame.temperature_start
         lasting = self.lasting()
         even = span * lasting / self.frame.motion_time
         if not z.shape[0]:
             return even
-        uneven = span * jax.nn.softmax(z)
-        over = jnp.abs(uneven) - jnp.abs(even)
+        xp = namespace(z, even)
+        there = lasting > 0.0
+        top = xp.max(xp.where(there, z, -xp.inf))
+        weight = xp.where(there, xp.exp(xp.where(there, z, top) - top), 0.0)
+        uneven = span * weight / xp.sum(weight)
+        over = xp.abs(uneven) - xp.abs(even)
         steepest = self.limits.max_slope * lasting
-        room = jnp.where(over > 0.0, (steepest - jnp.abs(even)) / jnp.where(over > 0.0, over, 1.0), jnp.inf)
-        mix = jnp.clip(jnp.min(room), 0.0, 1.0)
+        room = xp.where(over > 0.0, (steepest - xp.abs(even)) / xp.where(over > 0.0, over, 1.0), xp.inf)
+        mix = xp.clip(xp.min(room), 0.0, 1.0)
         return even + mix * (uneven - even)
 
-    def angle(self, cycle: Cycle, i: int) -> Array:
-        """How far move `i` turns, rad."""
-        return formulas.turned_angle(self.elements[i].shape, cycle.peak_rates[i], cycle.durations[i], cycle.ramps[i])
+    def angles(self, cycle: Cycle) -> Float[AnyArray, " k"]:
+        """How far each move turns, rad."""
+        by_duration, by_ramp = (self._of_shape(column) for column in _ANGLE)
+        return cycle.peak_rates * (by_duration * cycle.durations + by_ramp * cycle.ramps)
 
     def vector(self, cycle: Cycle) -> Float[np.ndarray, " size"]:
         """Free numbers whose cycle is nearly the given one: bounds can only be approached."""
         durations, peaks, ramps = (np.asarray(v) for v in cycle[:3])
-        spare = np.maximum(durations - np.array([e.least for e in self.elements]), 1e-4)
-        turns, ramped = self._turns, self._ramped
-        least = (self._steep * np.abs(peaks) / float(self.limits.max_acceleration))[ramped]
-        share = (ramps[ramped] - least) / np.maximum(0.5 * durations[ramped] - least, 1e-12)
+        spare = np.maximum(durations - self.least, 1e-4)
+        least = (self._of_shape(_STEEP) * np.abs(peaks) / float(self.limits.max_acceleration))[self.ramped]
+        share = (ramps[self.ramped] - least) / np.maximum(0.5 * durations[self.ramped] - least, 1e-12)
         share = np.clip(share, 1e-3, 1.0 - 1e-3)
         z_ramps = np.log(share / (1.0 - share))
-        low, high = np.array([self.elements[i].band for i in turns]).reshape(-1, 2).T
+        low, high = self.low[self.turns], self.high[self.turns]
         rates = (self._shares(cycle, z_ramps) - 0.5 * (low + high)) / (0.5 * (high - low))
-        steps = np.maximum(
-            np.asarray(cycle.steps) / float(self.frame.temperature_end - self.frame.temperature_start), 1e-4
-        )
+        span = float(self.frame.temperature_end - self.frame.temperature_start)
+        steps = np.maximum(np.asarray(cycle.steps) / span, 1e-4)
         parts = (np.log(spare), np.arctanh(np.clip(rates, -1 + 1e-4, 1 - 1e-4)), z_ramps, np.log(steps))
         return np.concatenate([p for p, size in zip(parts, self._sizes, strict=True) if size])
 
     def _shares(self, cycle: Cycle, z_ramps: np.ndarray) -> np.ndarray:
-        """Which share of the largest rate each turn has; with limited travel, what asks for its share of the angle."""
-        turns, cap = self._turns, np.asarray(self._cap(cycle.durations))
+        """Which share of the largest rate each turn has; with limited travel, the share that makes its angle."""
+        turns, cap = self.turns, self._cap(np.asarray(cycle.durations))
         if not self.travels:
             return np.asarray(cycle.peak_rates)[turns] / cap[turns]
-        ramps = jnp.asarray(z_ramps if self._sizes[2] else z_ramps[:0])
-
-        def angles(of: Cycle) -> np.ndarray:
-            return np.array([float(self.angle(of, int(i))) for i in turns])
+        ramps = z_ramps if self._sizes[2] else z_ramps[:0]
 
         def at_shares(shares: np.ndarray) -> np.ndarray:
-            peaks = np.zeros(len(cap))
-            peaks[turns] = shares * cap[turns]
-            return angles(self._ramps(cycle.durations, jnp.asarray(peaks), ramps))
+            peaks = put(np.zeros(len(cap)), turns, shares * cap[turns])
+            return self.angles(self._ramps(np.asarray(cycle.durations), peaks, ramps))[turns]
 
-        made, reach = angles(cycle), at_shares(np.ones(len(turns)))
+        made, reach = self.angles(Cycle(*map(np.asarray, cycle)))[turns], at_shares(np.ones(len(turns)))
         at = np.concatenate([[0.0], np.cumsum(made)[:-1]])
         room = np.minimum(reach, np.maximum(float(self.limits.travel) - np.sign(made) * at, 0.0))
         wanted = reach * np.abs(made) / np.where(room > 0.0, room, 1.0)
@@ -305,19 +336,20 @@ class Coordinates(eqx.Module):
 
     def pruned(self, cycle: Cycle) -> "tuple[Coordinates, Cycle]":
         """The structure without the turns that the search has shrunk to nothing, their time given to the longest."""
-        durations = np.array(cycle.durations)
-        keep = np.ones(len(self.elements), bool)
+        durations, elements = np.array(cycle.durations), self.elements()
+        keep = np.ones(len(elements), bool)
         for group in range(self.groups):
-            members = [i for i, e in enumerate(self.elements) if e.group == group]
-            turns = [i for i in members if self.elements[i].shape != "rest"]
+            members = [i for i, e in enumerate(elements) if e.group == group]
+            turns = [i for i in members if elements[i].shape != "rest"]
             longest = max(turns, key=lambda i: durations[i], default=None)
             for i in turns:
-                if i != longest and durations[i] < _VANISHED * self.elements[i].least and not self._banded(i):
+                banded = elements[i].band != (-1.0, 1.0)
+                if i != longest and durations[i] < _VANISHED * elements[i].least and not banded:
                     keep[i] = False
             # Between neighbouring turns that are kept stands one rest, with the time of all that were there; one more
             # at the ends, where the structure has one: there the axis has not stood before, or will not stand after.
             kept = [i for i in turns if keep[i]]
-            resting = [i for i in members if self.elements[i].shape == "rest"]
+            resting = [i for i in members if elements[i].shape == "rest"]
             keep[resting] = False
             ends = [members[0] - 1] * (members[0] in resting), [members[-1] + 1] * (members[-1] in resting)
             for before, after in pairwise([*ends[0], *kept, *ends[1]]):
@@ -329,55 +361,86 @@ class Coordinates(eqx.Module):
             spare = sum(durations[i] for i in members if not keep[i])
             if longest is not None:
                 durations[longest] += spare
-        elements = tuple(e for e, k in zip(self.elements, keep, strict=True) if k)
-        kept = lambda values: jnp.asarray(np.asarray(values)[keep])  # noqa: E731
-        left = Cycle(kept(durations), kept(cycle.peak_rates), kept(cycle.ramps), cycle.steps)
-        smaller = eqx.tree_at(lambda c: c.nominal, self, left)
-        return _with_elements(smaller, elements), left
+        left = Cycle(durations[keep], *(np.asarray(v)[keep] for v in cycle[1:3]), np.asarray(cycle.steps))
+        return self.with_elements(tuple(e for e, k in zip(elements, keep, strict=True) if k), left), left
 
-    def _banded(self, i: int) -> bool:
-        return self.elements[i].band != (-1.0, 1.0)
-
-    def plan(self, cycle: Cycle) -> GradientPlan:
-        """The plan of a decoded cycle, its rests relaxed: readings by their share, not by whole numbers."""
-        spacing = self.frame.read_every
-        others = even_division(self.pieces[1], self.others_read)
-        standing = (_rest(self.frame.other_time, others, spacing, self.axis),) if self.shared else ()
-        moves: list[Move] = []
-        for i, element in enumerate(self.elements):
-            if i and element.group != self.elements[i - 1].group:
-                moves += standing
-            moves.append(self._move(element, cycle, i, spacing))
-        lasting = self.lasting()
-        programme = Programme(self.frame.temperature_start, lasting, cycle.steps / lasting)
-        tail = others if self.tail else None
-        return GradientPlan(
-            programme,
-            tuple(moves),
-            standing,
-            (Stretch(0, self.visits, self.cycles, tail),),
-            tail_spacing=spacing,
+    def with_elements(self, elements: tuple[Element, ...], nominal: Cycle) -> "Coordinates":
+        """Other moves in the same frame."""
+        return _coordinates(
+            elements,
+            self.limits,
+            self.frame,
+            nominal,
+            cycles=int(self.visits) // self.groups,
+            others_read=self.others_read,
+            free=self.free,
+            parts=self.parts,
+            tail=bool(len(self.template.fill_move)),
         )
 
-    def _move(self, element: Element, cycle: Cycle, i: int, spacing: Array) -> Move:
-        if element.shape == "rest":
-            return _rest(cycle.durations[i], even_division(self.pieces[0], True), spacing, self.axis)
-        whole = Division((0.0, 1.0), (True,))
-        pieces = len(formulas.shape_pieces(element.shape))
-        unread = even_division(self.parts, False)
-        last = Division(unread.edges, (*unread.read[:-1], True))
-        return Move(
-            cycle.peak_rates[i],
-            cycle.durations[i],
-            cycle.ramps[i],
-            jnp.zeros(0),
-            jnp.zeros(()),
-            shape=element.shape,
-            axis=self.axis,
-            cycles=1,
-            divisions=(unread,) * (pieces - 1) + (last,),
-            division_at_rest=whole,
+    def padded(self) -> "Coordinates":
+        """Sizes filled up to few classes, for one compiled program to serve many structures."""
+        count = size_class(len(self.least))
+        steps = size_class(len(self.nominal.steps))
+        longer = lambda values, filling=0.0: filled(values, count, filling)  # noqa: E731
+        none = lambda places: filled(places, size_class(len(places)), count)  # noqa: E731
+        nominal = Cycle(*map(longer, self.nominal[:3]), filled(self.nominal.steps, steps, 0.0))
+        groups = size_class(self.groups)
+        return replace(
+            self,
+            nominal=nominal,
+            template=self.template.padded(moves=2 + count, stretches=steps),
+            shape=longer(self.shape, 0),
+            least=longer(self.least),
+            group=longer(self.group, groups),
+            low=longer(self.low, -1.0),
+            high=longer(self.high, 1.0),
+            turns=none(self.turns),
+            ramped=none(self.ramped),
+            groups=groups,
         )
+
+    def places_in(self, padded: "Coordinates") -> np.ndarray:
+        """Where these coordinates' numbers stand in a vector of the padded ones."""
+        begins = np.cumsum([0, *padded._sizes[:-1]])
+        return np.concatenate([b + np.arange(n) for b, n in zip(begins, self._sizes, strict=True)])
+
+    def eased(self, by: Float[AnyArray, " 5"]) -> "Coordinates":
+        """The same structure with figures eased by SI amounts: the ramp's time, with cycle and turns in proportion; the
+        largest rate and acceleration, the travel, the chamber's slope.
+        """
+        frame, limits = self.frame, self.limits
+        stretch = 1.0 + by[0] / frame.motion_time
+        times = {name: getattr(frame, name) * stretch for name in ("own_time", "other_time", "motion_time")}
+        limits = Limits(
+            limits.max_rate + by[1],
+            limits.max_acceleration + by[2],
+            limits.travel + by[3] if self.travels else limits.travel,
+            limits.max_slope + by[4],
+        )
+        return replace(self, frame=frame._replace(**times), limits=limits)
+
+
+EASED = 5
+"""How many figures `Coordinates.eased` takes."""
+
+_STEEP = np.array([0.0, *_STEEPNESS.values()])
+_HAS_RAMPS = np.array([shape in RAMPED_SHAPES for shape in SHAPES])
+# Of unit peak rate: angle = first·duration + second·ramp, from `formulas.turned_angle`, which is linear in both.
+_ANGLE = np.array(
+    [(0.0, 0.0)]
+    + [
+        (
+            formulas.turned_angle(s, 1.0, 1.0, 0.0),
+            formulas.turned_angle(s, 1.0, 0.0, 1.0) if s in RAMPED_SHAPES else 0.0,
+        )
+        for s in _STEEPNESS
+    ]
+).T
+
+
+def _sigmoid(x):
+    return 0.5 * (1.0 + namespace(x).tanh(0.5 * x))
 
 
 def make_coordinates(
@@ -390,11 +453,11 @@ def make_coordinates(
     free: frozenset[str],
     nominal: Cycle | None = None,
     longest_piece: float = np.inf,
-    axis: str = "x",
 ) -> Coordinates:
     """Coordinates from plain numbers. `nominal` None: every visit's time shared evenly, nothing turning.
 
-    `longest_piece` s: a part of a turn is integrated in pieces of this length at most.
+    `others_read`: readings go on while others turn; `longest_piece` s: a part of a turn is integrated in pieces of this
+    length at most.
 
     Errors: `ValueError` that says which limits exclude each other.
     """
@@ -419,37 +482,72 @@ def make_coordinates(
         raise ValueError(f"the cycles take {used:.6g} s but the ramp only {frame.motion_time:.6g} s")
     if nominal is None:
         share = [float(frame.own_time) / sum(o.group == e.group for o in elements) for e in elements]
-        zeros = jnp.zeros(len(elements))
-        nominal = Cycle(jnp.array(share), zeros, zeros, jnp.zeros(cycles * groups))
-    as_arrays = lambda values: type(values)(*(jnp.asarray(v, dtype=float) for v in values))  # noqa: E731
+        zeros = np.zeros(len(elements))
+        nominal = Cycle(np.array(share), zeros, zeros, np.zeros(cycles * groups))
+    parts = max(1, int(np.ceil(float(frame.own_time) / longest_piece)))
+    tail = bool(frame.motion_time - used > 1e-6)
+    settings = {"cycles": cycles, "others_read": others_read, "free": free, "parts": parts, "tail": tail}
+    return _coordinates(elements, limits, frame, nominal, **settings)
+
+
+def _coordinates(
+    elements: tuple[Element, ...],
+    limits: Limits,
+    frame: Frame,
+    nominal: Cycle,
+    *,
+    cycles: int,
+    others_read: bool,
+    free: frozenset[str],
+    parts: int,
+    tail: bool,
+) -> Coordinates:
+    groups, count = elements[-1].group + 1, len(elements)
+    visits = cycles * groups
+    kinds = [e.shape for e in elements]
+    as_arrays = lambda values: type(values)(*(np.asarray(v, dtype=float) for v in values))  # noqa: E731
+    resting = standing(even_division(_PIECES_A_REST, True))
+    waiting = standing(even_division(_PIECES_OF_OTHERS, others_read))
+    tables = [resting if kind == "rest" else _turn(kind, parts) for kind in kinds]
+    placed: list[tuple[int, PieceTable]] = []
+    for visit in range(visits):
+        placed += [(2 + i, tables[i]) for i, e in enumerate(elements) if e.group == visit % groups]
+        if float(frame.other_time) > 0.0 and visit < visits - 1:
+            placed.append((0, waiting))
+    fillers = []
+    if tail:
+        placed.append((1, waiting))
+        fillers.append((1, 0, visits, np.array([visits - 1.0, 0.0, *([float(cycles)] * count)])))
+    programme = Programme(np.zeros(()), *(np.zeros(visits) for _ in range(3)))
+    template = make_schedule(
+        programme, [(0.0, 0.0, 0.0)] * (2 + count), placed, first_knot=0, fillers=fillers, spacing=1.0
+    )
+    low, high = np.array([e.band for e in elements]).T
     return Coordinates(
-        elements,
         as_arrays(limits),
         as_arrays(frame),
         as_arrays(nominal),
-        cycles,
-        others_read,
+        template,
+        np.array([SHAPES.index(kind) for kind in kinds]),
+        np.array([e.least for e in elements], dtype=float),
+        np.array([e.group for e in elements]),
+        low,
+        high,
+        np.array([i for i, kind in enumerate(kinds) if kind != "rest"], dtype=int),
+        np.array([i for i, kind in enumerate(kinds) if kind in RAMPED_SHAPES], dtype=int),
+        np.asarray(visits),
+        groups,
         free,
-        travels=bool(np.isfinite(limits.travel)),
-        shared=frame.other_time > 0.0,
-        tail=bool(frame.motion_time - used > 1e-6),
-        parts=max(1, int(np.ceil(float(frame.own_time) / longest_piece))),
-        axis=axis,
+        bool(np.isfinite(limits.travel)),
+        cycles > 1,
+        others_read,
+        parts,
     )
 
 
-def _with_elements(of: Coordinates, elements: tuple[Element, ...]) -> Coordinates:
-    rest = (of.cycles, of.others_read, of.free, of.travels, of.shared, of.tail, of.parts, of.axis, of.pieces)
-    return Coordinates(elements, of.limits, of.frame, of.nominal, *rest)
-
-
-def even_division(count: int, read: bool) -> Division:
-    """A part of a move in `count` equal pieces, all ending with a reading, or none."""
-    return Division(tuple(float(k) / count for k in range(count + 1)), (read,) * count)
-
-
-def _rest(duration: Array, division: Division, spacing: Array, axis: str) -> Move:
-    zero = jnp.zeros(())
-    return Move(
-        zero, duration, zero, jnp.zeros(0), zero, "rest", axis, 1, (division,), division, spacing=spacing
-    )  # fmt: skip
+def _turn(shape: str, parts: int) -> PieceTable:
+    """A turn that is read where it ends, each of its smooth parts in `parts` pieces."""
+    smooth = len(formulas.shape_pieces(shape))
+    edges, unread = even_division(parts, False)
+    last = (*unread[:-1], True)
+    return turning(shape, ((edges, unread),) * (smooth - 1) + ((edges, last),), 1, (), 0.0)

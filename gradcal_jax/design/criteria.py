@@ -5,7 +5,7 @@ norm
 
     max_i s_ij  ≤  (Σ_i s_ij^k)^(1/k)  ≤  n_T^(1/k) · max_i s_ij
 
-which tends to it as k grows. `None` is the exact statistic.
+which tends to it as k grows; an infinite sharpness is the exact statistic.
 
 The classical optimalities of the covariance C of p parameters are given as standard deviations: A is `√(tr C/p)`, D is
 `(det C)^(1/2p)`, E is the root of C's largest eigenvalue.
@@ -14,84 +14,92 @@ The classical optimalities of the covariance C of p parameters are given as stan
 from typing import Literal
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from gradcal_jax.errormodel import GyroModel
+from gradcal_jax.arrays import AnyArray, fixed, namespace
 from gradcal_jax.information import SquareRootInformation
 from gradcal_jax.information.residual import Quantity, Statistic, contrasts
+from gradcal_jax.linalg import solve_transposed
+from gradcal_jax.model import SensorModel
+
+EXACT = np.asarray(np.inf)
+"""The sharpness at which a criterion is the statistic itself."""
 
 
 class Criterion(eqx.Module):
-    """A named statistic of a residual map on a box; the value is in SI (1 for the scale factor, rad/s for the bias)."""
+    """A named statistic of a residual map on a box; the value is in SI (1 for the scale factor, rad/s for the bias).
 
-    rows: Float[Array, "g p"]
-    beyond: Float[Array, " g"]
+    `rows`, `alone`, `beyond`: see `information.contrasts`; `alone` is None without a discrepancy.
+    """
+
+    rows: Float[AnyArray, "g p"]
+    alone: Float[AnyArray, "g p"] | None
+    beyond: Float[AnyArray, " g"]
     shape: tuple[int, int] = eqx.field(static=True)
     statistic: Statistic = eqx.field(static=True)
 
-    def map(self, info: SquareRootInformation) -> Float[Array, "n_T n_w"]:
+    def map(self, info: SquareRootInformation) -> Float[AnyArray, "n_T n_w"]:
         """The residual on the box; differentiable, for a plan that observes everything."""
-        return jnp.reshape(jnp.sqrt(info.deviations(self.rows) ** 2 + self.beyond), self.shape)
+        variance = info.deviations(self.rows) ** 2 + self.beyond
+        if self.alone is not None:
+            variance = variance - info.deviations(self.alone) ** 2
+        xp = namespace(variance)
+        return xp.reshape(xp.sqrt(variance), self.shape)
 
     def __call__(
-        self, info: SquareRootInformation, sharpness: Float[Array, ""] | float | None = None
-    ) -> Float[Array, ""]:
-        """The statistic: exact for `sharpness` None, from above otherwise."""
+        self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT
+    ) -> Float[AnyArray, ""]:
+        """The statistic: exact for an infinite sharpness, from above otherwise."""
         values = self.map(info)
+        xp = namespace(values)
         if self.statistic == "mean":
-            return jnp.mean(values)
+            return xp.mean(values)
         if self.statistic == "rms":
-            return jnp.sqrt(jnp.mean(values**2))
+            return xp.sqrt(xp.mean(values**2))
         if self.statistic == "max":
-            return _largest(jnp.reshape(values, (-1, 1)), sharpness)[0]
-        return jnp.mean(_largest(values, sharpness))
+            return largest(xp.reshape(values, (-1, 1)), sharpness)[0]
+        return xp.mean(largest(values, sharpness))
 
 
 class Optimality(eqx.Module):
     """A, D or E of the covariance of `rows` (p combinations of the parameters, of one unit)."""
 
-    rows: Float[Array, "q p"]
+    rows: Float[AnyArray, "q p"]
     kind: Literal["A", "D", "E"] = eqx.field(static=True)
 
-    def __call__(self, info: SquareRootInformation, sharpness: Float[Array, ""] | float | None = None):
+    def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
         """The value, in the parameters' unit; smooth but for E at equal eigenvalues."""
         del sharpness
-        scaled = (self.rows / info.scale[None, :]).T
-        half = jax.scipy.linalg.solve_triangular(info.factor, scaled, trans=1, lower=False)
-        count = self.rows.shape[0]
+        half = solve_transposed(info.factor, (self.rows / info.scale[None, :]).T)
+        count, xp = self.rows.shape[0], namespace(half)
         if self.kind == "A":
-            return jnp.sqrt(jnp.sum(half**2) / count)
+            return xp.sqrt(xp.sum(half**2) / count)
         covariance = half.T @ half
         if self.kind == "E":
-            return jnp.sqrt(jnp.linalg.eigvalsh(covariance)[-1])
-        return jnp.exp(jnp.linalg.slogdet(covariance)[1] / (2 * count))
+            return xp.sqrt(xp.linalg.eigvalsh(covariance)[-1])
+        return xp.exp(xp.linalg.slogdet(covariance)[1] / (2 * count))
 
 
 def criterion(
-    model: GyroModel, quantity: Quantity, temperature: np.ndarray, rate: np.ndarray, statistic: Statistic
+    model: SensorModel, quantity: Quantity, temperature: np.ndarray, rate: np.ndarray, statistic: Statistic
 ) -> Criterion:
     """A criterion on a grid of temperatures (°C) and rates (rad/s).
 
-    Errors: `ValueError` when the model does not estimate the quantity, or carries a discrepancy, whose prior the search
-    does not see.
+    Errors: `ValueError` when the model does not estimate the quantity.
     """
-    of = model.bias if quantity == "bias" else model.scale
-    if of is not None and of.discrepancy_size:
-        raise ValueError(
-            "a design is searched without a model discrepancy: leave it out while optimising, then predict with it"
-        )
     grid_t, grid_w = np.meshgrid(temperature, rate, indexing="ij")
-    rows, beyond = contrasts(model, quantity, jnp.asarray(grid_t.ravel()), jnp.asarray(grid_w.ravel()))
-    return Criterion(rows, beyond, (len(temperature), len(rate)), statistic)
+    rows, alone, beyond = contrasts(model, quantity, grid_t.ravel(), grid_w.ravel())
+    shape = (len(temperature), len(rate))
+    return Criterion(rows, alone if np.any(alone) else None, beyond, shape, statistic)
 
 
-def _largest(values: Float[Array, "n m"], sharpness) -> Float[Array, " m"]:
-    """Maximum along the first axis, exact or from above."""
-    peak = jnp.max(values, axis=0)
-    if sharpness is None:
-        return peak
-    scale = jax.lax.stop_gradient(peak)
-    return scale * jnp.exp(jax.scipy.special.logsumexp(sharpness * jnp.log(values / scale[None]), axis=0) / sharpness)
+def largest(values: Float[AnyArray, "n m"], sharpness) -> Float[AnyArray, " m"]:
+    """Maximum along the first axis, exact for an infinite sharpness, or from above."""
+    xp = namespace(values, sharpness)
+    peak = xp.max(values, axis=0)
+    soft = xp.isfinite(sharpness)
+    k = xp.where(soft, sharpness, 1.0)
+    scale = fixed(peak)
+    norm = scale * xp.sum((values / scale[None]) ** k, axis=0) ** (1.0 / k)
+    return xp.where(soft, norm, peak)

@@ -37,7 +37,7 @@ from scipy.optimize import minimize
 
 from gradcal_jax.design.criteria import Criterion, Optimality
 from gradcal_jax.design.noise_floor import root_of
-from gradcal_jax.errormodel import GyroModel, Polynomial
+from gradcal_jax.model import SCALE_FACTOR, Polynomial, SensorModel
 
 # The maximum hardens; between the stages the rates that would help most join the grid.
 _SHARPNESS = (8.0, 30.0, 100.0, 400.0, 2000.0, 10000.0)
@@ -61,7 +61,7 @@ class Limit(NamedTuple):
 
 def limit(
     criterion: Criterion | Optimality,
-    model: GyroModel,
+    model: SensorModel,
     *,
     motion_time: float,
     temperatures: np.ndarray,
@@ -110,7 +110,7 @@ class _Problem:
     def __init__(
         self,
         criterion,
-        model: GyroModel,
+        model: SensorModel,
         gain: float,
         prior_share: float,
         temperatures: np.ndarray,
@@ -118,19 +118,18 @@ class _Problem:
     ):
         self.criterion, self.model, self.gain = criterion, model, gain
         self.temperatures, self.fixed_programme = temperatures, fixed_programme
-        where = model.columns.scale
+        where = model.where(SCALE_FACTOR)
         self.columns = where
         # Columns other than M's are taken as known: that is information added, never taken away.
-        self.rows = np.asarray(criterion.rows)[:, where.start : where.stop]
-        prior = np.asarray(model.prior_rows())[:, where.start : where.stop]
+        self.rows = np.asarray(criterion.rows)[:, where]
+        prior = model.prior_rows()[:, where]
         self.prior = prior.T @ prior / prior_share
         self.beyond = np.asarray(getattr(criterion, "beyond", np.zeros(len(self.rows))))
 
     def moments(self, temperature: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Rows whose squares are the information of the whole motion time at a point."""
         assert self.model.scale is not None
-        values = self.model.scale.values(jnp.asarray(temperature), jnp.asarray(rate))
-        return np.asarray(values) * rate[:, None] * np.sqrt(self.gain)
+        return self.model.scale.values(temperature, rate) * rate[:, None] * np.sqrt(self.gain)
 
     def solve(self, rates: np.ndarray, logs: np.ndarray, sharpness: float) -> np.ndarray:
         """Logarithms of better weights `(n_T, m)` on given rates, by L-BFGS."""
@@ -231,7 +230,7 @@ def _thinned(criterion: Criterion | Optimality) -> Criterion | Optimality:
     every, across = criterion.shape
     kept = np.unique(np.round(np.linspace(0, every - 1, min(every, _TEMPERATURES))).astype(int))
     some = lambda v: v.reshape(every, across, -1)[kept].reshape(len(kept) * across, -1)  # noqa: E731
-    return Criterion(some(criterion.rows), some(criterion.beyond)[:, 0], (len(kept), across), criterion.statistic)
+    return Criterion(some(criterion.rows), None, some(criterion.beyond)[:, 0], (len(kept), across), criterion.statistic)
 
 
 def _shares(logs: Float[Array, "n m"], fixed_programme: bool) -> Float[Array, "n m"]:

@@ -15,75 +15,106 @@ largest eigenvalue of the kernel k(t − t'), the transform of 1/S, restricted t
 that of a midpoint rule.
 
 **Processes that multiply the rate** (instability of the scale factor, an error of the temperature, of the sensor's
-clock) look like the scale factor itself. Whoever saw `M(T, ω) + δ(t)` at every rate at once, while the axis has the
-table, would know `M(T, ω) − M(T, 0)` exactly, and M(T, 0) as well as generalised least squares in T allows; every
-reading is a function of that. What is left of the best linear estimate under a sum of noises is at least the sum of
-what each leaves alone, so that this variance is added to the random walk's. A prior is a reading, too, and its variance
-is shared out: half to the random walk, a quarter each to what is constant and to what moves (that a prior seldom limits
-a plan makes any shares good ones).
+clock) look like the scale factor itself. Whoever saw `M(T, ω) + δ(t)` at every rate at once, at every instant at which
+the axis has the table, would know `M(T, ω) − M(T, 0)` exactly, and M(T, 0) as well as generalised least squares in T
+allows; every reading is a function of that. Of a continuous look at functions f(t) = ψ(T(t)) under a Gauss–Markov
+process (σ, decay λ) the information is, with `f' = df/dt`, the windows [a, b] and φ = exp(−λ(a⁺ − b)) between them,
+
+    f(a₀)f(a₀)ᵀ/σ² + Σ ∫ (f' + λf)(f' + λf)ᵀ dt/(2σ²λ) + Σ (f(a⁺) − φf(b))(f(a⁺) − φf(b))ᵀ/(σ²(1 − φ²)),
+
+exactly, whatever the correlation time (samples of a quick process would know less, and give a floor that is too high).
+What is left of the best linear estimate under a sum of noises is at least the sum of what each leaves alone, so that
+these variances are added to the random walk's. A prior is a reading, too, and its variance is shared out: half to the
+random walk, a quarter each to what is constant and to what moves (that a prior seldom limits a plan makes any shares
+good ones).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
-from gradcal_jax.errormodel import Basis, GyroModel
+from gradcal_jax.model import SCALE_FACTOR, Basis, SensorModel
+from gradcal_jax.trajectory import quadrature
 
 # How a prior's variance is shared out: see above.
 PRIOR_OF_WALK = 0.5
 _PRIOR_OF_OTHERS = 0.25
 # The eigenvalue's midpoint rule has at most so many points.
 _POINTS = 1500
+# Nodes in a window; the step of a derivative in temperature, K; windows nearer than this touch, s.
+_NODES = 12
+_SMALL = 1e-4
+_TOUCHING = 1e-6
 
 
-def scale_factor_floor(model: GyroModel, times: np.ndarray, temperatures: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """`(len(at),)`, the variance of M at the temperatures `at` (°C) that no motion at `times` (s, °C) removes.
+def scale_factor_floor(
+    model: SensorModel,
+    windows: Sequence[tuple[float, float]],
+    temperature: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    at: np.ndarray,
+) -> np.ndarray:
+    """`(len(at),)`, the variance of M at the temperatures `at` (°C) that no motion in the windows removes.
 
-    `times` stand for all times at which the axis may turn: they should be dense against the correlation times. Without
-    any (a programme that is free) only what is constant counts. Where the map has a prior, a limit to which this is
-    added may count only `PRIOR_OF_WALK` of the prior's variance.
+    `windows` (begin, end; s, in order): all times at which the axis may turn, none of which the chamber's slope changes
+    within; `temperature(t)` of the sensor (°C) and its rate (K/s) there. Without any (a programme that is free) only
+    what is constant counts. Where the map has a prior, a limit to which this is added may count only `PRIOR_OF_WALK` of
+    the prior's variance.
     """
     p, scale = model.processes, model.scale
     if scale is None:
         return np.zeros(len(at))
-    gain = np.where(np.asarray(p.bias_gain) == 0.0, np.asarray(p.rate_gain), 0.0)
-    variance, decay = (gain * np.asarray(p.initial_std)) ** 2, np.asarray(p.decay)
+    gain = np.where(p.bias_gain == 0.0, p.rate_gain, 0.0)
+    variance, decay = (gain * p.initial_std) ** 2, p.decay
     prior = _prior_of_constants(model) / _PRIOR_OF_OTHERS
-    wanted = np.asarray(scale.temperature(jnp.asarray(at)))
+    wanted = scale.temperature(at)
     found = np.zeros(len(at))
     clock = float(np.sum(variance[decay == 0.0]))
     if clock > 0.0:
         # A constant is a constant of M: it adds itself, as far as the prior does not tell the two apart.
         one = _constant(scale.temperature)
         found += 1.0 / (one @ prior @ one + 1.0 / clock)
-    moving = (variance > 0.0) & (decay > 0.0)
-    if not moving.any() or not len(times):
+    moving = np.flatnonzero((variance > 0.0) & (decay > 0.0))
+    if not len(moving) or not windows:
         return found
-    lags = np.abs(times[:, None] - times[None, :])
-    kernel = sum(v * np.exp(-d * lags) for v, d in zip(variance[moving], decay[moving], strict=True))
-    factor = np.linalg.cholesky(np.asarray(kernel))
-    seen = scipy.linalg.solve_triangular(factor, np.asarray(scale.temperature(jnp.asarray(temperatures))), lower=True)
-    root = np.asarray(np.linalg.qr(np.concatenate([seen, root_of(prior)]), mode="r"))
-    return found + np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
+    for k in moving:
+        seen = _continuous_look(scale.temperature, windows, temperature, float(variance[k]), float(decay[k]))
+        root = np.linalg.qr(np.concatenate([seen, root_of(len(moving) * prior)]), mode="r")
+        found += np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
+    return found
 
 
-def _prior_of_constants(model: GyroModel) -> np.ndarray:
+def _continuous_look(basis: Basis, windows, temperature, variance: float, decay: float) -> np.ndarray:
+    """Rows whose squares are the information of a look at the basis's functions under a Gauss–Markov process."""
+    edges = np.array(windows)
+    nodes, weights = quadrature(_NODES)
+    width = np.diff(edges, axis=1)
+    t, of_time = temperature((edges[:, :1] + width * nodes).ravel())
+    # A step in temperature in which no polynomial, nor a spline, bends.
+    slope = (basis(t + _SMALL) - basis(t - _SMALL)) / (2.0 * _SMALL) * of_time[:, None]
+    share = np.sqrt((width * weights).ravel() / (2.0 * variance * decay))
+    inside = (slope + decay * basis(t)) * share[:, None]
+    begin, end = basis(temperature(edges[:, 0])[0]), basis(temperature(edges[:, 1])[0])
+    kept = np.exp(-decay * (edges[1:, 0] - edges[:-1, 1]))[:, None]
+    apart = edges[1:, 0] - edges[:-1, 1] > _TOUCHING
+    between = (begin[1:] - kept * end[:-1])[apart] / np.sqrt(variance * (1.0 - kept[apart] ** 2))
+    return np.concatenate([begin[:1] / np.sqrt(variance), inside, between])
+
+
+def _prior_of_constants(model: SensorModel) -> np.ndarray:
     """The prior's information on the functions of temperature that are the same at every rate, in the basis."""
     scale = model.scale
     assert scale is not None
     same = np.eye(scale.temperature.size)
     if scale.rate is not None:
         same = np.kron(same, _constant(scale.rate)[:, None])
-    where = model.columns.scale
-    rows = np.asarray(model.prior_rows())[:, where.start : where.stop] @ same
+    rows = model.prior_rows()[:, model.where(SCALE_FACTOR)] @ same
     return rows.T @ rows
 
 
 def _constant(basis: Basis) -> np.ndarray:
     """The coefficients of the function that is one everywhere (°C or rad/s: a hundred covers both)."""
-    values = np.asarray(basis(jnp.linspace(-100.0, 100.0, 16 * basis.size)))
+    values = basis(np.linspace(-100.0, 100.0, 16 * basis.size))
     return np.linalg.lstsq(values, np.ones(len(values)), rcond=None)[0]
 
 
@@ -93,7 +124,7 @@ def root_of(matrix: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
-def least_noise_density(model: GyroModel, spacing: float) -> float:
+def least_noise_density(model: SensorModel, spacing: float) -> float:
     """`max_ε min_λ S(λ)` in rad²/s, for readings at least `spacing` s apart; never below N².
 
     Only processes that drive the angle at any rate (bias_gain) count, and only the white noise of a reading.
@@ -103,7 +134,7 @@ def least_noise_density(model: GyroModel, spacing: float) -> float:
     return max(spectrum.walk, *(spectrum.least(np.exp(x), spacing) for x in np.linspace(-15.0, 10.0, 251)))
 
 
-def gated_noise_density(model: GyroModel, spacing: float, windows: Sequence[tuple[float, float]]) -> float:
+def gated_noise_density(model: SensorModel, spacing: float, windows: Sequence[tuple[float, float]]) -> float:
     """1/μ in rad²/s for an axis that turns only in `windows` (begin, end; s); never below `least_noise_density`."""
     spectrum = _Spectrum(model)
     total = sum(end - begin for begin, end in windows)
@@ -134,7 +165,7 @@ def gated_noise_density(model: GyroModel, spacing: float, windows: Sequence[tupl
 class _Spectrum:
     """S(λ) of a model: see the module's head."""
 
-    def __init__(self, model: GyroModel):
+    def __init__(self, model: SensorModel):
         p = model.processes
         gain = np.where(np.asarray(p.rate_gain) == 0.0, np.asarray(p.bias_gain), 0.0)
         keep = gain * np.asarray(p.diffusion) != 0.0

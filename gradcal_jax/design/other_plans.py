@@ -17,16 +17,14 @@ takes a programme by its own numbers, whose limits are linear (`ProgrammeKnots`)
 from abc import abstractmethod
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from gradcal_jax.design.coordinates import even_division
+from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.design.search import Linear
-from gradcal_jax.plans import GradientPlan, Programme, StandardPlan
-from gradcal_jax.plans.motion import Move
-from gradcal_jax.plans.plan import Stretch
+from gradcal_jax.trajectory import Programme, Schedule, standard_plan
+from gradcal_jax.trajectory.motion import even_division, standing
+from gradcal_jax.trajectory.schedule import Points, make_schedule
 
 # A stretch is at least this share of an even one.
 _LEAST_SHARE = 0.1
@@ -41,34 +39,41 @@ class _Programmes(eqx.Module):
     `cooling`: K/s, sizes. `soak_used`: whether the soak's readings count.
     """
 
-    soak: Float[Array, ""]
-    time: Float[Array, ""]
-    read_every: Float[Array, ""]
-    coldest: Float[Array, ""]
-    warmest: Float[Array, ""]
-    heating: Float[Array, ""]
-    cooling: Float[Array, ""]
+    soak: Float[AnyArray, ""]
+    time: Float[AnyArray, ""]
+    read_every: Float[AnyArray, ""]
+    coldest: Float[AnyArray, ""]
+    warmest: Float[AnyArray, ""]
+    heating: Float[AnyArray, ""]
+    cooling: Float[AnyArray, ""]
     stretches: int = eqx.field(static=True)
     soak_used: bool = eqx.field(static=True)
 
     @abstractmethod
-    def programme(self, z: Float[Array, " size"]) -> Programme:
+    def programme(self, z: Float[AnyArray, " size"]) -> Programme:
         """The programme of a vector, without its soak."""
 
-    def decode(self, z: Float[Array, " size"]) -> GradientPlan:
+    def decode(self, z: Float[AnyArray, " size"]) -> Schedule:
         """The plan of a vector, its readings relaxed."""
         of = self.programme(z)
-        durations = jnp.concatenate([self.soak[None], of.durations])
-        whole = Programme(of.start, durations, jnp.concatenate([jnp.zeros(1), of.slopes]))
+        xp, nothing = namespace(of), [0.0]
+        durations = xp.concatenate([xp.reshape(xp.asarray(self.soak), (1,)), of.durations])
+        whole = Programme(
+            of.start, durations, xp.concatenate([xp.asarray(nothing), of.slopes]), xp.zeros(durations.shape)
+        )
         first = 0 if self.soak_used else 1
-        moves = tuple(self._standing(durations[k]) for k in range(first, self.stretches + 1))
-        return GradientPlan(whole, moves, (), (Stretch(first, self.stretches + 1, 1, None),))
-
-    def _standing(self, duration: Array) -> Move:
-        zero, division = jnp.zeros(()), even_division(_PIECES_A_STRETCH, True)
-        return Move(
-            zero, duration, zero, jnp.zeros(0), zero, "rest", "x", 1, (division,), division, spacing=self.read_every
+        pieces, none = standing(even_division(_PIECES_A_STRETCH, True)), np.zeros(self.stretches + 1)
+        blank = Programme(np.zeros(()), none, none, none)
+        stays = range(first, self.stretches + 1)
+        template = make_schedule(
+            blank, [(0.0, 0.0, 0.0)] * len(stays), [(k, pieces) for k in range(len(stays))], first_knot=first,
+            spacing=1.0,
         )  # fmt: skip
+        return eqx.tree_at(
+            lambda s: (s.duration, s.spacing, s.programme),
+            template,
+            (durations[first:], xp.asarray(self.read_every), whole),
+        )
 
 
 class ProgrammeCoordinates(_Programmes):
@@ -79,25 +84,28 @@ class ProgrammeCoordinates(_Programmes):
         """How many free numbers there are."""
         return 2 * self.stretches + 1
 
-    def programme(self, z: Float[Array, " size"]) -> Programme:
+    def programme(self, z: Float[AnyArray, " size"]) -> Programme:
         """The programme without its soak."""
-        timed, sloped, first = jnp.split(z, [self.stretches, 2 * self.stretches])
+        timed, sloped, first = (z[: self.stretches], z[self.stretches : 2 * self.stretches], z[2 * self.stretches :])
+        xp = namespace(z, self.time)
         least = _LEAST_SHARE * self.time / self.stretches
-        durations = least + (self.time - self.stretches * least) * jax.nn.softmax(timed)
-        slopes = 0.5 * (self.heating - self.cooling) + 0.5 * (self.heating + self.cooling) * jnp.tanh(sloped)
+        weight = xp.exp(timed - xp.max(timed))
+        durations = least + (self.time - self.stretches * least) * weight / xp.sum(weight)
+        slopes = 0.5 * (self.heating - self.cooling) + 0.5 * (self.heating + self.cooling) * xp.tanh(sloped)
         here = _between(self.coldest, self.warmest, first[0])
         start, reached = here, []
         for k in range(self.stretches):
-            there = jnp.clip(here + slopes[k] * durations[k], self.coldest, self.warmest)
+            there = xp.clip(here + slopes[k] * durations[k], self.coldest, self.warmest)
             reached.append((there - here) / durations[k])
             here = there
-        return Programme(start, durations, jnp.stack(reached))
+        return Programme(start, durations, xp.stack(reached), xp.zeros(durations.shape))
 
     def knots(self, z: np.ndarray) -> "tuple[ProgrammeKnots, np.ndarray]":
         """The same programmes by their own numbers, and those of the programme of `z`."""
-        of = self.programme(jnp.asarray(z))
+        of = self.programme(np.asarray(z))
         own = ProgrammeKnots(**{name: getattr(self, name) for name in self.__dataclass_fields__})
-        temperatures = (np.asarray(of.knots()[1]) - float(self.coldest)) / float(self.warmest - self.coldest)
+        begin, end = of.chamber()
+        temperatures = (np.append(begin, end[-1]) - float(self.coldest)) / float(self.warmest - self.coldest)
         return own, np.concatenate([np.asarray(of.durations) / float(self.time), temperatures])
 
 
@@ -112,11 +120,12 @@ class ProgrammeKnots(_Programmes):
         """How many free numbers there are."""
         return 2 * self.stretches + 1
 
-    def programme(self, z: Float[Array, " size"]) -> Programme:
+    def programme(self, z: Float[AnyArray, " size"]) -> Programme:
         """The programme of a vector, without its soak."""
         durations = self.time * z[: self.stretches]
         temperatures = self.coldest + (self.warmest - self.coldest) * z[self.stretches :]
-        return Programme(temperatures[0], durations, jnp.diff(temperatures) / durations)
+        xp = namespace(temperatures)
+        return Programme(temperatures[0], durations, xp.diff(temperatures) / durations, xp.zeros(durations.shape))
 
     def near(self, z: np.ndarray) -> np.ndarray:
         """A vector from which a polish sets out: durations fill the time, temperatures are in the chamber's range."""
@@ -135,7 +144,7 @@ class ProgrammeKnots(_Programmes):
         heating[:, :n], heating[:, n:] = float(self.heating) * np.eye(n), -steps
         cooling[:, :n], cooling[:, n:] = float(self.cooling) * np.eye(n), steps
         # Slopes in shares of the faster one, so that every row is of about unit size.
-        fastest = float(jnp.maximum(self.heating, self.cooling))
+        fastest = max(float(self.heating), float(self.cooling))
         rows = np.concatenate([timed, heating / fastest, cooling / fastest, eye[n:], -eye[n:], np.eye(1, size) * 0.0])
         rows[-1, :n] = 1.0
         least = np.concatenate([np.full(n, _LEAST_SHARE / n), np.zeros(2 * n), np.zeros(n + 1), -np.ones(n + 1), [1.0]])
@@ -149,27 +158,49 @@ class StandardCoordinates(eqx.Module):
     are not free.
     """
 
-    soak: Float[Array, ""]
-    time: Float[Array, ""]
-    coldest: Float[Array, ""]
-    warmest: Float[Array, ""]
-    max_rate: Float[Array, ""]
-    given_rates: Float[Array, " r"]
+    soak: Float[AnyArray, ""]
+    time: Float[AnyArray, ""]
+    coldest: Float[AnyArray, ""]
+    warmest: Float[AnyArray, ""]
+    max_rate: Float[AnyArray, ""]
+    given_rates: Float[AnyArray, " r"]
     temperatures: int = eqx.field(static=True)
     rates_free: bool = eqx.field(static=True)
+    points: Points = eqx.field(static=True, default="one run")
 
     @property
     def size(self) -> int:
         """How many free numbers there are."""
         return self.temperatures + (self.given_rates.shape[0] if self.rates_free else 0)
 
-    def decode(self, z: Float[Array, " size"]) -> StandardPlan:
+    def decode(self, z: Float[AnyArray, " size"]) -> Schedule:
         """The plan of a vector, temperatures in rising order."""
-        temperatures = jnp.sort(_between(self.coldest, self.warmest, z[: self.temperatures]))
-        rates = self.max_rate * jnp.tanh(z[self.temperatures :]) if self.rates_free else self.given_rates
-        integration = (self.time / self.temperatures - self.soak) / rates.shape[0]
-        return StandardPlan(temperatures, rates, self.soak, integration)
+        xp = namespace(z, self.time)
+        temperatures = xp.sort(_between(self.coldest, self.warmest, z[: self.temperatures]))
+        rates = self.max_rate * xp.tanh(z[self.temperatures :]) if self.rates_free else self.given_rates
+        count = rates.shape[0]
+        integration = (self.time / self.temperatures - self.soak) / count
+        template = standard_plan(np.zeros(self.temperatures), 0.0, 0.0, np.zeros(count), points=self.points)
+        stay = self.soak + count * integration
+        zeros = xp.zeros(self.temperatures)
+        jumps = xp.concatenate([zeros[:1], xp.diff(temperatures)])
+        programme = Programme(temperatures[0], zeros + stay, zeros, jumps)
+        first = lambda v: xp.reshape(xp.asarray(v), (1,))  # noqa: E731
+        return eqx.tree_at(
+            lambda s: (s.duration, s.peak_rate, s.programme),
+            template,
+            (
+                xp.concatenate([first(self.soak), xp.zeros(count) + integration]),
+                xp.concatenate([first(0.0), rates]),
+                programme,
+            ),
+        )
+
+    def plan_of(self, z: Float[np.ndarray, " size"]) -> tuple[np.ndarray, np.ndarray, float]:
+        """Temperatures (°C), rates (rad/s) and the integration time (s) of a vector."""
+        plan = self.decode(z)
+        return plan.programme.chamber()[0], plan.peak_rate[1:], float(plan.duration[1])
 
 
-def _between(low: Array, high: Array, z: Array) -> Array:
-    return low + (high - low) * jax.nn.sigmoid(z)
+def _between(low, high, z):
+    return low + (high - low) * 0.5 * (1.0 + namespace(z).tanh(0.5 * z))

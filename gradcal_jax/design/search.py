@@ -1,30 +1,32 @@
-"""The search: many random starts of BFGS, a soft maximum that hardens, hops from the best, and a polish.
+"""The search: random starts that descend while a soft maximum hardens, hops from the best, and a polish.
 
-Starts run one after the other inside one compiled program (`lax.map`: on a CPU a wide `vmap` leaves the cache), a few
-steps at a time, so that whoever drives the search sees its progress and may stop it with the best so far.
+One compiled program gives the value, what limits are exceeded by, and all gradients; whatever descends, descends with
+it. Starts are independent of one another and share the cores; the better half of them goes on to each harder stage.
 """
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.optimize import minimize, nnls
-
-Objective = Callable[[Array, Array | None], tuple[Array, Array]]
-"""`(z, sharpness)` to the value that is minimised, positive, and the logarithms by which limits are exceeded (k,)."""
 
 SHARPNESS = (8.0, 40.0, 200.0, 1000.0)
 # What exceeding a limit by a factor e costs, in factors e of the value, squared.
 _PENALTY = 30.0
-# Standard deviation of a hop in coordinates of unit size; a hop that gains less than this share is the last.
+# Of the starts of a stage, the share that goes on to the next; at least so many do.
+_SURVIVORS, _FEWEST = 0.5, 4
+# Standard deviation of a hop in coordinates of unit size; a round of hops that gains less than this share is the last.
 _HOP = 0.3
 _HOP_GAIN = 2e-3
+# The merit of a point at which nothing can be said.
+_NOWHERE = 1e3
+_LARGEST = 700.0
 # Largest gradient component of log(value) that counts as zero.
 CONVERGED = 1e-4
 # Where it has not converged it begins anew, with no memory of curvature, so often in all.
@@ -34,8 +36,84 @@ _BINDING = 1e-4
 _HELD = 1e-8
 
 
+class Objective(Protocol):
+    """What is minimised: a pytree, so that its numbers are arguments of the compiled program.
+
+    `value(z, by, sharpness)`: the value, positive, and the logarithms by which limits are exceeded (k,), with figures
+    eased `by` so much, `eased` of them.
+    """
+
+    @property
+    def eased(self) -> int: ...
+
+    def value(self, z, by, sharpness) -> tuple[Any, Any]: ...
+
+
+class Slopes(NamedTuple):
+    """At a point: `logs` `(1 + k,)` of the value and of the limits' excess, and their derivatives in z and in what may
+    be eased, `(1 + k, n)` and `(1 + k, m)`.
+    """
+
+    logs: np.ndarray
+    of_z: np.ndarray
+    of_eased: np.ndarray
+
+    def merit(self) -> tuple[float, np.ndarray]:
+        """The logarithm of the value, what exceeding limits costs, and the gradient of both."""
+        excess = np.maximum(self.logs[1:], 0.0)
+        log = float(self.logs[0] + _PENALTY * np.sum(excess**2))
+        gradient = self.of_z[0] + 2.0 * _PENALTY * excess @ self.of_z[1:]
+        if not (np.isfinite(log) and np.all(np.isfinite(gradient))):
+            return _NOWHERE, np.zeros(len(gradient))
+        return log, gradient
+
+
+@lru_cache(maxsize=64)
+def _program(structure):
+    """Value and slopes of all objectives of a structure, compiled once for each class of sizes."""
+
+    def slopes(leaves, z, by, sharpness):
+        objective = jax.tree.unflatten(structure, leaves)
+
+        def logs(z, by):
+            value, excess = objective.value(z, by, sharpness)
+            return jnp.concatenate([jnp.log(value)[None], excess])
+
+        values, pull = jax.vjp(logs, z, by)
+        of_z, of_eased = jax.lax.map(pull, jnp.eye(values.shape[0]))
+        return values, of_z, of_eased
+
+    return jax.jit(slopes)
+
+
+class Compiled:
+    """An objective as a function of vectors of `size`, through the program of its class.
+
+    `places`: which entries of the objective's own `whole` vectors count, where those are padded.
+    """
+
+    def __init__(self, objective: Objective, whole: int, places: np.ndarray | None = None) -> None:
+        leaves, structure = jax.tree.flatten(objective)
+        self._leaves = [jnp.asarray(leaf) for leaf in leaves]
+        self._program = _program(structure)
+        self._whole = whole
+        self._places = np.arange(whole) if places is None else places
+        self._by = jnp.zeros(objective.eased)
+        self.size = len(self._places)
+
+    def __call__(self, z: Float[np.ndarray, " n"], sharpness: float = np.inf) -> Slopes:
+        """At a point; an infinite sharpness is exact."""
+        whole = np.zeros(self._whole)
+        whole[self._places] = z
+        logs, of_z, of_eased = (np.asarray(x) for x in self._program(self._leaves, whole, self._by, sharpness))
+        return Slopes(logs, of_z[:, self._places], of_eased)
+
+
 class State(NamedTuple):
-    """All that a search needs to go on: where every start is, what it reached, how many steps are done, the best."""
+    """All that a search needs to go on: where every start is, what it reached, how many descents are done, the best.
+
+    A start that did not go on to a later stage stays where it was.
+    """
 
     points: np.ndarray
     values: np.ndarray
@@ -46,7 +124,7 @@ class State(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far a search is: the best objective at its beginning and now, and steps done of how many."""
+    """How far a search is: the best objective at its beginning and now, and descents done of how many at most."""
 
     first: float
     best: float
@@ -63,7 +141,7 @@ class Linear(NamedTuple):
     equal: np.ndarray
 
 
-class Found(NamedTuple):
+class Optimum(NamedTuple):
     """The polished point, its exact objective, and a sentence that says whether it converged.
 
     `gradient_norm`: largest component of the gradient of the objective's logarithm, less what limits hold back.
@@ -79,118 +157,106 @@ class Found(NamedTuple):
 
 
 def search(
-    objective: Objective,
-    size: int,
+    compiled: Compiled,
     *,
     starts: int,
     seed: int,
     steps: int = 240,
-    chunk: int = 20,
-    hops: int = 4,
+    hops: int = 6,
     state: State | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Progress]:
-    """Yield `Progress` after every chunk of steps; the last one's state holds the best point.
+    """Yield `Progress` after every descent; the last one's state holds the best point.
 
-    Each start makes about `steps` steps in all, while the maximum hardens; then all start again near the best, as long
-    as that gains something, `hops` times at most. `state`: go on from there. Errors: `ValueError` when no start gives a
-    finite objective.
+    A start makes up to `steps` steps in all, as the maximum hardens, the better half going on each time; then some
+    begin again near the best, as long as that gains something, `hops` times at most. `state`: go on from there. `stop`:
+    asked between steps; once true, descents end where they are. Errors: `ValueError` when no start gives a finite
+    objective.
     """
-    exact, advance = _compiled(objective, chunk)
-    generator = np.random.default_rng(seed)
-    stage = max(1, round(steps / (chunk * len(SHARPNESS)))) * chunk
-    total = stage * (len(SHARPNESS) + hops)
+    stage = max(1, round(steps / len(SHARPNESS)))
+    plan = _stages(starts, hops)
+    total = sum(count for _, count in plan)
     if state is None:
-        points = generator.standard_normal((starts, size))
-        values = np.exp(np.asarray(exact(jnp.asarray(points))))
-        if not np.isfinite(np.nanmin(values)):
+        points = np.random.default_rng(seed).standard_normal((starts, compiled.size))
+        merits = np.array([compiled(z).merit()[0] for z in points])
+        values = np.exp(np.minimum(merits, _LARGEST))
+        if not np.min(merits) < _NOWHERE:
             raise ValueError(
                 "no random start gives a finite residual: the plan's structure cannot observe the parameters"
             )
-        at = int(np.nanargmin(values))
+        at = int(np.argmin(values))
         state = State(points, values, 0, float(values[at]), float(values[at]), points[at])
-    hop_from = np.inf
-    while state.step < total:
-        level, into = divmod(state.step, stage)
-        points = state.points
-        if level >= len(SHARPNESS) and into == 0:
+        yield Progress(state.first, state.best, 0, total, state)
+    done, hop_from = 0, np.inf
+    for level, (sharpness, count) in enumerate(plan):
+        first = done
+        done += count
+        if state.step >= done:
+            continue
+        if level >= len(SHARPNESS):
             if state.best > hop_from * (1.0 - _HOP_GAIN):
-                break
+                return
             hop_from = state.best
             # The same numbers whether a search went on or began anew.
-            near = np.random.default_rng([seed, level]).standard_normal(points.shape)
-            points = state.best_point + _HOP * near
-        sharpness = jnp.asarray(SHARPNESS[min(level, len(SHARPNESS) - 1)])
-        points = np.asarray(advance(jnp.asarray(points), sharpness))
-        values = np.exp(np.asarray(exact(jnp.asarray(points))))
-        best, best_point = state.best, state.best_point
-        if np.any(values < best):
-            at = int(np.nanargmin(values))
-            best, best_point = float(values[at]), points[at]
-        state = State(points, values, state.step + chunk, state.first, best, best_point)
-        yield Progress(state.first, best, state.step, total, state)
+            near = np.random.default_rng([seed, level]).standard_normal((count, compiled.size))
+            order, begins = np.arange(count), state.best_point + _HOP * near
+        else:
+            order = np.argsort(state.values, kind="stable")[:count]
+            begins = state.points[order]
+        left = range(state.step - first, count)
+        for k, reached in _descents(compiled, [begins[i] for i in left], sharpness, stage, stop):
+            at = int(order[left[k]])
+            value = float(np.exp(min(compiled(reached).merit()[0], _LARGEST)))
+            best, best_point = state.best, state.best_point
+            if value < best:
+                best, best_point = value, reached
+            points, values = state.points.copy(), state.values.copy()
+            points[at], values[at] = reached, value
+            state = State(points, values, state.step + 1, state.first, best, best_point)
+            yield Progress(state.first, state.best, state.step, total, state)
+            if stop():
+                return
 
 
-# The last objective's programs are kept for whoever searches it again.
-@lru_cache(maxsize=1)
-def _compiled(objective: Objective, chunk: int):
-    """The exact merit of points, and a few steps from each of them at a sharpness."""
-    merit = _merit(objective)
-    exact = eqx.filter_jit(lambda z: jax.lax.map(lambda one: merit(one, None), z))
-    return exact, eqx.filter_jit(lambda z, k: _advance(merit, z, k, chunk))
+def _stages(starts: int, hops: int) -> list[tuple[float, int]]:
+    """Sharpness and number of descents of every stage."""
+    counts = [starts]
+    for _ in SHARPNESS[1:]:
+        counts.append(min(counts[-1], max(_FEWEST, round(_SURVIVORS * counts[-1]))))
+    return [*zip(SHARPNESS, counts, strict=True), *[(SHARPNESS[-1], min(starts, _FEWEST))] * hops]
 
 
-def _merit(objective: Objective) -> Callable[[Array, Array | None], Array]:
-    """The logarithm of the value, and what exceeding limits costs."""
+def _descents(
+    compiled: Compiled, points: Sequence[np.ndarray], sharpness: float, steps: int, stop: Callable[[], bool]
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Where a descent of so many steps ends from each point, in their order; as many at once as there are cores."""
 
-    def merit(z, sharpness):
-        value, excess = objective(z, sharpness)
-        log = jnp.log(value) + _PENALTY * jnp.sum(jnp.maximum(excess, 0.0) ** 2)
-        return jnp.where(jnp.isfinite(log), log, 1e3)
+    def descend(z: np.ndarray) -> np.ndarray:
+        def watch(_: np.ndarray) -> None:
+            if stop():
+                raise StopIteration
 
-    return merit
+        options = {"maxiter": steps, "maxcor": 40, "ftol": 1e-12, "gtol": 1e-7, "maxls": 30}
+        function = lambda z: compiled(z, sharpness).merit()  # noqa: E731
+        return minimize(function, z, jac=True, method="L-BFGS-B", options=options, callback=watch).x
 
-
-def _advance(merit, points: Float[Array, "s n"], sharpness: Array, steps: int) -> Float[Array, "s n"]:
-    """A few BFGS steps from each point."""
-    solver = optx.BFGS(rtol=1e-9, atol=1e-9)
-
-    def one(z):
-        return optx.minimise(merit, solver, z, args=sharpness, max_steps=steps, throw=False).value
-
-    return jax.lax.map(one, points)
+    with ThreadPoolExecutor(min(len(points), os.cpu_count() or 1) or 1) as pool:
+        yield from enumerate(pool.map(descend, points))
 
 
-@lru_cache(maxsize=1)
-def _hardest(objective: Objective):
-    """The exact objective; and logarithms of the hardest soft maximum and of the limits' excess, with their rows."""
-    hardest = jnp.asarray(SHARPNESS[-1])
-
-    def logs(z):
-        value, excess = objective(z, hardest)
-        return jnp.concatenate([jnp.log(value)[None], excess])
-
-    @eqx.filter_jit
-    def both(z):
-        values, pull = jax.vjp(logs, z)
-        return values, jax.lax.map(lambda e: pull(e)[0], jnp.eye(values.shape[0]))
-
-    return eqx.filter_jit(lambda z: objective(z, None)), both
-
-
-def polish(objective: Objective, point: np.ndarray, *, steps: int = 300, linear: Linear | None = None) -> Found:
+def polish(compiled: Compiled, point: np.ndarray, *, steps: int = 300, linear: Linear | None = None) -> Optimum:
     """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly.
 
     `linear`: further limits, on the vector itself.
     """
-    exact, both = _hardest(objective)
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
     def at(z):
         key = np.asarray(z).tobytes()
         if key not in seen:
             seen.clear()
-            values, rows = both(jnp.asarray(z))
-            seen[key] = np.asarray(values), np.asarray(rows)
+            values, rows, _ = compiled(np.asarray(z), SHARPNESS[-1])
+            seen[key] = values, rows
         return seen[key]
 
     limits = []
@@ -201,7 +267,7 @@ def polish(objective: Objective, point: np.ndarray, *, steps: int = 300, linear:
             rows, least = linear.rows[of], linear.least[of]
             limits.append({"type": kind, "fun": lambda z, r=rows, b=least: r @ z - b, "jac": lambda z, r=rows: r})
     options = {"maxiter": steps, "ftol": 1e-12}
-    value, excess = exact(jnp.asarray(point))
+    value, excess = _exact(compiled, point)
     norm = np.inf
     for _ in range(_POLISHES):
         reached = minimize(
@@ -212,18 +278,18 @@ def polish(objective: Objective, point: np.ndarray, *, steps: int = 300, linear:
             constraints=limits,
             options=options,
         ).x
-        after = exact(jnp.asarray(reached))
-        worse = float(after[0]) > float(value) and np.all(np.asarray(excess) <= 1e-6)
+        after = _exact(compiled, reached)
+        worse = after[0] > value and bool(np.all(excess <= 1e-6))
         worse |= not np.all(np.isfinite(reached)) or _beyond(linear, reached) > max(_beyond(linear, point), _HELD)
         if not worse:
             point, (value, excess) = reached, after
         norm = _projected(*at(point), point, linear)
         if worse or norm < CONVERGED:
             break
-    held = bool(np.all(np.asarray(excess) <= 1e-3)) and _beyond(linear, point) <= _HELD
+    held = bool(np.all(excess <= 1e-3)) and _beyond(linear, point) <= _HELD
     converged = norm < CONVERGED and held
     if not held:
-        over = max(float(np.exp(np.max(np.asarray(excess), initial=0.0))) - 1.0, _beyond(linear, point))
+        over = max(float(np.exp(np.max(excess, initial=0.0))) - 1.0, _beyond(linear, point))
         sentence = f"not converged: a limit is still exceeded by {100 * over:.2g} %: no plan of this kind may meet it"
     elif converged:
         sentence = f"converged: the largest gradient component is {norm:.1e} of the objective"
@@ -231,7 +297,13 @@ def polish(objective: Objective, point: np.ndarray, *, steps: int = 300, linear:
         sentence = (
             f"not converged: the largest gradient component is still {norm:.1e} of the objective: take more steps"
         )
-    return Found(np.asarray(point), float(value), norm, converged, sentence, held)
+    return Optimum(np.asarray(point), value, norm, converged, sentence, held)
+
+
+def _exact(compiled: Compiled, point: np.ndarray) -> tuple[float, np.ndarray]:
+    """The exact value and excess."""
+    logs = compiled(np.asarray(point)).logs
+    return float(np.exp(logs[0])), logs[1:]
 
 
 def _beyond(linear: Linear | None, point: np.ndarray) -> float:

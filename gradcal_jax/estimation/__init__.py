@@ -1,6 +1,5 @@
 """From readings to parameters with covariance: the prediction's own measurement model, fed with data."""
 
-from gradcal_jax.estimation.bases import basis_values
 from gradcal_jax.estimation.consistency import (
     Consistency,
     Split,
@@ -13,16 +12,10 @@ from gradcal_jax.estimation.consistency import (
 )
 from gradcal_jax.estimation.executed import Executed, distinct_readings, executed, momentary_stops
 from gradcal_jax.estimation.neighbours import Group, Move, closest_neighbours, moves_between_rests
-from gradcal_jax.estimation.observations import Observations, on_timeline, steps_of
+from gradcal_jax.estimation.observations import Observations, on_trajectory
 from gradcal_jax.estimation.plateaus import Plateaus, plateaus
 from gradcal_jax.estimation.robust import HUBER, RobustEstimate, estimate_robustly
-from gradcal_jax.estimation.samples import (
-    columns_at_readings,
-    increments_of_samples,
-    integrated_error,
-    since_gap,
-    true_rate,
-)
+from gradcal_jax.estimation.samples import integrated_error, sample_nodes, true_rate
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimation.solve import Estimate, Whitened, estimate, solve, whitened
 from gradcal_jax.estimation.standstill import find_standstills
@@ -43,29 +36,25 @@ __all__ = [
     "Split",
     "Test",
     "Whitened",
-    "basis_values",
     "choose_smoothness",
     "closest_neighbours",
-    "columns_at_readings",
     "consistency",
     "distinct_readings",
     "estimate",
     "estimate_robustly",
     "executed",
     "find_standstills",
-    "increments_of_samples",
     "integrated_error",
     "momentary_stops",
     "moves_between_rests",
     "nees_band",
     "normalised_errors",
-    "on_timeline",
+    "on_trajectory",
     "plateaus",
-    "since_gap",
+    "sample_nodes",
     "smoothed_temperature",
     "solve",
     "split",
-    "steps_of",
     "true_rate",
     "whitened",
     "whiteness",

@@ -1,7 +1,7 @@
-"""What was really done: a log's standstills and moves as a timeline, in the terms of the prediction.
+"""What was really done: a log's standstills and moves as a trajectory, in the terms of the prediction.
 
 A reading is taken at the first and the last row of every standstill and every `read_every` between. The pieces from
-reading to reading are those of a plan's timeline. Moves that follow one another without a rest stop for an instant
+reading to reading are those of a plan's trajectory. Moves that follow one another without a rest stop for an instant
 between them: the row of that instant is read, too. Moves are divided so that the noise that the rate drives can be
 followed. The motion inside a piece counts for the noise alone (mean rates will do); the regressors come from the
 samples themselves (`estimation.samples`).
@@ -12,13 +12,11 @@ broken: the angle's origin is read anew at the first row of rest after it (a gap
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.signal import find_peaks
 
-from gradcal_jax.formulas import CONSTANT, runs
-from gradcal_jax.plans import Timeline
-from gradcal_jax.plans.timeline import IndexArray
+from gradcal_jax.formulas import runs
+from gradcal_jax.trajectory import Trajectory, held
 
 _MOVE_PARTS = 8
 # A valley of the speed this many times below both its sides is a stop; what is this much below the fastest is noise.
@@ -29,11 +27,11 @@ _FOLLOWS = 0.02
 
 
 class Executed(NamedTuple):
-    """`timeline` of `P` pieces; `rows` `(P + 1,)`: piece k is the log's rows `rows[k] + 1 … rows[k+1]`, none of which
+    """`line` of `P` pieces; `rows` `(P + 1,)`: piece k is the log's rows `rows[k] + 1 … rows[k+1]`, none of which
     count where `broken[k]`.
     """
 
-    timeline: Timeline
+    line: Trajectory
     rows: np.ndarray
     broken: np.ndarray
 
@@ -46,7 +44,6 @@ def executed(
     standing: np.ndarray,
     usable: np.ndarray,
     *,
-    axis: str = "x",
     read_every: float = 1.0,
     longest_piece: float = np.inf,
     reading_rows: np.ndarray | None = None,
@@ -96,8 +93,8 @@ def executed(
             add(row, reads=unbroken, stands=True, is_gap=not unbroken, lost=not unbroken)
     where = np.array(rows)
     lost = np.array(broken)
-    timeline = _timeline(time_s, temperature_c, rate_rad_per_s, angle_rad, where, axis, read, rest, gap, moving)
-    return Executed(timeline, where, lost)
+    line = _line(time_s, temperature_c, rate_rad_per_s, angle_rad, where, read, rest, gap, moving)
+    return Executed(line, where, lost)
 
 
 def momentary_stops(
@@ -126,42 +123,19 @@ def momentary_stops(
     return result
 
 
-def _timeline(time, temperature, rate, angle, at, axis, read, rest, gap, moving) -> Timeline:
+def _line(time, temperature, rate, angle, at, read, rest, gap, moving) -> Trajectory:
     moves = np.array(moving, bool)
-    count = len(moves)
     duration = np.diff(time[at])
-    lasting = np.where(duration > 0, duration, 1.0)
-    mean = np.zeros(count)
+    mean = np.zeros(len(moves))
     if moves.any():
         steps = np.diff(time, prepend=time[0])
         turned = np.diff(np.cumsum(rate * steps)[at])
         if angle is not None:
             turned = _as_the_table(turned, angle[at], moves)
-        mean = np.where(moves, turned / lasting, 0.0)
+        mean = np.where(moves, turned / np.where(duration > 0, duration, 1.0), 0.0)
+    reads, rests, gaps = (np.array(v, bool) for v in (read, rest, gap))
     cold = temperature[at]
-    yes = np.ones(count, bool)
-    return Timeline(
-        start=jnp.asarray(time[at[:-1]]),
-        duration=jnp.asarray(duration),
-        u_start=jnp.zeros(count),
-        u_end=jnp.ones(count),
-        terms=jnp.asarray(mean[:, None] * np.asarray(CONSTANT)[None]),
-        share=jnp.ones(count),
-        trail=jnp.asarray(cold[:-1]),
-        slope=jnp.asarray(np.where(duration > 0, np.diff(cold) / lasting, 0.0)),
-        excess=jnp.zeros(count),
-        lag_rate=jnp.zeros(()),
-        read=jnp.asarray(np.array(read, bool)),
-        at_rest=jnp.asarray(np.array(rest, bool)),
-        moving=jnp.asarray(moves),
-        reset=jnp.asarray(~yes),
-        segment=jnp.arange(count),
-        moving_pieces=IndexArray(np.flatnonzero(moves)),
-        varying_pieces=IndexArray(()),
-        gap_pieces=IndexArray(np.flatnonzero(gap)),
-        segment_moves=(-1,) * count,
-        axis=axis,
-    )
+    return held(time[at[:-1]], duration, mean, cold[:-1], cold[1:], read=reads, at_rest=rests, moving=moves, gap=gaps)
 
 
 def _as_the_table(turned: np.ndarray, angle: np.ndarray, moves: np.ndarray) -> np.ndarray:

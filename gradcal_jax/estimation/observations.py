@@ -1,23 +1,17 @@
 """What estimation works on: readings of the integrated error, with the regressors and the noise steps of a prediction.
 
-Symbols: `N` steps (one for each piece of a timeline, some without a reading), `p` parameters of the model, `U` units on
-one table. `y_k = Φ_k β + noise` is the integrated rate of the sensor less the angle of the reference, from the
+Symbols: `N` steps (one for each piece of a trajectory, some without a reading), `p` parameters of the model, `U` units
+on one table. `y_k = Φ_k β + noise` is the integrated rate of the sensor less the angle of the reference, from the
 angle's origin on: exactly what `information.at_readings` and `information.noise_steps` describe.
 """
 
-import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.errormodel import GyroModel
 from gradcal_jax.information import NoiseSteps, at_readings, noise_steps
-from gradcal_jax.plans import Timeline
-
-# Timelines are filled up to whole multiples of this many pieces, so that logs of about one length compile once.
-PIECES_AT_ONCE = 256
+from gradcal_jax.model import SensorModel
+from gradcal_jax.trajectory import Trajectory
 
 
 class Observations(NamedTuple):
@@ -46,38 +40,17 @@ class Observations(NamedTuple):
     @property
     def used(self) -> np.ndarray:
         """`(N,)`: the steps that have a reading."""
-        return np.asarray(self.steps.used)
+        return self.steps.used
 
 
-def steps_of(timeline: Timeline, model: GyroModel) -> NoiseSteps:
-    """`noise_steps` of a timeline, computed on one that is filled up with pieces of no duration."""
-    count = timeline.piece_count
-    extra = -count % PIECES_AT_ONCE
-    if not extra:
-        return noise_steps(timeline, model)
-
-    def longer(name: str) -> Any:
-        values = getattr(timeline, name)
-        if not isinstance(values, jax.Array) or values.ndim == 0 or values.shape[0] != count:
-            return values
-        filling = np.zeros((extra, *values.shape[1:]), values.dtype) + (name in ("at_rest", "u_end"))
-        return jnp.asarray(np.concatenate([np.asarray(values), filling.astype(values.dtype)]))
-
-    filled = Timeline(**{field.name: longer(field.name) for field in dataclasses.fields(timeline)})
-    steps = noise_steps(filled, model)
-    return NoiseSteps._make([*(jnp.asarray(np.asarray(field)[:count]) for field in steps[:-1]), steps.initial])
-
-
-def on_timeline(timeline: Timeline, model: GyroModel, readings: np.ndarray) -> Observations:
-    """Readings `(N, U)` taken on a plan's own timeline: the regressors and steps are those of its prediction."""
-    middle = jnp.full((timeline.piece_count, 1), 0.5)
-    duration = np.asarray(timeline.duration)
-    turned = np.asarray(timeline.turned())
+def on_trajectory(line: Trajectory, model: SensorModel, readings: np.ndarray) -> Observations:
+    """Readings `(N, U)` taken on a plan's own trajectory: the regressors and steps are those of its prediction."""
+    turned = line.turned()
     return Observations(
-        steps_of(timeline, model),
-        np.asarray(at_readings(timeline, model)),
+        noise_steps(line, model),
+        at_readings(line, model),
         readings,
-        np.asarray(timeline.start) + duration,
-        np.asarray(timeline.temperature(middle))[:, 0],
-        np.divide(turned, duration, out=np.zeros_like(turned), where=duration > 0),
+        line.start + line.duration,
+        line.temperature(np.full((line.piece_count, 1), 0.5))[:, 0],
+        np.divide(turned, line.duration, out=np.zeros_like(turned), where=line.duration > 0),
     )

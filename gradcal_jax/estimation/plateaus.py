@@ -2,16 +2,17 @@
 
 A plateau is an unbroken run of rows at which the table turns at a planned rate and the sensor stands at a planned
 temperature. Of each run the last `integration` seconds count: what comes before is the soak and the table's settling.
-Every plateau is a stretch of its own, with its own noise and a reference rate whose error is common to all of it.
+Every plateau has a reference rate whose error is common to all of it; drifts, clock and turn-on bias go on through the
+run, unless the plan takes its points as independent.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.plans import Timeline
-from gradcal_jax.plans.timeline import points_timeline
+from gradcal_jax.trajectory import Trajectory, held
+from gradcal_jax.trajectory.schedule import Points
 
 # A table at a set point is within this of it: relative, and rad/s.
 _RATE_TOLERANCE = (0.02, np.radians(0.5))
@@ -19,11 +20,13 @@ _LEAST_SHARE = 0.5
 
 
 class Plateaus(NamedTuple):
-    """`timeline` of `P` points; `first`, `last` `(P,)`: rows whose samples count (row `first` itself does not)."""
+    """`line` of `P` pieces, points and what lies between them; `rows` `(P + 1,)` and `broken` `(P,)`, true of what lies
+    between, as in `executed`.
+    """
 
-    timeline: Timeline
-    first: np.ndarray
-    last: np.ndarray
+    line: Trajectory
+    rows: np.ndarray
+    broken: np.ndarray
     missing: tuple[tuple[float, float], ...]
     """Planned points (°C, rad/s) that the log does not hold."""
 
@@ -37,9 +40,11 @@ def plateaus(
     planned_rad_per_s: np.ndarray,
     integration_s: float,
     *,
-    axis: str = "x",
+    points: Points = "one run",
 ) -> Plateaus:
-    """Find the planned points in a log's rows, arrays `(n,)`. Errors: `ValueError` where not one of them is there."""
+    """Find the planned points in a log's rows, arrays `(n,)`. `points`: whether they share the run's noise. Errors:
+    `ValueError` where not one of them is there.
+    """
     warm = _nearest(temperature_c, planned_c, _temperature_tolerance(planned_c))
     fast = _nearest(
         table_rate_rad_per_s,
@@ -67,16 +72,25 @@ def plateaus(
         for k in range(len(planned_c) * len(planned_rad_per_s))
         if k not in found
     )
-    a, b = np.array(first), np.array(last)
+    rows, broken = [first[0]], []
+    for a, b in zip(first, last, strict=True):
+        if a != rows[-1]:
+            rows.append(a)
+            broken.append(True)
+        rows.append(b)
+        broken.append(False)
+    at, between = np.array(rows), np.array(broken)
     step = np.diff(time_s, prepend=time_s[0])
 
     def mean(values: np.ndarray) -> np.ndarray:
-        return np.array(
-            [np.average(values[i + 1 : j + 1], weights=step[i + 1 : j + 1]) for i, j in zip(a, b, strict=True)]
-        )
+        return np.array([np.average(values[i + 1 : j + 1], weights=step[i + 1 : j + 1]) for i, j in pairwise(rows)])
 
-    points = (time_s[a], time_s[b] - time_s[a], mean(table_rate_rad_per_s), mean(temperature_c))
-    return Plateaus(points_timeline(*(jnp.asarray(values) for values in points), axis=axis), a, b, missing)
+    temperature = mean(temperature_c)
+    line = held(
+        time_s[at[:-1]], np.diff(time_s[at]), np.where(between, 0.0, mean(table_rate_rad_per_s)), temperature,
+        temperature, read=~between, at_rest=between, moving=~between, gap=between, rates=True, points=points,
+    )  # fmt: skip
+    return Plateaus(line, at, between, missing)
 
 
 def _temperature_tolerance(planned: np.ndarray) -> np.ndarray:
@@ -87,8 +101,10 @@ def _temperature_tolerance(planned: np.ndarray) -> np.ndarray:
 
 
 def _nearest(values: np.ndarray, goals: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
-    """The goal that each value is within the tolerance of, or −1."""
-    result = np.full(len(values), -1)
+    """The nearest goal that each value is within the tolerance of, or −1."""
+    result, nearest = np.full(len(values), -1), np.full(len(values), np.inf)
     for k in range(len(goals)):
-        result[np.abs(values - goals[k]) <= tolerance[k]] = k
+        distance = np.abs(values - goals[k])
+        closer = (distance <= tolerance[k]) & (distance < nearest)
+        result[closer], nearest[closer] = k, distance[closer]
     return result

@@ -11,12 +11,11 @@ stays, shows as several bad readings in a row: it is reported, and only the data
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.errormodel import GyroModel
 from gradcal_jax.estimation.observations import Observations
 from gradcal_jax.estimation.solve import Estimate, Whitened, solve, whitened
+from gradcal_jax.model import SensorModel
 
 HUBER = 2.5
 
@@ -30,7 +29,7 @@ class RobustEstimate(NamedTuple):
 
 
 def estimate_robustly(
-    observations: Observations, model: GyroModel, *, threshold: float = HUBER, rounds: int = 20
+    observations: Observations, model: SensorModel, *, threshold: float = HUBER, rounds: int = 20
 ) -> RobustEstimate:
     """Each unit by itself, since its outliers are its own; a unit without any is what `estimate` gives, exactly.
 
@@ -76,14 +75,14 @@ def _unit(found: Estimate, unit: int) -> Estimate:
 
 
 def _reweighted(
-    observations: Observations, model: GyroModel, white: Whitened, found: Estimate, threshold: float, rounds: int
+    observations: Observations, model: SensorModel, white: Whitened, found: Estimate, threshold: float, rounds: int
 ) -> tuple[Whitened, Estimate, np.ndarray]:
     used = observations.used
     plain_variance = np.asarray(observations.steps.reading_variance)
     extra = np.zeros(len(used))
     weight = np.ones(int(used.sum()))
     for _ in range(rounds):
-        steps = observations.steps._replace(reading_variance=jnp.asarray(plain_variance + extra))
+        steps = observations.steps._replace(reading_variance=np.asarray(plain_variance + extra))
         spread = innovation_variance(steps)[used]
         # What the reading would show against its undisturbed variance: the innovation itself, in its old measure.
         plain_spread = spread - extra[used]
@@ -94,7 +93,7 @@ def _reweighted(
             break
         weight = new
         extra[used] = (1.0 / weight - 1.0) * plain_spread
-        steps = observations.steps._replace(reading_variance=jnp.asarray(plain_variance + extra))
+        steps = observations.steps._replace(reading_variance=np.asarray(plain_variance + extra))
         white = whitened(observations, model, steps)
         found = solve(white)
     return white, found, weight

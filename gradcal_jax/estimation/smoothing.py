@@ -12,12 +12,11 @@ is the restricted likelihood). Each value costs one small factorisation, for the
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from scipy import optimize
 
-from gradcal_jax.errormodel import GyroModel
 from gradcal_jax.estimation.solve import Whitened
+from gradcal_jax.model import SensorModel
 
 _GRID = 13
 _DECADES = 3.0
@@ -34,16 +33,16 @@ class Smoothness(NamedTuple):
     at_edge: bool
 
 
-def with_smoothness(model: GyroModel, bias: float | None, scale_factor: float | None) -> GyroModel:
+def with_smoothness(model: SensorModel, bias: float | None, scale_factor: float | None) -> SensorModel:
     """The model with other standard deviations of the smoothness priors that it has."""
     if bias is not None and model.bias is not None:
-        model = eqx.tree_at(lambda m: m.bias.smoothness_std, model, jnp.asarray(bias, dtype=float))
+        model = eqx.tree_at(lambda m: m.bias.smoothness_std, model, np.asarray(bias, dtype=float))
     if scale_factor is not None and model.scale is not None:
-        model = eqx.tree_at(lambda m: m.scale.smoothness_std, model, jnp.asarray(scale_factor, dtype=float))
+        model = eqx.tree_at(lambda m: m.scale.smoothness_std, model, np.asarray(scale_factor, dtype=float))
     return model
 
 
-def choose_smoothness(white: Whitened, model: GyroModel, unit: int = 0) -> Smoothness:
+def choose_smoothness(white: Whitened, model: SensorModel, unit: int = 0) -> Smoothness:
     """The strength at which one unit's data are most probable.
 
     Looked for within three decades about the strengths that the model has. Errors: `ValueError` for a model without a

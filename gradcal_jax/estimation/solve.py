@@ -11,18 +11,12 @@ the model is true.
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.errormodel import GyroModel
-from gradcal_jax.estimation.observations import PIECES_AT_ONCE, Observations
+from gradcal_jax.estimation.observations import Observations
 from gradcal_jax.information import NoiseSteps, Posterior, SquareRootInformation, posterior, whiten
 from gradcal_jax.information.posterior import OBSERVABLE
-
-# Columns that are whitened together; more would not stay in the cache.
-_COLUMNS_AT_ONCE = 256
-_COLUMNS_TOGETHER = 8
+from gradcal_jax.model import SensorModel
 
 
 class Whitened(NamedTuple):
@@ -78,10 +72,7 @@ class Estimate(NamedTuple):
     degrees: np.ndarray
 
 
-_whiten = eqx.filter_jit(whiten)
-
-
-def whitened(observations: Observations, model: GyroModel, steps: NoiseSteps | None = None) -> Whitened:
+def whitened(observations: Observations, model: SensorModel, steps: NoiseSteps | None = None) -> Whitened:
     """Whiten all units' columns and readings together. `steps` replaces the observations' own (reweighting)."""
     steps = observations.steps if steps is None else steps
     used = observations.used
@@ -95,29 +86,9 @@ def whitened(observations: Observations, model: GyroModel, steps: NoiseSteps | N
     readings = np.where(used[:, None], observations.readings, 0.0)
     if not np.isfinite(readings).all():
         raise ValueError("a reading that is used is not finite: mark its step as not used")
-    both = np.concatenate([columns, readings], axis=1)
-    # Parts of one size, so that one compilation serves them all, and the next log too.
-    parts = -(-both.shape[1] // _COLUMNS_AT_ONCE)
-    width = -(-both.shape[1] // (parts * _COLUMNS_TOGETHER)) * _COLUMNS_TOGETHER
-    filled = _filled(steps, -len(both) % PIECES_AT_ONCE)
-    padded = np.pad(both, ((0, -len(both) % PIECES_AT_ONCE), (0, parts * width - both.shape[1])))
-    rows = np.concatenate(
-        [np.asarray(_whiten(filled, jnp.asarray(part)))[: len(both)][used] for part in np.split(padded, parts, axis=1)],
-        axis=1,
-    )[:, : both.shape[1]]
+    rows = whiten(steps, np.concatenate([columns, readings], axis=1))[used]
     by_unit = np.moveaxis(rows[:, :count].reshape(len(rows), shared, -1), 1, 0)
-    return Whitened(by_unit, rows[:, count:].T, np.asarray(model.prior_rows()))
-
-
-def _filled(steps: NoiseSteps, extra: int) -> NoiseSteps:
-    """The steps with as many at the end that change nothing and read nothing."""
-    n = steps.observation.shape[1]
-    blank = (np.broadcast_to(np.eye(n), (extra, n, n)), np.zeros((extra, n, n)), np.zeros((extra, n)), np.ones(extra))
-    values = [
-        jnp.asarray(np.concatenate([np.asarray(field), filling]))
-        for field, filling in zip(steps, (*blank, np.zeros(extra, bool)), strict=False)
-    ]
-    return NoiseSteps._make([*values, jnp.asarray(steps.initial)])
+    return Whitened(by_unit, rows[:, count:].T, model.prior_rows())
 
 
 def solve(white: Whitened) -> Estimate:
@@ -156,6 +127,6 @@ def _factor(design: np.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return factor, orthogonal.T @ data, scale
 
 
-def estimate(observations: Observations, model: GyroModel) -> Estimate:
+def estimate(observations: Observations, model: SensorModel) -> Estimate:
     """Parameters of every unit with their covariance, from readings. Errors: `ValueError` for readings not finite."""
     return solve(whitened(observations, model))

@@ -204,7 +204,11 @@ class GradientPlan(Section):
 
 
 class StandardPlan(Section):
-    """The standard method: `rates` absent means standing still; `integration` is the time at each point."""
+    """The standard method: `rates` absent means standing still; `integration` is the time at each point.
+
+    `points`: they share the clock, the turn-on bias, the drifts and the random walks of "one run"; "independent" points
+    draw everything anew, and it averages away: the paper's reading, which no run follows.
+    """
 
     method: Literal["standard"]
     temperatures: Annotated[tuple[Temperature, ...], Field(min_length=1, max_length=1000)]
@@ -212,6 +216,7 @@ class StandardPlan(Section):
     integration: Time
     rates: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=1000)] | None = None
     estimator: Literal["best linear", "least squares"] = "best linear"
+    points: Literal["one run", "independent"] = "one run"
 
     @model_validator(mode="after")
     def _distinct(self) -> "StandardPlan":

@@ -1,7 +1,7 @@
 """gradcal-recipe/1: a plan made executable. Tracks of chamber and table, the prediction of what they leave, the spec.
 
 The tracks follow from the spec inside, whose plan is rounded to what the controllers accept; a file in which they do
-not was changed by hand, and is refused. Nothing here imports JAX: a recipe is made by `gradcal_jax.assemble.recipe`,
+not was changed by hand, and is refused. Nothing here imports JAX: a recipe is made by `gradcal_jax.api.recipe`,
 and what a runner needs of it is in this room.
 """
 

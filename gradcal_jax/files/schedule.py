@@ -1,6 +1,6 @@
 """A plan worked out against its rig: when the chamber is where, how often the cycle repeats, how many readings.
 
-Nothing here knows an array; `gradcal_jax.assemble` turns a schedule into the core's objects, `check` prints it.
+Nothing here knows an array; `gradcal_jax.api` turns a schedule into the core's objects, `check` prints it.
 Temperatures are the *chamber's*; a sensor's thermal lag is the core's affair.
 """
 
@@ -136,6 +136,7 @@ class StandardSchedule:
     temperatures: tuple[float, ...]
     rates: tuple[float, ...]
     integration: float
+    shared: Literal["one run", "independent"] = "one run"
 
     @property
     def duration(self) -> float:
@@ -172,7 +173,7 @@ def standard_schedule(plan: StandardPlan) -> StandardSchedule:
             points.append(Point(clock, float(temperature), rate, float(plan.integration)))
             clock += plan.integration
     temperatures = tuple(float(temperature) for temperature in plan.temperatures)
-    return StandardSchedule(tuple(points), float(plan.soak), temperatures, rates, float(plan.integration))
+    return StandardSchedule(tuple(points), float(plan.soak), temperatures, rates, float(plan.integration), plan.points)
 
 
 def gradient_schedule(plan: GradientPlan, rig: Rig) -> GradientSchedule:

@@ -19,9 +19,19 @@ namespace {
 using Real = REAL;
 constexpr int n = STATES;
 
-// Columns go side by side through a vector register, a panel of LANES at a time.
-constexpr int64_t LANES = 64 / sizeof(Real);
-using Vec = Real __attribute__((vector_size(64)));
+// Columns go side by side through a vector register, a panel of LANES at a time. The register is the target's: emulated
+// with narrower ones, wide panels cost several times what they should.
+#ifndef WIDTH
+#if defined(__AVX512F__)
+#define WIDTH 64
+#elif defined(__AVX__)
+#define WIDTH 32
+#else
+#define WIDTH 16
+#endif
+#endif
+constexpr int64_t LANES = WIDTH / sizeof(Real);
+using Vec = Real __attribute__((vector_size(WIDTH)));
 
 int64_t panels(int64_t columns) { return (columns + LANES - 1) / LANES; }
 
@@ -264,3 +274,25 @@ ffi::Error pull_all(ffi::RemainingArgs arguments, ffi::RemainingRets results) {
 
 XLA_FFI_DEFINE_HANDLER_SYMBOL(gradcal_filter, filter_all, ffi::Ffi::Bind().RemainingArgs().RemainingRets());
 XLA_FFI_DEFINE_HANDLER_SYMBOL(gradcal_pull, pull_all, ffi::Ffi::Bind().RemainingArgs().RemainingRets());
+
+// --- how NumPy's arrays come, one problem at a time -------------------------------------------------------------------
+
+extern "C" void gradcal_filter_plain(int64_t count, int64_t p, const Real* transition, const Real* noise,
+                                     const Real* observation, const Real* variance, const bool* used, const Real* mean,
+                                     const Real* covariance, const Real* columns, Real* rows, Real* mean_after,
+                                     Real* covariance_after, Real* state, Real* before, Real* gain, Real* per_std) {
+  const Kept<Real> kept = {state, before, gain, per_std};
+  filter(count, p, {transition, noise, observation, variance, used}, mean, covariance, columns, rows, mean_after,
+         covariance_after, state ? &kept : nullptr);
+}
+
+extern "C" void gradcal_pull_plain(int64_t count, int64_t p, const Real* transition, const Real* noise,
+                                   const Real* observation, const Real* variance, const bool* used,
+                                   const Real* initial, const Real* rows, const Real* weighed, const Real* state,
+                                   const Real* before, const Real* gain, const Real* per_std, Real* of_transition,
+                                   Real* of_noise, Real* of_observation, Real* of_variance, Real* of_initial,
+                                   Real* of_columns) {
+  pull(count, p, {transition, noise, observation, variance, used}, initial, rows, weighed,
+       {state, before, gain, per_std},
+       {of_transition, of_noise, of_observation, of_variance, of_initial, of_columns});
+}

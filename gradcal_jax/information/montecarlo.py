@@ -6,16 +6,14 @@ readings together with the regressors and solves the least squares: the same cod
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from scipy.stats import chi2
 
-from gradcal_jax.errormodel import GyroModel
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
 from gradcal_jax.information.posterior import Posterior, posterior, square_root
 from gradcal_jax.information.regressors import at_readings
 from gradcal_jax.information.whitening import whiten
-from gradcal_jax.plans import Timeline
+from gradcal_jax.model import SensorModel
+from gradcal_jax.trajectory import Trajectory
 
 
 class Twin(NamedTuple):
@@ -27,28 +25,26 @@ class Twin(NamedTuple):
     predicted: Posterior
 
 
-def twin(timeline: Timeline, model: GyroModel, runs: int, seed: int = 0, tile: int = 256) -> Twin:
+def monte_carlo_errors(line: Trajectory, model: SensorModel, runs: int, seed: int = 0, tile: int = 256) -> Twin:
     """Simulate `runs` calibrations. Parameters with a prior are drawn from it; flat ones are zero, which costs nothing.
 
     Errors: `ValueError` where the plan leaves something unobservable, since its estimate would be arbitrary.
     """
-    steps, columns = noise_steps(timeline, model), at_readings(timeline, model)
-    prior = model.prior_rows()
+    steps, columns = noise_steps(line, model), at_readings(line, model)
+    rows = model.prior_rows()
     rng = np.random.default_rng(seed)
-    whitened = jnp.concatenate([whiten(steps, columns), prior])
-    known = posterior(square_root(whitened))
+    known = posterior(square_root(np.concatenate([whiten(steps, columns), rows])))
     if known.hidden.shape[1]:
         raise ValueError(
             "the plan leaves some parameters unobservable, so no estimate of them can be compared: give them a prior"
         )
-    p = model.columns.count
-    rows = np.asarray(prior)
+    p = model.size
     errors = []
     for begin in range(0, runs, tile):
         size = min(tile, runs - begin)
         truth = np.linalg.pinv(rows) @ rng.standard_normal((rows.shape[0], size)) if len(rows) else np.zeros((p, size))
-        readings = simulate_noise(steps, size, rng) + np.asarray(columns) @ truth
-        both = np.asarray(whiten(steps, jnp.concatenate([columns, jnp.asarray(readings)], axis=1)))
+        readings = simulate_noise(steps, size, rng) + columns @ truth
+        both = whiten(steps, np.concatenate([columns, readings], axis=1))
         design = np.concatenate([both[:, :p], rows])
         data = np.concatenate([both[:, p:], np.zeros((len(rows), size))])
         scale = np.linalg.norm(design, axis=0)
@@ -98,6 +94,9 @@ def wishart_test(errors: np.ndarray, predicted: Posterior, confidence: float = 0
     chi-square with p(p+1)/2 degrees of freedom, after Bartlett's factor (Muirhead, Aspects of Multivariate
     Statistical Theory, 8.4).
     """
+    # Half a second of imports for a test that few ask for.
+    from scipy.stats import chi2
+
     runs, p = errors.shape
     white = np.linalg.lstsq(predicted.spread, errors.T, rcond=None)[0]
     mean_square = white @ white.T / runs

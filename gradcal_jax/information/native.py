@@ -1,4 +1,4 @@
-"""The filter and its derivative in machine code, for JAX on a CPU.
+"""The filter and its derivative in machine code, for NumPy, and for JAX on a CPU.
 
 XLA pays for every pass over N × p numbers what a whole product costs; `filter.cc` goes through the readings once. The
 machine's own C++ compiler makes it at first use, two seconds for each number of noise states, and the user's cache
@@ -17,15 +17,18 @@ import subprocess
 import tempfile
 import threading
 import warnings
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.dtypes import canonicalize_dtype
 from jaxtyping import Array, Float
 
+from gradcal_jax.arrays import AnyArray
 from gradcal_jax.cache import cache_folder
 from gradcal_jax.information.noise_steps import NoiseSteps
 
@@ -40,10 +43,10 @@ _ONE_AT_A_TIME = threading.Lock()
 class Kept(NamedTuple):
     """What the derivative needs of the filter, at each reading: x and P before it, `P Hᵀ/S` and `1/√S`."""
 
-    states: Float[Array, "N n p"]
-    covariances: Float[Array, "N n n"]
-    gains: Float[Array, "N n"]
-    per_std: Float[Array, " N"]
+    states: Float[AnyArray, "N n p"]
+    covariances: Float[AnyArray, "N n n"]
+    gains: Float[AnyArray, "N n"]
+    per_std: Float[AnyArray, " N"]
 
 
 class Native(NamedTuple):
@@ -80,6 +83,53 @@ class Native(NamedTuple):
         return _call(self.pull, shapes, (*steps, rows, weighed, *kept))
 
 
+class Plain(NamedTuple):
+    """The compiled functions for NumPy's arrays of doubles."""
+
+    filter: Callable[..., None]
+    pull: Callable[..., None]
+
+    def whiten(
+        self,
+        mean: Float[np.ndarray, "n p"],
+        covariance: Float[np.ndarray, "n n"],
+        steps: NoiseSteps,
+        columns: Float[np.ndarray, "N p"],
+        *,
+        keep: bool = False,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Kept | None]:
+        """Whitened rows `(N, p)`, state and covariance after the last reading, and what `cotangents` wants."""
+        (count, n), p = steps.observation.shape, columns.shape[1]
+        rows, after, covariance_after = np.empty((count, p)), np.empty((n, p)), np.empty((n, n))
+        shapes = ((count, n, p), (count, n, n), (count, n), (count,))
+        kept = Kept(*map(np.empty, shapes)) if keep else None
+        made = [rows, after, covariance_after, *(kept or (None,) * 4)]
+        _plainly(self.filter, count, p, (*steps[:5], mean, covariance, columns), made)
+        return rows, after, covariance_after, kept
+
+    def cotangents(self, steps: NoiseSteps, rows: np.ndarray, kept: Kept, of_product: np.ndarray) -> list[np.ndarray]:
+        """As of `Native`."""
+        weighed = rows @ ((of_product + of_product.T) / 2)
+        made = [np.empty(np.shape(x)) for x in (*steps[:4], steps.initial, rows)]
+        _plainly(self.pull, len(rows), rows.shape[1], (*steps, rows, weighed, *kept), made)
+        return made
+
+
+def _plainly(function, count: int, p: int, arguments, results) -> None:
+    alike = [np.ascontiguousarray(x, bool if np.asarray(x).dtype == bool else float) for x in arguments]
+    addresses = [None if x is None else x.ctypes.data for x in (*alike, *results)]
+    function(ctypes.c_int64(count), ctypes.c_int64(p), *map(ctypes.c_void_p, addresses))
+
+
+def plain(states: int) -> Plain | None:
+    """The machine code for NumPy's doubles, or None where there is none."""
+    if os.environ.get("GRADCAL_NATIVE") == "0" or os.name != "posix" or not states:
+        return None
+    with _ONE_AT_A_TIME:
+        made = _made(states, "double")
+    return None if made is None else Plain(made[0].gradcal_filter_plain, made[0].gradcal_pull_plain)
+
+
 def _call(name: str, shapes, arguments) -> list[Array]:
     dtype = canonicalize_dtype(arguments[0].dtype)
     results = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
@@ -104,11 +154,24 @@ def native(steps: NoiseSteps, *others: Array) -> Native | None:
 
 @functools.cache
 def _registered(states: int, real: str) -> Native | None:
+    made = _made(states, real)
+    if made is None:
+        return None
+    library, key = made
+    names = Native(f"gradcal_filter_{key}", f"gradcal_pull_{key}")
+    for name, symbol in zip(names, ("gradcal_filter", "gradcal_pull"), strict=True):
+        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu")
+    return names
+
+
+@functools.cache
+def _made(states: int, real: str) -> tuple[ctypes.CDLL, str] | None:
+    """The compiled functions for one number of states and one precision, and what tells them from all others."""
     compiler = _compiler()
     if compiler is None:
         return None
     try:
-        library, key = _library(compiler, (f"-DSTATES={states}", f"-DREAL={real}"))
+        return _library(compiler, (f"-DSTATES={states}", f"-DREAL={real}"))
     except (OSError, subprocess.SubprocessError) as e:
         told = getattr(e, "stderr", None)
         warnings.warn(
@@ -118,10 +181,6 @@ def _registered(states: int, real: str) -> Native | None:
             stacklevel=2,
         )
         return None
-    names = Native(f"gradcal_filter_{key}", f"gradcal_pull_{key}")
-    for name, symbol in zip(names, ("gradcal_filter", "gradcal_pull"), strict=True):
-        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu")
-    return names
 
 
 def _compiler() -> list[str] | None:

@@ -13,15 +13,16 @@ At rest and at constant rate c is constant and these are closed forms; on ramps 
 Gauss–Legendre nodes, `h` by the nodes' own integration matrix.
 """
 
+from functools import lru_cache
+from math import factorial
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
-from gradcal_jax.errormodel import GyroModel, Processes
-from gradcal_jax.information.regressors import quadrature
-from gradcal_jax.plans import Timeline
+from gradcal_jax.arrays import AnyArray, namespace, put
+from gradcal_jax.model import Processes, SensorModel
+from gradcal_jax.trajectory import Trajectory, quadrature
 
 _NODES = 16
 
@@ -31,147 +32,152 @@ class NoiseSteps(NamedTuple):
     whether there is one).
     """
 
-    transition: Float[Array, "N n n"]
-    covariance: Float[Array, "N n n"]
-    observation: Float[Array, "N n"]
-    reading_variance: Float[Array, " N"]
-    used: Bool[Array, " N"]
-    initial: Float[Array, "n n"]
+    transition: Float[AnyArray, "N n n"]
+    covariance: Float[AnyArray, "N n n"]
+    observation: Float[AnyArray, "N n"]
+    reading_variance: Float[AnyArray, " N"]
+    used: Bool[AnyArray, " N"]
+    initial: Float[AnyArray, "n n"]
+
+    def padded(self, count: int) -> "NoiseSteps":
+        """The same system with steps at its end that change nothing and read nothing, `count` in all."""
+        n, missing = self.observation.shape[1], count - self.observation.shape[0]
+        still = np.broadcast_to(np.eye(n), (missing, n, n))
+        fillings = (still, np.zeros((missing, n, n)), np.zeros((missing, n)), np.ones(missing), np.zeros(missing, bool))
+        longer = [np.concatenate([np.asarray(f), filling]) for f, filling in zip(self, fillings, strict=False)]
+        return NoiseSteps(*longer, np.asarray(self.initial))
 
 
-def noise_steps(timeline: Timeline, model: GyroModel) -> NoiseSteps:
+def noise_steps(line: Trajectory, model: SensorModel) -> NoiseSteps:
     """Steps of the noise alone, the parameters kept out of the state.
 
     The first reading is the angle's origin: its white noise and its standstill's offset are the angle state's initial
-    error, which is the exact treatment of an unknown initial angle.
+    error, which is the exact treatment of an unknown initial angle. At the end of a gap the origin is read anew. With a
+    held rate as the reference every point's angle begins at zero, and its error is one draw of the reference.
     """
     p, reference = model.processes, model.reference
-    m, offset = p.count, 1 if reference.has_offset else 0
-    n, count = 1 + m + offset, timeline.piece_count
-    duration = timeline.duration
+    xp = namespace(line, model)
+    m, offset = p.count, int(reference.has_offset and not line.rates)
+    n, count = 1 + m + offset, line.piece_count
 
-    decayed = jnp.exp(-p.decay[None, :] * duration[:, None])
-    to_angle, q_angle, q_cross, q_self = _constant_drive(p, duration, timeline.end_rate())
-    varying = timeline.varying_pieces.values
-    if m and len(varying):
+    to_angle, q_angle, q_cross, q_self = _constant_drive(p, line.duration, line.end_rate())
+    varying = line.varying_pieces
+    if m and varying.shape[0] and (xp is not np or np.any(p.rate_gain)):
         by_rate = (p.rate_gain != 0.0)[None, :]
-        driven = _varying_drive(p, timeline, varying)
+        driven = _varying_drive(p, line, varying)
         # A process that the rate does not drive has a constant c, whose closed form holds for any correlation time.
         to_angle, q_angle, q_cross = (
-            x.at[varying].set(jnp.where(by_rate, y, x[varying]))
+            put(x, varying, xp.where(by_rate, y, x[varying]))
             for x, y in zip((to_angle, q_angle, q_cross), driven, strict=True)
         )
-
-    transition = jnp.zeros((count, n, n)).at[:, 0, 0].set(1.0)
-    covariance = (
-        jnp.zeros((count, n, n)).at[:, 0, 0].set(model.angle_random_walk**2 * duration + jnp.sum(q_angle, axis=1))
-    )
-    initial = jnp.zeros((n, n))
-    observation = jnp.zeros((count, n)).at[:, 0].set(1.0)
-    states = np.arange(1, 1 + m)
-    transition = transition.at[:, 0, 1 : 1 + m].set(to_angle).at[:, states, states].set(decayed)
-    covariance = covariance.at[:, states, states].set(q_self)
-    covariance = covariance.at[:, 0, 1 : 1 + m].set(q_cross).at[:, 1 : 1 + m, 0].set(q_cross)
-    initial = initial.at[states, states].set(p.initial_std**2)
-
-    if timeline.rate_reference:
-        held = jnp.square(reference.rate_accuracy * timeline.turned())
-        transition = jnp.where(timeline.reset[:, None, None], 0.0, transition)
-        # An independent point: its processes start afresh, and drive its angle over the piece as over any other.
-        fresh = jnp.zeros((count, n, n)).at[:, 0, 0].set(1.0)
-        fresh = fresh.at[:, 0, 1 : 1 + m].set(to_angle).at[:, states, states].set(decayed)
-        started = jnp.einsum("kij,jl,kml->kim", fresh, initial, fresh)
-        covariance = covariance + jnp.where(timeline.reset[:, None, None], started, 0.0)
-        return NoiseSteps(transition, covariance, observation, held, timeline.read, initial)
-
-    white = reference.reading_noise**2
-    at_origin = white
-    if offset:
-        variance = reference.standstill_offset**2
-        # A move leaves the old standstill and makes the next one's draw; its readings on the way see none.
-        kept = jnp.where(timeline.moving, 0.0, 1.0)
-        transition = transition.at[:, -1, -1].set(kept)
-        covariance = covariance.at[:, -1, -1].set((1.0 - kept) * variance)
-        observation = observation.at[:, -1].set(jnp.where(timeline.at_rest, 1.0, 0.0))
-        initial = initial.at[-1, -1].set(variance).at[0, -1].set(-variance).at[-1, 0].set(-variance)
-        at_origin = at_origin + variance
-    initial = initial.at[0, 0].set(at_origin)
-    gaps = timeline.gap_pieces.values
-    if len(gaps):
+    decayed = xp.exp(-p.decay[None, :] * line.duration[:, None])
+    walk = model.angle_random_walk**2 * line.duration + xp.sum(q_angle, axis=1)
+    start = p.initial_std**2
+    if line.rates and line.points == "independent":
+        # The processes of a point start afresh, and drive its angle over the piece as over any other.
+        walk = walk + xp.sum(to_angle**2 * start, axis=1)
+        q_cross, q_self = q_cross + to_angle * decayed * start, q_self + decayed**2 * start
+        to_angle, decayed = xp.zeros((count, m)), xp.zeros((count, m))
+    kept = xp.zeros((count, 1)) if line.rates else xp.ones((count, 1))
+    none = xp.zeros((count, offset))
+    first_row = xp.concatenate([kept, to_angle, none], axis=1)
+    first_noise = xp.concatenate([walk[:, None], q_cross, none], axis=1)
+    white = xp.asarray(0.0 if line.rates else reference.reading_noise**2)
+    spread = reference.standstill_offset**2
+    if line.has_gaps:
         # A new origin: the angle state is minus what the reference says then, its white noise and its standstill's
         # offset.
-        transition = transition.at[gaps, 0, :].set(jnp.zeros(n).at[n - 1].set(-1.0) if offset else 0.0)
-        covariance = covariance.at[gaps, 0, :].set(0.0).at[gaps, :, 0].set(0.0).at[gaps, 0, 0].set(white)
-    on_the_move = jnp.where(timeline.at_rest, 0.0, timeline.end_rate() * reference.timing_error)
-    variance = jnp.asarray(white / timeline.share + on_the_move**2)
-    return NoiseSteps(transition, covariance, observation, variance, timeline.read, initial)
+        origin, gap = np.eye(n)[0] * 0.0, line.gap[:, None]
+        if offset:
+            origin[-1] = -1.0
+        first_row = xp.where(gap, xp.asarray(origin)[None], first_row)
+        first_noise = xp.where(gap, xp.asarray(np.eye(n)[:1]) * white, first_noise)
+    # A move leaves the old standstill and makes the next one's draw; its readings on the way see none.
+    stands = xp.where(line.moving, 0.0, 1.0)[:, None]
+    extra = [stands] * offset
+    diagonal = xp.concatenate([xp.zeros((count, 1)), decayed, *extra], axis=1)
+    noise = xp.concatenate([xp.zeros((count, 1)), q_self, *((1.0 - x) * spread for x in extra)], axis=1)
+    states, everything = np.arange(n), slice(None)
+    transition = put(put(xp.zeros((count, n, n)), (everything, states, states), diagonal), (everything, 0), first_row)
+    covariance = put(xp.zeros((count, n, n)), (everything, states, states), noise)
+    covariance = put(put(covariance, (everything, 0), first_noise), (everything, everything, 0), first_noise)
+    at_rest = xp.where(line.at_rest, 1.0, 0.0)[:, None]
+    observation = xp.concatenate([xp.ones((count, 1)), xp.zeros((count, m)), *([at_rest] * offset)], axis=1)
+    if line.rates:
+        variance = xp.square(reference.rate_accuracy * line.turned())
+        first = xp.zeros(1)
+    else:
+        on_the_move = xp.where(line.at_rest, 0.0, line.end_rate() * reference.timing_error)
+        variance = white / line.share + on_the_move**2
+        first = xp.reshape(white + offset * spread, (1,))
+    initial = put(
+        xp.zeros((n, n)), (states, states), xp.concatenate([first, start, *([xp.reshape(spread, (1,))] * offset)])
+    )
+    if offset:
+        initial = put(initial, ([0, n - 1], [n - 1, 0]), -spread)
+    return NoiseSteps(transition, covariance, observation, variance, line.read, initial)
 
 
 def _constant_drive(
-    p: Processes, duration: Float[Array, " P"], rate: Float[Array, " P"]
-) -> tuple[Array, Array, Array, Array]:
+    p: Processes, duration: Float[AnyArray, " P"], rate: Float[AnyArray, " P"]
+) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """F_θx, Q_θθ, Q_θx, Q_xx of shape (P, m) for a constant c = α + γω: closed forms that stay exact as λD → 0."""
     d = duration[:, None]
-    drive = jnp.asarray(p.bias_gain[None, :] + p.rate_gain[None, :] * rate[:, None])
-    x = jnp.asarray(p.decay[None, :] * d)
+    drive = p.bias_gain[None, :] + p.rate_gain[None, :] * rate[:, None]
+    x = p.decay[None, :] * d
     g1, g2, g3 = _phi1(x), _phi1(2.0 * x), _chi(x)
-    diffusion = jnp.square(p.diffusion)[None, :]
+    diffusion = p.diffusion[None, :] ** 2
     to_angle = drive * d * g1
     q_angle = diffusion * drive**2 * d**3 * g3
     q_cross = diffusion * drive * d**2 * 0.5 * g1**2
     return to_angle, q_angle, q_cross, diffusion * d * g2
 
 
-def _phi1(x: Array) -> Array:
+def _phi1(x: AnyArray) -> AnyArray:
     """(1 − e^(−x))/x, and 1 at 0."""
-    small = x < 1e-8
-    return jnp.where(small, 1.0 - 0.5 * x, -jnp.expm1(-x) / jnp.where(small, 1.0, x))
+    xp, small = namespace(x), x < 1e-8
+    return xp.where(small, 1.0 - 0.5 * x, -xp.expm1(-x) / xp.where(small, 1.0, x))
 
 
-def _chi(x: Array) -> Array:
+def _chi(x: AnyArray) -> AnyArray:
     """(2x − 3 + 4e^(−x) − e^(−2x))/(2x³), and 1/3 at 0, by its series where the closed form loses digits."""
-    small = x < 0.3
-    safe = jnp.where(small, 1.0, x)
-    closed = (2.0 * safe - 3.0 + 4.0 * jnp.exp(-safe) - jnp.exp(-2.0 * safe)) / (2.0 * safe**3)
+    xp, small = namespace(x), x < 0.3
+    safe = xp.where(small, 1.0, x)
+    closed = (2.0 * safe - 3.0 + 4.0 * xp.exp(-safe) - xp.exp(-2.0 * safe)) / (2.0 * safe**3)
     # Σ_{k≥0} (−x)^k (2^(k+3) − 4)/(2(k+3)!), from the exponentials' own series.
-    within = jnp.where(small, x, 0.0)
-    series, factorial = jnp.zeros_like(x), 6.0
-    coefficients = []
-    for k in range(16):
-        coefficients.append((2.0 ** (k + 3) - 4.0) / (2.0 * factorial) * (-1.0) ** k)
-        factorial *= k + 4
-    for c in reversed(coefficients):
-        series = series * within + c
-    return jnp.where(small, series, closed)
+    within = xp.where(small, x, 0.0)
+    series = xp.zeros_like(x)
+    for k in reversed(range(16)):
+        series = series * within + (2.0 ** (k + 3) - 4.0) / (2.0 * factorial(k + 3)) * (-1.0) ** k
+    return xp.where(small, series, closed)
 
 
-def _varying_drive(p: Processes, timeline: Timeline, pieces: np.ndarray) -> tuple[Array, Array, Array]:
+def _varying_drive(p: Processes, line: Trajectory, pieces) -> tuple[AnyArray, AnyArray, AnyArray]:
     """F_θx, Q_θθ, Q_θx of shape (k, m) on the given pieces, for c = α + γω, by quadrature."""
     nodes, weights = quadrature(_NODES)
-    tails = jnp.asarray(_tail_integration(nodes))
-    w = jnp.asarray(weights)
-    duration = timeline.duration[pieces][:, None, None]
-    v = jnp.broadcast_to(jnp.asarray(nodes), (len(pieces), _NODES))
-    rate = timeline.rate(v, pieces)[:, None, :]
+    xp = namespace(line, p)
+    duration = line.duration[pieces][:, None, None]
+    v = xp.broadcast_to(xp.asarray(nodes), (pieces.shape[0], _NODES))
+    rate = line.rate(v, pieces)[:, None, :]
     drive = p.bias_gain[None, :, None] + p.rate_gain[None, :, None] * rate
     # Moves are divided to keep λD small, but for the processes that the rate drives only.
-    x = jnp.where(p.rate_gain != 0.0, p.decay, 0.0)[None, :, None] * duration
+    x = xp.where(p.rate_gain != 0.0, p.decay, 0.0)[None, :, None] * duration
     # e^(−λ(s−u)) between all nodes: also those before u, which the interpolation needs.
-    apart = jnp.asarray(nodes)[None, :] - jnp.asarray(nodes)[:, None]
-    fading = jnp.exp(-x[..., None] * apart[None, None])
-    h = duration * jnp.einsum("us,kmus,kms->kmu", tails, fading, drive)
+    apart = xp.asarray(nodes[None, :] - nodes[:, None])
+    fading = xp.exp(-x[..., None] * apart[None, None])
+    h = duration * ((_tail_integration() * fading) @ drive[..., None])[..., 0]
     d = duration[..., 0]
-    at = jnp.asarray(nodes)[None, None]
-    diffusion = jnp.square(p.diffusion)[None, :]
-    to_angle = d * jnp.einsum("s,kms,kms->km", w, drive, jnp.exp(-x * at))
-    q_angle = diffusion * d * jnp.einsum("u,kmu->km", w, h**2)
-    q_cross = diffusion * d * jnp.einsum("u,kmu,kmu->km", w, h, jnp.exp(-x * (1.0 - at)))
+    diffusion = p.diffusion[None, :] ** 2
+    to_angle = d * ((drive * xp.exp(-x * nodes)) @ weights)
+    q_angle = diffusion * d * (h**2 @ weights)
+    q_cross = diffusion * d * ((h * xp.exp(-x * (1.0 - nodes))) @ weights)
     return to_angle, q_angle, q_cross
 
 
-def _tail_integration(nodes: np.ndarray) -> np.ndarray:
+@lru_cache(maxsize=1)
+def _tail_integration() -> np.ndarray:
     """`S[u, s]` with `Σ_s S[u, s] f(s) = ∫_u^1 f`, exact for the polynomials that the nodes interpolate."""
-    count = len(nodes)
+    nodes, count = quadrature(_NODES)[0], _NODES
     x = 2.0 * nodes - 1.0
     values = np.polynomial.legendre.legvander(x, count - 1)
     integrals = np.zeros_like(values)

@@ -12,18 +12,18 @@ that the plan cannot observe have been set apart.
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from gradcal_jax.errormodel import GyroModel
+from gradcal_jax.arrays import AnyArray, fixed, namespace
 from gradcal_jax.information.adjoint import whitened_factor
-from gradcal_jax.information.noise_steps import noise_steps
+from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
 from gradcal_jax.information.regressors import at_readings
-from gradcal_jax.information.whitening import whiten
+from gradcal_jax.information.whitening import SINGLE_PRECISION, whiten
 from gradcal_jax.linalg import column_norms, solve_transposed, triangular_factor
-from gradcal_jax.plans import Timeline
+from gradcal_jax.model import SensorModel
+from gradcal_jax.trajectory import Rule, Trajectory
 
 # Singular values of unit-length columns below this share of the largest are rounding, not information.
 OBSERVABLE = 1e-11
@@ -32,39 +32,34 @@ OBSERVABLE = 1e-11
 class SquareRootInformation(NamedTuple):
     """`information = diag(scale) RᵀR diag(scale)`, R upper triangular."""
 
-    factor: Float[Array, "p p"]
-    scale: Float[Array, " p"]
+    factor: Float[AnyArray, "p p"]
+    scale: Float[AnyArray, " p"]
 
-    def deviations(self, contrasts: Float[Array, "g p"]) -> Float[Array, " g"]:
+    def deviations(self, contrasts: Float[AnyArray, "g p"]) -> Float[AnyArray, " g"]:
         """Standard deviation of each linear combination of the parameters; differentiable, for observable ones."""
         solved = solve_transposed(self.factor, (contrasts / self.scale[None, :]).T)
-        return jnp.sqrt(jnp.sum(solved * solved, axis=0))
+        xp = namespace(solved)
+        return xp.sqrt(xp.sum(solved * solved, axis=0))
 
 
-def information(timeline: Timeline, model: GyroModel) -> SquareRootInformation:
+def information(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> SquareRootInformation:
     """Everything that the plan's readings and the priors say of the model's parameters.
 
-    Errors: `ValueError` in single precision, which cannot carry a covariance that is reported; for a search that
-    needs only a direction, call `whitened_factor` yourself.
+    `rule`: how the terms are integrated (`trajectory.rule_of`), where the trajectory is traced. Errors: `ValueError` in
+    single precision, which cannot carry a covariance that is reported; for a search that needs only a direction, call
+    `whitened_factor` yourself.
     """
-    steps, columns = noise_steps(timeline, model), at_readings(timeline, model)
-    if columns.dtype != jnp.float64:
-        raise ValueError(
-            "a covariance in single precision is not reported: call jax.config.update('jax_enable_x64', True) before "
-            "the first JAX array is made"
-        )
-    return SquareRootInformation(*whitened_factor(steps, columns, model.prior_rows()))
+    steps, columns = noise_steps(line, model), at_readings(line, model, rule)
+    if columns.dtype != np.float64:
+        raise ValueError(SINGLE_PRECISION)
+    if namespace(steps, columns) is np:
+        return square_root(np.concatenate([whiten(steps, columns), model.prior_rows()]))
+    return SquareRootInformation(*whitened_factor(steps, columns, jnp.asarray(model.prior_rows())))
 
 
-def whitened_rows(timeline: Timeline, model: GyroModel) -> Float[Array, "rows p"]:
-    """Whitened regressors of all readings, with the rows of the priors below them."""
-    rows = whiten(noise_steps(timeline, model), at_readings(timeline, model))
-    return jnp.concatenate([rows, model.prior_rows()])
-
-
-def square_root(rows: Float[Array, "rows p"]) -> SquareRootInformation:
+def square_root(rows: Float[AnyArray, "rows p"]) -> SquareRootInformation:
     """One triangular factor of rows whose columns are first scaled to unit length."""
-    scale = jax.lax.stop_gradient(column_norms(rows))
+    scale = fixed(column_norms(rows))
     return SquareRootInformation(triangular_factor(rows / scale[None, :]), scale)
 
 
@@ -94,7 +89,7 @@ class Posterior(eqx.Module):
 
 
 def posterior(info: SquareRootInformation) -> Posterior:
-    """What is known of the parameters (SI) after a plan, from `information.information(timeline, model)`.
+    """What is known of the parameters (SI) after a plan, from `information.information(trajectory, model)`.
 
     What cannot be observed is set apart by the singular values of the scaled factor, `(p, p) -> (p, r), (p, k)`.
     Errors: none here; `information` refuses single precision with a `ValueError`.
@@ -107,23 +102,57 @@ def posterior(info: SquareRootInformation) -> Posterior:
     return Posterior(spread, hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny))
 
 
-def unweighted(timeline: Timeline, model: GyroModel) -> Posterior:
-    """Covariance of ordinary least squares on the *rate* errors of a standard plan (the paper's Figure 6).
+class LeastSquares(NamedTuple):
+    """Ordinary least squares on a standard plan's mean rate errors: `β̂ = back weightsᵀ y` of the integrated errors y.
 
-    Every point's mean rate error counts alike, whatever its variance; priors are not used. Errors: `ValueError` for a
-    gradient plan, whose readings are angles.
+    `weights` `(N, r)` are orthonormal but for the points' times; `hidden` `(p, p − r)`: what no point tells.
     """
-    if not timeline.rate_reference:
+
+    weights: np.ndarray
+    back: np.ndarray
+    hidden: np.ndarray
+
+
+def least_squares(line: Trajectory, model: SensorModel, columns: np.ndarray | None = None) -> LeastSquares:
+    """Every point's mean rate error counts alike, whatever its variance; priors are not used.
+
+    `columns` `(P, p)`: the regressors where they were measured. Errors: `ValueError` for a gradient plan, whose
+    readings are angles.
+    """
+    if not line.rates:
         raise ValueError("unweighted least squares on rates is for the standard method: a gradient plan reads angles")
-    steps = noise_steps(timeline, model)
-    duration = np.asarray(timeline.duration)
-    variance = np.asarray(steps.covariance[:, 0, 0] + steps.reading_variance) / duration**2
-    rows = np.asarray(at_readings(timeline, model)) / duration[:, None]
+    used = np.asarray(line.read)
+    duration = line.duration[used][:, None]
+    rows = (at_readings(line, model) if columns is None else columns)[used] / duration
     scale = np.where((norm := np.linalg.norm(rows, axis=0)) > 0, norm, 1.0)
-    left, singular, directions = np.linalg.svd(rows / scale, full_matrices=False)
+    left, singular, directions = np.linalg.svd(rows / scale)
     seen = singular > OBSERVABLE * singular[0]
-    # β̂ = rows⁺ y, so C = rows⁺ V rows⁺ᵀ, whose root is rows⁺ V^½.
-    spread = (directions[seen].T / singular[seen]) @ (left[:, seen].T * np.sqrt(variance)) / scale[:, None]
-    full = np.linalg.svd(rows / scale)[2]
-    hidden = full[int(seen.sum()) :].T / scale[:, None]
-    return Posterior(spread, hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny))
+    rank = int(seen.sum())
+    weights = np.zeros((len(used), rank))
+    weights[used] = left[:, :rank] / duration
+    hidden = directions[rank:].T / scale[:, None]
+    back = (directions[:rank].T / singular[:rank]) / scale[:, None]
+    return LeastSquares(weights, back, hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny))
+
+
+def unweighted(line: Trajectory, model: SensorModel) -> Posterior:
+    """Covariance of ordinary least squares on the *rate* errors of a standard plan (the paper's Figure 6). Errors: as
+    `least_squares`.
+    """
+    estimator = least_squares(line, model)
+    values, vectors = np.linalg.eigh(noise_of_sums(noise_steps(line, model), estimator.weights))
+    return Posterior(estimator.back @ (vectors * np.sqrt(np.maximum(values, 0.0))), estimator.hidden)
+
+
+def noise_of_sums(steps: NoiseSteps, weights: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "m m"]:
+    """`weightsᵀ V weights`, V the covariance of all readings: of m weighted sums of them.
+
+    With `ρ_k = F_kᵀ(ρ_{k+1} + H_k w_k)`, backwards, it is the sum of what each step's noise and the start add.
+    """
+    response = np.zeros((steps.observation.shape[1], weights.shape[1]))
+    total = (weights * np.asarray(steps.reading_variance)[:, None]).T @ weights
+    for k in reversed(range(len(weights))):
+        response = response + np.outer(steps.observation[k], weights[k])
+        total = total + response.T @ np.asarray(steps.covariance[k]) @ response
+        response = np.asarray(steps.transition[k]).T @ response
+    return total + response.T @ np.asarray(steps.initial) @ response

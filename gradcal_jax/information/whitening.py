@@ -30,37 +30,67 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from gradcal_jax.information.native import native
+from gradcal_jax.arrays import AnyArray, namespace, size_class
+from gradcal_jax.information.native import native, plain
 from gradcal_jax.information.noise_steps import NoiseSteps
+
+SINGLE_PRECISION = (
+    "a covariance in single precision is not reported: call jax.config.update('jax_enable_x64', True) before the first "
+    "JAX array is made"
+)
 
 
 class FilterState(NamedTuple):
     """What goes from one stretch of readings to the next: every column's state, and the covariance of all."""
 
-    mean: Float[Array, "n p"]
-    covariance: Float[Array, "n n"]
+    mean: Float[AnyArray, "n p"]
+    covariance: Float[AnyArray, "n n"]
 
 
-def whiten(steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None) -> Float[Array, "N p"]:
+def whiten(steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, block: int | None = None) -> Float[AnyArray, "N p"]:
     """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings.
 
     The row of a reading that is not used is zero. `block`: K, by default about √N, or none in machine code. To
     differentiate what follows from the rows' product, use `gram` or `whitened_factor`: several times quicker, and exact
     for singular noise, too.
     """
-    start = FilterState(jnp.zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype), steps.initial)
-    return whiten_from(start, steps, columns, block=block)[0]
+    zeros = namespace(columns).zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype)
+    return whiten_from(FilterState(zeros, steps.initial), steps, columns, block=block)[0]
 
 
 def whiten_from(
-    state: FilterState, steps: NoiseSteps, columns: Float[Array, "N p"], *, block: int | None = None
-) -> tuple[Float[Array, "N p"], FilterState]:
+    state: FilterState, steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, block: int | None = None
+) -> tuple[Float[AnyArray, "N p"], FilterState]:
     """As `whiten`, from a given state and returning the next: long logs go through in tiles."""
+    if block is None and namespace(state, steps, columns) is np:
+        return _by_value(state, steps, columns)
     if block is None and native(steps, columns, *state) is not None:
         return _natively(state, steps, columns)
     filtered = filter_columns(state, steps, columns, block)
     rows = jnp.reshape(filtered.rows, (-1, columns.shape[1]))[: columns.shape[0]]
     return rows, filtered.end
+
+
+def _by_value(state: FilterState, steps: NoiseSteps, columns: np.ndarray) -> tuple[np.ndarray, FilterState]:
+    """NumPy's arrays: by machine code, or without it through a compiled program of the class of their sizes."""
+    code = plain(len(state.mean))
+    if code is not None:
+        rows, *after, _ = code.whiten(*state, steps, columns)
+        return rows, FilterState(*after)
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise ValueError(SINGLE_PRECISION)
+    count, p = columns.shape
+    steps, width = steps.padded(size_class(count)), size_class(p)
+    wide = lambda x: np.pad(x, ((0, 0), (0, width - p)))  # noqa: E731
+    long = np.pad(wide(columns), ((0, len(steps.used) - count), (0, 0)))
+    rows, after = _compiled_whitening(FilterState(wide(state.mean), state.covariance), steps, long)
+    return np.asarray(rows)[:count, :p], FilterState(np.asarray(after.mean)[:, :p], np.asarray(after.covariance))
+
+
+@jax.jit
+def _compiled_whitening(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:
+    filtered = filter_columns(state, steps, columns, None)
+    return jnp.reshape(filtered.rows, (-1, columns.shape[1]))[: columns.shape[0]], filtered.end
 
 
 @jax.custom_jvp

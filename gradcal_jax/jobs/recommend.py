@@ -10,12 +10,12 @@ HEADER = "Made by gradcal recipes; `gradcal show` prints it as a table."
 
 def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The optimised recipe of a spec as TOML text, and its row of the summary. Errors: `ValueError` as `optimise`'s."""
-    from gradcal_jax import assemble
-    from gradcal_jax.assemble.flow import optimise
+    from gradcal_jax import api
+    from gradcal_jax.api.flow import optimise
 
     spec = spec_of(tables)
     best = optimise(spec)
-    made = assemble.recipe(best)
+    made = api.recipe(best)
     wanted = None if spec.design is None else spec.design.minimise
     decisive = next((row for row in made.prediction.requirements if row.name == wanted), None)
     limit = limit_of(spec)
@@ -37,7 +37,7 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 def limit_of(spec: Spec) -> float | None:
     """What no plan on this rig in this time can beat, in the objective's unit; None where there is no such proof."""
-    from gradcal_jax.assemble.limit import limits
+    from gradcal_jax.api.limit import limits
 
     try:
         return next((row.certified for row in limits(spec) if spec.design and row.name == spec.design.minimise), None)

@@ -1,8 +1,8 @@
-"""A sweep from its file to labelled results: survey, groups, chunks, and what is kept on the way.
+"""A sweep from its file to labelled results: chunks of points, and what is kept on the way.
 
-What belongs to one chunk, and the room that its plans are computed in, follow from the sweep file alone. Workers only
-decide when a chunk is done and by whom, so the results do not depend on how many there are, on where they are, or on
-how often the sweep was killed and begun again.
+What belongs to one chunk follows from the sweep file alone. Workers only decide when a chunk is done and by whom, so
+the results do not depend on how many there are, on where they are, or on how often the sweep was killed and begun
+again.
 """
 
 import hashlib
@@ -10,40 +10,32 @@ import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import gradcal_jax
-from gradcal_jax.assemble.versions import versions_of
+from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.sweep import Sweep, tables_of_sweep
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.pool import LocalPool, Runner, Task
 from gradcal_jax.jobs.progress import Progress, Report, unwatched
 from gradcal_jax.jobs.results import Result
-from gradcal_jax.jobs.room import OWN_SHAPE, Counts, Surveyed, room_for
 from gradcal_jax.jobs.store import Store
 
 CHUNK: Final = {"predict": 64, "optimise": 1}
 """Points in a chunk: a second's work, or a minute's."""
-_SURVEY_CHUNK: Final = 250
 _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix")
-
-
-class Chunk(NamedTuple):
-    """Points that are computed together, and the room of each of their channels."""
-
-    points: tuple[int, ...]
-    rooms: tuple[Counts, ...]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What `dry_run` found: seconds of one chunk the first time and once compiled, programs to compile, all in all."""
+    """What `dry_run` found: seconds of one chunk the first time and the second, all in all; of the first chunk's points
+    `failing` have no result.
+    """
 
     points: int
     failing: int
     chunks: int
-    programs: int
     workers: int
     first_chunk_s: float
     next_chunk_s: float
@@ -98,30 +90,24 @@ def sweep(
     own = runner is None
     runner = runner or LocalPool()
     try:
-        surveyed = survey(job, points, runner, progress)
-        chunks = chunks_of(surveyed, CHUNK[job.file.do])
+        chunks = chunks_of(len(points), CHUNK[job.file.do])
         store = Store(output, identity)
-        results: dict[int, Result] = {
-            index: Result(index, found.failure) for index, found in enumerate(surveyed) if found.failure
-        }
+        results: dict[int, Result] = {}
         left: list[int] = []
         for number, chunk in enumerate(chunks):
             there = store.read(number)
-            if there is None or [r.point for r in there] != list(chunk.points):
+            if there is None or [r.point for r in there] != list(chunk):
                 left.append(number)
             else:
                 results |= {r.point: r for r in there}
         kept = len(results)
         base = tables_of(job.base)
         progress(Progress(job.file.do, len(results), len(points), kept))
-        tasks = [
-            Task(n, job.file.do, (base, [(i, points.changes(i)) for i in chunks[n].points], chunks[n].rooms))
-            for n in _each_group_first(chunks, left)
-        ]
+        tasks = [Task(n, job.file.do, (base, [(i, points.changes(i)) for i in chunks[n]])) for n in left]
         lost, reason = 0, ""
         for number, found in runner.run(tasks):
             if isinstance(found, Exception):
-                lost, reason = lost + len(chunks[number].points), str(found)
+                lost, reason = lost + len(chunks[number]), str(found)
                 continue
             store.write(number, found)
             results |= {r.point: r for r in found}
@@ -135,6 +121,9 @@ def sweep(
             "and the same command goes on from there"
         )
     ordered = tuple(results[index] for index in range(len(points)))
+    if all(result.failure for result in ordered):
+        store.remove()
+        raise ValueError(f"not one of the {len(points)} points has a result; the first says: {ordered[0].failure}")
     write_dataset(dataset_of(job, points, ordered, identity), output)
     store.remove()
     return Swept(ordered, time.monotonic() - begun, kept)
@@ -148,89 +137,35 @@ def finished(job: Sweep, output: Path) -> bool:
 
 
 def dry_run(job: Sweep, *, runner: Runner | None = None, progress: Report = unwatched) -> Estimate:
-    """How large a sweep is and how long it will take, by its largest group's first chunk, done twice. Nothing is
-    written.
-    """
+    """How large a sweep is and how long it will take, by its first chunk, done twice. Nothing is written."""
     points = Points(job)
     own = runner is None
     runner = runner or LocalPool()
+    chunks = chunks_of(len(points), CHUNK[job.file.do])
+    share = (tables_of(job.base), [(i, points.changes(i)) for i in chunks[0]])
+    times, results = [0.0, 0.0], []
     try:
-        begun = time.monotonic()
-        surveyed = survey(job, points, runner, progress)
-        reading = time.monotonic() - begun
-        chunks = chunks_of(surveyed, CHUNK[job.file.do])
-        times = [0.0, 0.0]
-        if chunks:
-            largest = max(chunks, key=lambda chunk: sum(sum(map(sum, room)) for room in chunk.rooms))
-            if job.file.do == "optimise":
-                largest = chunks[0]
-            base = tables_of(job.base)
-            share = (base, [(i, points.changes(i)) for i in largest.points], largest.rooms)
-            progress(Progress(job.file.do, 0, len(points)))
-            for k in range(1 if job.file.do == "optimise" else 2):
-                begun = time.monotonic()
-                ((_, found),) = runner.run([Task(0, job.file.do, share)])
-                if isinstance(found, Exception):
-                    raise ValueError(f"the first chunk cannot be done: {found}")
-                times[k:] = [time.monotonic() - begun] * (2 - k)
+        progress(Progress(job.file.do, 0, len(points)))
+        for k in range(1 if job.file.do == "optimise" else 2):
+            begun = time.monotonic()
+            ((_, results),) = runner.run([Task(0, job.file.do, share)])
+            if isinstance(results, Exception):
+                raise ValueError(f"the first chunk cannot be done: {results}")
+            times[k:] = [time.monotonic() - begun] * (2 - k)
     finally:
         if own:
             runner.close()
-    programs = len({chunk.rooms for chunk in chunks})
-    compiling = max(times[0] - times[1], 0.0) * -(-programs // runner.workers)
-    failing = [found.failure for found in surveyed if found.failure]
+    failing = [found.failure for found in results if found.failure]
+    rounds = -(-len(chunks) // runner.workers)
+    seconds = times[0] + times[1] * (rounds - 1)
     return Estimate(
-        len(points), len(failing), len(chunks), programs, runner.workers, times[0], times[1],
-        reading + compiling + times[1] * -(-len(chunks) // runner.workers), failing[0] if failing else "",
-    )  # fmt: skip
+        len(points), len(failing), len(chunks), runner.workers, *times, seconds, failing[0] if failing else ""
+    )
 
 
-def _each_group_first(chunks: list[Chunk], left: list[int]) -> list[int]:
-    """Every group's first chunk, then every group's second, …: workers compile different programs, not the same one."""
-    ranks: dict[tuple[Counts, ...], int] = {}
-    order: list[tuple[int, int]] = []
-    for number in left:
-        rooms = chunks[number].rooms
-        ranks[rooms] = ranks.get(rooms, 0) + 1
-        order.append((ranks[rooms], number))
-    return [number for _, number in sorted(order)]
-
-
-def survey(job: Sweep, points: Points, runner: Runner, progress: Report = unwatched) -> list[Surveyed]:
-    """Every point, read. Errors: `ValueError` where not one of them is a spec."""
-    count = len(points)
-    base = tables_of(job.base)
-    parts = [range(begin, min(begin + _SURVEY_CHUNK, count)) for begin in range(0, count, _SURVEY_CHUNK)]
-    tasks = [Task(k, "survey", (base, [points.changes(i) for i in part])) for k, part in enumerate(parts)]
-    found: dict[int, Any] = {}
-    done = 0
-    progress(Progress("reading", 0, count))
-    for key, answer in runner.run(tasks):
-        if isinstance(answer, Exception):
-            raise RuntimeError(f"the points could not be read: {answer}")
-        found[key] = answer
-        done += len(answer)
-        progress(Progress("reading", done, count))
-    surveyed = [one for key in range(len(parts)) for one in found[key]]
-    if all(one.failure for one in surveyed):
-        raise ValueError(f"not one of the {count} points is a spec; the first says: {surveyed[0].failure}")
-    return surveyed
-
-
-def chunks_of(surveyed: list[Surveyed], size: int) -> list[Chunk]:
-    """Points by groups, in the order in which the groups appear, cut into chunks; and each group's room."""
-    groups: dict[str, list[int]] = {}
-    for index, found in enumerate(surveyed):
-        if not found.failure:
-            groups.setdefault(found.group, []).append(index)
-    chunks: list[Chunk] = []
-    for group, members in groups.items():
-        rooms: tuple[Counts, ...] = ()
-        if group != OWN_SHAPE:
-            by_channel = zip(*(surveyed[index].counts for index in members), strict=True)
-            rooms = tuple(room_for(list(dict.fromkeys(counts))) for counts in by_channel)
-        chunks += [Chunk(tuple(members[begin : begin + size]), rooms) for begin in range(0, len(members), size)]
-    return chunks
+def chunks_of(count: int, size: int) -> list[range]:
+    """The numbers of the points, cut into chunks."""
+    return [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
 
 
 def identity_of(job: Sweep) -> dict[str, Any]:
@@ -251,7 +186,6 @@ def versions() -> dict[str, str]:
 
 __all__ = [
     "CHUNK",
-    "Chunk",
     "Estimate",
     "SweepIncomplete",
     "Swept",
@@ -259,6 +193,5 @@ __all__ = [
     "dry_run",
     "finished",
     "identity_of",
-    "survey",
     "sweep",
 ]

@@ -4,7 +4,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.assemble.knowledge import PPM
+from gradcal_jax.api.posterior_of_plan import PPM
 from gradcal_jax.files import correction, exports
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 

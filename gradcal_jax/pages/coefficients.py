@@ -5,7 +5,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.assemble.knowledge import DEG_PER_H, PPM
+from gradcal_jax.api.posterior_of_plan import DEG_PER_H, PPM
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.recipe import Recipe
 

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from gradcal_jax.assemble.achieved import Term, standard_terms
+from gradcal_jax.api.ieee_terms import Term, standard_terms
 from gradcal_jax.files.calibration import AxisCalibration
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, example_of, exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameters

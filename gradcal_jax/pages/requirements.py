@@ -5,9 +5,9 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from gradcal_jax import assemble
-from gradcal_jax.assemble.achieved import Box, found_map, grid_of, prior_map
-from gradcal_jax.assemble.knowledge import UNIT_OF
+from gradcal_jax import api
+from gradcal_jax.api.ieee_terms import Box, found_map, grid_of, prior_map
+from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import AxisCalibration, Calibration, Result
 from gradcal_jax.files.contracts import RequirementRow
@@ -59,8 +59,8 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
         assert calibration is not None
         maps = [_found_alone(axis, quantity) for axis in calibration.axis for quantity in _quantities(axis)]
         return "", [_result_alone(row) for row in calibration.result], maps
-    built = assemble.assemble(recipe.spec)
-    known = {channel: assemble.knowledge(built, channel) for channel in built.channels}
+    built = api.assemble(recipe.spec)
+    known = {channel: api.posterior_of_plan(built, channel) for channel in built.channels}
     other = _other_plan(sources.before)
     rows: list[RequirementFact] = []
     maps: list[MapFact] = []
@@ -74,7 +74,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
             if other is not None:
                 before_is = f"the plan of {sources.before_name}, on the rig of that file"
             drawn.append(("before", earlier))
-        values = assemble.residual_map(built, known[row.axis], requirement)
+        values = api.residual_map(built, known[row.axis], requirement)
         drawn.append(("predicted", Box(*values, row.unit)))
         axis = _axis_of(calibration, row.axis)
         if axis is not None and requirement.quantity in _quantities(axis):
@@ -135,8 +135,8 @@ def _requirement(
 def _other_plan(spec: Spec | None):
     if spec is None:
         return None
-    built = assemble.assemble(spec)
-    return built, {channel: assemble.knowledge(built, channel) for channel in built.channels}
+    built = api.assemble(spec)
+    return built, {channel: api.posterior_of_plan(built, channel) for channel in built.channels}
 
 
 def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | None:
@@ -147,7 +147,7 @@ def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | 
     section = built.spec.sensor.bias if requirement.quantity == "bias" else built.spec.sensor.scale_factor
     if channel not in known or section is None:
         return None
-    return Box(*assemble.residual_map(built, known[channel], requirement), UNIT_OF[requirement.quantity][0])
+    return Box(*api.residual_map(built, known[channel], requirement), UNIT_OF[requirement.quantity][0])
 
 
 def _optimised_before(recipe: Recipe) -> dict[str, float]:

@@ -1,15 +1,14 @@
 """Estimated calibrations: the maps with their uncertainty, and what is left of the readings."""
 
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.assemble.calibration import EstimateReport
-from gradcal_jax.assemble.knowledge import DEG_PER_H, DEG_PER_S, PPM
-from gradcal_jax.assemble.unit_channel import UnitChannel
+from gradcal_jax.api.calibration import EstimateReport
+from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
+from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.information import contrasts
 from gradcal_jax.plots.style import PALETTE, new_axes, style_of
 
@@ -80,9 +79,8 @@ def draw_estimate(report: EstimateReport) -> Figure:
 
 
 def _map(channel: UnitChannel, quantity, temperature: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    rows = np.array(contrasts(channel.model, quantity, jnp.asarray(temperature), jnp.asarray(rate))[0])
-    columns = channel.model.columns
-    rows[:, columns.bias_discrepancy.start :] = 0.0  # what the structure leaves out is not part of the calibration
+    both, outside, _ = contrasts(channel.model, quantity, temperature, rate)
+    rows = both - outside  # what the structure leaves out is not part of the calibration
     std = channel.found.known[0].deviations(rows)
     return rows @ channel.found.parameters[0], np.where(np.isfinite(std), std, np.nan)
 

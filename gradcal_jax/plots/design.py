@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, StrMethodFormatter
 
-from gradcal_jax.assemble.frontier import Point
-from gradcal_jax.assemble.sensitivity import Sensitivities
+from gradcal_jax.api.frontier import Point
+from gradcal_jax.api.sensitivity import Sensitivities
 from gradcal_jax.plots.style import style_of
 
 

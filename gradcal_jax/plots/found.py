@@ -3,7 +3,7 @@
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from gradcal_jax.assemble.achieved import found_map, grid_of
+from gradcal_jax.api.ieee_terms import found_map, grid_of
 from gradcal_jax.files.calibration import AxisCalibration
 from gradcal_jax.plots.style import PALETTE, new_axes, style_of
 

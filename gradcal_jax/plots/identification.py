@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.assemble.instability import Instability, Rest
-from gradcal_jax.assemble.knowledge import DEG_PER_H
+from gradcal_jax.api.instability import Instability, Rest
+from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.identify import AllanDeviation, AllanFit
 from gradcal_jax.plots.style import PALETTE, new_axes, style_of
 

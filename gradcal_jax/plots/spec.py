@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from gradcal_jax.assemble import UNIT_OF, assemble, knowledge, residual_map
+from gradcal_jax.api import UNIT_OF, assemble, posterior_of_plan, residual_map
 from gradcal_jax.files import Spec
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
 
@@ -15,7 +15,7 @@ def draw_prediction(spec: Spec) -> Figure:
     Errors: `ValueError` for a spec without requirements, which leaves nothing to draw.
     """
     built = assemble(spec)
-    known = {channel: knowledge(built, channel) for channel in built.channels}
+    known = {channel: posterior_of_plan(built, channel) for channel in built.channels}
     panels = [(r, c) for r in spec.requirement for c in built.channels]
     if not panels:
         raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add one")
@@ -44,7 +44,7 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
     for axes, (name, quantity) in zip(all_axes, names, strict=True):
         for index, (label, spec) in enumerate(specs):
             built = assemble(spec)
-            known = knowledge(built, built.channels[0])
+            known = posterior_of_plan(built, built.channels[0])
             for requirement in (r for r in spec.requirement if (r.name, r.quantity) == (name, quantity)):
                 temperature, rate, values = residual_map(built, known, requirement)
                 if quantity == "scale_factor":

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated_log import simulate_log
 
-from gradcal_jax.assemble.simulation import simulate_log
 from gradcal_jax.cli import main
 from gradcal_jax.files import parse_spec
 from gradcal_jax.files.calibration import read_calibration

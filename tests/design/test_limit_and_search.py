@@ -23,18 +23,18 @@ from gradcal_jax.design import (
     scale_factor_floor,
     search,
 )
-from gradcal_jax.errormodel import GyroModel, Polynomial, angle_reference, constant, gauss_markov, make_map
 from gradcal_jax.information import information, posterior, residual, square_root, statistic, whitened_rows
+from gradcal_jax.model import Polynomial, SensorModel, angle_reference, constant, gauss_markov, make_map
 
 DEG = np.pi / 180.0
 WALK = 0.1 * DEG / 60.0
 MAX = 300 * DEG
 
 
-def model(degree_t: int, degree_w: int) -> GyroModel:
+def model(degree_t: int, degree_w: int) -> SensorModel:
     scale = make_map(Polynomial(degree_t, 20.0, 50.0), Polynomial(degree_w, 0.0, MAX))
     drift, zero = gauss_markov(DEG / 3600.0, 120.0), jnp.zeros(())
-    return GyroModel(None, scale, jnp.asarray(WALK), drift, angle_reference(0.05 * DEG), zero, jnp.asarray(np.inf))
+    return SensorModel(None, scale, jnp.asarray(WALK), drift, angle_reference(0.05 * DEG), zero, jnp.asarray(np.inf))
 
 
 def small_plan(turns: int) -> Coordinates:
@@ -87,7 +87,7 @@ def test_the_gradient_is_the_difference():
     assert np.max(np.abs(gradient - difference)) < 1e-6 * np.linalg.norm(gradient)
 
 
-def limit_of(criterion_, constant_in_t: GyroModel, seconds: float):
+def limit_of(criterion_, constant_in_t: SensorModel, seconds: float):
     return limit(
         criterion_,
         constant_in_t,

@@ -7,14 +7,14 @@ import equinox as eqx
 import numpy as np
 import pytest
 from logs_zoo import GRADIENT, STANDARD, spec_of
+from simulated_log import simulate_log
 
-from gradcal_jax.assemble import assemble, knowledge
-from gradcal_jax.assemble.calibration import estimate_calibration
-from gradcal_jax.assemble.estimate import estimate_channels
-from gradcal_jax.assemble.estimate_options import Options
-from gradcal_jax.assemble.gradient_estimate import _fitted_lag
-from gradcal_jax.assemble.log_rows import Rows, _host_time, followed
-from gradcal_jax.assemble.simulation import simulate_log
+from gradcal_jax.api import assemble, knowledge
+from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate import estimate_channels
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.gradient_estimate import _fitted_lag
+from gradcal_jax.api.log_rows import Rows, _host_time, followed
 from gradcal_jax.estimation import nees_band
 from gradcal_jax.files.correction import bias, scale_factor
 from gradcal_jax.files.log import Log, LogError, Reason

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax.assemble import assemble, knowledge, residual_map
-from gradcal_jax.assemble.knowledge import DEG_PER_S, UNIT_OF
+from gradcal_jax.api import assemble, knowledge, residual_map
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF
 from gradcal_jax.estimation import estimate, nees_band, normalised_errors, on_timeline, whitened
 from gradcal_jax.files import parse_spec, presets
 from gradcal_jax.information import contrasts, simulate_noise, statistic, to_reported

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from logs_zoo import spec_of
+from simulated_log import simulate_log
 
-from gradcal_jax.assemble.estimate import estimate_channels
-from gradcal_jax.assemble.estimate_options import Options
-from gradcal_jax.assemble.simulation import simulate_log
+from gradcal_jax.api.estimate import estimate_channels
+from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.estimation import closest_neighbours, moves_between_rests
 
 

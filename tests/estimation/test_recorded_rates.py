@@ -13,9 +13,9 @@ import pytest
 from logs_zoo import GRADIENT
 from scipy.ndimage import uniform_filter1d
 
-from gradcal_jax.assemble.calibration import estimate_calibration
-from gradcal_jax.assemble.estimate import estimate_channels
-from gradcal_jax.assemble.estimate_options import Options
+from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate import estimate_channels
+from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.estimation import find_standstills
 from gradcal_jax.files import parse_spec
 from gradcal_jax.files.importers import import_log, parse_column_map

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from logs_zoo import GRADIENT, spec_of
 from scipy import stats
+from simulated_log import simulate_log
 
-from gradcal_jax.assemble import assemble
-from gradcal_jax.assemble.estimate import estimate_channels
-from gradcal_jax.assemble.estimate_options import Options
-from gradcal_jax.assemble.simulation import simulate_log
+from gradcal_jax.api import assemble
+from gradcal_jax.api.estimate import estimate_channels
+from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.estimation import (
     Whitened,
     choose_smoothness,

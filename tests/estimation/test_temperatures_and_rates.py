@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from logs_zoo import GRADIENT, spec_of
+from simulated_log import simulate_log
 
-from gradcal_jax.assemble import assemble, knowledge
-from gradcal_jax.assemble.estimate import estimate_channels
-from gradcal_jax.assemble.simulation import simulate_log
+from gradcal_jax.api import assemble, knowledge
+from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.estimation import basis_values, distinct_readings, smoothed_temperature, true_rate
 from gradcal_jax.formulas import scale_factor_map
 from gradcal_jax.information import to_reported

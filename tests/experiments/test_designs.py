@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gradcal_jax.assemble import predict
-from gradcal_jax.assemble.limit import limits
+from gradcal_jax.api import predict
+from gradcal_jax.api.limit import limits
 from gradcal_jax.files.recipe import read_recipe
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"

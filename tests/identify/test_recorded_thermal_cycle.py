@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gradcal_jax.assemble.instability import allan_misfit, at_rest
+from gradcal_jax.api.instability import allan_misfit, at_rest
 from gradcal_jax.files.importers import import_log, parse_column_map
 from gradcal_jax.identify.allan import fit_allan, overlapping_allan
 from gradcal_jax.identify.direct_bound import fit_direct_bound

@@ -47,8 +47,8 @@ def test_what_cannot_be_observed_is_refused():
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-dynamic-standard", "tactical-mems"])
 def test_the_papers_full_plans(name):
-    from gradcal_jax import assemble, files
+    from gradcal_jax import api, files
 
     spec = files.parse_spec(files.presets.text(name))
-    built = assemble.assemble(spec)
+    built = api.assemble(spec)
     check(built.plan.timeline("x", built.thermal_lag), built.model, RUNS)

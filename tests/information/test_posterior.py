@@ -21,8 +21,8 @@ from helpers import (
     knowledge,
 )
 
-from gradcal_jax import errormodel, plans
-from gradcal_jax.errormodel import Bins, BSpline, make_map
+from gradcal_jax import model as models
+from gradcal_jax import trajectory
 from gradcal_jax.information import (
     residual,
     statistic,
@@ -30,6 +30,7 @@ from gradcal_jax.information import (
     unweighted,
     whiten,
 )
+from gradcal_jax.model import Bins, BSpline, make_map
 
 LINEAR = Polynomial(1, 20.0, 50.0)
 
@@ -64,8 +65,8 @@ def test_smoothness_reaches_where_the_plan_does_not(basis):
     """The ramp ends at 10 °C: without smoothness the warm coefficients are unknown, with it they lean on the others."""
     scene = Scene(-30.0, ((160.0, 0.25),), (), read_every=5.0, noises=(DRIFT,), bias=basis)
     plan, _ = core(scene)
-    drift = errormodel.gauss_markov(DRIFT.size, DRIFT.tau)
-    reference = errormodel.angle_reference(scene.reading_noise)
+    drift = models.gauss_markov(DRIFT.size, DRIFT.tau)
+    reference = models.angle_reference(scene.reading_noise)
     free, smooth = (
         gyro_model(make_map(basis, smoothness_std=s), None, scene.arw, drift, reference)
         for s in (np.inf, 5 * DEG_PER_H)
@@ -82,10 +83,10 @@ def test_smoothness_reaches_where_the_plan_does_not(basis):
 
 
 def test_unweighted_least_squares_by_hand():
-    plan = plans.standard_plan([-20.0, 10.0, 50.0], 100.0, 60.0, [-3.0, -1.0, 2.0, 4.0])
+    plan = trajectory.standard_plan([-20.0, 10.0, 50.0], 100.0, 60.0, [-3.0, -1.0, 2.0, 4.0])
     scale = make_map(LINEAR, Polynomial(2, 0.0, 5.0))
-    drift = errormodel.gauss_markov(2e-5, 100.0) + errormodel.gauss_markov(1e-4, 50.0, bias_gain=0.0, rate_gain=1.0)
-    model = gyro_model(None, scale, 3e-5, drift, errormodel.angle_reference(rate_accuracy=1e-4))
+    drift = models.gauss_markov(2e-5, 100.0) + models.gauss_markov(1e-4, 50.0, bias_gain=0.0, rate_gain=1.0)
+    model = gyro_model(None, scale, 3e-5, drift, models.angle_reference(rate_accuracy=1e-4))
     t, w = (g.ravel() for g in np.meshgrid([-20.0, 10.0, 50.0], [-3.0, -1.0, 2.0, 4.0], indexing="ij"))
     x = (t - 20.0) / 50.0
     rows = np.stack([x**i * (w / 5.0) ** j * w for i in range(2) for j in range(3)], axis=1)
@@ -115,13 +116,13 @@ def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():
         -30.0, ((200.0, 0.4),), (Act("half sine", 8.0, 4.0), Act("half sine", 6.0, -3.0), Act("rest", 4.0)),
         noises=(DRIFT,), read_every=5.0,
     )  # fmt: skip
-    plan = plans.gradient_plan(
-        plans.programme(-30.0, [(200.0, 0.4)]),
-        (plans.turn("half sine", 4.0, 8.0), plans.turn("half sine", -3.0, 6.0), plans.rest(4.0, 2.0)),
+    plan = trajectory.gradient_plan(
+        trajectory.programme(-30.0, [(200.0, 0.4)]),
+        (trajectory.turn("half sine", 4.0, 8.0), trajectory.turn("half sine", -3.0, 6.0), trajectory.rest(4.0, 2.0)),
     )
     scale = make_map(LINEAR, Polynomial(1, 0.0, 5.0), prior_std=1e-2, discrepancy=(1e-4, 2, 3))
-    reference = errormodel.angle_reference(scene.reading_noise)
-    model = gyro_model(None, scale, scene.arw, errormodel.gauss_markov(DRIFT.size, DRIFT.tau), reference)
+    reference = models.angle_reference(scene.reading_noise)
+    model = gyro_model(None, scale, scene.arw, models.gauss_markov(DRIFT.size, DRIFT.tau), reference)
     made = engine_of(plan, model)
     data, prior = np.asarray(jax.jit(whiten)(made.steps, made.columns)), np.asarray(made.prior)
     known = knowledge(plan, model)
@@ -184,12 +185,12 @@ def test_a_combination_is_written_out():
 
 IN_SINGLE_PRECISION = """
 import jax.numpy as jnp
-from gradcal_jax import errormodel, information, plans
-plan = plans.gradient_plan(plans.programme(0.0, [(20.0, 0.1)]), read_every=5.0)
-bias = errormodel.make_map(errormodel.Polynomial(0, 0.0, 1.0))
-none = errormodel.no_processes()
-angle = errormodel.angle_reference(1e-3)
-model = errormodel.GyroModel(bias, None, jnp.asarray(1e-5), none, angle, jnp.zeros(()), jnp.zeros(()))
+from gradcal_jax import model, information, plans
+plan = trajectory.gradient_plan(trajectory.programme(0.0, [(20.0, 0.1)]), read_every=5.0)
+bias = models.make_map(models.Polynomial(0, 0.0, 1.0))
+none = models.no_processes()
+angle = models.angle_reference(1e-3)
+model = models.SensorModel(bias, None, jnp.asarray(1e-5), none, angle, jnp.zeros(()), jnp.zeros(()))
 try:
     information.information(plan.timeline("x"), model)
 except ValueError as error:

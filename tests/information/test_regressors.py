@@ -22,8 +22,8 @@ from helpers import (
 )
 from scipy.integrate import quad
 
-from gradcal_jax.errormodel import make_map
 from gradcal_jax.information import at_readings, increments, to_reported
+from gradcal_jax.model import make_map
 
 ACTS = [
     Act("cosine ramps", 45.45, 10 * DEG, ramp=3.0),

@@ -5,17 +5,17 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
+from gradcal_jax.jobs.batch import informations, timeline
+from gradcal_jax.jobs.layout import filled, plans_of
+from gradcal_jax.jobs.room import Counts, Layout, room_for, rounded_up, sizes
 from jobs_small import SPEC
 
-from gradcal_jax.assemble import assemble, knowledge
-from gradcal_jax.assemble.knowledge import UNIT_OF
+from gradcal_jax.api import assemble, knowledge
+from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.information import STATISTICS, posterior, residual, statistic
 from gradcal_jax.jobs import results
-from gradcal_jax.jobs.batch import informations, timeline
 from gradcal_jax.jobs.evaluate import model_of, residual_values, structure
-from gradcal_jax.jobs.layout import filled, plans_of
-from gradcal_jax.jobs.room import Counts, Layout, room_for, rounded_up, sizes
 
 GAP = {
     "plan.temperature": None,

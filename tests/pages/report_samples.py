@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gradcal_jax import assemble
+from gradcal_jax import api
 from gradcal_jax.files import Spec, changed, parse_spec, presets
 from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, bias_names, scale_factor_names
 from gradcal_jax.files.recipe import Recipe
@@ -63,7 +63,7 @@ def spec(**changes: object) -> Spec:
 
 def recipe() -> Recipe:
     """Of `spec`, as it stands."""
-    return assemble.recipe(spec(), optimisation={"objective": "all rates (mean of max)", "unit": "ppm", "now": 3.25})
+    return api.recipe(spec(), optimisation={"objective": "all rates (mean of max)", "unit": "ppm", "now": 3.25})
 
 
 def rehearse(made: Recipe, folder: Path, seed: int = 3) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from report_samples import calibration, recipe, rehearse, spec
 
-from gradcal_jax.assemble.achieved import found_map, prior_map, standard_terms
+from gradcal_jax.api.ieee_terms import found_map, prior_map, standard_terms
 from gradcal_jax.cli import main
 from gradcal_jax.files import to_toml
 from gradcal_jax.files.calibration import write_calibration

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.assemble import assemble, knowledge
-from gradcal_jax.assemble import predict as predict_spec
+from gradcal_jax.api import assemble, knowledge
+from gradcal_jax.api import predict as predict_spec
 from gradcal_jax.files.spec import read_spec
 from gradcal_jax.information import contrasts, information
 

@@ -1,0 +1,197 @@
+"""A spec in the core's terms: its error model and its plan."""
+
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from gradcal_jax import model, trajectory
+from gradcal_jax.files import Spec
+from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
+from gradcal_jax.files.moves import Axis, ResolvedMove
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.sensor import Bias, ScaleFactor, Sensor
+from gradcal_jax.model import Map, Processes, SensorModel
+from gradcal_jax.trajectory import Move, Schedule
+
+# A varying rate is integrated on the nodes of a piece, against exponentials of at most this many correlation times.
+_CORRELATION_TIMES_A_PIECE = 3.0
+
+
+class Assembled(NamedTuple):
+    """A spec in the core's terms: the model of a channel, and the schedule of each.
+
+    `moves`: what the first moves of every schedule are, with their shapes. `sources`: which processes of the model's
+    noise belong to which source, by the names that people use.
+    """
+
+    spec: Spec
+    model: SensorModel
+    schedules: dict[Axis, Schedule]
+    moves: tuple[Move, ...]
+    thermal_lag: float | None
+    sources: dict[str, tuple[int, ...]]
+
+    @property
+    def channels(self) -> tuple[Axis, ...]:
+        """Sensor axes whose calibration the plan is for."""
+        return tuple(self.schedules)
+
+    def trajectory(self, channel: Axis | None = None) -> trajectory.Trajectory:
+        """What the plan does, as the sensor on a channel (the first one) sees it."""
+        return self.schedules[channel or self.channels[0]].trajectory(self.thermal_lag)
+
+
+def assemble(spec: Spec) -> Assembled:
+    """Sensor model and schedules of a spec."""
+    processes, sources = _processes(spec.sensor)
+    lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
+    return Assembled(spec, _model(spec, processes), *_schedules(spec), lag, sources)
+
+
+def _processes(sensor: Sensor) -> tuple[Processes, dict[str, tuple[int, ...]]]:
+    """All noise processes of a sensor, and which of them belong to which source."""
+    parts: list[tuple[str, Processes]] = [
+        ("bias instability", model.gauss_markov(float(d.standard_deviation), float(d.correlation_time)))
+        for d in sensor.drift
+    ]
+    if sensor.rate_random_walk:
+        parts.append(("rate random walk", model.rate_random_walk(float(sensor.rate_random_walk))))
+    for d in sensor.scale_factor_instability:
+        process = model.gauss_markov(
+            float(d.standard_deviation), float(d.correlation_time), bias_gain=0.0, rate_gain=1.0
+        )
+        parts.append(("scale-factor instability", process))
+    if (error := sensor.temperature_error) is not None:
+        gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
+        deviation = float(error.standard_deviation)
+        if error.correlation_time is None:
+            parts.append(("temperature measurement", model.constant(deviation, **gains)))
+        else:
+            process = model.gauss_markov(deviation, float(error.correlation_time), **gains)
+            parts.append(("temperature measurement", process))
+    if sensor.sample_clock_error:
+        parts.append(("sample clock", model.constant(float(sensor.sample_clock_error), rate_gain=1.0)))
+    if sensor.turn_on_bias and sensor.bias is None:
+        parts.append(("turn-on bias", model.constant(float(sensor.turn_on_bias), bias_gain=1.0)))
+    total = model.no_processes()
+    sources: dict[str, tuple[int, ...]] = {}
+    for name, part in parts:
+        sources[name] = (*sources.get(name, ()), total.count)
+        total = total + part
+    return total, sources
+
+
+def _model(spec: Spec, processes: Processes) -> SensorModel:
+    sensor, table = spec.sensor, spec.rig.table
+    gradient, angle = sensor.bias_temperature_gradient, table.angle
+    reference = model.angle_reference(
+        float(angle.reading_noise),
+        float(angle.standstill_offset),
+        float(angle.timing_error),
+        float(table.rate_accuracy or 0.0),
+    )
+    return model.gyro_model(
+        None if sensor.bias is None else bias_map(sensor.bias, float(sensor.turn_on_bias or 0.0)),
+        None if sensor.scale_factor is None else scale_factor_map(sensor.scale_factor),
+        float(sensor.angle_random_walk),
+        processes,
+        reference,
+        temperature_gradient_std=None if gradient is None else _or_infinite(gradient.prior),
+        harmonics={h.order: float(h.amplitude) for h in angle.harmonics},
+    )
+
+
+def basis(section) -> model.Basis:
+    """A basis of the core from its section of a spec."""
+    if isinstance(section, TemperaturePolynomial | RatePolynomial):
+        return model.Polynomial(section.degree, float(section.centre), float(section.scale), section.internal)
+    if isinstance(section, TemperatureSpline | RateSpline):
+        return model.BSpline(tuple(float(k) for k in section.knots), section.degree)
+    return model.Bins(tuple(float(e) for e in section.edges))
+
+
+def bias_map(section: Bias, turn_on_std: float = 0.0) -> Map:
+    """`B(T)` with its priors, from a spec; its constant *is* this run's turn-on bias, so their priors add."""
+    beyond = section.discrepancy
+    return model.make_map(
+        basis(section.temperature),
+        prior_std=_or_infinite(section.prior),
+        smoothness_std=_or_infinite(section.smoothness),
+        common_std=turn_on_std,
+        discrepancy=None if beyond is None else (float(beyond.standard_deviation), beyond.temperature_degree, 0),
+    )
+
+
+def scale_factor_map(section: ScaleFactor) -> Map:
+    """`M(T, ω)` with its priors, from a spec."""
+    beyond = section.discrepancy
+    return model.make_map(
+        basis(section.temperature),
+        basis(section.rate),
+        prior_std=_or_infinite(section.prior),
+        smoothness_std=_or_infinite(section.smoothness),
+        discrepancy=None
+        if beyond is None
+        else (float(beyond.standard_deviation), beyond.temperature_degree, beyond.rate_degree),
+    )
+
+
+def _or_infinite(value: float | None) -> float:
+    return np.inf if value is None else float(value)
+
+
+def _schedules(spec: Spec) -> tuple[dict[Axis, Schedule], tuple[Move, ...]]:
+    schedule = spec.schedule
+    if isinstance(schedule, StandardSchedule):
+        points = (schedule.temperatures, schedule.soak_each, schedule.integration, schedule.rates)
+        return {"x": trajectory.standard_plan(*points, points=schedule.shared)}, ()
+    segments = schedule.segments
+    programme = trajectory.programme(segments[0].temperature_start, [(s.duration, s.slope) for s in segments])
+    ends = np.array([segment.start for segment in segments] + [schedule.duration])
+    nearest = lambda time: int(np.argmin(np.abs(ends - time)))  # noqa: E731
+    used = tuple((nearest(s.start), nearest(s.start + s.duration)) for s in schedule.stretches)
+    cycle = schedule.cycle
+    if cycle is None:
+        return {"x": trajectory.gradient_plan(programme, used=used, read_every=schedule.read_every)}, ()
+    longest = _CORRELATION_TIMES_A_PIECE * shortest_correlation_time(spec.sensor)
+    moves = tuple(move_of(move, cycle.other_read_every, longest) for move in cycle.moves for _ in range(move.repeat))
+    after = []
+    if cycle.other > 0.0:
+        after.append(trajectory.rest(cycle.other, cycle.other_read_every))
+    if cycle.idle > 0.0:
+        after.append(trajectory.rest(cycle.idle))
+    plans = {
+        cast("Axis", channel): trajectory.gradient_plan(
+            programme, moves, tuple(after), channel=channel, used=used, read_every=cycle.other_read_every
+        )
+        for channel in trajectory.channels_of(moves)
+    }
+    return plans, (*moves, *after)
+
+
+def shortest_correlation_time(sensor: Sensor) -> float:
+    """Of the processes that the rate drives (s); `inf` without any."""
+    times = [float(d.correlation_time) for d in sensor.scale_factor_instability]
+    if sensor.temperature_error is not None and sensor.temperature_error.correlation_time is not None:
+        times.append(float(sensor.temperature_error.correlation_time))
+    return min(times, default=np.inf)
+
+
+def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: float) -> Move:
+    """A move of a spec as the core has it; times in s."""
+    if move.is_rest:
+        return trajectory.rest(move.duration, move.read_every, read_at_end=move.read_end)
+    return trajectory.turn(
+        move.shape,
+        move.peak_rate,
+        move.duration,
+        ramp=move.ramp,
+        axis=move.axis,
+        cycles=move.cycles,
+        controls=move.controls,
+        unevenness=move.unevenness,
+        read_at_end=move.read_end,
+        read_every=move.read_every,
+        others_read_every=others_read_every,
+        longest_piece=longest_piece,
+    )

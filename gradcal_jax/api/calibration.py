@@ -1,0 +1,374 @@
+"""Estimates -> calibration files and reports: coefficients in the paper's basis, requirements, verdicts in words."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import gradcal_jax
+from gradcal_jax.api.build import assemble
+from gradcal_jax.api.estimate import estimate_channels
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF, residual_map, target_of, verdict
+from gradcal_jax.api.unit_channel import UnitChannel
+from gradcal_jax.files import Spec
+from gradcal_jax.files.bases import RateBasis, TemperatureBasis
+from gradcal_jax.files.calibration import (
+    FORMAT,
+    ORDER,
+    AxisCalibration,
+    BiasMap,
+    Calibration,
+    Covariance,
+    Noise,
+    Result,
+    ScaleFactorMap,
+    bias_names,
+    scale_factor_names,
+)
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.information import STATISTICS, statistic, unobservable_combinations
+from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
+
+# A disagreement between halves of the data that chance leaves once in a thousand.
+_APART = 3.3
+
+
+class Verdict(NamedTuple):
+    """A requirement, as the estimate's covariance meets it."""
+
+    requirement: Requirement
+    axis: str
+    value: float | None
+    unit: str
+    target: float | None
+    verdict: str | None
+
+
+class EstimateReport(NamedTuple):
+    """What `estimate_calibration` gives: a calibration for each unit, and behind it every channel's estimate."""
+
+    calibrations: tuple[Calibration, ...]
+    channels: tuple[UnitChannel, ...]
+    verdicts: dict[str, tuple[Verdict, ...]]
+    """By unit."""
+    messages: dict[str, tuple[str, ...]]
+    """By unit: what the calibration should not be used without having read."""
+
+    @property
+    def as_wished(self) -> bool:
+        """Every requirement met, everything observable, every test passed."""
+        rows = [row for rows in self.verdicts.values() for row in rows]
+        met = all(row.verdict in (None, "met") for row in rows)
+        seen = all(not channel.found.known[0].hidden.shape[1] for channel in self.channels)
+        return met and seen and all(consistent(channel) for channel in self.channels)
+
+
+def estimate_calibration(
+    spec: Spec,
+    log: Log,
+    *,
+    axes: Sequence[str] = (),
+    units: Sequence[str] = (),
+    options: Options | None = None,
+    sources: dict[str, str] | None = None,
+) -> EstimateReport:
+    """The calibration of every unit in a log, by the spec's model, with covariance, tests and verdicts.
+
+    `sources`: names of the files, for the provenance. **Raises:** `LogError` and `ValueError` with a sentence where the
+    log does not hold what the estimate needs.
+    """
+    options = options or Options()
+    channels = estimate_channels(spec, log, axes=axes, units=units, options=options)
+    by_unit: dict[str, list[UnitChannel]] = {}
+    for channel in channels:
+        by_unit.setdefault(channel.unit, []).append(channel)
+    verdicts = {unit: tuple(v for c in own for v in _verdicts(spec, c)) for unit, own in by_unit.items()}
+    messages = {unit: tuple(m for c in own for m in words(c, len(own) > 1)) for unit, own in by_unit.items()}
+    calibrations = tuple(
+        _calibration(spec, log, unit, own, verdicts[unit], options, sources or {}) for unit, own in by_unit.items()
+    )
+    return EstimateReport(calibrations, tuple(channels), verdicts, messages)
+
+
+def consistent(channel: UnitChannel) -> bool:
+    """Whether every test of the fit is passed."""
+    tests = channel.consistency
+    return tests.fit.passed and tests.whiteness.passed and all(s.agreement.passed for s in tests.splits)
+
+
+def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
+    built = assemble(spec)._replace(model=channel.model)
+    rows: list[Verdict] = []
+    for requirement in spec.requirement:
+        _, _, values = residual_map(built, channel.found.known[0], requirement)
+        # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
+        value = statistic(requirement.statistic, values) * max(1.0, _excess(channel))
+        seen = value if np.isfinite(value) else None
+        unit = UNIT_OF[requirement.quantity][0]
+        rows.append(Verdict(requirement, channel.axis, seen, unit, target_of(requirement), verdict(requirement, seen)))
+    return rows
+
+
+def _excess(channel: UnitChannel) -> float:
+    """What the noise must be multiplied by where the fit is worse than chance leaves it, otherwise 1."""
+    fit = channel.consistency.fit
+    return channel.consistency.noise_scale if not fit.passed and fit.degrees > 0 else 1.0
+
+
+def words(channel: UnitChannel, several: bool = False) -> list[str]:
+    """What the data say of the model, in sentences."""
+    tests = channel.consistency
+    where = f"axis {channel.axis}: " if several else ""
+    found = [where + message for message in channel.messages]
+    names = channel.model.names()
+    for combination in unobservable_combinations(channel.found.known[0], channel.model):
+        found.append(f"{where}the data say nothing of {combination}")
+    if not tests.fit.passed and tests.fit.degrees > 0:
+        found.append(
+            f"{where}the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model "
+            "lacks something, or the noise figures are too small; requirements are judged with the larger noise"
+        )
+    elif tests.fit.degrees > 0 and tests.fit.probability > 1.0 - 1e-3:
+        found.append(
+            f"{where}the residuals are only {tests.noise_scale:.3g} times what the spec's noise says: its figures are "
+            "larger than this sensor's"
+        )
+    if not tests.whiteness.passed:
+        found.append(f"{where}the residuals are not white: something lasts from reading to reading that the spec lacks")
+    for split in tests.splits:
+        if split.agreement.passed:
+            continue
+        worst = [names[k] for k in np.flatnonzero(np.abs(np.nan_to_num(split.differences)) > _APART)]
+        culprits = f"; these do not generalise: {', '.join(worst)}" if worst else ""
+        found.append(
+            f"{where}{split.name}: they do not say the same (chance {split.agreement.probability:.1g}){culprits}"
+        )
+    return found
+
+
+def _calibration(
+    spec: Spec,
+    log: Log,
+    unit: str,
+    channels: list[UnitChannel],
+    verdicts: tuple[Verdict, ...],
+    options: Options,
+    sources: dict[str, str],
+) -> Calibration:
+    section: dict[str, Any] = {
+        "format": FORMAT,
+        "title": spec.title or spec.sensor.name or f"calibration of {unit}",
+        "serial_number": unit,
+        "quantity": "gyro",
+        "simulated": log.simulated,
+        "frame": "the sensor's own axes " + ", ".join(channel.axis for channel in channels) + ", not orthogonalised",
+        "order": ORDER,
+        "axis": tuple(_axis(spec, channel) for channel in channels),
+        "noise": _noise(spec, log),
+        "provenance": {
+            "program": f"gradcal {gradcal_jax.__version__}",
+            "estimator": _estimator(options, channels[0]),
+            "readings": ", ".join(f"{c.axis}: {len(c.weights)}" for c in channels),
+            **{name: text for name, text in {**log.provenance, **sources}.items() if text},
+        },
+    }
+    if verdicts:
+        section["result"] = tuple(_result(row) for row in verdicts)
+    return Calibration(**section)
+
+
+def _noise(spec: Spec, log: Log) -> Noise:
+    """The spec's, with every drift as the rate random walk that it is over times much shorter than its own."""
+    sensor = spec.sensor
+    square = float(sensor.rate_random_walk or 0.0) ** 2
+    square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in sensor.drift)
+    given: dict[str, Any] = {"angle_random_walk": sensor.angle_random_walk}
+    if square > 0.0:
+        given["rate_random_walk"] = Quantity.of(float(np.sqrt(square)), "rad/s/sqrt(s)")
+    return Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **given)
+
+
+def _result(row: Verdict) -> Result:
+    given: dict[str, Any] = {"value": row.value, "target": row.target, "verdict": row.verdict}
+    return Result(
+        name=row.requirement.name,
+        axis=row.axis,
+        quantity=row.requirement.quantity,
+        statistic=f"{row.requirement.statistic}, 1 sigma",
+        unit=row.unit,
+        **{name: value for name, value in given.items() if value is not None},
+    )
+
+
+def _estimator(options: Options, channel: UnitChannel) -> str:
+    parts = ["generalised least squares of whitened readings"]
+    if options.robust:
+        parts.append(f"robust (Huber {options.threshold:g})")
+    if channel.lag_std_s is not None:
+        parts.append(f"lag fitted: {channel.lag_s:.4g} s, 1 sigma {channel.lag_std_s:.2g} s")
+    if channel.smoothness is not None:
+        parts.append("smoothness by marginal likelihood")
+    if options.clock == "host":
+        parts.append("time of the computer")
+    return "; ".join(parts)
+
+
+def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
+    model = channel.model
+    count, bias, scale = model.calibrated, model.where(BIAS), model.where(SCALE_FACTOR)
+    reported = model.to_reported[:count]
+    values = reported @ channel.found.parameters[0]
+    known = channel.found.known[0]
+    names = model.names()[:count]
+    deviations = known.deviations(reported)
+    seen = np.flatnonzero(np.isfinite(deviations))
+    covariance = known.covariance(reported) * max(1.0, _excess(channel)) ** 2
+    low, high = channel.valid_temperature_c
+    slow, fast = channel.valid_rate_rad_per_s
+    given: dict[str, Any] = {}
+    if spec.sensor.bias is not None:
+        basis: TemperatureBasis = spec.sensor.bias.temperature
+        given["bias"] = BiasMap(temperature=basis, coefficients=_named(bias_names(basis), names, values[bias], bias))
+    if spec.sensor.scale_factor is not None:
+        of_temperature: TemperatureBasis = spec.sensor.scale_factor.temperature
+        of_rate: RateBasis = spec.sensor.scale_factor.rate
+        given["scale_factor"] = ScaleFactorMap(
+            temperature=of_temperature,
+            rate=of_rate,
+            coefficients=_named(scale_factor_names(of_temperature, of_rate), names, values[scale], scale),
+        )
+    if model.term(TEMPERATURE_GRADIENT) is not None:
+        given["bias_temperature_gradient"] = float(values[model.where(TEMPERATURE_GRADIENT)][0])
+    if channel.lag_s > 0.0:
+        given["thermal_lag"] = Quantity.of(channel.lag_s, "s")
+    hidden = tuple(unobservable_combinations(known, model))
+    if hidden:
+        given["unobservable"] = hidden
+    return AxisCalibration(
+        name=channel.axis,
+        valid_temperature=(_shown(low, 1.0, "degC"), _shown(high, 1.0, "degC")),
+        valid_rate=(_shown(slow, DEG_PER_S, "deg/s"), _shown(fast, DEG_PER_S, "deg/s")),
+        covariance=Covariance(
+            names=tuple(names[k] for k in seen),
+            matrix=tuple(tuple(float(covariance[i, j]) for j in seen) for i in seen),
+        ),
+        **given,
+    )
+
+
+def _shown(value: float, factor: float, unit: str) -> Quantity:
+    """A quantity of one decimal in the unit in which people read it."""
+    dimension = "temperature" if unit == "degC" else "angular rate"
+    return Quantity.read(f"{value * factor:.1f} {unit}".replace("-0.0 ", "0.0 "), dimension)
+
+
+def _named(names: list[str], all_names: list[str], values: np.ndarray, where: slice) -> dict[str, float]:
+    assert all_names[where] == names  # the core's names and the file's are one convention
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+# --- for people and programs ------------------------------------------------------------------------------------------
+
+
+def estimate_rows(report: EstimateReport) -> dict[str, Any]:
+    """Plain numbers for `--json`."""
+    return {
+        "simulated": any(c.simulated for c in report.calibrations),
+        "as_wished": report.as_wished,
+        "units": [
+            {
+                "serial_number": c.serial_number,
+                "channels": [_channel_row(one) for one in report.channels if one.unit == c.serial_number],
+                "requirements": [_verdict_row(row) for row in report.verdicts[c.serial_number]],
+                "messages": list(report.messages[c.serial_number]),
+            }
+            for c in report.calibrations
+        ],
+    }
+
+
+def _channel_row(channel: UnitChannel) -> dict[str, Any]:
+    model = channel.model
+    reported = model.to_reported
+    names = model.names()
+    known = channel.found.known[0]
+    values, deviations = reported @ channel.found.parameters[0], known.deviations(reported)
+    covariance = known.covariance(reported)
+    tests = channel.consistency
+    return {
+        "axis": channel.axis,
+        "readings": len(channel.weights),
+        "rows": channel.counts,
+        "parameters": [
+            {"name": n, "value": float(v), "std": _finite(s), "unit": u}
+            for n, v, s, u in zip(names, values, deviations, model.units(), strict=True)
+        ],
+        "covariance": [
+            [
+                float(covariance[i, j]) if np.isfinite(deviations[i]) and np.isfinite(deviations[j]) else None
+                for j in range(len(names))
+            ]
+            for i in range(len(names))
+        ],
+        "valid_temperature_c": list(channel.valid_temperature_c),
+        "valid_rate_dps": [r * DEG_PER_S for r in channel.valid_rate_rad_per_s],
+        "lag_s": channel.lag_s,
+        "lag_std_s": _finite(channel.lag_std_s),
+        "smoothness": None if channel.smoothness is None else channel.smoothness._asdict(),
+        "neighbours": [
+            {
+                "temperature_c": g.temperature_c,
+                "rate_dps": g.rate_rad_per_s * DEG_PER_S,
+                "moves": g.moves,
+                "scale_factor_ppm": g.scale_factor * PPM,
+                "standard_error_ppm": None if g.standard_error is None else g.standard_error * PPM,
+                "map_ppm": g.of_map * PPM,
+            }
+            for g in channel.neighbours
+        ],
+        "down_weighted": int(np.count_nonzero(channel.weights < 1.0)),
+        "consistency": {
+            "chi_squared": _test_row(tests.fit),
+            "noise_scale": _finite(tests.noise_scale),
+            "whiteness": _test_row(tests.whiteness),
+            "share_beyond_three_sigma": tests.beyond_three,
+            "largest_residual_sigma": tests.largest,
+            "splits": [
+                {
+                    "name": s.name,
+                    "readings": list(s.counts),
+                    "agreement": _test_row(s.agreement),
+                    "held_out": _test_row(s.held_out),
+                    "differences_sigma": {n: _finite(d) for n, d in zip(names, s.differences, strict=True)},
+                }
+                for s in tests.splits
+            ],
+        },
+    }
+
+
+def _test_row(test) -> dict[str, Any]:
+    return {"statistic": test.statistic, "degrees": test.degrees, "probability": test.probability}
+
+
+def _verdict_row(row: Verdict) -> dict[str, Any]:
+    return {
+        "name": row.requirement.name,
+        "axis": row.axis,
+        "quantity": row.requirement.quantity,
+        "statistic": row.requirement.statistic,
+        "value": row.value,
+        "unit": row.unit,
+        "target": row.target,
+        "verdict": row.verdict,
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and np.isfinite(value) else None
+
+
+__all__ = ["STATISTICS", "EstimateReport", "Verdict", "consistent", "estimate_calibration", "estimate_rows", "words"]

@@ -1,0 +1,51 @@
+"""An interrupted optimisation on disk, for the same spec alone."""
+
+import hashlib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from gradcal_jax.api.optimise import Checkpoint
+from gradcal_jax.design import State
+from gradcal_jax.files import Spec, to_toml
+
+_FORMAT = "gradcal-search/1"
+
+
+def write(path: Path, spec: Spec, checkpoint: Checkpoint) -> None:
+    """Keep a checkpoint: whole or not at all."""
+    arrays: dict[str, np.ndarray] = {"format": np.array(_FORMAT), "spec": np.array(_fingerprint(spec))}
+    arrays["at"] = np.array([checkpoint.structure, checkpoint.best_structure])
+    for name, state in (("state", checkpoint.state), ("best", checkpoint.best)):
+        arrays |= {f"{name}_{field}": np.asarray(entry) for field, entry in state._asdict().items()}
+    passing = path.with_name(path.name + ".part")
+    with passing.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **arrays)
+    passing.replace(path)
+
+
+def read(path: Path, spec: Spec) -> Checkpoint:
+    """A checkpoint of the same spec. Errors: `ValueError` with a sentence for any other file."""
+    if not path.exists():
+        raise ValueError(f"there is no interrupted search to go on from: {path} does not exist")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        if str(arrays["format"]) != _FORMAT:
+            raise ValueError(f"{path} is not a search kept by optimise")
+        if str(arrays["spec"]) != _fingerprint(spec):
+            raise ValueError(f"{path} was kept for another spec: start anew, without --resume")
+        states = []
+        for name in ("state", "best"):
+            of = {field: arrays[f"{name}_{field}"] for field in State._fields}
+            numbers = int(of["step"]), float(of["first"]), float(of["best"])
+            states.append(State(of["points"], of["values"], *numbers, of["best_point"]))
+        at = [int(k) for k in arrays["at"]]
+    except (OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
+        raise ValueError(f"{path} cannot be read as a search kept by optimise: start anew, without --resume") from error
+    return Checkpoint(at[0], states[0], at[1], states[1])
+
+
+def _fingerprint(spec: Spec) -> str:
+    return hashlib.sha256(to_toml(spec).encode()).hexdigest()

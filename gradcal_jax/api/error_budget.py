@@ -1,0 +1,118 @@
+"""What a plan is limited by: the share of every error source in a residual."""
+
+from collections.abc import Callable
+from typing import Final
+
+import equinox as eqx
+import numpy as np
+
+from gradcal_jax.api.build import Assembled
+from gradcal_jax.api.posterior_of_plan import box, residual_map, unweighted_estimator
+from gradcal_jax.arrays import namespace
+from gradcal_jax.files.moves import Axis
+from gradcal_jax.information import Posterior, at_readings, least_squares, noise_steps, statistic
+from gradcal_jax.information.budget import Sensitivity, noise_shares, unweighted_shares
+from gradcal_jax.model import Discrepancy, SensorModel
+
+PRIOR: Final = "prior knowledge"
+ENCODER: Final = "angle error of the encoder"
+DISCREPANCY: Final = "model discrepancy"
+
+Field = Callable[[SensorModel], object]
+FIGURES: Final[dict[str, Field]] = {
+    "angle random walk": lambda m: m.angle_random_walk,
+    "rate reference": lambda m: m.reference.rate_accuracy,
+    "reading noise": lambda m: m.reference.reading_noise,
+    "standstill offset": lambda m: m.reference.standstill_offset,
+    "timing": lambda m: m.reference.timing_error,
+}
+"""Where the noise figures that every model has stand, by the names that people use."""
+
+
+def error_budget(built: Assembled, channel: Axis, known: Posterior) -> dict[str, dict[str, float]]:
+    """For each requirement, the share of each error source in its statistic: `∂ ln s / ∂ ln σ`.
+
+    The residual is homogeneous of degree one in all standard deviations together, so the shares add up to one; what the
+    sources leave is the priors'. Requirements that the plan cannot observe are left out.
+    """
+    model, line = built.model, built.trajectory(channel)
+    by_rates = unweighted_estimator(built.spec)
+    steps, columns = noise_steps(line, model), at_readings(line, model)
+    parts = {name: noise_steps(line, only(built, name)) for name in active_sources(built)}
+    shares: dict[str, dict[str, float]] = {}
+    for requirement in built.spec.requirement:
+        temperatures, rates = box(requirement)
+        values = residual_map(built, known, requirement, si=True)[2]
+        total = statistic(requirement.statistic, values)
+        if not np.isfinite(total) or total <= 0.0:
+            continue
+        slope = Sensitivity(known, model, requirement.quantity, temperatures, rates, requirement.statistic, values)
+        if by_rates:
+            found = unweighted_shares(least_squares(line, model), slope.of_covariance, parts)
+        else:
+            found = noise_shares(steps, columns, slope.of_gram, parts)
+            for name, weight in _of_priors(model, slope).items():
+                found[name] = weight
+        found = {name: value / total for name, value in found.items()}
+        rest = 1.0 - sum(found.values())
+        if abs(rest) > 5e-3:
+            found[PRIOR] = rest
+        shares[requirement.name] = dict(sorted(found.items(), key=lambda item: -item[1]))
+    return shares
+
+
+def _of_priors(model: SensorModel, slope: Sensitivity) -> dict[str, float]:
+    """The same derivative for errors of the rig and of the structure that are parameters with a prior."""
+    found: dict[str, float] = {}
+    for term in model.terms:
+        name = ENCODER if term is model.harmonics else DISCREPANCY if isinstance(term, Discrepancy) else None
+        if name is not None:
+            rows, where = term.prior_rows(), model.where(term.name)
+            found[name] = found.get(name, 0.0) - 2.0 * float(np.sum(slope.of_gram[where, where] * (rows.T @ rows)))
+    if DISCREPANCY in found:
+        found[DISCREPANCY] += 2.0 * slope.of_beyond
+    return found
+
+
+def active_sources(built: Assembled) -> list[str]:
+    """Names of the sources of noise that are not zero."""
+    line = built.trajectory()
+    meaningless = ("reading noise", "standstill offset", "timing") if line.rates else ("rate reference",)
+    figures = [n for n, of in FIGURES.items() if n not in meaningless and float(np.asarray(of(built.model))) > 0.0]
+    return [n for n in figures if n != "timing" or len(line.moving_pieces)] + list(built.sources)
+
+
+def only(built: Assembled, name: str) -> SensorModel:
+    """The model with one source of noise alone."""
+    return scaled(built, {n: float(n == name) for n in active_sources(built)})
+
+
+def scaled(built, factors: dict[str, object]) -> SensorModel:
+    """The model of whatever has one and its `sources`, with sources of noise multiplied by factors."""
+    model = built.model
+    sizes: list = [1.0] * model.processes.count
+    for name, members in built.sources.items():
+        for k in members:
+            sizes[k] = factors.get(name, 1.0)
+    if sizes:
+        xp = namespace(sizes)
+        size = xp.stack([xp.asarray(s) for s in sizes])
+        processes = model.processes
+        model = eqx.tree_at(
+            lambda m: (m.processes.initial_std, m.processes.diffusion),
+            model,
+            (processes.initial_std * size, processes.diffusion * size),
+        )
+    for name, of in FIGURES.items():
+        if name in factors:
+            xp = namespace(factors[name])
+            model = eqx.tree_at(of, model, xp.asarray(np.asarray(of(model)) * factors[name]))
+    return model
+
+
+def limited_by(shares: dict[str, float] | None) -> str | None:
+    """The largest shares, in words."""
+    if not shares:
+        return None
+    largest = [(name, share) for name, share in shares.items() if share >= 0.1] or list(shares.items())[:1]
+    return ", ".join(f"{name} {share:.0%}" for name, share in largest)

@@ -1,0 +1,205 @@
+"""The steps of the flow as single calls: spec or log in, result out, each by the name of the command that prints it.
+
+Where a room's own function yields progress or takes its input in pieces, it stands behind one of these.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+from gradcal_jax import identify
+from gradcal_jax.api import frontier as frontiers
+from gradcal_jax.api import instability as noise
+from gradcal_jax.api import optimise as search
+from gradcal_jax.api.build import assemble
+from gradcal_jax.api.calibration import EstimateReport, estimate_calibration
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.limit import PlanLimit, limits
+from gradcal_jax.api.minimise_time import minimise_time
+from gradcal_jax.api.posterior_of_plan import posterior_of_plan
+from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.sensitivity import Sensitivities, sensitivities
+from gradcal_jax.api.warnings import warnings
+from gradcal_jax.files import Prediction, Spec
+from gradcal_jax.files.design import TIMES
+from gradcal_jax.files.log import Log
+from gradcal_jax.identify.allan import TERMS
+
+
+def _unwatched(_: object) -> None:
+    pass
+
+
+def check(spec: Spec) -> list[str]:
+    """What a spec's prediction should not be read without, in sentences: what the plan cannot observe, and where a
+    requirement goes beyond the temperatures (°C) and rates (deg/s) that the plan visits. Empty: nothing.
+
+    Errors: none; whatever is wrong with a file, `read_spec` has refused already.
+    """
+    built = assemble(spec)
+    return warnings(built, {channel: posterior_of_plan(built, channel) for channel in built.channels})
+
+
+def compare(*specs: Spec) -> list[Prediction]:
+    """The prediction of each spec (`predict`: s, ppm, deg/h), with what its requirements are limited by.
+
+    Errors: as `predict`.
+    """
+    return [predict(spec, limits=True) for spec in specs]
+
+
+def optimise(
+    spec: Spec, *, steps: int = search.STEPS, watch: Callable[[search.Step], None] = _unwatched
+) -> search.Optimised:
+    """The best plan that gradient descent finds for a spec with a [design], rounded to the controllers' steps.
+
+    `steps`: iterations of each start. `watch` is told of progress (`assemble.optimise.Step`: `best` in `unit`, `share`
+    of the work). Returns `assemble.optimise.Optimised`: the rounded `spec`, `now` its residual and `before` the first
+    plan's, in `unit` (ppm or deg/h; minutes, where time is minimised), `converged` and a `sentence` that says why or
+    why not, the limits that bind and what easing them is worth. The best of several local optima: `limit` says how
+    much another plan could still gain.
+
+    Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, and for
+    targets that are not met in the time allowed.
+    """
+    shortest = spec.design is not None and spec.design.minimise in TIMES
+    events = (minimise_time if shortest else search.optimise)(spec, steps=steps)
+    for event in events:
+        if isinstance(event, search.Optimised):
+            return event
+        watch(event)
+    raise AssertionError("a search ends with its result")
+
+
+def limit(spec: Spec) -> list[PlanLimit]:
+    """What no plan on this rig in this time can do better than, for every scale-factor requirement of a gradient plan.
+
+    Each `assemble.limit.PlanLimit` has `certified` (proven) and `value` (of the spec's own plan) in `unit`, the plan's
+    `efficiency`, and `relaxed`: what the proof lets a plan do that the rig does not. The derivation, a convex problem
+    with its certificate, stands in `gradcal_jax.design.limit`.
+
+    Errors: `ValueError` for a plan without moves, and without a requirement on the scale factor.
+    """
+    return limits(spec)
+
+
+def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS) -> list[frontiers.Point]:
+    """The best residual for each of several durations of the ramp, `motion_s` in s, soaks not counted.
+
+    Each `assemble.frontier.Point` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.
+
+    Errors: as `optimise`, where no duration has a plan and only one was asked for.
+    """
+    return list(frontiers.frontier(spec, list(motion_s), steps=steps))
+
+
+def sensitivity(spec: Spec) -> Sensitivities:
+    """What one per cent more of every figure of sensor, rig and plan changes, in per cent of each residual.
+
+    `rows` of (requirement, figure, percent), the largest first; `residuals` of (value, unit) by requirement, in ppm or
+    deg/h. For an optimised plan it is also what is left once the plan is optimised again (envelope theorem).
+
+    Errors: `ValueError` where nothing is required, or where the plan cannot observe what is.
+    """
+    return sensitivities(spec)
+
+
+def instability(
+    log: Log,
+    axis: str | int = 0,
+    unit: str | int = 0,
+    *,
+    averaging_time_s: float = 10.0,
+    shortest_s: float = 1.0,
+    longest_s: float = 1200.0,
+    margin: float = 2.5,
+    angle_random_walk: float | None = None,
+    temperature_c: tuple[float, float] | None = None,
+    bias_degree: int | None = None,
+    lag: float | Literal["auto", "fit", "none"] = "auto",
+) -> noise.Instability:
+    """The drift that bounds what a record at rest shows: the Direct Bound of Berman's equations 6 and 7.
+
+    One channel, masked where the table moves, less its bias over temperature (`bias_degree`, `lag` in s: see
+    `assemble.instability.at_rest`). The drift is counted from an average of `averaging_time_s`, over `shortest_s` to
+    `longest_s`, and must stay within `margin` standard deviations. `angle_random_walk`: rad/√s; None: the Allan
+    deviation's. `temperature_c`: rows between two temperatures alone. Returns `bound` (`drift_std` in rad/s,
+    `correlation_time_s`), the Allan deviation with its fit, and `drift_block()`, text for a spec.
+
+    Errors: `LogError` where nothing stands still, or too little is left.
+    """
+    rest = noise.at_rest(log, axis, unit, bias_degree=bias_degree, lag=lag)
+    return noise.instability(
+        rest,
+        averaging_time_s=averaging_time_s,
+        shortest_s=shortest_s,
+        longest_s=longest_s,
+        margin=margin,
+        angle_random_walk=angle_random_walk,
+        temperature_c=temperature_c,
+    )
+
+
+def allan(
+    log: Log,
+    axis: str | int = 0,
+    unit: str | int = 0,
+    *,
+    terms: Sequence[str] = TERMS,
+    confidence: float = 0.683,
+    bias_degree: int | None = None,
+    lag: float | Literal["auto", "fit", "none"] = "auto",
+) -> tuple[identify.AllanDeviation, identify.AllanFit]:
+    """The overlapping Allan deviation of a record at rest, and the coefficients of a weighted fit (IEEE 952).
+
+    One channel, prepared as in `instability` (`bias_degree`, `lag`). `terms`: which the sensor may have. The deviation
+    `(times,)` is in rad/s against averaging times in s; the fit has quantisation (rad), angle random walk (rad/√s),
+    bias instability (rad/s) and rate random walk (rad/s/√s), each with its standard error, and bounds of `confidence`.
+
+    Errors: `LogError` where nothing stands still; `ValueError` for unknown terms.
+    """
+    rest = noise.at_rest(log, axis, unit, bias_degree=bias_degree, lag=lag)
+    deviation = identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
+    return deviation, identify.fit_allan(deviation, terms=terms, confidence=confidence)
+
+
+def estimate(
+    spec: Spec,
+    log: Log,
+    *,
+    axes: Sequence[str] = (),
+    units: Sequence[str] = (),
+    earth_rate: float = 0.0,
+    robust: bool = False,
+    lag: float | Literal["fit"] = 0.0,
+    smoothness: Literal["spec", "auto"] = "spec",
+    clock: Literal["sensor", "host"] = "sensor",
+    read_every: float = 1.0,
+    table_axis: str | None = None,
+    neighbours_k: float | None = None,
+) -> EstimateReport:
+    """The calibration of every unit in a log by a spec's model, with covariance, tests of the model and verdicts.
+
+    Noise, table and maps are the spec's; what was done is read from the log. `axes`, `units`: which; all without them.
+    `earth_rate` rad/s along the sensor's axis is taken off. `robust`: readings that the model cannot explain count for
+    less (Huber). `lag` s of the maps behind the measured temperature, or "fit". `smoothness` "auto": of bins and
+    B-splines, as strong as the data make most probable. `clock`: whose time is integrated over. `read_every` s: spacing
+    of readings at rest. `table_axis`: which turns the sensor's. `neighbours_k`: also without a structure, moves within
+    so many kelvins together.
+
+    Returns `calibrations` (SI, one a unit; `write_calibration` keeps them), `verdicts` (ppm or deg/h) and `messages` by
+    unit, every channel's fit, and `as_wished`. Generalised least squares of the whitened readings: the covariance that
+    `predict` predicts, of what was done.
+
+    Errors: `LogError` and `ValueError` where the log does not hold what the estimate needs.
+    """
+    options = Options(
+        earth_rate=earth_rate,
+        robust=robust,
+        lag=lag,
+        smoothness=smoothness,
+        clock=clock,
+        read_every=read_every,
+        table_axis=table_axis,
+        neighbours_k=neighbours_k,
+    )
+    return estimate_calibration(spec, log, axes=axes, units=units, options=options)

@@ -1,0 +1,55 @@
+"""The best residual for each duration, and the shortest plan for each residual."""
+
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax.api.optimise import STEPS, Optimised, Step, optimise
+from gradcal_jax.files import Spec
+
+_BLIND: Final = (
+    "no plan found for this duration observes all that is required: try more moves at each turn at the table"
+)
+
+
+class Point(NamedTuple):
+    """`motion` s, without soaks, and the best plan found for it; or why there is none."""
+
+    motion: float
+    plan: Optimised | None
+    reason: str
+
+
+def frontier(
+    spec: Spec, times: list[float], *, steps: int = STEPS, watch: Callable[[float, Step], None] = lambda _, __: None
+) -> Iterator[Point]:
+    """Optimise for each of `times` (s, without soaks). `watch` is told every step. Errors: as `optimise` for all."""
+    for time in times:
+        try:
+            for event in optimise(spec, steps=steps, motion=time):
+                if isinstance(event, Optimised):
+                    yield Point(time, event, event.sentence) if np.isfinite(event.now) else Point(time, None, _BLIND)
+                else:
+                    watch(time, event)
+        except ValueError as error:
+            if len(times) == 1:
+                raise
+            yield Point(time, None, str(error))
+
+
+def shortest(points: list[Point], target: float) -> float | None:
+    """The motion time (s) at which the frontier crosses `target`, between its points; None where it does not.
+
+    Between points the logarithm of the residual is taken as linear in that of the time.
+    """
+    known = sorted((p.motion, p.plan.now) for p in points if p.plan is not None and np.isfinite(p.plan.now))
+    # A longer plan may always do what a shorter one does and then wait: what search missed is not the frontier's.
+    best = np.minimum.accumulate([value for _, value in known]) if known else np.array([])
+    for k in range(len(known)):
+        if best[k] <= target:
+            if k == 0 or best[k] == best[k - 1]:
+                return known[k][0]
+            (early, late), (high, low) = np.log([known[k - 1][0], known[k][0]]), np.log([best[k - 1], best[k]])
+            return float(np.exp(early + (late - early) * (high - np.log(target)) / (high - low)))
+    return None

@@ -1,0 +1,190 @@
+"""The gradient method: what was done is read from the log, and the maps are found at rates that they make."""
+
+from typing import Any
+
+import numpy as np
+from scipy import optimize
+
+from gradcal_jax import estimation
+from gradcal_jax.api.build import Assembled
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import Rows, count_rows, followed
+from gradcal_jax.api.unit_channel import LONGEST_LAG_S, UnitChannel, finished, integrated_rows, within
+from gradcal_jax.estimation import Estimate, Observations, Whitened
+from gradcal_jax.files.log import Log
+from gradcal_jax.information import noise_steps, since_origin
+from gradcal_jax.model import SensorModel
+
+_ROUNDS = 8
+# A change of the parameters, in standard deviations, that no longer matters.
+_SETTLED = 1e-3
+_CORRELATION_TIMES_A_PIECE = 3.0
+
+
+def gradient_channels(
+    built: Assembled, log: Log, axis: str, members: list[int], rows: dict[int, Rows], options: Options
+) -> dict[int, UnitChannel]:
+    """`members`: units whose samples may be integrated over the same rows; they share one whitening."""
+    first = rows[members[0]]
+    model = built.model
+    rest_bias = float(np.mean(first.rate[first.standing & first.usable])) if first.standing.any() else 0.0
+    stands = first.standing
+    reading_rows = None
+    if first.angle is not None:
+        if float(model.reference.reading_noise) > 0.0 and _repeats(first.angle, stands):
+            reading_rows = estimation.distinct_readings(first.time, first.angle, stands, options.read_every)
+        stands = stands | estimation.momentary_stops(first.rate - rest_bias, stands, first.angle, first.step)
+    done = estimation.executed(
+        first.time,
+        first.temperature,
+        first.rate - rest_bias,
+        first.angle,
+        stands,
+        first.usable,
+        read_every=options.read_every,
+        longest_piece=_longest_piece(model),
+        reading_rows=reading_rows,
+    )
+    messages = list(first.messages)
+    if first.angle is None:
+        messages.append(
+            "the log has no table angle: only what the sensor says at rest is used, and no scale factor can be seen"
+        )
+    line = done.line
+    steps = noise_steps(line, model)
+    readings = np.stack([_integrated(rows[u], done, options.earth_rate) for u in members], axis=1)
+    moving = line.moving
+    temperature, mean_rate = _means(first, done)
+    time = first.time[done.rows[1:]]
+    turning = within(done.rows, moving & ~done.broken, len(first.time))
+
+    def observe(lag: float, parameters: np.ndarray | None) -> Observations:
+        columns = []
+        for k, unit in enumerate(members):
+            one = rows[unit]
+            temperature_of_maps = followed(one, lag)
+            rates = one.rate - (rest_bias if parameters is None else options.earth_rate)
+            if parameters is not None:
+                rates[turning] = estimation.true_rate(
+                    model, parameters[k], rates[turning], temperature_of_maps[turning]
+                )
+            turned = line.turned() if one.angle is None else np.diff(one.angle[done.rows])
+            noise = _rate_noise(model, one.step)
+            nodes = estimation.sample_nodes(
+                rates, temperature_of_maps, one.step, done.rows, moving, done.broken, turned, rate_noise=noise
+            )
+            columns.append(since_origin(model.columns(nodes), line.gap))
+        return Observations(steps, np.stack(columns), readings, time, temperature, mean_rate)
+
+    def settle(lag: float, parameters: np.ndarray | None = None) -> tuple[Observations, Whitened, Estimate, float]:
+        """Map and regressors in turn, until neither changes; by how many standard deviations the maps still did."""
+        moved = np.inf
+        for _ in range(_ROUNDS):
+            observations = observe(lag, parameters)
+            white = estimation.whitened(observations, model)
+            found = estimation.solve(white)
+            if model.scale is None or not moving.any():
+                moved = 0.0
+            elif parameters is not None:
+                moved = _moved(found, parameters, model)
+            if moved < _SETTLED:
+                break
+            parameters = found.parameters
+        return observations, white, found, moved  # pyright: ignore[reportPossiblyUnboundVariable]
+
+    lag, lag_std = _fitted_lag(settle) if options.lag == "fit" else (float(options.lag), None)
+    observations, white, _, moved = settle(lag)
+    if moved >= _SETTLED:
+        messages.append(
+            "the maps have not settled: taken at the rates that they themselves make of the sensor's, they still "
+            f"change by {moved:.2g} standard deviations; the maps are wild, or the noise figures far too small"
+        )
+    used = integrated_rows(done, len(log.time_s))
+    result: dict[int, UnitChannel] = {}
+    for k, unit in enumerate(members):
+        own = observations._replace(columns=observations.columns_of(k), readings=observations.readings[:, k : k + 1])
+        single = white.of_unit(k)
+        result[unit] = finished(
+            axis,
+            log.units[unit],
+            model,
+            own,
+            single,
+            options,
+            rows=rows[unit],
+            done=done,
+            lag=lag,
+            lag_std=lag_std,
+            counts=count_rows(log, unit, used),
+            messages=messages,
+        )
+    return result
+
+
+def _repeats(angle: np.ndarray, standing: np.ndarray) -> bool:
+    """Whether most rows at rest repeat the angle of the row before, to the last digit."""
+    both = standing[1:] & standing[:-1]
+    return bool(np.mean(angle[1:][both] == angle[:-1][both]) > 0.5) if both.any() else False
+
+
+def _longest_piece(model: SensorModel) -> float:
+    """A few correlation times of the noise that the rate drives, s."""
+    driven = (model.processes.rate_gain != 0.0) & (model.processes.decay > 0.0)
+    if not driven.any():
+        return np.inf
+    return _CORRELATION_TIMES_A_PIECE / float(np.max(model.processes.decay[driven]))
+
+
+def _rate_noise(model: SensorModel, step: np.ndarray) -> float:
+    usual = float(np.median(step[1:]))
+    return float(model.angle_random_walk) / np.sqrt(usual)
+
+
+def _integrated(rows: Rows, done: estimation.Executed, earth_rate: float) -> np.ndarray:
+    return estimation.integrated_error(
+        rows.rate, rows.step, rows.angle, done.rows, done.broken, done.line.gap, earth_rate
+    )
+
+
+def _means(rows: Rows, done: estimation.Executed) -> tuple[np.ndarray, np.ndarray]:
+    """Temperature and rate of each piece, for reports."""
+    ends = rows.temperature[done.rows]
+    terms = done.line.terms[:, 0]
+    return 0.5 * (ends[1:] + ends[:-1]), terms
+
+
+def _moved(found: Estimate, before: np.ndarray, model: SensorModel) -> float:
+    """The largest change of any parameter since the round before, in its standard deviations."""
+    largest = 0.0
+    rows = model.to_reported
+    for now, then, known in zip(found.parameters, before, found.known, strict=True):
+        std = known.deviations(rows)
+        change = np.abs(rows @ (now - then))
+        seen = np.isfinite(std) & (std > 0.0)
+        largest = max(largest, float(np.max(change[seen] / std[seen], initial=0.0)))
+    return largest
+
+
+def _fitted_lag(settle) -> tuple[float, float]:
+    """The lag at which the smallest χ² of all units together lies, and what it is uncertain by (curvature of χ²)."""
+    known: dict[float, float] = {}
+    last: list[np.ndarray | None] = [None]
+
+    def chi_squared(lag: float) -> float:
+        if lag not in known:
+            _, _, found, _ = settle(lag, last[0])
+            last[0] = found.parameters
+            known[lag] = float(found.chi_squared.sum())
+        return known[lag]
+
+    grid = [0.0, *np.geomspace(5.0, LONGEST_LAG_S, 12)]
+    values = [chi_squared(lag) for lag in grid]
+    best = int(np.argmin(values))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    found: Any = optimize.minimize_scalar(chi_squared, bounds=(low, high), method="bounded", options={"xatol": 0.05})
+    lag = float(found.x) if found.fun < values[best] else grid[best]
+    # Three lags that differ, also where the one found is none at all.
+    width = max(0.05 * lag, 1.0)
+    around = max(lag - width, 0.0) + width * np.arange(3.0)
+    bend = np.polyfit(around, [chi_squared(x) for x in around], 2)[0]
+    return lag, float(1.0 / np.sqrt(bend)) if bend > 0.0 else float("inf")

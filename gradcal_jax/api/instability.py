@@ -1,0 +1,316 @@
+"""A recorded log -> the instability of its channels: Direct Bound and Allan deviation, ready for people and specs."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gradcal_jax import identify
+from gradcal_jax.api.posterior_of_plan import DEG_PER_H
+from gradcal_jax.files.log import EvenSeries, Log, LogError
+from gradcal_jax.units import ARCSEC
+from gradcal_jax.units import DEG_PER_SQRT_H as DEG_PER_SQRT_H
+
+# A lag is taken for real where it leaves less than this share of what the fit without one leaves.
+_LAG_PAYS = 0.9
+_LONGEST_LAG_S = 1800.0
+# Without as wide a span of temperature (K) nothing can be said of B(T), and none is removed.
+_TELLING_SPAN = 5.0
+
+
+@dataclass(frozen=True)
+class Rest:
+    """One channel of a log at rest on an even grid, with B(T) taken off where asked.
+
+    `rate` `(samples,)` rad/s, `valid` `(samples,)`: what may be used, `temperature_c` `(samples,)` °C.
+    """
+
+    axis: str
+    unit: str
+    rate: np.ndarray
+    valid: np.ndarray
+    sample_interval_s: float
+    temperature_c: np.ndarray | None
+    thermal: identify.ThermalBias | None
+    messages: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Instability:
+    """What `instability` found of a channel."""
+
+    rest: Rest
+    allan: identify.AllanDeviation
+    allan_fit: identify.AllanFit
+    bound: identify.DirectBound
+    temperature_c: tuple[float, float] | None
+    """The range that was looked at; None: all of the record."""
+
+    def drift_block(self) -> str:
+        """The `[[sensor.drift]]` of a spec; a comment alone where no drift shows."""
+        walk = f'angle_random_walk = "{number(self.bound.angle_random_walk * DEG_PER_SQRT_H)} deg/sqrt(h)"'
+        if not self.bound.drift_shows:
+            hidden = number(self.bound.hidden_drift_std * DEG_PER_H)
+            return f"# {walk}\n# no drift shows above the angle random walk; one of up to {hidden} deg/h could hide"
+        return "\n".join(
+            [
+                f"# {walk}",
+                "[[sensor.drift]]",
+                f'standard_deviation = "{number(self.bound.drift_std * DEG_PER_H)} deg/h"',
+                f'correlation_time   = "{number(self.bound.correlation_time_s)} s"',
+            ]
+        )
+
+
+def number(value: float) -> str:
+    """Four digits, without an exponent: a number for a spec."""
+    return np.format_float_positional(float(f"{value:.4g}"), trim="-")
+
+
+def at_rest(
+    log: Log,
+    axis: str | int = 0,
+    unit: str | int = 0,
+    *,
+    bias_degree: int | None = None,
+    lag: float | str = "auto",
+) -> Rest:
+    """One channel, masked where the table moves, less its bias over temperature.
+
+    `bias_degree`: of the polynomial B(T) taken off; None: 3 where the record spans 5 K or more, otherwise the mean
+    alone; −1: nothing is taken off. `lag` of the bias behind the temperature: seconds, "fit", or "auto": fitted, and
+    used where it leaves a tenth less. **Raises:** `LogError` where nothing of the record is at rest.
+    """
+    even = log.even(axis, unit)
+    valid = even.valid.copy()
+    messages: list[str] = []
+    if log.standstill is not None:
+        valid &= (even.row >= 0) & (log.standstill[even.row] >= 0)
+        moving = int(np.count_nonzero(even.valid & ~valid))
+        if moving:
+            messages.append(f"{moving} rows in which the table moves are left out")
+    if not valid.any():
+        raise LogError("no usable row of the record is marked as standing still: an instability is seen at rest only")
+    rate = even.rate_rad_per_s.copy()
+    temperature = even.temperature_c
+    known = temperature is not None and bool(np.isfinite(temperature[valid]).all())
+    span = float(np.ptp(temperature[valid])) if known and temperature is not None else 0.0
+    if bias_degree is None:
+        bias_degree = 3 if span >= _TELLING_SPAN else 0
+    if bias_degree > 0 and not known:
+        raise LogError("the log has no temperature for every usable row, so no bias over temperature can be taken off")
+    thermal = None
+    if bias_degree == 0 or (bias_degree > 0 and temperature is None):
+        rate = rate - rate[valid].mean()
+    elif bias_degree > 0:
+        assert temperature is not None
+        thermal, at_once = _thermal(even, valid, temperature, bias_degree, lag)
+        filled = _bridged(temperature)
+        rate = rate - thermal.bias(filled, even.sample_interval_s)
+        if thermal.lag_time_s > 0.0 and lag == "auto":
+            messages.append(
+                f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: that leaves "
+                f"{thermal.residual_rms / at_once.residual_rms:.0%} of what B(T) without a lag leaves"
+            )
+        if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:
+            messages.append(
+                f"that lag is the longest looked at, {_LONGEST_LAG_S / 60:.0f} min: the record does not tell it, and "
+                "drift may be passing for it"
+            )
+    rate[~valid] = 0.0
+    return Rest(
+        log.axes[log.axis_index(axis)],
+        log.units[log.unit_index(unit)],
+        rate,
+        valid,
+        even.sample_interval_s,
+        temperature,
+        thermal,
+        tuple(messages),
+    )
+
+
+def _thermal(
+    even: EvenSeries, valid: np.ndarray, temperature: np.ndarray, degree: int, lag: float | str
+) -> tuple[identify.ThermalBias, identify.ThermalBias]:
+    """B(T) as asked for, and the one without a lag."""
+
+    def fit(lag_time_s: float | None) -> identify.ThermalBias:
+        return identify.fit_thermal_bias(
+            even.rate_rad_per_s,
+            temperature,
+            even.sample_interval_s,
+            degree=degree,
+            lag_time_s=lag_time_s,
+            longest_lag_s=_LONGEST_LAG_S,
+            valid=valid,
+        )
+
+    at_once = fit(0.0)
+    if not isinstance(lag, str):
+        return fit(float(lag)), at_once
+    if lag not in ("auto", "fit", "none"):
+        raise ValueError(f'a lag is a time, "fit", "auto" or "none", not "{lag}"')
+    if lag == "none":
+        return at_once, at_once
+    late = fit(None)
+    keep = lag == "fit" or late.residual_rms < _LAG_PAYS * at_once.residual_rms
+    return (late if keep else at_once), at_once
+
+
+def _bridged(temperature: np.ndarray) -> np.ndarray:
+    rows = np.arange(len(temperature))
+    known = np.isfinite(temperature)
+    return np.interp(rows, rows[known], temperature[known])
+
+
+def instability(
+    rest: Rest,
+    *,
+    averaging_time_s: float = 10.0,
+    shortest_s: float = 1.0,
+    longest_s: float = 1200.0,
+    margin: float = 2.5,
+    angle_random_walk: float | None = None,
+    temperature_c: tuple[float, float] | None = None,
+    count: int = 200,
+) -> Instability:
+    """Allan deviation with its fit, and the paper's Direct Bound with its random walk (or the one given, rad/√s).
+
+    Integration times are cut to what the longest unbroken stretch holds. `temperature_c`: only rows within this range,
+    and no window that leaves it. **Raises:** `LogError` where too little is left.
+    """
+    valid = rest.valid
+    if temperature_c is not None:
+        if rest.temperature_c is None:
+            raise LogError("the log has no temperature, so no range of it can be looked at")
+        low, high = temperature_c
+        valid = valid & (rest.temperature_c >= low) & (rest.temperature_c <= high)
+        if not valid.any():
+            raise LogError(f"no usable row lies between {low:g} and {high:g} °C")
+    interval = rest.sample_interval_s
+    room = identify.longest_integration_time(valid, interval, averaging_time_s)
+    longest = min(longest_s, room)
+    if longest < max(shortest_s, interval):
+        whole = room + averaging_time_s
+        raise LogError(
+            f"the longest unbroken stretch is {whole:.4g} s: too short to average for {averaging_time_s:g} s and then "
+            f"integrate for {shortest_s:g} s; average for less, or record for longer"
+        )
+    allan = identify.overlapping_allan(rest.rate, interval, valid=valid)
+    fit = identify.fit_allan(allan)
+    walk = fit.angle_random_walk.value if angle_random_walk is None else angle_random_walk
+    times = identify.integration_times(max(shortest_s, interval), longest, interval, count=count)
+    times = times[times <= room * (1 + 1e-12)]
+    observed = identify.largest_drift(rest.rate, interval, times, averaging_time_s, valid=valid)
+    bound = identify.fit_direct_bound(
+        observed, walk, margin=margin, rate_in_words=lambda rate: f"{rate * DEG_PER_H:.3g} deg/h"
+    )
+    return Instability(rest, allan, fit, bound, temperature_c)
+
+
+def temperature_ranges(rest: Rest, parts: int) -> list[tuple[float, float]]:
+    """The record's span of temperature in equal parts. **Raises:** `LogError` without temperatures."""
+    if rest.temperature_c is None or not np.isfinite(rest.temperature_c[rest.valid]).any():
+        raise LogError("the log has no temperature, so there are no ranges of it")
+    known = rest.temperature_c[rest.valid]
+    edges = np.linspace(float(np.nanmin(known)), float(np.nanmax(known)), parts + 1)
+    return [(float(a), float(b)) for a, b in itertools.pairwise(edges)]
+
+
+def instability_row(found: Instability) -> dict[str, Any]:
+    """Plain numbers for `--json`: units in the names."""
+    bound, thermal = found.bound, found.rest.thermal
+    return {
+        "axis": found.rest.axis,
+        "unit": found.rest.unit,
+        "temperature_c": found.temperature_c,
+        "drift_shows": bound.drift_shows,
+        "drift_std_deg_per_h": bound.drift_std * DEG_PER_H,
+        "correlation_time_s": bound.correlation_time_s,
+        "angle_random_walk_deg_per_sqrt_h": bound.angle_random_walk * DEG_PER_SQRT_H,
+        "margin": bound.margin,
+        "averaging_time_s": bound.averaging_time_s,
+        "deciding_time_s": bound.deciding_time_s,
+        "hidden_drift_std_deg_per_h": finite(bound.hidden_drift_std * DEG_PER_H),
+        "advised_averaging_time_s": bound.advised_averaging_time_s,
+        "boundary": [
+            [float(tau), float(std * DEG_PER_H)]
+            for tau, std in zip(bound.boundary_correlation_time_s, bound.boundary_drift_std, strict=True)
+        ],
+        "curve": curve(
+            ("integration_time_s", bound.integration_time_s),
+            ("largest_drift_deg_per_h", bound.largest_drift * DEG_PER_H),
+            ("limit_deg_per_h", bound.limit * DEG_PER_H),
+        ),
+        "thermal": None
+        if thermal is None
+        else {
+            "degree": len(thermal.coefficients) - 1,
+            "lag_s": thermal.lag_time_s,
+            "residual_rms_deg_per_h": thermal.residual_rms * DEG_PER_H,
+        },
+        "messages": [*found.rest.messages, *bound.messages],
+    }
+
+
+def allan_row(rest: Rest, allan: identify.AllanDeviation, fit: identify.AllanFit) -> dict[str, Any]:
+    """Plain numbers for `--json`: the curve with its confidence, and the coefficients with standard errors."""
+    scale = {
+        "quantisation_arcsec": (fit.quantisation, ARCSEC),
+        "angle_random_walk_deg_per_sqrt_h": (fit.angle_random_walk, DEG_PER_SQRT_H),
+        "bias_instability_deg_per_h": (fit.bias_instability, DEG_PER_H),
+        "rate_random_walk_deg_per_h_per_sqrt_h": (fit.rate_random_walk, DEG_PER_H * 60.0),
+    }
+    return {
+        "axis": rest.axis,
+        "unit": rest.unit,
+        "sample_interval_s": rest.sample_interval_s,
+        "confidence": fit.confidence,
+        "coefficients": {
+            name: {"value": c.value * factor, "standard_error": c.standard_error * factor, "shows": c.shows}
+            for name, (c, factor) in scale.items()
+        },
+        "curve": curve(
+            ("averaging_time_s", allan.averaging_time_s),
+            ("deviation_deg_per_h", allan.deviation * DEG_PER_H),
+            ("lower_deg_per_h", fit.lower * DEG_PER_H),
+            ("upper_deg_per_h", fit.upper * DEG_PER_H),
+            ("model_deg_per_h", fit.model_deviation * DEG_PER_H),
+        ),
+        "chi_squared": fit.chi_squared,
+        "messages": list(rest.messages),
+    }
+
+
+def allan_misfit(allan: identify.AllanDeviation, fit: identify.AllanFit) -> str | None:
+    """A sentence where the fitted terms part from the curve by more than a third, and by more than chance has it."""
+    kept = np.isin(allan.averaging_time_s, fit.averaging_time_s)
+    found, model = allan.deviation[kept], fit.model_deviation
+    apart = (np.abs(np.log(model / found)) > np.log(4.0 / 3.0)) & (
+        (model < fit.lower[kept]) | (model > fit.upper[kept])
+    )
+    if not apart.any():
+        return None
+    times = fit.averaging_time_s[apart]
+    return (
+        f"the fitted terms do not follow the curve between {times[0]:.3g} and {times[-1]:.3g} s: the record holds "
+        "something else (a trend, a period, what temperature did), and the coefficients describe it badly"
+    )
+
+
+def curve(*columns: tuple[str, np.ndarray]) -> dict[str, list[float]]:
+    """Named columns as plain lists."""
+    return {name: [float(v) for v in values] for name, values in columns}
+
+
+def finite(value: float) -> float | None:
+    """The value, or None where it is not finite: JSON knows no infinity."""
+    return float(value) if np.isfinite(value) else None
+
+
+def axes_of(log: Log, wanted: Sequence[str]) -> list[str]:
+    """The axes asked for, or all of the log's. **Raises:** `LogError` for one that is not there."""
+    return [log.axes[log.axis_index(axis)] for axis in wanted] or list(log.axes)

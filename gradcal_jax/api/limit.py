@@ -1,0 +1,244 @@
+"""The proven limit on any plan that does what a spec's plan is allowed to, and how near that plan comes."""
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.measure import design_of
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
+from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.structures import LEAST_TURN, largest_rate, motion_time, ramp_ends
+from gradcal_jax.design import (
+    PRIOR_OF_WALK,
+    criterion,
+    gated_noise_density,
+    least_noise_density,
+    limit,
+    scale_factor_floor,
+)
+from gradcal_jax.files import Spec
+from gradcal_jax.files.design import TIMES
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.schedule import ResolvedCycle, StandardSchedule
+from gradcal_jax.trajectory import Programme, programme
+
+# The time at the table is cut into at least so many equal parts, each at one temperature; or two in each turn there.
+_PARTS = 48
+_MOST_WINDOWS = 40
+_AT_KNOT = 1e-6
+
+Windows = list[tuple[float, float]]
+
+
+class PlanLimit(NamedTuple):
+    """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: what the relaxed problem attains.
+
+    `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: what
+    the proof lets a plan do that the rig does not, in words.
+    """
+
+    name: str
+    statistic: str
+    unit: str
+    certified: float
+    reached: float
+    value: float | None
+    efficiency: float | None
+    relaxed: tuple[str, ...]
+
+
+def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
+    """The limit of every scale-factor requirement of a gradient plan with motion.
+
+    `motion` s: of another time without soaks than the plan or [design] has; values and efficiencies are the plan's.
+    Errors: `ValueError` where there is no such requirement, or the plan is of another kind.
+    """
+    if isinstance(spec.schedule, StandardSchedule) or spec.schedule.cycle is None:
+        raise ValueError("a limit is proven for gradient plans with moves; this plan has none")
+    wanted = [r for r in spec.requirement if r.quantity == "scale_factor"]
+    if not wanted:
+        raise ValueError("a limit is proven for the scale factor; the spec has no requirement on it")
+    built = assemble(spec)
+    if any(term.name.endswith("discrepancy") for term in built.model.terms):
+        raise ValueError(
+            "there is no proof of a limit with a model discrepancy: leave it out, and read the limit as that of the "
+            "structure believed"
+        )
+    predicted = {row.name: row for row in predict(spec).requirements if row.axis == built.channels[0]}
+    window = _window(spec, built, motion)
+    return [window.limit(r, predicted[r.name]) for r in wanted]
+
+
+class _Window(NamedTuple):
+    """When and where the axis may turn, and the noise that its motion meets at least.
+
+    `windows` (s) and `temperature`, the sensor's and its rate there; no windows where the programme is free.
+    """
+
+    spec: Spec
+    built: Assembled
+    time: float
+    temperatures: np.ndarray
+    fixed: bool
+    density: float
+    windows: Windows
+    temperature: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    relaxed: tuple[str, ...]
+
+    def limit(self, requirement: Requirement, row) -> PlanLimit:
+        temperature, rate = box(requirement)
+        model = self.built.model
+        asked = criterion(model, requirement.quantity, temperature, rate, requirement.statistic)
+        sure = scale_factor_floor(model, self.windows, self.temperature, temperature)
+        found = limit(
+            eqx.tree_at(lambda c: c.beyond, asked, asked.beyond + np.repeat(sure, len(rate))),
+            model,
+            motion_time=self.time,
+            temperatures=self.temperatures,
+            fixed_programme=self.fixed,
+            max_rate=largest_rate(self.spec, []),
+            noise_density=self.density,
+            prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
+        )
+        unit, factor = UNIT_OF[requirement.quantity]
+        left, certified = row.decisive, found.certified * factor
+        efficiency = None if left is None else certified / left
+        return PlanLimit(
+            requirement.name,
+            requirement.statistic,
+            unit,
+            certified,
+            found.reached * factor,
+            left,
+            efficiency,
+            self.relaxed,
+        )
+
+
+def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
+    schedule, design = spec.gradient_schedule, spec.design
+    free = set() if design is None else set(design.free)
+    cycle = schedule.cycle
+    assert cycle is not None
+    # A cycle that fills the ramp, as a recipe's does, is made for that ramp alone.
+    as_is = motion is None and (design is None or design.minimise in TIMES or 2.0 * cycle.duration > schedule.motion)
+    one_ramp = _ends_of_one_ramp(spec)
+    if as_is or one_ramp is None:
+        # What the plan does: its stretches, soaks that are used and every slope among them.
+        free -= {"gradient", "cycle"} if one_ramp is None else set()
+        chamber = built.schedules[built.channels[0]].programme
+        spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
+    else:
+        time = motion or motion_time(spec, design_of(spec))
+        chamber = programme(one_ramp[0], [(time, (one_ramp[1] - one_ramp[0]) / time)])
+        spans = [(0.0, time)]
+    visits = [window for begin, end in spans for window in _visits(cycle, begin, end - begin)]
+    every = sum(end - begin for begin, end in spans)
+    # A cycle of another length may have a little more or less of the same share.
+    own = sum(move.repeat * move.duration for move in cycle.moves if not move.other_axes)
+    total = max(sum(end - begin for begin, end in visits), every * own / cycle.duration)
+    reference = built.model.reference
+    spacing, apart = _spacing(built, cycle)
+    relaxed = [
+        "acceleration and travel",
+        f"the angle is read every {spacing:.3g} s at most, on the move, too (read more often, a plan may leave less)",
+    ]
+    if len(built.channels) > 1:
+        relaxed.append("the axis turns whenever any axis does")
+    tied = "cycle" not in free and len(visits) <= _MOST_WINDOWS
+    if tied and float(reference.reading_noise) > 0.0:
+        density = gated_noise_density(built.model, spacing, visits)
+    else:
+        density = least_noise_density(built.model, spacing)
+        if not tied:
+            relaxed.append("the axis has its time at the table when it likes")
+    if float(reference.standstill_offset) > 0.0:
+        # An offset is one draw a standstill.
+        other = eqx.tree_at(lambda m: m.reference.reading_noise, built.model, reference.standstill_offset)
+        density = max(density, least_noise_density(other, apart))
+        relaxed.append(f"standstills as little as {apart:.3g} s apart")
+    followed = _sensor(chamber, built.thermal_lag)
+    fixed, windows = "gradient" not in free, []
+    if fixed:
+        # Wherever a cycle of free length puts the axis's turns, they lie in what is used.
+        turning = visits if tied else spans
+        temperatures = followed(_parts(turning, max(_PARTS, 2 * len(turning))))[0]
+        windows = _between_knots(turning, chamber.times())
+    else:
+        assert one_ramp is not None
+        temperatures = np.linspace(*one_ramp, _PARTS)
+        relaxed.append("the time is spread over the temperatures as is best")
+        if np.any(built.model.processes.rate_gain):
+            relaxed.append("errors that multiply the rate are left out, but for constant ones")
+    return _Window(spec, built, total, temperatures, fixed, density, windows, followed, tuple(relaxed))
+
+
+def _ends_of_one_ramp(spec: Spec) -> tuple[float, float] | None:
+    """Where the ramp of a plan with just one begins and ends (°C); None for any other programme."""
+    try:
+        return ramp_ends(spec)
+    except ValueError:
+        return None
+
+
+def _spacing(built: Assembled, cycle: ResolvedCycle) -> tuple[float, float]:
+    """The least time between readings, and between standstills (s): of the plan, and of those that are searched."""
+    turns = [m.duration for m in cycle.moves if not m.is_rest]
+    rests = [m.read_every for m in cycle.moves if m.read_every is not None]
+    apart = min([LEAST_TURN, *turns])
+    read = []
+    for channel in built.channels:
+        line = built.trajectory(channel)
+        times = np.concatenate([line.start[:1], (line.start + line.duration)[line.read | line.gap]])
+        read.append(float(np.min(np.diff(times), initial=np.inf)))
+    return min([*rests, cycle.other_read_every or np.inf, apart, *read]), apart
+
+
+def _parts(windows: Windows, count: int) -> np.ndarray:
+    """The middles of `count` equal parts of all windows' time together."""
+    begin, end = np.array(windows).T
+    lasted = np.concatenate([[0.0], np.cumsum(end - begin)])
+    middle = lasted[-1] * (np.arange(count) + 0.5) / count
+    k = np.clip(np.searchsorted(lasted, middle, side="right") - 1, 0, len(begin) - 1)
+    return begin[k] + middle - lasted[k]
+
+
+def _between_knots(windows: Windows, knots: np.ndarray) -> Windows:
+    """The windows, divided where the chamber's slope changes."""
+    found: Windows = []
+    for begin, end in windows:
+        inside = knots[(knots > begin + _AT_KNOT) & (knots < end - _AT_KNOT)]
+        found += [(float(a), float(b)) for a, b in pairwise([begin, *inside, end])]
+    return found
+
+
+def _sensor(chamber: Programme, lag: float | None) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """The sensor's temperature (°C) and its rate (K/s) at any time (s)."""
+    of = chamber.sensor(lag)
+
+    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        k = np.clip(np.searchsorted(of.times, t, side="right") - 1, 0, len(of.slope) - 1)
+        since = t - of.times[k]
+        fading = of.excess[k] * np.exp(-of.lag_rate * since)
+        return of.level[k] + of.slope[k] * since + fading, of.slope[k] - of.lag_rate * fading
+
+    return at
+
+
+def _visits(cycle: ResolvedCycle, start: float, time: float) -> Windows:
+    """When the axis has the table (begin, end; s) in a stretch of that time."""
+    period = cycle.duration
+    visits = int((time + period - cycle.moving + 1e-6) // period)
+    found: Windows = []
+    for begin in start + period * np.arange(visits):
+        here = float(begin)
+        found.append((here, here))
+        for move in cycle.moves:
+            there = here + move.repeat * move.duration
+            found.append((there, there)) if move.other_axes else found.append((found.pop()[0], there))
+            here = there
+    return [(begin, end) for begin, end in found if end > begin]

@@ -1,0 +1,167 @@
+"""One unit's rows of one axis, as a log has them, ready for integration."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax import estimation
+from gradcal_jax.api.build import Assembled
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.files import correction
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.schedule import StandardSchedule
+
+
+class Rows(NamedTuple):
+    """One unit's rows of one axis, ready for integration."""
+
+    time: np.ndarray
+    step: np.ndarray
+    rate: np.ndarray
+    temperature: np.ndarray
+    angle: np.ndarray | None
+    table_rate: np.ndarray | None
+    standing: np.ndarray
+    usable: np.ndarray
+    starts: np.ndarray
+    """At which each unbroken stretch begins."""
+    messages: tuple[str, ...]
+
+
+def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) -> Rows:
+    """What the log has of them; `messages` say what was done about what it has not. Raises `LogError`."""
+    messages: list[str] = []
+    time = log.time_s
+    if options.clock == "host":
+        time, said = _host_time(log)
+        messages.append(said)
+    usable = log.usable(unit).copy()
+    usable[log.stretch_starts] = False  # what lay before the row was not recorded
+    raw = log.rate_rad_per_s[unit, :, log.axis_index(axis)]
+    rate = np.where(np.isfinite(raw), raw, 0.0)
+    usable &= np.isfinite(raw)
+    temperature = estimation.smoothed_temperature(time, _temperature(built, log, unit))
+    table = table_axis_of(log, axis, options.table_axis)
+    angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
+    table_rate = None if table is None or log.table_rate_rad_per_s is None else log.table_rate_rad_per_s[:, table]
+    if log.standstill is not None:
+        standing = log.standstill >= 0
+    elif isinstance(built.spec.schedule, StandardSchedule):
+        standing = np.zeros(len(time), bool)
+    else:
+        number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
+        standing = number >= 0
+        messages.append(f"the log marks no standstills: {int(number.max()) + 1} were found where the rates are quiet")
+    if angle is not None:
+        known = np.isfinite(angle)
+        if standing.any() and not known[standing].any():
+            raise LogError("the table's angle is missing wherever it stands: it is the reference")
+        if not known[standing].all():
+            count = int(np.count_nonzero(standing & ~known))
+            messages.append(f"{count} rows of rest without a table angle are no reference, and are not read")
+            standing = standing & known
+        angle = angle if known.all() else np.interp(time, time[known], angle[known])
+    return Rows(
+        time,
+        np.diff(time, prepend=time[0]),
+        rate,
+        temperature,
+        angle,
+        table_rate,
+        standing,
+        usable,
+        log.stretch_starts,
+        tuple(messages),
+    )
+
+
+def _host_time(log: Log) -> tuple[np.ndarray, str]:
+    """The sensor's stamps in seconds of the computer: by straight lines through both, of one slope.
+
+    Each unbroken stretch has a line of its own: in a break the sensor's stamps may have been laid on the computer's.
+    """
+    if log.host_time_s is None:
+        raise LogError("the log has no host time, so the sensor's clock cannot be held against it")
+    starts, stds = _clock_fits(log)
+    sensor, host = _centred(log.time_s, starts), _centred(log.host_time_s, starts)
+    levers = np.add.reduceat(sensor * sensor, starts)
+    if not levers.any():
+        raise LogError("no two rows of the log belong together, so the sensor's clock cannot be held against another")
+    if stds is None:
+        slope = float(sensor @ host / levers.sum())
+        spread = float(np.std(host - slope * sensor))
+        known = "how well that is known the log does not say"
+        if spread > np.spacing(max(np.abs(log.time_s).max(), np.abs(log.host_time_s).max())):
+            known = f"1σ {spread / np.sqrt(levers.sum()) * 1e6:.2g} ppm from the stamps' scatter"
+    else:
+        slopes = np.add.reduceat(sensor * host, starts) / levers
+        slope = float(np.average(slopes, weights=stds**-2.0))
+        known = f"1σ {np.sum(stds**-2.0) ** -0.5 * 1e6:.2g} ppm from when its samples arrived"
+    said = f"a second of the sensor is {slope:.9f} s of the computer ({known}); "
+    time = log.time_s[0] + slope * (log.time_s - log.time_s[0])
+    return time, said + "rates are integrated over the computer's time"
+
+
+def _clock_fits(log: Log) -> tuple[np.ndarray, np.ndarray | None]:
+    """The rows at which lines begin, and the standard deviations of their slopes.
+
+    The host times of a log that was made of a run lie on the lines that were fitted there, which its provenance tells.
+    Of others the stretches are taken; how well their slopes are known is for the stamps to say.
+    """
+    rows = [int(word) for word in log.provenance.get("clock_from_row", "0").split(", ")]
+    stds = np.array([float(word) for word in log.provenance.get("clock_rate_std", "").split(", ") if word])
+    if len(rows) != len(stds) or not np.all(stds > 0.0):
+        return log.stretch_starts, None
+    return np.array(rows), stds
+
+
+def _centred(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """About the mean of each stretch."""
+    counts = np.diff(starts, append=len(values))
+    # First about the stretch's first value: the mean of a computer's stamps, seconds since 1970, is rounded.
+    above = values - np.repeat(values[starts], counts)
+    return above - np.repeat(np.add.reduceat(above, starts) / counts, counts)
+
+
+def _temperature(built: Assembled, log: Log, unit: int) -> np.ndarray:
+    maps = [m for m in (built.model.bias, built.model.scale) if m is not None]
+    if log.temperature_c is not None and np.isfinite(log.temperature_c[unit]).any():
+        values = log.temperature_c[unit]
+        known = np.isfinite(values)
+        return values if known.all() else np.interp(log.time_s, log.time_s[known], values[known])
+    if any(m.temperature.size > 1 for m in maps) or built.model.has_gradient:
+        raise LogError(
+            "the log has no temperature, and the spec's maps depend on it: give them a temperature basis of degree 0"
+        )
+    return np.full(len(log.time_s), 20.0)
+
+
+def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
+    """Which of the table's axes turns a sensor's; None where the log has none. Raises `LogError` where unclear."""
+    if named is not None:
+        if named not in log.table_axes:
+            raise LogError(f"the log has no table axis '{named}': it has {', '.join(log.table_axes) or 'none'}")
+        return log.table_axes.index(named)
+    if axis in log.table_axes:
+        return log.table_axes.index(axis)
+    if len(log.table_axes) == 1:
+        return 0
+    if not log.table_axes:
+        return None
+    raise LogError(
+        f"which of the table's axes ({', '.join(log.table_axes)}) turns the sensor about {axis}? Say it with "
+        "--table-axis"
+    )
+
+
+def followed(rows: Rows, lag: float) -> np.ndarray:
+    """The temperature that the maps follow."""
+    return correction.followed(rows.temperature, rows.time, rows.starts, lag)
+
+
+def count_rows(log: Log, unit: int, used: np.ndarray) -> dict[str, int]:
+    """Rows read by what became of them: ``used``, removed or masked by reason, or without a reference."""
+    masked = log.counts(unit)
+    usable = masked.pop("used")
+    count = int(np.count_nonzero(used & log.usable(unit)))
+    return {"used": count, "without a reference": usable - count, **masked}

@@ -1,0 +1,133 @@
+"""What a design minimises, from a spec: one number of a plan, and by how much it exceeds the other targets."""
+
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
+from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Objective, Optimality, criterion
+from gradcal_jax.files import Spec, changed
+from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Scenario
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.model import BIAS, SCALE_FACTOR
+from gradcal_jax.trajectory import Schedule, rule_of
+
+# The search sees a requirement's box on a grid of at most this many temperatures and rates.
+_GRID = 41
+
+
+class Measure(NamedTuple):
+    """What a [design] minimises, in `unit`. `name`: as people call it. `limits`: requirements whose targets are limits.
+
+    `cases`, `factors`, `targets`, `robust`: of an `Objective`, which `compiled` makes for coordinates.
+    """
+
+    name: str
+    unit: str
+    limits: tuple[str, ...]
+    cases: tuple[Case, ...]
+    factors: np.ndarray
+    targets: np.ndarray
+    robust: Any
+
+    def compiled(self, coordinates: AnyCoordinates) -> Compiled:
+        """The objective over coordinates, through the program of the class of their sizes."""
+        plan = coordinates.decode(np.zeros(coordinates.size))
+        cases = tuple(_with_rule(case, plan) for case in self.cases)
+        whole, places = coordinates, None
+        if isinstance(coordinates, Coordinates):
+            whole = coordinates.padded()
+            places = coordinates.places_in(whole)
+        objective = Objective(whole, cases, self.factors, self.targets, self.robust)
+        return Compiled(objective, whole.size, places)
+
+    def exact(self, schedule: Schedule) -> float:
+        """The exact value of one plan, in the unit."""
+        made = Objective(cast("Any", None), self.cases, self.factors, self.targets, self.robust)
+        return float(made.of_schedule(schedule)[0])
+
+
+def _with_rule(case: Case, plan: Schedule) -> Case:
+    rule = rule_of(case.model, plan.trajectory(case.thermal_lag))
+    return Case(case.model, case.thermal_lag, case.minimised, case.limited, case.weight, rule)
+
+
+def design_of(spec: Spec) -> Design:
+    """The spec's [design]. Errors: `ValueError` where it has none."""
+    if spec.design is None:
+        raise ValueError('the spec has no [design]: say what to minimise and what is free, such as minimise = "…"')
+    return spec.design
+
+
+def measure(spec: Spec) -> Measure:
+    """What the spec's [design] minimises; for a time, the requirement with a target that is farthest from it."""
+    design = design_of(spec)
+    if design.whole_turns:
+        # Whole turns cancel what repeats with the angle; before the turns are whole, it only hides the way.
+        spec = changed(spec, {"rig.table.angle.harmonics": None})
+    scenarios = _scenarios(spec, design)
+    limiting = [r for r in spec.requirement if r.target is not None and r.name != design.minimise]
+    if design.minimise in TIMES:
+        if not limiting:
+            raise ValueError(f'"{design.minimise}" is minimised under targets: give a requirement a target')
+        name, unit = "residual over target", "of the target"
+        mains = [[_criterion(built, r) for r in limiting] for built, _ in scenarios]
+        factors = [1.0 / float(r.target) for r in limiting if r.target is not None]
+        limiting = []
+    elif design.minimise in OPTIMALITIES:
+        name, unit = design.minimise, "ppm" if spec.sensor.scale_factor is not None else "deg/h"
+        mains = [[_optimality(built, design.minimise)] for built, _ in scenarios]
+        factors = [UNIT_OF["scale_factor" if unit == "ppm" else "bias"][1]]
+    else:
+        main = next(r for r in spec.requirement if r.name == design.minimise)
+        unit, factor = UNIT_OF[main.quantity]
+        name = f"{main.name} ({main.statistic})"
+        mains, factors = [[_criterion(built, main)] for built, _ in scenarios], [factor]
+    limits = [[_criterion(built, r) for r in limiting] for built, _ in scenarios]
+    targets = np.array([float(cast("float", r.target)) for r in limiting])
+    cases = tuple(
+        Case(
+            built.model,
+            None if built.thermal_lag is None else np.asarray(built.thermal_lag),
+            tuple(main),
+            tuple(limit),
+            np.asarray(weight),
+        )
+        for (built, weight), main, limit in zip(scenarios, mains, limits, strict=True)
+    )
+    names = tuple(r.name for r in limiting)
+    robust = design.robust if len(cases) > 1 else "mean"
+    return Measure(name, unit, names, cases, np.array(factors, dtype=float), targets, robust)
+
+
+def _scenarios(spec: Spec, design: Design) -> list[tuple[Assembled, float]]:
+    """Sensors and rigs that the plan must serve, with their weights; the spec's own where there are none."""
+    if not design.scenario:
+        return [(assemble(spec), 1.0)]
+    return [(assemble(changed(spec, overrides(s))), float(s.weight)) for s in design.scenario]
+
+
+def overrides(scenario: Scenario) -> dict[str, Any]:
+    """A scenario's values by their dotted keys."""
+    return dict(_leaves({"sensor": scenario.sensor, "rig": scenario.rig}, ""))
+
+
+def _leaves(tables: dict[str, Any], before: str):
+    for name, value in tables.items():
+        key = f"{before}.{name}" if before else name
+        if isinstance(value, dict):
+            yield from _leaves(value, key)
+        else:
+            yield key, value
+
+
+def _criterion(built: Assembled, requirement: Requirement) -> Criterion:
+    temperature, rate = box(requirement, _GRID)
+    return criterion(built.model, requirement.quantity, temperature, rate, requirement.statistic)
+
+
+def _optimality(built: Assembled, name: str) -> Optimality:
+    model = built.model
+    where = model.where(BIAS if model.scale is None else SCALE_FACTOR)
+    return Optimality(model.to_reported[where], cast("Any", name[0]))

@@ -1,0 +1,130 @@
+"""The shortest plan that meets the targets: durations are tried until the residual just does."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from gradcal_jax.api.limit import limits
+from gradcal_jax.api.optimise import STEPS, Optimised, Price, Step, optimise
+from gradcal_jax.api.posterior_of_plan import target_of
+from gradcal_jax.api.structures import motion_time, ramp_ends
+from gradcal_jax.files import Spec
+from gradcal_jax.files.schedule import StandardSchedule
+
+# The time is found to this share; so many durations are tried at most.
+_NEAR = 1.02
+_TRIES = 8
+# No plan this much shorter than the time allowed is looked at.
+_SHORTEST = 1.0 / 20.0
+
+
+def minimise_time(
+    spec: Spec, *, steps: int = STEPS, stop: Callable[[], bool] = lambda: False
+) -> Iterator[Step | Optimised]:
+    """As `optimise`, for [design] that minimises "motion time" or "total time" under the requirements' targets.
+
+    Values are durations in min, of the motion alone: a soak adds the same to each. Errors: `ValueError` where the
+    targets are not met in the time allowed, with how near the best plan comes; `KeyboardInterrupt` where it is stopped
+    before any plan meets them.
+    """
+    assert spec.design is not None
+    longest = motion_time(spec, spec.design)
+    _refuse_what_no_plan_meets(spec, longest)
+    short, long = _least(spec, longest), longest
+    # What the plan leaves over its target, for the shortest that is too short and the longest that is not.
+    too_much: float | None = None
+    best: Optimised | None = None
+    for tried in range(_TRIES):
+        if tried == 0:
+            time = short
+        elif best is None:
+            time = long
+        elif long <= short * _NEAR or stop():
+            break
+        else:
+            time = _between(short, long, too_much, best.now)
+        found = None
+        try:
+            for event in optimise(spec, steps=steps, motion=time, stop=stop):
+                if isinstance(event, Optimised):
+                    found = event
+                else:
+                    share = (tried + event.share) / _TRIES
+                    words = f"{event.best:.3g} of the target in {time / 60.0:.4g} min"
+                    yield event._replace(
+                        name="motion time", unit="min", before=None, best=long / 60.0, share=share, words=words
+                    )
+        except ValueError:
+            if time == longest:
+                raise
+        if found is not None and found.now <= 1.0:
+            best, long = found, time
+            if tried == 0:
+                break
+        else:
+            short, too_much = time, None if found is None else found.now
+        if best is None and stop():
+            raise KeyboardInterrupt
+        if best is None and time == longest and found is not None:
+            raise ValueError(
+                f"no plan found meets the target in {longest / 60.0:.4g} min: "
+                f"the best leaves {found.now:.3g} times as much"
+            )
+    assert best is not None
+    yield _as_time(spec, best, long, longest)
+
+
+def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
+    """A target below the proven limit needs no search."""
+    try:
+        rows = {row.name: row for row in limits(spec, motion=longest)}
+    except ValueError:
+        # There is no proof for such plans or requirements.
+        return
+    for requirement in spec.requirement:
+        row = rows.get(requirement.name)
+        target = target_of(requirement)
+        if row is not None and target is not None and row.certified > target:
+            raise ValueError(
+                f"no plan meets {row.name!r}: its target is {target:.4g} {row.unit}, and it is proven that none "
+                f"leaves less than {row.certified:.4g} {row.unit} in {longest / 60.0:.4g} min on this rig"
+            )
+
+
+def _least(spec: Spec, longest: float) -> float:
+    """No plan is shorter: the ramp as steep as the chamber manages, with one turn at the table."""
+    schedule = spec.schedule
+    if isinstance(schedule, StandardSchedule) or schedule.cycle is None:
+        return longest * _SHORTEST
+    start, end = ramp_ends(spec)
+    slope = float(spec.rig.chamber.max_heating if end > start else spec.rig.chamber.max_cooling)
+    return min(longest, max(abs(end - start) / slope, schedule.cycle.moving))
+
+
+def _between(short: float, long: float, too_much: float | None, enough: float) -> float:
+    """Where the residual meets the target, its logarithm taken as linear in that of the time."""
+    share = 0.5 if too_much is None else np.log(too_much) / (np.log(too_much) - np.log(enough))
+    return float(short * (long / short) ** np.clip(share, 0.1, 0.9))
+
+
+def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimised:
+    """The result in minutes; what a limit costs follows from the residual's slopes: −(∂r/∂limit)/(∂r/∂time)."""
+    minutes = time / 60.0
+    per_minute = next((p.change for p in best.prices if p.per == "minute"), 0.0)
+    prices = tuple(
+        Price(p.limit, p.per, -p.change / per_minute)
+        for p in best.prices
+        if p.per != "minute" and per_minute != 0.0 and best.now > 1.0 / _NEAR
+    )
+    bound = "the target" if best.now > 1.0 / _NEAR else "the chamber's slope"
+    return best._replace(
+        name="motion time",
+        unit="min",
+        before=spec.gradient_schedule.motion / 60.0 if not isinstance(spec.schedule, StandardSchedule) else None,
+        found=minutes,
+        now=minutes,
+        sentence=f"{best.sentence}; at {best.now:.3g} of the target, of {longest / 60.0:.4g} min allowed",
+        starts=(),
+        active=(*best.active, bound),
+        prices=prices,
+    )

@@ -1,0 +1,68 @@
+"""The Monte Carlo twin of a spec: simulated calibrations beside the prediction."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from gradcal_jax.api.build import assemble
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF, residual_map
+from gradcal_jax.files import Spec
+from gradcal_jax.information import Twin, WishartTest, contrasts, monte_carlo_errors, statistic, wishart_test
+from gradcal_jax.model import SensorModel
+
+
+class TwinRow(NamedTuple):
+    """One requirement: the decisive statistic predicted and of the simulated runs, in `unit`."""
+
+    name: str
+    axis: str
+    unit: str
+    predicted: float
+    simulated: float
+
+
+def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
+    """Simulate `runs` calibrations of a spec's plan; by requirement (ppm, deg/h), and for each axis the covariance's
+    test against the prediction (likelihood ratio of a Wishart matrix).
+
+    Errors: `ValueError` for fewer runs than parameters, and where the plan leaves something unobservable.
+    """
+    built = assemble(spec)
+    least = 2 * built.model.size
+    if runs < least:
+        raise ValueError(f"{runs} runs cannot test a covariance of {least // 2} parameters: ask for {least} or more")
+    rows: list[TwinRow] = []
+    tests: dict[str, WishartTest] = {}
+    for channel in built.channels:
+        result = monte_carlo_errors(built.trajectory(channel), built.model, runs, seed)
+        tests[channel] = wishart_test(result.errors, result.predicted)
+        for requirement in spec.requirement:
+            temperatures, rates, predicted = residual_map(built, result.predicted, requirement)
+            unit, factor = UNIT_OF[requirement.quantity]
+            simulated = (
+                _simulated_map(built.model, result, requirement.quantity, temperatures, rates / DEG_PER_S) * factor
+            )
+            rows.append(
+                TwinRow(
+                    requirement.name,
+                    channel,
+                    unit,
+                    statistic(requirement.statistic, predicted),
+                    statistic(requirement.statistic, simulated),
+                )
+            )
+    return rows, tests
+
+
+def _simulated_map(
+    model: SensorModel,
+    result: Twin,
+    quantity: Literal["bias", "scale_factor"],
+    temperatures: np.ndarray,
+    rates: np.ndarray,
+) -> np.ndarray:
+    """Root mean square error of the simulated maps at each point."""
+    grid_t, grid_w = np.meshgrid(temperatures, rates, indexing="ij")
+    rows = contrasts(model, quantity, grid_t.ravel(), grid_w.ravel())[0]
+    mean_square = result.errors.T @ result.errors / len(result.errors)
+    return np.sqrt(np.einsum("gi,ij,gj->g", rows, mean_square, rows)).reshape(grid_t.shape)

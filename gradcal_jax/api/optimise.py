@@ -1,0 +1,279 @@
+"""`optimise`: from a spec with [design] to the best plan found, rounded, with what there is to say about it."""
+
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax.api.build import assemble
+from gradcal_jax.api.measure import Measure, design_of, measure, overrides
+from gradcal_jax.api.plan_to_spec import plan_to_spec
+from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.structures import Structure, structures
+from gradcal_jax.design import (
+    AnyCoordinates,
+    Coordinates,
+    Optimum,
+    ProgrammeCoordinates,
+    ProgrammeKnots,
+    State,
+    polish,
+    search,
+)
+from gradcal_jax.files import Spec, changed
+from gradcal_jax.files.rounding import rounded, steps_of
+
+STEPS: Final = 240
+# A turn within this share of its cap is said to be at its limit.
+_AT_LIMIT: Final = 1e-3
+# From the best programme so many steps of these sizes (shares of the time, of the chamber's range) are tried.
+_HOPS: Final = 80
+_HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
+
+
+class Step(NamedTuple):
+    """How far an optimisation is: `best` in `unit`, of `name`; `share` of the work that is done, 0 to 1."""
+
+    name: str
+    unit: str
+    before: float | None
+    best: float
+    share: float
+    words: str
+    checkpoint: "Checkpoint"
+
+
+class Checkpoint(NamedTuple):
+    """All that an optimisation needs to go on: which structure it is at, its state, and the best of those before."""
+
+    structure: int
+    state: State
+    best_structure: int
+    best: State
+
+
+class Price(NamedTuple):
+    """What a limit costs: how the objective changes when the limit is eased by one `per`."""
+
+    limit: str
+    per: str
+    change: float
+
+
+class Optimised(NamedTuple):
+    """An optimised spec (rounded) and how it was found. Values in `unit`.
+
+    `before`: of the plan in the spec, None where it observes too little; `found`: of the optimum; `now`: of the rounded
+    plan, exactly. `starts`: where the starts of the chosen structure ended. `active`: the limits that bind, in words.
+    `point` `(n,)`: the optimum before rounding, any numbers, which `coordinates` decode.
+    """
+
+    spec: Spec
+    name: str
+    unit: str
+    before: float | None
+    found: float
+    now: float
+    converged: bool
+    sentence: str
+    starts: tuple[float, ...]
+    gradient_norm: float
+    active: tuple[str, ...]
+    prices: tuple[Price, ...]
+    structure: str
+    coordinates: AnyCoordinates
+    point: np.ndarray
+
+
+def record_of(best: Optimised) -> dict[str, object]:
+    """What a recipe and --json keep of an optimisation."""
+    record: dict[str, object] = {
+        "objective": best.name,
+        "unit": best.unit,
+        "found": best.found,
+        "now": best.now,
+        "converged": best.converged,
+        "sentence": best.sentence,
+        "gradient_norm": best.gradient_norm,
+        "structure": best.structure,
+        "starts": [float(f"{v:.6g}") for v in best.starts],
+        "active_limits": list(best.active),
+        "shadow_prices": [{"limit": p.limit, "per": p.per, "change": p.change} for p in best.prices],
+    }
+    return record if best.before is None else {"before": best.before, **record}
+
+
+def scenario_specs(spec: Spec) -> list[Spec]:
+    """The spec with the overrides of each [[design.scenario]]."""
+    return [changed(spec, overrides(s)) for s in design_of(spec).scenario]
+
+
+def exact(spec: Spec, of: Measure) -> float:
+    """The exact value of a spec's own plan, on the requirement's own grid; `inf` where it observes too little."""
+    design = design_of(spec)
+    rows = [row for row in spec.requirement if row.name == design.minimise]
+    if rows and not design.scenario:
+        # Of several axes the worst.
+        found = [row.decisive for row in predict(spec).requirements if row.name == rows[0].name]
+        return max(np.inf if value is None else value for value in found)
+    built = assemble(spec)
+    value = of.exact(built.schedules[built.channels[0]])
+    return value if np.isfinite(value) else np.inf
+
+
+def optimise(
+    spec: Spec,
+    *,
+    steps: int = STEPS,
+    motion: float | None = None,
+    checkpoint: Checkpoint | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Iterator[Step | Optimised]:
+    """Yield a `Step` every few iterations and the `Optimised` plan at the end.
+
+    `motion` s: time without soaks, in the place of [design]'s. `checkpoint`: go on from a step's. `stop`: asked after
+    every step; once true, the best so far is finished. Errors: `ValueError` when limits exclude each other or nothing
+    can be observed.
+    """
+    design = design_of(spec)
+    of = measure(spec)
+    before = exact(spec, of)
+    known = before if np.isfinite(before) else None
+    choices = structures(spec, scenario_specs(spec), motion=motion)
+    best = None if checkpoint is None else (checkpoint.best_structure, checkpoint.best)
+    first, state = (0, None) if checkpoint is None else (checkpoint.structure, checkpoint.state)
+    for k in range(first, len(choices)):
+        for progress in search(
+            of.compiled(choices[k].coordinates),
+            starts=design.starts,
+            seed=design.seed,
+            steps=steps,
+            state=state,
+            stop=stop,
+        ):
+            if best is None or progress.best < best[1].best:
+                best = k, progress.state
+            share = (k + progress.step / progress.steps) / len(choices)
+            reached = Checkpoint(k, progress.state, *best)
+            yield Step(of.name, of.unit, known, best[1].best, 0.95 * share, choices[k].words, reached)
+            if stop():
+                break
+        state = None
+        if stop():
+            break
+    assert best is not None
+    yield finished(spec, of, known, choices[best[0]], best[1], motion, stop)
+
+
+def finished(
+    spec: Spec,
+    of: Measure,
+    before: float | None,
+    structure: Structure,
+    state: State,
+    motion: float | None,
+    stop: Callable[[], bool],
+) -> Optimised:
+    """Prune, polish and round the best point of a search; the plan as it was where that is no better."""
+    point = state.best_point
+    coordinates = structure.coordinates
+    if isinstance(coordinates, Coordinates) and "duration" in coordinates.free:
+        coordinates, cycle = coordinates.pruned(coordinates.cycle(np.asarray(point)))
+        point = coordinates.vector(cycle)
+    if isinstance(coordinates, ProgrammeCoordinates):
+        coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed, stop)
+    else:
+        found = polish(of.compiled(coordinates), point)
+    # As a recipe will have it, so that the number is of what is executed.
+    plan = rounded(plan_to_spec(spec, *_without_vanished(coordinates, found.point)), steps_of(spec)).spec
+    now, sentence, converged = exact(plan, of), found.sentence, found.converged
+    if before is not None and now >= before and not of.limits and motion is None:
+        plan = rounded(spec, steps_of(spec)).spec
+        now, converged = exact(plan, of), False
+        sentence = (
+            f"nothing better than the plan as it was ({now:.4g} {of.unit}): that is kept; try more moves or starts"
+        )
+    return Optimised(
+        plan,
+        of.name,
+        of.unit,
+        before,
+        found.value,
+        now,
+        converged,
+        sentence,
+        tuple(float(v) for v in np.sort(state.values)),
+        found.gradient_norm,
+        active_limits(coordinates, found.point) if isinstance(coordinates, Coordinates) else (),
+        shadow_prices(of, coordinates, found) if isinstance(coordinates, Coordinates) else (),
+        structure.words,
+        coordinates,
+        found.point,
+    )
+
+
+def best_programme(
+    of: Measure, knots: ProgrammeKnots, point: np.ndarray, seed: int, stop: Callable[[], bool]
+) -> tuple[ProgrammeKnots, Optimum]:
+    """Polish a programme, hop from the best, polish again: programmes that differ in which limits they run along are
+    optima of their own, between which no descent leads."""
+    objective, linear = of.compiled(knots), knots.limits
+    found, generator = polish(objective, point, linear=linear), np.random.default_rng(seed)
+    for k in range(_HOPS):
+        if stop():
+            break
+        step = _HOP_STEPS[k % len(_HOP_STEPS)] * generator.standard_normal(point.shape)
+        other = polish(objective, knots.near(found.point + step), linear=linear)
+        if other.held and other.value < found.value:
+            found = other
+    return knots, found
+
+
+def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
+    """Turns that shrank to nothing in the polish are not for a technician to make."""
+    if not isinstance(coordinates, Coordinates) or "duration" not in coordinates.free:
+        return coordinates, point
+    fewer, cycle = coordinates.pruned(coordinates.cycle(np.asarray(point)))
+    return fewer, fewer.vector(cycle)
+
+
+def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...]:
+    """Which limits bind, in words."""
+    cycle = coordinates.cycle(point)
+    peaks = np.abs(cycle.peak_rates)[coordinates.turns]
+    fastest = int(np.sum(peaks > float(coordinates.limits.max_rate) * (1.0 - _AT_LIMIT)))
+    found = ["the time at the table"]
+    if fastest:
+        found.append(f"the largest rate, in {fastest} of {len(peaks)} turns")
+    if coordinates.travels:
+        angles = np.cumsum(coordinates.angles(cycle))
+        if np.max(np.abs(angles)) > float(coordinates.limits.travel) * (1.0 - _AT_LIMIT):
+            found.append("the travel")
+    if "gradient" in coordinates.free:
+        slopes = np.abs(cycle.steps) / coordinates.lasting()
+        steep = int(np.sum(slopes > float(coordinates.limits.max_slope) * (1.0 - _AT_LIMIT)))
+        if steep:
+            found.append(f"the chamber's slope, in {steep} of {len(slopes)} stretches")
+    return tuple(found)
+
+
+# What `Coordinates.eased` takes is in SI; people ease it by these.
+PRICED: Final = (
+    ("ramp time, cycle and turns with it", "minute", 60.0),
+    ("largest rate", "deg/s", np.pi / 180.0),
+    ("largest acceleration", "deg/s^2", np.pi / 180.0),
+    ("travel", "turn", 2.0 * np.pi),
+    ("chamber slope", "K/min", 1.0 / 60.0),
+)
+
+
+def shadow_prices(of: Measure, coordinates: Coordinates, found: Optimum) -> tuple[Price, ...]:
+    """The objective's derivatives in the limits. At an optimum the free numbers need not move (envelope theorem)."""
+    slopes = of.compiled(coordinates)(found.point)
+    given = np.exp(slopes.logs[0]) * slopes.of_eased[0]
+    bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
+    return tuple(
+        Price(name, per, float(g) * size)
+        for (name, per, size), g, counts in zip(PRICED, given, bound, strict=True)
+        if counts
+    )

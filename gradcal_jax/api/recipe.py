@@ -1,0 +1,76 @@
+"""A spec's plan as a recipe: rounded to what the controllers accept, predicted as rounded."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import gradcal_jax
+from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.versions import versions_of
+from gradcal_jax.files import Spec
+from gradcal_jax.files.recipe import FORMAT, Made, Predicted, Recipe
+from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
+from gradcal_jax.files.tracks import Stability, tracks_of
+
+if TYPE_CHECKING:
+    from gradcal_jax.api.optimise import Optimised
+
+_VERSIONS = ("jax", "numpy", "equinox")
+NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
+
+
+def recipe(
+    plan: "Spec | Optimised",
+    *,
+    resolution: ControllerSteps | None = None,
+    stability: Stability | None = None,
+    keep_shapes: bool = False,
+    status: str = "",
+    seed: int | None = None,
+    optimisation: Mapping[str, Any] | None = None,
+    notes: tuple[str, ...] = (),
+) -> Recipe:
+    """The plan of a spec, or an optimised one, made executable, with the prediction (ppm, deg/h) of what is executed.
+
+    `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
+    temperature counts as stable, and how long to wait for it. `keep_shapes`: the table follows any shape of motion;
+    without it turns become trapezoids of the same angle, peak rate and duration. `status`, `seed`, `optimisation` and
+    `notes` are kept as given; in `optimisation` only what TOML can hold. An optimised plan brings its own.
+
+    Errors: `SpecError` where the rounded plan leaves a limit of the rig.
+    """
+    spec = plan if isinstance(plan, Spec) else plan.spec
+    if not isinstance(plan, Spec):
+        from gradcal_jax.api.optimise import record_of
+
+        status, optimisation = status or plan.sentence, optimisation or record_of(plan)
+        seed = spec.design.seed if seed is None and spec.design is not None else seed
+    steps = resolution or steps_of(spec)
+    made = rounded(spec, steps, keep_shapes=keep_shapes)
+    chamber, motion = tracks_of(made.spec)
+    rows = Predicted.of(predict(made.spec, limits=True))
+    said: dict[str, Any] = {
+        "format": FORMAT,
+        "title": spec.title,
+        "status": status or NOT_OPTIMISED,
+        "notes": (*notes, *made.notes) or None,
+        "rounded": made.changes or None,
+        "made": Made(by=f"gradcal {gradcal_jax.__version__}", versions=versions_of(_VERSIONS), **_given(seed=seed)),
+        "resolution": ControllerSteps(**{name: getattr(steps, name) for name in type(steps).model_fields}),
+        "stability": _written_out(stability or Stability()),
+        "chamber": chamber,
+        "motion": motion,
+        "prediction": rows,
+        "optimisation": None if optimisation is None else dict(optimisation),
+        "spec": made.spec,
+    }
+    return Recipe(**_given(**said))
+
+
+def _written_out(stability: Stability) -> Stability:
+    """Defaults too: they may be others in another version."""
+    return Stability(**{name: getattr(stability, name) for name in Stability.model_fields})
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    """A file holds no key for what is None."""
+    return {name: value for name, value in values.items() if value is not None}

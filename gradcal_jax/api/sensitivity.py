@@ -1,0 +1,150 @@
+"""What one per cent of every figure of sensor, rig and plan is worth, in per cent of the residual.
+
+The derivative of the logarithm of a requirement's residual in the logarithm of the figure, by automatic
+differentiation through timeline, whitening and statistic, at the plan as it is: for an optimised plan this is also what
+remains after it is optimised again, to first order (envelope theorem).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.error_budget import FIGURES, scaled
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
+from gradcal_jax.design import Criterion, criterion
+from gradcal_jax.files import Spec
+from gradcal_jax.files.moves import Axis
+from gradcal_jax.information import information
+from gradcal_jax.model import Discrepancy, EncoderHarmonics, SensorModel
+from gradcal_jax.trajectory import Rule, Schedule, rule_of
+
+# Figures of the plan, by the names that people use.
+_TIME, _RATES = "time: ramp and turns last longer", "rates: all turns faster"
+_INTEGRATION, _LAG = "integration time", "thermal lag"
+_ENCODER, _DISCREPANCY = "encoder's error by angle", "model discrepancy"
+
+
+class Elasticity(NamedTuple):
+    """`percent`: by how much the requirement's residual changes for one per cent more of `figure`."""
+
+    requirement: str
+    figure: str
+    percent: float
+
+
+class Sensitivities(NamedTuple):
+    """Elasticities, and the residual of each requirement in its unit."""
+
+    rows: tuple[Elasticity, ...]
+    residuals: dict[str, tuple[float, str]]
+
+
+def sensitivities(spec: Spec) -> Sensitivities:
+    """The elasticities of every requirement of a spec, on the axis where it leaves the most. Errors: `ValueError` where
+    nothing is required or observed.
+    """
+    if not spec.requirement:
+        raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
+    built = assemble(spec)
+    criteria = [criterion(built.model, r.quantity, *box(r), r.statistic) for r in spec.requirement]
+    names = _names(built)
+    found = {axis: _logs_and_slopes(built, axis, names, criteria) for axis in built.channels}
+    if not all(np.all(np.isfinite(values)) and np.all(np.isfinite(slopes)) for values, slopes in found.values()):
+        raise ValueError(
+            "the plan cannot observe what is required, so nothing can be said of its sensitivity: see check"
+        )
+    rows, residuals = [], {}
+    for i, r in enumerate(spec.requirement):
+        values, slopes = max(found.values(), key=lambda pair: pair[0][i])
+        rows += [Elasticity(r.name, name, float(slopes[i, k])) for k, name in enumerate(names)]
+        unit, factor = UNIT_OF[r.quantity]
+        residuals[r.name] = float(np.exp(values[i])) * factor, unit
+    rows.sort(key=lambda row: (row.requirement, -abs(row.percent)))
+    return Sensitivities(tuple(rows), residuals)
+
+
+def _logs_and_slopes(
+    built: Assembled, axis: Axis, names: list[str], criteria: list[Criterion]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithms of the residuals (r,), and their derivatives in those of all figures (r, f)."""
+    schedule = built.schedules[axis]
+    rule = rule_of(built.model, schedule.trajectory(built.thermal_lag))
+    ones = jnp.ones(len(names))
+    given = _Figures(built.model, schedule.padded(), tuple(criteria), built.thermal_lag, built.sources, rule)
+    values, slopes = _compiled(given, tuple(names), ones)
+    return np.asarray(values), np.asarray(slopes)
+
+
+class _Figures(eqx.Module):
+    """What the figures are taken of; numbers are arguments of the compiled program."""
+
+    model: SensorModel
+    schedule: Schedule
+    criteria: tuple[Criterion, ...]
+    thermal_lag: float | None
+    sources: dict[str, tuple[int, ...]] = eqx.field(static=True)
+    rule: Rule = eqx.field(static=True)
+
+
+@eqx.filter_jit
+def _compiled(given: _Figures, names: tuple[str, ...], factors):
+    def logs(factors):
+        by = dict(zip(names, factors, strict=True))
+        model = scaled(given, by)
+        for kind, field, name in (
+            (EncoderHarmonics, lambda t: t.amplitudes, _ENCODER),
+            (Discrepancy, lambda t: t.std, _DISCREPANCY),
+        ):
+            for k, term in enumerate(model.terms):
+                if isinstance(term, kind) and name in by:
+                    larger = eqx.tree_at(field, term, field(term) * by[name])
+                    model = eqx.tree_at(lambda m, k=k: m.terms[k], model, larger)
+        lag = given.thermal_lag
+        line = _stretched(given.schedule, by).trajectory(None if lag is None else lag * by[_LAG])
+        info = information(line, model, given.rule)
+        return jnp.log(jnp.stack([c(info) for c in given.criteria]))
+
+    return logs(factors), jax.jacrev(logs)(factors)
+
+
+def _names(built: Assembled) -> list[str]:
+    """Figures that the spec has, by the names that people use."""
+    model, line = built.model, built.trajectory()
+    unread = ("reading noise", "standstill offset", "timing") if line.rates else ("rate reference",)
+    found = [n for n, of in FIGURES.items() if n not in unread and float(np.asarray(of(model))) > 0.0]
+    found += list(built.sources)
+    if model.harmonics is not None:
+        found.append(_ENCODER)
+    if any(isinstance(term, Discrepancy) for term in model.terms):
+        found.append(_DISCREPANCY)
+    if built.thermal_lag is not None:
+        found.append(_LAG)
+    if line.rates:
+        return [*found, _INTEGRATION]
+    return [*found, _TIME, *([_RATES] if len(line.moving_pieces) else [])]
+
+
+def _stretched(plan: Schedule, by: dict) -> Schedule:
+    """The plan with all its times longer and its turns faster; the temperatures that it visits stay."""
+    programme = plan.programme
+    if plan.rates:
+        time = by[_INTEGRATION]
+        held = plan.duration * jnp.where(jnp.arange(len(plan.duration)) > 0, time, 1.0)
+        longer = programme.durations + (jnp.sum(held) - jnp.sum(plan.duration)) * (programme.durations > 0.0)
+        return eqx.tree_at(lambda p: (p.duration, p.programme.durations), plan, (held, longer))
+    time, rate = by[_TIME], by.get(_RATES, 1.0)
+    return eqx.tree_at(
+        lambda p: (p.duration, p.ramp, p.peak_rate, p.programme.durations, p.programme.slopes),
+        plan,
+        (
+            plan.duration * time,
+            plan.ramp * time,
+            plan.peak_rate * rate,
+            programme.durations * time,
+            programme.slopes / time,
+        ),
+    )

@@ -1,0 +1,101 @@
+"""The standard method: a rate's error at each stable temperature, in the places where the log has the plan's points."""
+
+import numpy as np
+
+from gradcal_jax import estimation
+from gradcal_jax.api.build import Assembled
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import Rows, count_rows, followed
+from gradcal_jax.api.unit_channel import (
+    UnitChannel,
+    covered_rates,
+    covered_temperatures,
+    finished,
+    integrated_rows,
+)
+from gradcal_jax.estimation import Estimate, Observations
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.information import least_squares, noise_steps, unweighted
+from gradcal_jax.trajectory import Trajectory
+
+
+def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Rows, options: Options) -> UnitChannel:
+    """One unit at the plan's points, each a stretch of its own. Raises `LogError` where there is no reference."""
+    schedule = built.spec.schedule
+    assert isinstance(schedule, StandardSchedule)
+    planned = np.asarray(schedule.rates, float)
+    table_rate = rows.table_rate
+    if table_rate is None:
+        if rows.angle is not None:
+            table_rate = np.gradient(rows.angle, rows.time)
+        elif np.all(planned == 0.0):
+            table_rate = np.zeros(len(rows.time))
+        else:
+            raise LogError("the log has no table rate, which is the reference of the standard method")
+    found_points = estimation.plateaus(
+        rows.time,
+        rows.temperature,
+        table_rate,
+        rows.usable,
+        np.asarray(schedule.temperatures, float),
+        planned,
+        float(schedule.integration),
+        points=schedule.shared,
+    )
+    messages = list(rows.messages)
+    if found_points.missing:
+        t, w = found_points.missing[0]
+        messages.append(
+            f"{len(found_points.missing)} of the plan's points are not in the log, the first at {t:g} degC and "
+            f"{np.degrees(w):.4g} deg/s"
+        )
+    model, line = built.model, found_points.line
+    edges, broken = found_points.rows, found_points.broken
+    lag = 0.0 if options.lag == "fit" else float(options.lag)
+    temperature_of_maps = followed(rows, lag)
+    if options.lag == "fit":
+        messages.append("at stable temperatures there is no lag to be found: it is taken as zero")
+    nodes = estimation.sample_nodes(
+        table_rate, temperature_of_maps, rows.step, edges, line.moving, broken, np.zeros(len(broken))
+    )
+    error = np.where(rows.usable, rows.rate - table_rate - options.earth_rate, 0.0) * rows.step
+    sums = np.concatenate([[0.0], np.cumsum(error)])
+    readings = np.where(broken, 0.0, np.diff(sums[edges + 1]))[:, None]
+    mean_rate, time = line.terms[:, 0], rows.time[edges[1:]]
+    observations = Observations(noise_steps(line, model), model.columns(nodes), readings, time, line.level, mean_rate)
+    white = estimation.whitened(observations, model)
+    done = estimation.Executed(line, edges, broken)
+    channel = finished(
+        axis,
+        log.units[unit],
+        model,
+        observations,
+        white,
+        options,
+        rows=rows,
+        done=done,
+        lag=lag,
+        lag_std=None,
+        counts=count_rows(log, unit, integrated_rows(done, len(log.time_s))),
+        messages=messages,
+    )
+    section = built.spec.plan
+    if isinstance(section, StandardPlanSection) and section.estimator == "least squares":
+        channel = channel._replace(found=_unweighted(channel, line))
+    return channel._replace(
+        valid_temperature_c=covered_temperatures(line.level[~broken]),
+        valid_rate_rad_per_s=covered_rates(mean_rate[~broken]),
+    )
+
+
+def _unweighted(channel: UnitChannel, line: Trajectory) -> Estimate:
+    """Ordinary least squares on the points' mean rate errors, as the paper's figure; priors are not used."""
+    observations = channel.observations
+    estimator = least_squares(line, channel.model, observations.columns_of(0))
+    beta = estimator.back @ (estimator.weights.T @ observations.readings[:, 0])
+    residuals = channel.white.data[0] - channel.white.rows[0] @ beta
+    return channel.found._replace(
+        parameters=beta[None], known=(unweighted(line, channel.model),), residuals=residuals[None]
+    )

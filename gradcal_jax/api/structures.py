@@ -1,0 +1,311 @@
+"""Which structures a design is searched in: turns at the table, moves in each, cycles alike or each its own.
+
+What is whole in a plan (how many visits, how many moves) is not searched by gradients: a few structures are, and the
+best is taken. Moves that a structure has in excess shrink to nothing and are pruned.
+"""
+
+from typing import Final, NamedTuple, cast
+
+import numpy as np
+
+from gradcal_jax.api.build import basis, shortest_correlation_time
+from gradcal_jax.design import (
+    AnyCoordinates,
+    Cycle,
+    Element,
+    Frame,
+    Limits,
+    ProgrammeCoordinates,
+    StandardCoordinates,
+    make_coordinates,
+)
+from gradcal_jax.files import Spec
+from gradcal_jax.files.design import Design
+from gradcal_jax.files.moves import Axis, ResolvedMove
+from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, StandardSchedule
+from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
+
+# A turn shorter than this does nothing that a reading would see; s.
+LEAST_TURN: Final = 1.0
+# More turns at the table than this share their moves: the cycle repeats after as many.
+_MOST_OWN: Final = 20
+# In all cycles together there are about so many moves, and in each at least four: one for every power of a cubic.
+_MOVES: Final = 36
+_LEAST_MOVES: Final = 4
+# With the cycle's length free: so many turns at the table.
+_FREE_VISITS: Final = (3, 4, 6)
+# What rounding adds to an angle must fit into the travel, too.
+_ROOM_TO_ROUND: Final = 1.0 - 1e-3
+_FREE: Final = {"duration": "duration", "rest": "duration", "turn": "duration", "peak_rate": "peak_rate"}
+
+
+# A programme for a standing axis has so many slopes.
+_STRETCHES: Final = (2, 4, 6)
+
+
+class Structure(NamedTuple):
+    """Coordinates and what they are, in words."""
+
+    coordinates: AnyCoordinates
+    words: str
+
+
+def limits_of(spec: Spec, scenarios: list[Spec]) -> Limits:
+    """The strictest of the rig's and the sensor's limits, over all scenarios."""
+    every = [spec, *scenarios]
+    ramp = ramp_ends(spec)
+    up = ramp[1] > ramp[0]
+    return Limits(
+        largest_rate(spec, scenarios),
+        min(float(s.rig.table.max_acceleration) for s in every),
+        _ROOM_TO_ROUND * min(float(s.rig.table.travel) for s in every),
+        min(float(s.rig.chamber.max_heating if up else s.rig.chamber.max_cooling) for s in every),
+    )
+
+
+def ramp_ends(spec: Spec) -> tuple[float, float]:
+    """Where the one ramp of a gradient plan begins and ends, °C. Errors: `ValueError` for any other programme."""
+    ramps = [s for s in spec.gradient_schedule.segments if s.kind == "ramp"]
+    others = [s for s in spec.gradient_schedule.segments if s.kind == "step" or (s.kind == "soak" and s.used)]
+    slopes = [s.slope for s in ramps]
+    if others or not ramps or min(slopes) * max(slopes) < 0.0:
+        raise ValueError(
+            "a plan with motion is optimised on one ramp, up or down, after a soak whose data are not used: "
+            'write plan.temperature = [start, end], plan.gradient and plan.soak with "used = false"'
+        )
+    return ramps[0].temperature_start, ramps[-1].temperature_end
+
+
+def motion_time(spec: Spec, design: Design) -> float:
+    """How long the ramp may take (s): what [design] allows, else as it is. Errors: `ValueError` where none is left."""
+    schedule = cast("GradientSchedule", spec.schedule)
+    limits = [] if design.max_motion is None else [float(design.max_motion)]
+    if design.max_total is not None:
+        limits.append(float(design.max_total) - schedule.soak)
+    limits = limits or [schedule.motion]
+    if min(limits) <= 0.0:
+        raise ValueError(
+            f"design.max_total leaves no time for the ramp: the soak alone takes {schedule.soak / 60.0:.4g} min"
+        )
+    return min(limits)
+
+
+def structures(spec: Spec, scenarios: list[Spec], *, motion: float | None = None) -> list[Structure]:
+    """The structures to search; `motion` s replaces the time that [design] gives (without soaks).
+
+    Errors: `ValueError` where [design] frees what such a plan does not have, or leaves no time.
+    """
+    design = cast("Design", spec.design)
+    if isinstance(spec.schedule, StandardSchedule):
+        _only(design, ("temperatures", "rates", "integration"), "a standard plan")
+        return _standard(spec, scenarios, design, motion)
+    if spec.schedule.cycle is None:
+        _only(design, ("programme", "gradient"), "a gradient plan whose axis stands")
+        return _programmes(spec, scenarios, design, motion)
+    _only(design, ("duration", "rest", "turn", "peak_rate", "ramp", "gradient", "cycle"), "a gradient plan with moves")
+    return _cycles(spec, scenarios, design, motion)
+
+
+def _only(design: Design, possible: tuple[str, ...], plan: str) -> None:
+    wrong = [name for name in design.free if name not in possible]
+    if wrong:
+        raise ValueError(f"design.free: {plan} has no {wrong[0]!r} to change; it has {', '.join(possible)}")
+
+
+def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
+    schedule = cast("StandardSchedule", spec.schedule)
+    soak, fewest = schedule.soak_each, _fewest_temperatures(spec)
+    if design.max_total is not None:
+        time = float(design.max_total)
+    elif design.max_motion is not None:
+        time = float(design.max_motion) + schedule.soak
+    else:
+        time = schedule.duration
+    if motion is not None:
+        time = motion + schedule.soak
+    # Beyond half as many temperatures again, soaks eat the time.
+    counts = [n for n in range(fewest, 2 * fewest) if time / n > 1.05 * soak]
+    if "temperatures" not in design.free:
+        counts = [len(schedule.temperatures)]
+    if not counts:
+        raise ValueError(
+            f"{fewest} temperatures are needed, each with a soak of {soak / 60.0:.4g} min: the time of "
+            f"{time / 60.0:.4g} min leaves nothing to integrate in"
+        )
+    low, high = temperatures_of(spec, scenarios)
+    number = lambda v: np.asarray(float(v))  # noqa: E731
+    found = []
+    for n in counts:
+        coordinates = StandardCoordinates(
+            number(soak),
+            number(time),
+            number(low),
+            number(high),
+            number(largest_rate(spec, scenarios)),
+            np.asarray(schedule.rates, dtype=float),
+            n,
+            "rates" in design.free,
+            schedule.shared,
+        )
+        found.append(Structure(coordinates, f"{n} temperatures"))
+    return found
+
+
+def _fewest_temperatures(spec: Spec) -> int:
+    sections = [s for s in (spec.sensor.bias, spec.sensor.scale_factor) if s is not None]
+    return max(basis(s.temperature).size for s in sections)
+
+
+def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
+    schedule = spec.gradient_schedule
+    first = schedule.segments[0]
+    soak = first.duration if first.kind == "soak" else 0.0
+    if soak == 0.0:
+        raise ValueError("a programme for a standing axis begins with a soak: give plan.soak")
+    time = motion_time(spec, design) if motion is None else motion
+    low, high = temperatures_of(spec, scenarios)
+    every = [spec, *scenarios]
+    heating = min(float(s.rig.chamber.max_heating) for s in every)
+    cooling = min(float(s.rig.chamber.max_cooling) for s in every)
+    numbers = [np.asarray(float(v)) for v in (soak, time, schedule.read_every or 1.0, low, high, heating, cooling)]
+    return [
+        Structure(ProgrammeCoordinates(*numbers, stretches=n, soak_used=first.used), f"a programme of {n} slopes")
+        for n in _STRETCHES
+    ]
+
+
+def temperatures_of(spec: Spec, scenarios: list[Spec]) -> tuple[float, float]:
+    """The range that every scenario's chamber reaches, °C."""
+    ranges = [s.rig.chamber.range for s in (spec, *scenarios)]
+    return max(float(r[0]) for r in ranges), min(float(r[1]) for r in ranges)
+
+
+def largest_rate(spec: Spec, scenarios: list[Spec]) -> float:
+    """What every scenario's table and sensor allow, rad/s."""
+    every = [spec, *scenarios]
+    rates = [float(s.rig.table.max_rate) for s in every]
+    return min(rates + [float(s.sensor.usable_rate) for s in every if s.sensor.usable_rate is not None])
+
+
+def axes_of(cycle: ResolvedCycle) -> list[Axis]:
+    """The axes that turn, in the order in which they do."""
+    return list(dict.fromkeys(move.axis for move in cycle.moves if not move.is_rest)) or ["x"]
+
+
+def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
+    cycle = cast("ResolvedCycle", spec.gradient_schedule.cycle)
+    axes = axes_of(cycle)
+    time = motion_time(spec, design) if motion is None else motion
+    free = frozenset(_FREE.get(name, name) for name in design.free) - {"cycle"}
+    # Several axes make the same moves in turn: the first is designed, which stands while the others do.
+    own = cycle.moving / len(axes)
+    other = cycle.duration - own
+    share = own / (own + other)
+    if "duration" not in free:
+        if len(axes) > 1:
+            raise ValueError("the moves of several axes are designed together: add duration to design.free")
+        return [_given(spec, scenarios, cycle, free, time)]
+    if "cycle" in design.free:
+        # The axis keeps its share of the time. Where it is alone, its last turn at the table ends with the ramp.
+        after = 0 if len(axes) == 1 else 1
+        choices = [(n, share * time / n, (1.0 - share) * time / (n - 1 + after)) for n in _FREE_VISITS]
+    else:
+        choices = [(repetitions(time, own * len(axes), own + other)[0], own, other)]
+        if choices[0][0] == 0:
+            raise ValueError(
+                f"one turn at the table takes {own * len(axes):.4g} s, the ramp only {time:.4g} s: give it more time"
+            )
+    found = []
+    for visits, each, between in choices:
+        alike = design.cycles == "alike"
+        groups = 1 if alike else -(-visits // max(1, -(-visits // _MOST_OWN)))
+        cycles = visits if alike else max(1, visits // groups)
+        groups = 1 if alike else visits // cycles
+        rest = float(_read_every(cycle))
+        # Half the time at the table may go into what turns and rests take at least.
+        fitting = max(1, int(0.5 * each / (LEAST_TURN + rest)))
+        wanted = 2 * _LEAST_MOVES if alike else max(_LEAST_MOVES, -(-_MOVES // groups))
+        moves = design.moves or min(wanted, fitting)
+        ends_moving = abs(cycles * groups * (each + between) - between - time) < 1e-6
+        shape = next((m.shape for m in cycle.moves if m.shape in RAMPED_SHAPES), "cosine ramps")
+        elements = _elements(
+            shape, groups, moves, rest, not_shared=other <= 0.0, ends=ends_moving, bands=_bands(design, groups)
+        )
+        coordinates = make_coordinates(
+            elements,
+            limits_of(spec, scenarios),
+            _frame(spec, cycle, each, between, time),
+            cycles=cycles,
+            others_read=cycle.other_read_every is not None,
+            free=free,
+            longest_piece=3.0 * min(shortest_correlation_time(s.sensor) for s in (spec, *scenarios)),
+        )
+        kind = "the same moves in each" if alike else "moves of their own"
+        of = "" if len(axes) == 1 else f" of each of {len(axes)} axes"
+        found.append(Structure(coordinates, f"{cycles * groups} turns at the table{of} of {each:.4g} s, {kind}"))
+    return found
+
+
+def _frame(spec: Spec, cycle: ResolvedCycle, own: float, other: float, time: float) -> Frame:
+    start, end = ramp_ends(spec)
+    return Frame(own, other, time, start, end, _read_every(cycle))
+
+
+def _read_every(cycle: ResolvedCycle) -> float:
+    spacings = [m.read_every for m in cycle.moves if m.is_rest and m.read_every is not None]
+    return spacings[0] if spacings else (cycle.other_read_every or 1.0)
+
+
+def _elements(
+    shape: str, groups: int, moves: int, rest: float, *, not_shared: bool, ends: bool, bands
+) -> tuple[Element, ...]:
+    """Turns with rests between; a rest first, before which the axis has not stood, and last where none follows."""
+    found = [Element("rest", rest, 0)]
+    for group in range(groups):
+        for i in range(moves):
+            band, least = bands(group, i)
+            found.append(Element(shape, least, group, band))
+            if i < moves - 1 or not_shared or (ends and group == groups - 1):
+                found.append(Element("rest", rest, group))
+    return tuple(found)
+
+
+def _bands(design: Design, groups: int):
+    """Band and least time of each move: with a least number of distinct rates, one move in each of so many bands."""
+    count = design.min_distinct_rates or 0
+    edges = np.linspace(-1.0, 1.0, count + 1)
+    # A tenth of the rates between neighbouring bands keeps what lies in them apart.
+    gap = 0.1 / max(count, 1)
+    # Which visit gets which band: spread over the ramp.
+    home = {(round(k * (groups - 1) / max(count - 1, 1)), k // groups): k for k in range(count)}
+
+    def of(group: int, i: int) -> tuple[tuple[float, float], float]:
+        band = home.get((group, i))
+        if band is None:
+            return (-1.0, 1.0), LEAST_TURN
+        return (float(edges[band] + gap), float(edges[band + 1] - gap)), 10.0
+
+    return of
+
+
+def _given(spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozenset[str], time: float) -> Structure:
+    """The spec's own cycle, whose durations stay."""
+    moves = [move for move in cycle.moves for _ in range(move.repeat)]
+    unsuited = {m.shape for m in moves} - {"rest", "cosine ramps", "linear ramps", "half sine", "raised cosine"}
+    if unsuited:
+        raise ValueError(f"optimise cannot change a move of shape {sorted(unsuited)[0]!r}: add duration to design.free")
+    own, other = cycle.moving, cycle.other + cycle.idle
+    visits = repetitions(time, own, own + other)[0]
+    numbers = lambda name: np.array([float(getattr(m, name)) for m in cast("list[ResolvedMove]", moves)])  # noqa: E731
+    nominal = Cycle(numbers("duration"), numbers("peak_rate"), numbers("ramp"), np.zeros(visits))
+    coordinates = make_coordinates(
+        tuple(Element(m.shape, 0.0) for m in moves),
+        limits_of(spec, scenarios),
+        _frame(spec, cycle, own, other, time),
+        cycles=visits,
+        others_read=cycle.other_read_every is not None,
+        free=free,
+        nominal=nominal,
+        longest_piece=3.0 * shortest_correlation_time(spec.sensor),
+    )
+    return Structure(coordinates, f"{visits} cycles with the moves of the spec")

@@ -1,0 +1,185 @@
+"""One axis of one unit, estimated: smoothness, robustness and the tests, on columns that have settled."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax import estimation
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import Rows, followed
+from gradcal_jax.estimation import Estimate, Observations, Smoothness, Whitened
+from gradcal_jax.model import SCALE_FACTOR, SensorModel
+
+LONGEST_LAG_S = 1800.0
+# To which the ranges of a calibration are rounded, outwards.
+_TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
+
+
+class UnitChannel(NamedTuple):
+    """One axis of one unit, estimated. `observations`, `found` and `white` hold this unit alone."""
+
+    axis: str
+    unit: str
+    model: SensorModel
+    observations: Observations
+    found: Estimate
+    white: Whitened
+    consistency: estimation.Consistency
+    weights: np.ndarray
+    """`(n,)`, of the readings used; 1: counted in full."""
+    lag_s: float
+    lag_std_s: float | None
+    smoothness: Smoothness | None
+    valid_temperature_c: tuple[float, float]
+    valid_rate_rad_per_s: tuple[float, float]
+    counts: dict[str, int]
+    """Rows of the log by what became of them; they add up to the rows read."""
+    messages: tuple[str, ...]
+    neighbours: tuple[estimation.Group, ...] = ()
+
+
+def finished(
+    axis: str,
+    unit: str,
+    model: SensorModel,
+    observations: Observations,
+    white: Whitened,
+    options: Options,
+    *,
+    rows: Rows,
+    done: estimation.Executed,
+    lag: float,
+    lag_std: float | None,
+    counts: dict[str, int],
+    messages: Sequence[str],
+) -> UnitChannel:
+    """One unit: smoothness, robustness and the tests, on columns that have settled."""
+    messages, smoothness = list(messages), None
+    if options.smoothness == "auto":
+        smoothness = estimation.choose_smoothness(white, model)
+        model = estimation.with_smoothness(model, smoothness.bias, smoothness.scale_factor)
+        white = white._replace(prior=model.prior_rows())
+        if smoothness.at_edge:
+            messages.append("the data do not tell how smooth the maps are: the strength stands at the edge looked at")
+    found = estimation.solve(white)
+    weights = np.ones(white.data.shape[1])
+    if options.robust:
+        robust = estimation.estimate_robustly(observations, model, threshold=options.threshold)
+        found, white, weights = robust.estimate, robust.white[0], robust.weights[0]
+        low = int(np.count_nonzero(weights < 1.0))
+        if low:
+            at = observations.time_s[observations.used][np.argsort(weights)[: min(low, 5)]]
+            messages.append(
+                f"{low} of {len(weights)} readings count for less than in full, the least at "
+                + ", ".join(f"{t:.6g} s" for t in at)
+            )
+    tests = estimation.consistency(found, white, 0, _subsets(observations, rows), model.to_reported)
+    if lag_std is not None and lag > 0.99 * LONGEST_LAG_S:
+        messages.append(f"the lag stands at the longest looked at, {lag:.0f} s: the data do not tell it")
+    if lag_std is not None and lag < 2.0 * lag_std:
+        messages.append(f"no lag of the maps shows: the one found is {lag:.2g} s, and uncertain by {lag_std:.2g} s")
+    inside = rows.temperature[integrated_rows(done, len(rows.time))]
+    groups: tuple[estimation.Group, ...] = ()
+    if options.neighbours_k is not None:
+        groups, said = _neighbours(model, observations, found, rows, done, options.neighbours_k)
+        messages += said
+    return UnitChannel(
+        axis,
+        unit,
+        model,
+        observations,
+        found,
+        white,
+        tests,
+        weights,
+        lag,
+        lag_std,
+        smoothness,
+        covered_temperatures(inside),
+        _fastest(model, found, rows, lag),
+        counts,
+        tuple(dict.fromkeys(messages)),
+        groups,
+    )
+
+
+def _neighbours(
+    model: SensorModel,
+    observations: Observations,
+    found: Estimate,
+    rows: Rows,
+    done: estimation.Executed,
+    width_k: float,
+) -> tuple[tuple[estimation.Group, ...], list[str]]:
+    """The moves without a structure, beside what the map says of each."""
+    if done.line.rates or rows.angle is None or model.scale is None:
+        return (), ["there are no moves between two rests whose angle is known, so no neighbours to take together"]
+    scale = model.where(SCALE_FACTOR)
+    moves = estimation.moves_between_rests(
+        observations.readings[:, 0],
+        observations.columns_of(0)[:, scale] @ found.parameters[0][scale],
+        np.diff(rows.angle[done.rows]),
+        np.diff(rows.time[done.rows]),
+        observations.temperature_c,
+        done.line.moving,
+        done.broken,
+    )
+    groups = estimation.closest_neighbours(moves, width_k)
+    said = [] if groups else ["no move has a rest right before and after it, so there are no neighbours"]
+    return groups, said
+
+
+def _fastest(model: SensorModel, found: Estimate, rows: Rows, lag: float) -> tuple[float, float]:
+    """Slowest and fastest true rate of the rows that turn, rad/s; zero where none has a reference."""
+    turning = ~rows.standing & rows.usable
+    if rows.angle is None or not turning.any():
+        return 0.0, 0.0
+    rates = estimation.true_rate(model, found.parameters[0], rows.rate[turning], followed(rows, lag)[turning])
+    return covered_rates(rates)
+
+
+def covered_temperatures(temperature_c: np.ndarray) -> tuple[float, float]:
+    """°C, from the lowest to the highest."""
+    return _outwards(float(temperature_c.min()), float(temperature_c.max()), _TEMPERATURE_STEP_K)
+
+
+def covered_rates(rates: np.ndarray) -> tuple[float, float]:
+    """rad/s, from the slowest to the fastest, rest included."""
+    return _outwards(min(float(rates.min()), 0.0), max(float(rates.max()), 0.0), _RATE_STEP_RAD_PER_S)
+
+
+def _outwards(low: float, high: float, step: float) -> tuple[float, float]:
+    """The range, rounded to whole steps so that it holds what it held."""
+    return float(np.floor(low / step + 1e-6) * step), float(np.ceil(high / step - 1e-6) * step)
+
+
+def within(rows: np.ndarray, pieces: np.ndarray, count: int) -> np.ndarray:
+    """`(count,)`: whether a row lies in one of the chosen pieces."""
+    change = np.zeros(count + 1, np.int64)
+    np.add.at(change, rows[:-1][pieces] + 1, 1)
+    np.add.at(change, rows[1:][pieces] + 1, -1)
+    return np.cumsum(change[:-1]) > 0
+
+
+def integrated_rows(done: estimation.Executed, count: int) -> np.ndarray:
+    """`(count,)`: the rows whose samples were integrated."""
+    return within(done.rows, ~done.broken, count)
+
+
+def _subsets(observations: Observations, rows: Rows) -> dict[str, np.ndarray]:
+    """Halves of the readings that ought to agree."""
+    used = observations.used
+    time = observations.time_s[used]
+    result: dict[str, np.ndarray] = {}
+    minute = np.interp(time + 30.0, rows.time, rows.temperature) - np.interp(time - 30.0, rows.time, rows.temperature)
+    heating, cooling = minute > 0.05, minute < -0.05
+    if heating.sum() > 0.1 * len(time) and cooling.sum() > 0.1 * len(time):
+        result["heating against cooling"] = minute > 0.0
+    turning = observations.rate_rad_per_s[used] != 0.0
+    moves = np.cumsum(np.diff(turning, prepend=False) & turning)
+    if moves.max(initial=0) >= 4:
+        result["odd moves against even ones"] = moves % 2 == 1
+    if len(time) >= 4:
+        result["first half against second"] = time < 0.5 * (time[0] + time[-1])
+    return result

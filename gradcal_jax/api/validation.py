@@ -1,0 +1,194 @@
+"""A calibration against a log that it was not made from: what is left, by temperature and rate.
+
+The corrected rates are integrated from standstill to standstill; what a move's angle differs by from the table's,
+over the angle, is the scale factor that is left, and what the integrated rate at rest comes to, over the time, the
+bias. Beside each stands what the reference itself is uncertain by, where a spec says so.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gradcal_jax import estimation, formulas
+from gradcal_jax.api.log_rows import count_rows, table_axis_of
+from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
+from gradcal_jax.api.unit_channel import integrated_rows
+from gradcal_jax.files import correction
+from gradcal_jax.files.calibration import Calibration
+from gradcal_jax.files.log import Log, LogError
+
+
+class Cell(NamedTuple):
+    """Moves (or stretches of rest) of one range of temperature and rate: mean error, its scatter, before and after."""
+
+    temperature_c: tuple[float, float]
+    rate_dps: tuple[float, float] | None
+    how_many: int
+    before: float
+    after: float
+    scatter: float
+    unit: str
+
+
+class AxisValidation(NamedTuple):
+    """Of one axis. `scale_factor_ppm`, `bias_deg_per_h`: rms before and after, over all moves and all rests."""
+
+    axis: str
+    moves: int
+    rests: int
+    scale_factor_ppm: tuple[float, float] | None
+    bias_deg_per_h: tuple[float, float] | None
+    cells: tuple[Cell, ...]
+    rows: dict[str, int]
+    messages: tuple[str, ...]
+
+
+def validate(
+    calibration: Calibration,
+    log: Log,
+    *,
+    unit: str | int = 0,
+    temperature_parts: int = 3,
+    earth_rate: float = 0.0,
+    table_axis: str | None = None,
+) -> list[AxisValidation]:
+    """What a calibration leaves on a log that it was not made from: ppm of moves' angles and deg/h at rest, rms before
+    and after, by `temperature_parts` ranges of temperature (°C) and by rate (deg/s).
+
+    Every axis that both have. `earth_rate` rad/s along the sensor's axis is taken off; `table_axis`: which turns it.
+    Errors: `LogError` where the log holds neither moves with a reference nor rests.
+    """
+    corrected = correction.apply(calibration, log, unit)
+    number = log.unit_index(unit)
+    result: list[AxisValidation] = []
+    for name in log.axes:
+        if name in corrected.left_alone:
+            continue
+        result.append(_axis(calibration, log, corrected.log, number, name, temperature_parts, earth_rate, table_axis))
+    if not any(one.moves or one.rests for one in result):
+        raise LogError("the log holds neither a move with a table angle nor a rest: there is nothing to compare with")
+    return result
+
+
+def _axis(
+    calibration: Calibration,
+    log: Log,
+    corrected: Log,
+    unit: int,
+    axis: str,
+    parts: int,
+    earth_rate: float,
+    table_axis: str | None,
+) -> AxisValidation:
+    messages: list[str] = []
+    column = log.axis_index(axis)
+    raw = log.rate_rad_per_s[unit, :, column]
+    new = corrected.rate_rad_per_s[0, :, column]
+    usable = log.usable(unit) & np.isfinite(raw)
+    usable[log.stretch_starts] = False
+    table = table_axis_of(log, axis, table_axis)
+    angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
+    if log.standstill is not None:
+        standing = log.standstill >= 0
+    else:
+        standing = (
+            estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit)) >= 0
+        )
+        messages.append("the log marks no standstills: they were found where the rates are quiet")
+    temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(raw), np.nan)
+    done = estimation.executed(
+        log.time_s,
+        np.nan_to_num(temperature, nan=20.0),
+        np.where(usable, raw, 0.0),
+        angle,
+        standing,
+        usable,
+        read_every=np.inf,
+        longest_piece=np.inf,
+    )
+    step = np.diff(log.time_s, prepend=log.time_s[0])
+    moving = done.line.moving
+    sums = []
+    for rates in (raw, new):
+        integral = np.concatenate([[0.0], np.cumsum(np.where(usable, rates - earth_rate, 0.0) * step)])
+        sums.append(integral[done.rows[1:] + 1] - integral[done.rows[:-1] + 1])
+    elapsed = np.diff(log.time_s[done.rows])
+    at = 0.5 * (temperature[done.rows[1:]] + temperature[done.rows[:-1]])
+    cells: list[Cell] = []
+    moves = rests = 0
+    scale = bias = None
+    if angle is not None:
+        groups = _moves(moving & ~done.broken)
+        truth = np.array([angle[done.rows[b + 1]] - angle[done.rows[a]] for a, b in groups])
+        turned = np.abs(truth) > np.radians(1.0)
+        if turned.any():
+            before, after = (
+                (np.array([s[a : b + 1].sum() for a, b in groups]) - truth)[turned] / truth[turned] * PPM for s in sums
+            )
+            lasting = np.array([elapsed[a : b + 1].sum() for a, b in groups])[turned]
+            warm = np.array([np.mean(at[a : b + 1]) for a, b in groups])[turned]
+            speed = truth[turned] / lasting * DEG_PER_S
+            moves = len(before)
+            scale = (_rms(before), _rms(after))
+            cells += _cells(warm, speed, before, after, parts, "ppm")
+    still = ~moving & ~done.broken & (elapsed > 1.0)
+    if still.any():
+        before, after = (s[still] / elapsed[still] * DEG_PER_H for s in sums)
+        rests = int(still.sum())
+        bias = (_rms(before, elapsed[still]), _rms(after, elapsed[still]))
+        cells += _cells(at[still], None, before, after, parts, "deg/h")
+    rows = count_rows(log, unit, integrated_rows(done, len(raw)))
+    return AxisValidation(axis, moves, rests, scale, bias, tuple(cells), rows, tuple(messages))
+
+
+def _moves(moving: np.ndarray) -> list[tuple[int, int]]:
+    """First and last piece of every move."""
+    return [(first, end - 1) for first, end in formulas.runs(moving).tolist()]
+
+
+def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:
+    return float(np.sqrt(np.average(values**2, weights=weights)))
+
+
+def _cells(temperature, speed, before, after, parts: int, unit: str) -> list[Cell]:
+    """By equal parts of the temperature, and by what rates were turned at."""
+    known = np.isfinite(temperature)
+    values = np.where(known, temperature, 0.0)
+    low, high = float(values.min()), float(values.max())
+    edges = np.linspace(low, high, parts + 1) if high - low > 1.0 else np.array([low, high])
+    warm = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    fast = np.zeros(len(before), int) if speed is None else _clusters(speed)
+    rows: list[Cell] = []
+    for i in range(len(edges) - 1):
+        for j in np.unique(fast):
+            inside = (warm == i) & (fast == j)
+            if not inside.any():
+                continue
+            rates = None if speed is None else (float(speed[inside].min()), float(speed[inside].max()))
+            rows.append(
+                Cell(
+                    (float(edges[i]), float(edges[i + 1])),
+                    rates,
+                    int(inside.sum()),
+                    float(np.mean(before[inside])),
+                    float(np.mean(after[inside])),
+                    float(np.std(after[inside])),
+                    unit,
+                )
+            )
+    return rows
+
+
+def _clusters(speed: np.ndarray) -> np.ndarray:
+    """Numbers of groups of mean rates that lie within a fifth of one another."""
+    order = np.argsort(speed)
+    ordered = speed[order]
+    apart = np.diff(ordered) > 0.2 * np.maximum(np.abs(ordered[1:]), np.abs(ordered[:-1]))
+    result = np.empty(len(speed), int)
+    result[order] = np.concatenate([[0], np.cumsum(apart)])
+    return result
+
+
+def validation_rows(found: list[AxisValidation]) -> list[dict[str, Any]]:
+    """Plain numbers for `--json`."""
+    return [{**one._asdict(), "cells": [cell._asdict() for cell in one.cells]} for one in found]

@@ -1,0 +1,76 @@
+"""One way to write the core for two array libraries: NumPy computes a value at once, JAX whatever is differentiated,
+batched or compiled.
+
+The core's formulas take the namespace of their arguments. A number that is asked for once (a prediction, a sweep's
+point, an estimate) goes through NumPy, where there is nothing to compile; a search traces the very same lines with JAX.
+What the two libraries write differently stands here.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+AnyArray = jax.Array | np.ndarray
+"""An array of either library, for annotations: `Float[AnyArray, "n p"]`."""
+
+Carry = TypeVar("Carry")
+
+
+def namespace(*trees: Any) -> Any:
+    """`jax.numpy` where any array within the arguments (pytrees) is JAX's, else `numpy`."""
+    return jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(trees)) else np
+
+
+def put(into: Any, where: Any, values: Any) -> Any:
+    """`into` with `into[where] = values`; under JAX places beyond the end are dropped, which is what padding points to.
+
+    `where` indexes as in NumPy. The argument itself is not changed.
+    """
+    if namespace(into, values) is jnp:
+        return jnp.asarray(into).at[where].set(values, mode="drop")
+    result = np.array(into)
+    result[where] = values
+    return result
+
+
+def fixed(x: Any) -> Any:
+    """The value without its derivative."""
+    return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
+
+
+def repeated(count: int, body: Callable[[Carry], Carry], start: Carry) -> Carry:
+    """`body` applied `count` times; one loop in a compiled program."""
+    if namespace(start) is jnp:
+        return jax.lax.fori_loop(0, count, lambda _, carry: body(carry), start)
+    for _ in range(count):
+        start = body(start)
+    return start
+
+
+def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over: Any) -> Any:
+    """What `step(carry, row) -> (carry, out)` gives for the rows of `over`, one after the other, stacked."""
+    if namespace(start, over) is jnp:
+        return jax.lax.scan(step, start, over)[1]
+    rows = []
+    for row in zip(*over, strict=True):
+        start, out = step(start, row)
+        rows.append(out)
+    return np.stack(rows)
+
+
+def size_class(count: int) -> int:
+    """The next of 0, 1, 2, 3, 4, 6, 8, 12, 16, 24, …: few sizes, none more than half too large."""
+    if count <= 2:
+        return count
+    power = 1 << (count - 1).bit_length()
+    return power * 3 // 4 if count <= power * 3 // 4 else power
+
+
+def filled(values, count: int, filling):
+    """`(n, …)` filled up to `(count, …)` at the end."""
+    xp = namespace(values)
+    rest = xp.full((count - values.shape[0], *values.shape[1:]), filling, dtype=values.dtype)
+    return xp.concatenate([values, rest])

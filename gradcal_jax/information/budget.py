@@ -1,0 +1,104 @@
+"""The error budget: how much of a residual each source of error is.
+
+A statistic r of the residual depends on the noise through `G = ΦᵀV⁻¹Φ` alone, and V is a sum over sources, each
+proportional to its variance σ². With `Ḡ = ∂r/∂G` the filter's own derivative (`adjoint`) gives `∂r/∂V`, and so
+`∂ln r/∂ln σ` of each source: shares that add up to one with that of the priors, since r is homogeneous in all standard
+deviations together. Nothing is differenced.
+"""
+
+from collections.abc import Mapping
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.arrays import size_class
+from gradcal_jax.information.adjoint import gram
+from gradcal_jax.information.native import plain
+from gradcal_jax.information.noise_steps import NoiseSteps
+from gradcal_jax.information.posterior import LeastSquares, Posterior, noise_of_sums
+from gradcal_jax.information.residual import Quantity, Statistic, contrasts
+from gradcal_jax.model import SensorModel
+
+
+def weights_of(name: Statistic, values: Float[np.ndarray, "n_T n_w"]) -> Float[np.ndarray, "n_T n_w"]:
+    """The derivative of a statistic of a residual map in each of its values."""
+    weights = np.zeros_like(values)
+    if name == "mean of max":
+        weights[np.argmax(values, axis=0), np.arange(values.shape[1])] = 1.0 / values.shape[1]
+    elif name == "max":
+        weights.flat[np.argmax(values)] = 1.0
+    elif name == "mean":
+        weights += 1.0 / values.size
+    else:
+        weights += values / (values.size * np.sqrt(np.mean(values**2)))
+    return weights
+
+
+class Sensitivity:
+    """The derivative of one statistic of a residual map: in `G`, and in what no plan can touch."""
+
+    def __init__(
+        self,
+        known: Posterior,
+        model: SensorModel,
+        quantity: Quantity,
+        temperature: np.ndarray,
+        rate: np.ndarray,
+        statistic: Statistic,
+        values: Float[np.ndarray, "n_T n_w"],
+    ) -> None:
+        grid_t, grid_w = (g.ravel() for g in np.meshgrid(temperature, rate, indexing="ij"))
+        weights = weights_of(statistic, values).ravel()
+        counts = weights > 0.0
+        rows, alone, beyond = contrasts(model, quantity, grid_t[counts], grid_w[counts])
+        half = 0.5 * weights[counts] / values.ravel()[counts]
+        of_rows, of_alone = (c @ known.spread @ known.spread.T for c in (rows, alone))
+        self.of_gram = -(of_rows.T * half) @ of_rows + (of_alone.T * half) @ of_alone
+        self.of_covariance = (rows.T * half) @ rows - (alone.T * half) @ alone
+        self.of_beyond = float(half @ beyond)
+
+
+def noise_shares(
+    steps: NoiseSteps, columns: Float[np.ndarray, "N p"], of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
+) -> dict[str, float]:
+    """`∂r/∂ln σ` of each source, whose own part of the noise `sources` has."""
+    transition, covariance, observation, variance, initial = _cotangents(steps, columns, of_gram)
+    del transition, observation
+    return {
+        name: 2.0
+        * float(
+            np.sum(covariance * part.covariance)
+            + np.sum(variance * part.reading_variance)
+            + np.sum(initial * part.initial)
+        )
+        for name, part in sources.items()
+    }
+
+
+def _cotangents(steps: NoiseSteps, columns: np.ndarray, of_gram: np.ndarray) -> list[np.ndarray]:
+    n, p = steps.observation.shape[1], columns.shape[1]
+    code = plain(n)
+    if code is not None:
+        rows, _, _, kept = code.whiten(np.zeros((n, p)), steps.initial, steps, columns, keep=True)
+        assert kept is not None
+        return code.cotangents(steps, rows, kept, of_gram)[:5]
+    count = len(columns)
+    longer = steps.padded(size_class(count))
+    found = _pulled(longer, np.pad(columns, ((0, len(longer.used) - count), (0, 0))), of_gram)
+    return [*(np.asarray(x)[:count] for x in found[:4]), np.asarray(found[4])]
+
+
+@jax.jit
+def _pulled(steps: NoiseSteps, columns, of_gram):
+    numbers = (*steps[:4], steps.initial)
+    _, pull = jax.vjp(lambda f, q, h, r, p: gram(NoiseSteps(f, q, h, r, steps.used, p), columns), *numbers)
+    return pull((of_gram + of_gram.T) / 2)
+
+
+def unweighted_shares(
+    estimator: LeastSquares, of_covariance: np.ndarray, sources: Mapping[str, NoiseSteps]
+) -> dict[str, float]:
+    """As `noise_shares`, for an estimator that stays as it is whatever the noise."""
+    inner = estimator.back.T @ of_covariance @ estimator.back
+    return {name: 2.0 * float(np.sum(inner * noise_of_sums(part, estimator.weights))) for name, part in sources.items()}

@@ -1,0 +1,169 @@
+"""Bases: one thing with interchangeable forms.
+
+A basis turns a temperature (°C) or a rate (rad/s) into the values of its functions. The *engine* computes in
+coordinates that are well conditioned (Legendre or Chebyshev); people read *reported* coefficients (the paper's
+normalised monomials). `to_reported @ engine = reported` connects them.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+from numpy.polynomial import chebyshev as np_chebyshev
+from numpy.polynomial import legendre as np_legendre
+
+from gradcal_jax import formulas
+from gradcal_jax.arrays import AnyArray, namespace
+
+
+class Basis(eqx.Module):
+    """A finite set of functions of one variable."""
+
+    def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
+        """Values of the engine's functions at `x`, on a new last axis."""
+        raise AssertionError("Basis is abstract: use Polynomial, BSpline or Bins")
+
+    @property
+    def size(self) -> int:
+        raise AssertionError("Basis is abstract: use Polynomial, BSpline or Bins")
+
+    @property
+    def to_reported(self) -> np.ndarray:
+        """`(size, size)`: engine coefficients to reported ones."""
+        return np.eye(self.size)
+
+    @property
+    def constant(self) -> np.ndarray:
+        """`(size,)`: engine coefficients of the function that is 1 everywhere."""
+        return np.ones(self.size)
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Where the functions are not smooth; a quadrature must not step over these."""
+        return ()
+
+    @property
+    def has_neighbours(self) -> bool:
+        """Whether coefficients belong to places, so that those of neighbouring places ought to be alike."""
+        return False
+
+
+class Polynomial(Basis):
+    """Polynomials up to `degree` in `(x − centre)/scale`; reported as its monomials (paper, eqs. 4, 11)."""
+
+    degree: int = eqx.field(static=True)
+    centre: float = eqx.field(static=True)
+    scale: float = eqx.field(static=True)
+    internal: Literal["legendre", "chebyshev"] = eqx.field(static=True, default="legendre")
+
+    def __check_init__(self):
+        if self.degree < 0:
+            raise ValueError(f"a polynomial needs a degree of 0 or more, not {self.degree}")
+        if not self.scale > 0.0:
+            raise ValueError(f"a polynomial's scale must be positive, not {self.scale}: give half the range it covers")
+
+    def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
+        values = formulas.legendre if self.internal == "legendre" else formulas.chebyshev
+        return values((x - self.centre) / self.scale, self.degree)
+
+    @property
+    def size(self) -> int:
+        return self.degree + 1
+
+    @property
+    def to_reported(self) -> np.ndarray:
+        convert = np_legendre.leg2poly if self.internal == "legendre" else np_chebyshev.cheb2poly
+        matrix = np.zeros((self.size, self.size))
+        for k in range(self.size):
+            monomials = convert(np.eye(self.size)[k])
+            matrix[: len(monomials), k] = monomials
+        return matrix
+
+    @property
+    def constant(self) -> np.ndarray:
+        return np.eye(self.size)[0]
+
+
+class BSpline(Basis):
+    """Clamped B-splines of `degree` on `knots` (both ends included)."""
+
+    knots: tuple[float, ...] = eqx.field(static=True)
+    degree: int = eqx.field(static=True, default=3)
+
+    def __check_init__(self):
+        if self.degree < 0 or len(self.knots) < 2 or list(self.knots) != sorted(set(self.knots)):
+            raise ValueError("a B-spline needs a degree of 0 or more and at least two knots that increase")
+
+    def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
+        return formulas.b_spline(x, self.knots, self.degree)
+
+    @property
+    def size(self) -> int:
+        return len(self.knots) - 1 + self.degree
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return self.knots
+
+    @property
+    def has_neighbours(self) -> bool:
+        return True
+
+
+class Bins(Basis):
+    """Piecewise constants between `edges`: the paper's mean values over carefully selected ranges."""
+
+    edges: tuple[float, ...] = eqx.field(static=True)
+
+    def __check_init__(self):
+        if len(self.edges) < 2 or list(self.edges) != sorted(set(self.edges)):
+            raise ValueError("bins need at least two edges that increase")
+
+    def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
+        return formulas.bins(x, self.edges)
+
+    @property
+    def size(self) -> int:
+        return len(self.edges) - 1
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return self.edges[1:-1]
+
+    @property
+    def has_neighbours(self) -> bool:
+        return True
+
+
+class HigherPolynomials(Basis):
+    """The Legendre polynomials that a model of lower degree leaves out: `lowest … degree` in `(x − centre)/scale`.
+
+    What a wrong structure may hide is described by these with a prior; they are never reported.
+    """
+
+    lowest: int = eqx.field(static=True)
+    degree: int = eqx.field(static=True)
+    centre: float = eqx.field(static=True)
+    scale: float = eqx.field(static=True)
+
+    def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
+        return self.from_zero(x)[..., self.lowest :]
+
+    def from_zero(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... all"]:
+        """All Legendre polynomials in order, those of the model first; there are at least `lowest` of them."""
+        return formulas.legendre((x - self.centre) / self.scale, max(self.degree, self.lowest - 1))
+
+    @property
+    def size(self) -> int:
+        return max(self.degree + 1 - self.lowest, 0)
+
+    @property
+    def constant(self) -> np.ndarray:
+        return np.zeros(self.size)
+
+
+def tensor(first: Float[AnyArray, "... a"], second: Float[AnyArray, "... b"]) -> Float[AnyArray, "... ab"]:
+    """Values of a tensor basis, the second factor fastest: `(..., a), (..., b) -> (..., a·b)`."""
+    product = first[..., :, None] * second[..., None, :]
+    return namespace(product).reshape(product, (*product.shape[:-2], -1))

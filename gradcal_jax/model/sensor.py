@@ -1,0 +1,139 @@
+"""The model of a sensor channel: a sum of terms, and the noise that is left.
+
+    δω = B(T) + ε_d2d + ε_ins(t) + M(T, ω)·ω + ε_res(t)·ω + ε_RW(t)                       (Berman, eq. 1)
+
+What is linear in parameters is a term (`terms`); everything else is noise (`noise`). The parameter vector `β` is the
+terms' parameters, one term after the other.
+"""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.model.nodes import Nodes
+from gradcal_jax.model.noise import Processes, Reference, angle_reference, no_processes
+from gradcal_jax.model.terms import BIAS, SCALE_FACTOR, BiasTemperatureGradient, EncoderHarmonics, Map, Term
+
+
+class SensorModel(eqx.Module):
+    """A sensor channel and its reference: `terms`, `angle_random_walk` (rad/√s), processes, noise of the reference.
+
+    Errors: `ValueError` without any map to calibrate.
+    """
+
+    terms: tuple[Term, ...]
+    angle_random_walk: Float[AnyArray, ""]
+    processes: Processes
+    reference: Reference
+
+    def __check_init__(self):
+        if not any(isinstance(term, Map) for term in self.terms):
+            raise ValueError("nothing to calibrate: give the model a bias map, a scale-factor map, or both")
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return sum(term.size for term in self.terms)
+
+    def where(self, name: str) -> slice:
+        """Where a term's parameters stand; an empty slice for a term that the model does not have."""
+        begin = 0
+        for term in self.terms:
+            if term.name == name:
+                return slice(begin, begin + term.size)
+            begin += term.size
+        return slice(begin, begin)
+
+    def term(self, name: str) -> Term | None:
+        """The term of that name, if there is one."""
+        return next((term for term in self.terms if term.name == name), None)
+
+    def map(self, name: str) -> Map | None:
+        """The map of that name, if the model estimates it."""
+        found = self.term(name)
+        return found if isinstance(found, Map) else None
+
+    @property
+    def bias(self) -> Map | None:
+        return self.map(BIAS)
+
+    @property
+    def scale(self) -> Map | None:
+        return self.map(SCALE_FACTOR)
+
+    @property
+    def harmonics(self) -> EncoderHarmonics | None:
+        return next((term for term in self.terms if isinstance(term, EncoderHarmonics)), None)
+
+    def names(self) -> list[str]:
+        """Names of the reported parameters in the model's order."""
+        return [name for term in self.terms for name in term.names()]
+
+    def units(self) -> list[str]:
+        """SI units of the parameters."""
+        return [term.unit for term in self.terms for _ in range(term.size)]
+
+    @property
+    def calibrated(self) -> int:
+        """How many parameters, the first ones, a calibration holds; those after are of the rig and of structure."""
+        return sum(term.size for term in self.terms if isinstance(term, Map | BiasTemperatureGradient))
+
+    @property
+    def to_reported(self) -> np.ndarray:
+        """`(p, p)`: the engine's parameters to the reported ones."""
+        matrix = np.zeros((self.size, self.size))
+        for term in self.terms:
+            where = self.where(term.name)
+            matrix[where, where] = term.to_reported
+        return matrix
+
+    def columns(self, nodes: Nodes) -> Float[AnyArray, "P p"]:
+        """What each parameter's unit adds to the integrated error over each piece, rad."""
+        blocks = [term.columns(nodes) for term in self.terms]
+        return namespace(*blocks).concatenate(blocks, axis=1)
+
+    def prior_rows(self) -> Float[AnyArray, "q p"]:
+        """Whitened rows of everything known beforehand: stacked over the data's rows they make the posterior."""
+        blocks, xp = [(self.where(term.name), term.prior_rows()) for term in self.terms], namespace(self.terms)
+        parts = [
+            xp.concatenate(
+                [xp.zeros((len(rows), at.start)), xp.asarray(rows), xp.zeros((len(rows), self.size - at.stop))], axis=1
+            )
+            for at, rows in blocks
+        ]
+        return xp.concatenate(parts)
+
+
+def gyro_model(
+    bias: Map | None,
+    scale: Map | None,
+    angle_random_walk: float,
+    processes: Processes | None = None,
+    reference: Reference | None = None,
+    *,
+    temperature_gradient_std: float | None = None,
+    harmonics: dict[int, float] | None = None,
+) -> SensorModel:
+    """A gyro axis from its maps and plain numbers (SI), with the maps' discrepancies as the last terms.
+
+    `temperature_gradient_std` (rad/s)/(K/s): the prior of dB/dṪ, `inf` flat, None without that term. `harmonics`: the
+    amplitudes (rad) of the encoder's error by order. A turn-on bias that B cannot be told from belongs to B's
+    `common_std`; where B is known it is a process. Errors: `ValueError` where there is nothing to find.
+    """
+    maps = [m for m in (bias, scale) if m is not None]
+    terms: list[Term] = list(maps)
+    if temperature_gradient_std is not None:
+        std = np.asarray(temperature_gradient_std, dtype=float)
+        terms.append(BiasTemperatureGradient(std=std, has_prior=bool(np.isfinite(std))))
+    if harmonics:
+        terms.append(
+            EncoderHarmonics(amplitudes=np.array(list(harmonics.values()), dtype=float), orders=tuple(harmonics))
+        )
+    terms += [m.beyond for m in maps if m.beyond is not None]
+    return SensorModel(
+        tuple(terms),
+        np.asarray(angle_random_walk, dtype=float),
+        no_processes() if processes is None else processes,
+        angle_reference() if reference is None else reference,
+    )

@@ -1,0 +1,343 @@
+"""Terms of the error model: each says its parameters' names, what is known of them beforehand, and their columns.
+
+A *term* is a source of error that is linear in a few parameters. Its columns are what each parameter's unit adds to the
+integrated error over every piece of a trajectory (rad), a function of `nodes.Nodes` alone, so that a plan and a log
+meet the same term. A new source of error is one more class here.
+"""
+
+from abc import abstractmethod
+from typing import Final
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
+from gradcal_jax.model.nodes import GaussNodes, Nodes, SampleNodes
+
+BIAS: Final = "bias"
+SCALE_FACTOR: Final = "scale_factor"
+TEMPERATURE_GRADIENT: Final = "bias_temperature_gradient"
+HARMONICS: Final = "harmonics"
+DISCREPANCY: Final = "{}_discrepancy"
+
+# A noise of the rate so small beside the fastest one does not show in float64.
+_NO_NOISE = 1e-8
+
+
+class Term(eqx.Module):
+    """A source of error that is linear in `size` parameters; `name` is what a model finds it by."""
+
+    name: eqx.AbstractVar[str]
+
+    @property
+    @abstractmethod
+    def unit(self) -> str:
+        """SI unit of its parameters."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """How many parameters."""
+
+    @abstractmethod
+    def names(self) -> list[str]:
+        """Names of the reported parameters."""
+
+    @abstractmethod
+    def prior_rows(self) -> Float[AnyArray, "q size"]:
+        """Whitened rows of what is known beforehand; none for a flat prior."""
+
+    @abstractmethod
+    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+        """What each parameter's unit adds to the integrated error over each piece, rad."""
+
+    @property
+    def to_reported(self) -> np.ndarray:
+        """`(size, size)`: the engine's parameters to those that people read."""
+        return np.eye(self.size)
+
+
+class Discrepancy(Term):
+    """What the structure of a map leaves out: the next Legendre polynomials, each with the standard deviation `std`.
+
+    Legendre throughout, whatever form the engine computes the structure in: the prior is on these functions. Without
+    `rate` they are functions of temperature alone.
+    """
+
+    temperature: HigherPolynomials
+    rate: HigherPolynomials | None
+    std: Float[AnyArray, ""]
+    name: str = eqx.field(static=True)
+
+    @property
+    def unit(self) -> str:
+        return "rad/s" if self.rate is None else "1"
+
+    @property
+    def size(self) -> int:
+        extra = self.temperature.size
+        if self.rate is None:
+            return extra
+        return extra * (self.rate.lowest + self.rate.size) + self.temperature.lowest * self.rate.size
+
+    def names(self) -> list[str]:
+        return [f"{self.name}{k}" for k in range(self.size)]
+
+    def prior_rows(self) -> Float[AnyArray, "q size"]:
+        return namespace(self.std).eye(self.size) / self.std
+
+    def _factors(self, temperature, rate) -> list[tuple]:
+        """Pairs of sets of functions whose products the structure leaves out."""
+        extra_t = self.temperature
+        if self.rate is None:
+            return [(extra_t(temperature), namespace(temperature).ones((*temperature.shape, 1)))]
+        all_t, all_w = extra_t.from_zero(temperature), self.rate.from_zero(rate)
+        within_t, beyond_t = all_t[..., : extra_t.lowest], all_t[..., extra_t.lowest :]
+        return [(beyond_t, all_w), (within_t, all_w[..., self.rate.lowest :])]
+
+    def values(self, temperature: Float[AnyArray, "*s"], rate: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s size"]:
+        """The functions at temperatures (°C) and rates (rad/s)."""
+        factors = [tensor(*pair) for pair in self._factors(temperature, rate)]
+        return namespace(temperature).concatenate(factors, axis=-1)
+
+    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+        def of_group(group: GaussNodes | SampleNodes):
+            drive = 1.0 if self.rate is None else group.rate[..., None]
+            pairs = self._factors(group.temperature, group.rate)
+            parts = [group.sums(t, w * drive) for t, w in pairs if t.shape[-1] and w.shape[-1]]
+            return namespace(group.weight).concatenate(parts, axis=-1)
+
+        return nodes.integrals(of_group, self.size, moving_only=self.rate is not None)
+
+
+class Map(Term):
+    """A calibrated function: `B(T)` (`rate` is None, rad/s) or `M(T, ω)`, which the rate multiplies, with its priors.
+
+    `prior_std`: standard deviation of each *reported* coefficient, rad/s for B and 1 for M; `inf` is flat.
+    `common_std`: of an error common to the whole map, which the constant cannot be told from (turn-on bias of B).
+    `smoothness_std`: standard deviation of the difference of neighbouring coefficients; `inf` is none.
+    `beyond`: what the structure leaves out, a term of its own in a model.
+    """
+
+    temperature: Basis
+    rate: Basis | None
+    prior_std: Float[AnyArray, ""]
+    smoothness_std: Float[AnyArray, ""]
+    common_std: Float[AnyArray, ""]
+    beyond: Discrepancy | None = None
+    name: str = eqx.field(static=True, default=BIAS)
+    has_prior: bool = eqx.field(static=True, default=False)
+    has_smoothness: bool = eqx.field(static=True, default=False)
+
+    @property
+    def unit(self) -> str:
+        return "rad/s" if self.rate is None else "1"
+
+    @property
+    def size(self) -> int:
+        return self.temperature.size * (1 if self.rate is None else self.rate.size)
+
+    def names(self) -> list[str]:
+        """As in the paper for polynomials: `a{k}` multiplies the k-th power of temperature in B; `b{j}{i}` the j-th
+        power of rate and the i-th of temperature in M. Other bases count their functions: `a_bin3`, `b_spline2_1`.
+        """
+        t, w = self.temperature, self.rate
+        if w is None:
+            return [f"a{_ordinal(t, i)}" for i in range(t.size)]
+        short = isinstance(t, Polynomial) and isinstance(w, Polynomial) and max(t.size, w.size) <= 10
+        pairs = [(i, j) for i in range(t.size) for j in range(w.size)]
+        return [f"b{j}{i}" if short else f"b{_ordinal(w, j)}_{_ordinal(t, i)}" for i, j in pairs]
+
+    def values(self, temperature: Float[AnyArray, "*s"], rate: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s size"]:
+        """The engine's functions at temperatures (°C) and rates (rad/s)."""
+        at_temperature = self.temperature(temperature)
+        return at_temperature if self.rate is None else tensor(at_temperature, self.rate(rate))
+
+    @property
+    def to_reported(self) -> np.ndarray:
+        of_temperature = self.temperature.to_reported
+        return of_temperature if self.rate is None else np.kron(of_temperature, self.rate.to_reported)
+
+    @property
+    def constant(self) -> np.ndarray:
+        """`(size,)`: engine coefficients of the map that is 1 everywhere."""
+        of_temperature = self.temperature.constant
+        return of_temperature if self.rate is None else np.kron(of_temperature, self.rate.constant)
+
+    def differences(self) -> np.ndarray:
+        """`(q, size)`: differences of neighbouring *reported* coefficients, along the axes that have neighbours."""
+
+        def steps(basis: Basis) -> np.ndarray:
+            return np.diff(np.eye(basis.size), axis=0) if basis.has_neighbours else np.zeros((0, basis.size))
+
+        if self.rate is None:
+            return steps(self.temperature) @ self.to_reported
+        n_t, n_w = self.temperature.size, self.rate.size
+        both = [np.kron(steps(self.temperature), np.eye(n_w)), np.kron(np.eye(n_t), steps(self.rate))]
+        return np.concatenate(both) @ self.to_reported
+
+    def prior_rows(self) -> Float[AnyArray, "q size"]:
+        xp, rows = namespace(self.prior_std, self.smoothness_std, self.common_std), []
+        if self.has_prior:
+            rows.append(self._prior())
+        if self.has_smoothness:
+            rows.append(xp.asarray(self.differences()) / self.smoothness_std)
+        return xp.concatenate(rows) if rows else xp.zeros((0, self.size))
+
+    def _prior(self) -> Float[AnyArray, "size size"]:
+        """Rows of the prior `diag(σ²) + σ_c² v vᵀ` on the reported coefficients, `v` being the constant function's.
+
+        A rank-one update of the identity has the square root `1 − γ v vᵀ`, so no factorisation is needed:
+        `(1 + c v vᵀ)^(-1/2) = 1 − (1 − 1/√(1 + c|v|²)) v vᵀ/|v|²`.
+        """
+        xp = namespace(self.prior_std, self.common_std)
+        reported = self.to_reported
+        v = reported @ self.constant
+        square = v @ v
+        shrink = 1.0 - 1.0 / xp.sqrt(1.0 + (self.common_std / self.prior_std) ** 2 * square)
+        return (reported - shrink * (np.outer(v, v) / square @ reported)) / self.prior_std
+
+    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+        def of_group(group: GaussNodes | SampleNodes):
+            t = self.temperature(group.temperature)
+            if self.rate is None:
+                return group.sums(t, namespace(t).ones((*group.rate.shape, 1)))
+            return group.sums(t, self._driven(group))
+
+        return nodes.integrals(of_group, self.size, moving_only=self.rate is not None)
+
+    def _driven(self, group: GaussNodes | SampleNodes):
+        """`χ(ω)·ω` at the nodes.
+
+        A sampled rate has noise (errors in variables): the mean of `g(ω̃)` exceeds `g(ω)` by ½σ²g''(ω) + …, and that of
+        ½[g(ω̃+σ) + g(ω̃−σ)] exceeds `g(ω̃)` by the same, so `2g(ω̃) − ½[g(ω̃+σ) + g(ω̃−σ)]` has no error to that order
+        (none at all for maps up to the square of the rate).
+        """
+        basis = self.rate
+        assert basis is not None
+
+        def driven(rate):
+            return basis(rate) * rate[..., None]
+
+        if isinstance(group, GaussNodes) or group.noise <= _NO_NOISE * np.max(np.abs(group.rate), initial=0.0):
+            return driven(group.rate)
+        return 2.0 * driven(group.rate) - 0.5 * (driven(group.rate + group.noise) + driven(group.rate - group.noise))
+
+
+def _ordinal(basis: Basis, index: int) -> str:
+    if isinstance(basis, Polynomial):
+        return str(index)
+    return f"_{type(basis).__name__.lower().removeprefix('b').replace('ins', 'bin')}{index}"
+
+
+class BiasTemperatureGradient(Term):
+    """Sensitivity of the bias to dT/dt, (rad/s)/(K/s): its column is the change of temperature. `std` `inf`: flat."""
+
+    std: Float[AnyArray, ""]
+    has_prior: bool = eqx.field(static=True)
+    name: str = eqx.field(static=True, default=TEMPERATURE_GRADIENT)
+
+    @property
+    def unit(self) -> str:
+        return "rad/K"
+
+    @property
+    def size(self) -> int:
+        return 1
+
+    def names(self) -> list[str]:
+        return [self.name]
+
+    def prior_rows(self) -> Float[AnyArray, "q size"]:
+        xp = namespace(self.std)
+        return xp.reshape(1.0 / self.std, (1, 1)) if self.has_prior else xp.zeros((0, 1))
+
+    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+        return nodes.temperature_change[:, None]
+
+
+class EncoderHarmonics(Term):
+    """The encoder's repeatable error by angle: cosine and sine of each of `orders` cycles a turn, with a prior each.
+
+    The reference is subtracted, hence the sign of the columns; the table starts at the angle 0.
+    """
+
+    amplitudes: Float[AnyArray, " h"]
+    orders: tuple[int, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True, default=HARMONICS)
+
+    def __check_init__(self):
+        if len(self.orders) != self.amplitudes.shape[0]:
+            raise ValueError("give one amplitude for each harmonic order of the angle error")
+
+    @property
+    def unit(self) -> str:
+        return "rad"
+
+    @property
+    def size(self) -> int:
+        return 2 * len(self.orders)
+
+    def names(self) -> list[str]:
+        return [f"angle_{wave}{order}" for order in self.orders for wave in ("cos", "sin")]
+
+    def prior_rows(self) -> Float[AnyArray, "q size"]:
+        xp = namespace(self.amplitudes)
+        return xp.diag(1.0 / xp.repeat(self.amplitudes, 2))
+
+    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+        return self._waves(nodes.angle_before) - self._waves(nodes.angle_after)
+
+    def _waves(self, angle):
+        xp = namespace(angle)
+        phase = angle[:, None] * np.asarray(self.orders, dtype=float)
+        return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (angle.shape[0], -1))
+
+
+def make_map(
+    temperature: Basis,
+    rate: Basis | None = None,
+    *,
+    prior_std: float = np.inf,
+    smoothness_std: float = np.inf,
+    common_std: float = 0.0,
+    discrepancy: tuple[float, int, int] | None = None,
+) -> Map:
+    """A map from plain numbers (SI). `discrepancy` is (standard deviation, highest degree in T, highest degree in ω).
+
+    Errors: `ValueError` where a discrepancy is asked of a basis that is not polynomial, or reaches no higher than it.
+    """
+    name, beyond = BIAS if rate is None else SCALE_FACTOR, None
+    scalar = lambda v: np.asarray(v, dtype=float)  # noqa: E731
+    if discrepancy is not None:
+        std, *degrees = discrepancy
+        polynomials = [b for b in (temperature, rate) if isinstance(b, Polynomial)]
+        if len(polynomials) < (1 if rate is None else 2):
+            raise ValueError(
+                "a model discrepancy needs polynomial bases: B-splines and bins take a smoothness prior instead"
+            )
+        bases = [
+            HigherPolynomials(b.degree + 1, degree, b.centre, b.scale)
+            for b, degree in zip(polynomials, degrees, strict=False)
+        ]
+        beyond = Discrepancy(
+            temperature=bases[0],
+            rate=bases[1] if rate is not None else None,
+            std=scalar(std),
+            name=DISCREPANCY.format(name),
+        )
+        if beyond.size == 0:
+            raise ValueError("the discrepancy's degrees must exceed the model's, otherwise it describes nothing new")
+    return Map(
+        temperature=temperature,
+        rate=rate,
+        prior_std=scalar(prior_std),
+        smoothness_std=scalar(smoothness_std),
+        common_std=scalar(common_std),
+        beyond=beyond,
+        name=name,
+        has_prior=bool(np.isfinite(prior_std)),
+        has_smoothness=bool(np.isfinite(smoothness_std)),
+    )

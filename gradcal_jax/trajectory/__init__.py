@@ -1,0 +1,25 @@
+"""From moves and temperature programmes to a schedule, its trajectory, and the nodes on which a model is integrated."""
+
+from gradcal_jax.trajectory.gauss import Rule, gauss_nodes, rule_of
+from gradcal_jax.trajectory.motion import Move, rest, turn
+from gradcal_jax.trajectory.programme import Programme, programme
+from gradcal_jax.trajectory.schedule import Schedule, channels_of, gradient_plan, standard_plan
+from gradcal_jax.trajectory.trajectory import Trajectory, held, quadrature
+
+__all__ = [
+    "Move",
+    "Programme",
+    "Rule",
+    "Schedule",
+    "Trajectory",
+    "channels_of",
+    "gauss_nodes",
+    "gradient_plan",
+    "held",
+    "programme",
+    "quadrature",
+    "rest",
+    "rule_of",
+    "standard_plan",
+    "turn",
+]

@@ -1,0 +1,190 @@
+"""Gauss nodes of a trajectory: where the terms of a model are integrated, piece by piece.
+
+Each smooth piece is integrated by Gauss–Legendre quadrature, exact to rounding for polynomial bases. Where a basis has
+breaks (bins, B-splines) a piece is divided at the instants at which the temperature or the rate crosses them, and those
+instants carry their derivative, too.
+"""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax import formulas
+from gradcal_jax.arrays import AnyArray, fixed, namespace, repeated
+from gradcal_jax.model import (
+    BSpline,
+    Discrepancy,
+    GaussNodes,
+    HigherPolynomials,
+    Map,
+    Nodes,
+    Polynomial,
+    SensorModel,
+)
+from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
+
+# A raised cosine to the fourth power, the steepest of a cubic M(T, ω), is resolved to 1e-12 by 16 points; a higher
+# degree in rate adds a period to it, and needs two more.
+_MOVING_NODES = 16
+_CUBIC = 3
+# A lagging sensor's exponentials are no polynomials.
+_LAGGED_NODES = 16
+# A piece is divided in halves of halves from its start until the lag's exponential falls by less than e^(this) or so.
+_LAG_TIMES = 8.0
+# A shape is monotone in each of these shares of a piece but for one turning point, which is found.
+_PANELS = 8
+# Halvings that locate a crossing: to 2^-45 of a panel.
+_HALVINGS = 45
+# In units of rounding: more than the temperature's at the end of a long ramp, less than any integral notices.
+_HAIR = 1e2
+
+
+class Rule(NamedTuple):
+    """How a model's terms are integrated: nodes of a piece (or of a part of it) that moves, and of one that stands;
+    where the bases have breaks; and in how many halves of halves a lagging piece is divided. Structure, not numbers.
+    """
+
+    moving: int
+    standing: int
+    temperature_breaks: tuple[float, ...]
+    rate_breaks: tuple[float, ...]
+    lag_halves: int
+
+
+def rule_of(model: SensorModel, trajectory: Trajectory) -> Rule:
+    """The rule that integrates a model's terms on trajectories like this one, whose numbers are known."""
+    bases = [
+        basis for term in model.terms if isinstance(term, Map | Discrepancy) for basis in (term.temperature, term.rate)
+    ]
+    of_temperature, of_rate = bases[::2], [b for b in bases[1::2] if b is not None]
+    breaks = [tuple(sorted({b for basis in group for b in basis.breaks})) for group in (of_temperature, of_rate)]
+    degree = max((_degree(basis) for basis in of_rate), default=0)
+    lagged = bool(np.any(np.asarray(trajectory.excess) != 0.0))
+    decays = float(np.max(np.where(trajectory.gap, 0.0, trajectory.duration), initial=0.0) * trajectory.lag_rate)
+    halves = int(np.ceil(np.log2(max(decays / _LAG_TIMES, 1.0)))) if lagged else 0
+    standing = _LAGGED_NODES if lagged else max(_degree(basis) for basis in of_temperature) // 2 + 1
+    return Rule(_MOVING_NODES + 2 * max(0, degree - _CUBIC), standing, *breaks, halves)
+
+
+def _degree(basis) -> int:
+    return basis.degree if isinstance(basis, Polynomial | HigherPolynomials | BSpline) else 0
+
+
+def gauss_nodes(trajectory: Trajectory, model: SensorModel, rule: Rule | None = None) -> Nodes:
+    """The nodes on which the model's terms are integrated. `rule`: that of its class, where numbers are traced."""
+    line = trajectory
+    rule = rule_of(model, line) if rule is None else rule
+    xp = namespace(line)
+    count = line.piece_count
+    if isinstance(line.moving, jax.Array):
+        # Where structure is traced, too, all that stands is integrated in its place: what moves is overwritten.
+        standing = [(np.arange(count), rule)]
+    else:
+        where = np.asarray(~line.moving & ~line.gap)
+        long = where & (np.asarray(line.duration * line.lag_rate) > _LAG_TIMES)
+        brief = np.flatnonzero(where & ~long), rule._replace(lag_halves=0)
+        standing = [brief, (np.flatnonzero(long), rule)] if long.any() else [brief]
+    groups = [_group(line, pieces, its, moving=False) for pieces, its in standing]
+    groups.append(_group(line, line.moving_pieces, rule, moving=True))
+    angle = xp.cumsum(line.turned())
+    begin, end = line.ends()
+    return Nodes(tuple(groups), end - begin, xp.concatenate([xp.zeros(1), angle[:-1]]), angle)
+
+
+def _group(line: Trajectory, pieces, rule: Rule, *, moving: bool) -> GaussNodes:
+    count = pieces.shape[0]
+    xp = namespace(line)
+    x, w = quadrature(rule.moving if moving else rule.standing)
+    rate_breaks = rule.rate_breaks if moving else ()
+    if rule.temperature_breaks or rate_breaks or rule.lag_halves:
+        lower, upper = _smooth_panels(line, pieces, rule, rate_breaks)
+        width = (upper - lower)[..., None]
+        v = xp.reshape(lower[..., None] + width * x, (count, -1))
+        weight = xp.reshape(width * w, (count, -1))
+    else:
+        v, weight = (xp.broadcast_to(xp.asarray(values), (count, len(x))) for values in (x, w))
+    weight = weight * line.duration[pieces][:, None]
+    temperature = line.temperature(v, pieces) + _hair(rule.temperature_breaks)
+    rate = line.rate(v, pieces) if moving else xp.zeros(v.shape)
+    return GaussNodes(pieces, weight, rate, temperature, moving)
+
+
+def _hair(breaks: tuple[float, ...]) -> float:
+    """By how much all breaks are taken lower than they are, a rounding error or some.
+
+    A piece that ends on a break and the next, which begins there, must agree on who crosses it, or the crossing's
+    derivative is lost; plans in round numbers do end there, and no plan is so round as a break less a rounding error.
+    """
+    return float(_HAIR * np.finfo(float).eps * (1.0 + max(abs(b) for b in breaks))) if breaks else 0.0
+
+
+def _smooth_panels(line: Trajectory, pieces, rule: Rule, rate_breaks: tuple[float, ...]):
+    """Sub-intervals `(k, m)`, lower and upper (fractions of each piece), on which neither variable crosses a break."""
+    xp, count = namespace(line), pieces.shape[0]
+    panels = _PANELS if rate_breaks else 1
+    edges = np.union1d(np.linspace(0.0, 1.0, panels + 1), 0.5 ** np.arange(rule.lag_halves + 1.0))
+    a, b = (xp.broadcast_to(xp.asarray(e), (count, len(edges) - 1)) for e in (edges[:-1], edges[1:]))
+
+    def temperature(v):
+        return line.temperature(v, pieces) + _hair(rule.temperature_breaks)
+
+    def rate(v):
+        return line.rate(v, pieces) + _hair(rate_breaks)
+
+    bounds = [a, b]
+    for variable, slope, breaks in (
+        (temperature, lambda v: _temperature_slope(line, v, pieces), rule.temperature_breaks),
+        (rate, lambda v: _rate_slope(line, v, pieces), rate_breaks),
+    ):
+        if not breaks:
+            continue
+        # A turning point within a part divides it, so that no break is crossed twice in a half.
+        turning = fixed(_root(slope, 0.0, a, b))
+        for low, high in ((a, turning), (turning, b)):
+            bounds += [_crossing(variable, slope, level, low, high) for level in breaks]
+    ordered = xp.sort(xp.stack(bounds, axis=-1), axis=-1)
+    flat = lambda values: xp.reshape(values, (count, -1))  # noqa: E731
+    return flat(ordered[..., :-1]), flat(ordered[..., 1:])
+
+
+def _temperature_slope(line: Trajectory, v, pieces):
+    """dT/dv."""
+    xp = namespace(line)
+    duration, slope, excess = (f[pieces][:, None] for f in (line.duration, line.slope, line.excess))
+    return duration * (slope - line.lag_rate * excess * xp.exp(-line.lag_rate * duration * v))
+
+
+def _rate_slope(line: Trajectory, v, pieces):
+    """dω/dv."""
+    u_start, u_end = line.u_start[pieces][:, None], line.u_end[pieces][:, None]
+    family = formulas.motion_acceleration(u_start + (u_end - u_start) * v)
+    return (family @ line.terms[pieces][:, :, None])[..., 0] * (u_end - u_start)
+
+
+def _root(variable, level: float, a, b):
+    """Where `variable` crosses `level` between `a` and `b`, by bisection; `b` where it does not."""
+    xp = namespace(a, b, variable(a))
+    above_at_a = variable(a) >= level
+    crosses = above_at_a != (variable(b) >= level)
+
+    def halve(ends):
+        low, high = ends
+        middle = 0.5 * (low + high)
+        same = (variable(middle) >= level) == above_at_a
+        return xp.where(same, middle, low), xp.where(same, high, middle)
+
+    low, high = repeated(_HALVINGS, halve, (a + 0.0 * variable(a), b + 0.0 * variable(a)))
+    return xp.where(crosses, 0.5 * (low + high), b)
+
+
+def _crossing(variable, slope, level: float, a: Float[AnyArray, "k n"], b: Float[AnyArray, "k n"]):
+    """As `_root`; one Newton step, whose value is zero, gives the place the derivative of the implicit function."""
+    place = fixed(_root(variable, level, a, b))
+    xp = namespace(place)
+    value, steep = variable(place), fixed(slope(place))
+    crosses = (fixed(variable(a)) >= level) != (fixed(variable(b)) >= level)
+    usable = crosses & (steep != 0.0)
+    step = (value - fixed(value)) / xp.where(usable, steep, 1.0)
+    return xp.where(crosses, place - xp.where(usable, step, 0.0), b)

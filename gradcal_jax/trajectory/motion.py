@@ -1,0 +1,190 @@
+"""Moves of a table axis: shapes by name, resolved into smooth pieces.
+
+A move is described by peak rate, duration and (for the shapes with ramps) ramp time; the angle follows. What of these a
+user gives, and what is worked out, is settled where the spec is read. Here is plain NumPy: a move's *structure*, from
+which `schedule` makes arrays whose times and rates may then be anything.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax import formulas
+
+Division = tuple[tuple[float, ...], tuple[bool, ...]]
+"""How a smooth part of a move is divided: edges (fractions, 0 to 1), and which of the pieces end with a reading."""
+
+
+class PieceTable(NamedTuple):
+    """The smooth pieces `(k,)` of one move on one channel.
+
+    A piece lasts `(u_end − u_start)·(by_duration·duration + by_ramp·ramp)` of its move's duration and ramp, and its
+    rate is `peak_rate · terms·f(u)` (f: the motion family of `formulas`). Flags: a reading at the end; the axis stands
+    then; the rate not zero throughout; the rate not constant.
+    """
+
+    by_duration: np.ndarray
+    by_ramp: np.ndarray
+    u_start: np.ndarray
+    u_end: np.ndarray
+    terms: np.ndarray
+    read: np.ndarray
+    at_rest: np.ndarray
+    moving: np.ndarray
+    varying: np.ndarray
+
+
+@dataclass(frozen=True)
+class Move:
+    """A turn (any of `formulas.SHAPES`), or a rest (`shape="rest"`), of the table axis `axis`.
+
+    `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's; `controls` a spline's rates over
+    the peak rate; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: of the same
+    time for an axis that stands meanwhile.
+    """
+
+    shape: str
+    axis: str
+    duration: float
+    divisions: tuple[Division, ...]
+    division_at_rest: Division
+    peak_rate: float = 0.0
+    ramp: float = 0.0
+    cycles: int = 1
+    controls: tuple[float, ...] = ()
+    unevenness: float = 0.0
+
+    @property
+    def angle(self) -> float:
+        """Net angle, rad."""
+        p = self.pieces(self.axis)
+        lasting = p.by_duration * self.duration + p.by_ramp * self.ramp
+        family = formulas.motion_angle(p.u_end) - formulas.motion_angle(p.u_start)
+        return float(np.sum(np.sum(family * p.terms, axis=1) * lasting)) * self.peak_rate
+
+    def pieces(self, channel: str) -> PieceTable:
+        """The move as the given channel sees it: its own motion, or standing while another axis moves."""
+        if self.shape == "rest" or channel != self.axis:
+            return standing(self.division_at_rest)
+        return turning(self.shape, self.divisions, self.cycles, self.controls, self.unevenness)
+
+
+@lru_cache(maxsize=4096)
+def standing(division: Division) -> PieceTable:
+    """Standing for the move's duration, divided as said."""
+    edges, read = division
+    count, at = len(read), np.asarray(edges)
+    none = np.zeros(count, bool)
+    terms = np.zeros((count, len(formulas.MOTION_TERMS)))
+    return PieceTable(np.ones(count), np.zeros(count), at[:-1], at[1:], terms, np.array(read), ~none, none, none)
+
+
+@lru_cache(maxsize=4096)
+def turning(
+    shape: str, divisions: tuple[Division, ...], cycles: int, controls: tuple[float, ...], unevenness: float
+) -> PieceTable:
+    """A turn of unit peak rate, each of its smooth parts divided."""
+    parts = formulas.shape_pieces(shape, cycles=cycles, controls=controls, unevenness=unevenness)
+    blocks = []
+    for i, ((what, share, coefficients), (edges, read)) in enumerate(zip(parts, divisions, strict=True)):
+        count, at = len(read), np.asarray(edges)
+        by_duration, by_ramp = {"ramp": (0.0, 1.0), "flat": (1.0, -2.0)}.get(what, (share, 0.0))
+        ends_move = np.arange(count) == (count - 1 if i == len(parts) - 1 else count)
+        yes = np.ones(count, bool)
+        blocks.append(
+            PieceTable(
+                np.full(count, by_duration),
+                np.full(count, by_ramp),
+                at[:-1],
+                at[1:],
+                np.tile(coefficients, (count, 1)),
+                np.array(read),
+                ends_move,
+                yes,
+                yes & (what != "flat"),
+            )
+        )
+    return joined(blocks)
+
+
+def joined(blocks: list[PieceTable]) -> PieceTable:
+    """Blocks of pieces, one after the other."""
+    return PieceTable._make(np.concatenate(field) for field in zip(*blocks, strict=True))
+
+
+@lru_cache(maxsize=4096)
+def divide(duration: float, readings: tuple[float, ...], longest: float = np.inf) -> Division:
+    """Divide a part of `duration` at its readings (from its start), until no piece is longer than `longest`."""
+    if duration <= 0.0:
+        return (0.0, 1.0), (bool(readings),)
+    stops = [float(t) / duration for t in readings]
+    ends = [*stops[:-1], 1.0] if stops and stops[-1] > 1.0 - 1e-9 else [*stops, 1.0]
+    edges, read = [0.0], []
+    for k, end in enumerate(ends):
+        begin = edges[-1]
+        count = max(1, int(np.ceil((end - begin) * duration / longest * (1.0 - 1e-9))))
+        edges += [begin + (end - begin) * i / count for i in range(1, count)] + [end]
+        read += [False] * (count - 1) + [k < len(stops)]
+    return tuple(edges), tuple(read)
+
+
+def even_division(count: int, read: bool) -> Division:
+    """A part of a move in `count` equal pieces, all ending with a reading, or none."""
+    return tuple(float(k) / count for k in range(count + 1)), (read,) * count
+
+
+def rest(duration: float, read_every: float | None = None, *, read_at_end: bool = False) -> Move:
+    """A rest of `duration` s, read every `read_every` s, or once at its end, or not at all.
+
+    Errors: `ValueError` for what is no number.
+    """
+    times = formulas.reading_times(float(duration), read_every) or ([float(duration)] if read_at_end else [])
+    division = divide(float(duration), tuple(times))
+    return Move("rest", "", float(duration), (division,), division)
+
+
+def turn(
+    shape: str,
+    peak_rate: float,
+    duration: float,
+    *,
+    ramp: float = 0.0,
+    axis: str = "x",
+    cycles: int = 1,
+    controls: tuple[float, ...] = (),
+    unevenness: float = 0.0,
+    read_at_end: bool = True,
+    read_every: float | None = None,
+    others_read_every: float | None = None,
+    longest_piece: float = np.inf,
+) -> Move:
+    """A turn of `axis` from plain numbers: `peak_rate` rad/s, signed; `duration` and each `ramp` in s.
+
+    `shape`: one of `formulas.SHAPES`; `cycles` of a sinusoid, `controls` of a spline (over the peak rate), `unevenness`
+    of a turn by hand. `read_at_end`: the angle is read where the turn ends; `others_read_every` s: of axes that stand
+    meanwhile. `read_every` reads on the move, too, and then `read_at_end` does not matter. `longest_piece` (a few of
+    the shortest correlation time of the noise) divides the parts on which the rate varies.
+
+    Errors: `ValueError` for an unknown shape or ramps longer than the move.
+    """
+    if 2.0 * ramp > duration * (1 + 1e-9):
+        raise ValueError(f"two ramps of {ramp} s do not fit into a move of {duration} s: shorten the ramp or the rate")
+    lasting = {"ramp": ramp, "flat": max(duration - 2.0 * ramp, 0.0)}
+    if shape == "hand":
+        # Its rate goes up and down four times, and the powers of it in M(T, ω) more often than one quadrature follows.
+        longest_piece = min(longest_piece, duration / 8)
+    readings = formulas.reading_times(duration, read_every) or ([duration] if read_at_end else [])
+    divisions, begin = [], 0.0
+    parts = formulas.shape_pieces(shape, cycles=cycles, controls=controls, unevenness=unevenness)
+    for i, (what, share, _) in enumerate(parts):
+        part = lasting.get(what, share * duration)
+        last = i == len(parts) - 1
+        inside = [t - begin for t in readings if t > begin + 1e-12 * duration and (last or t <= begin + part)]
+        times = tuple(min(t, part) for t in inside)
+        divisions.append(divide(part, times, np.inf if what == "flat" else longest_piece))
+        begin += part
+    others = divide(float(duration), tuple(formulas.reading_times(duration, others_read_every)))
+    numbers = float(duration), tuple(divisions), others, float(peak_rate), float(ramp)
+    return Move(shape, axis, *numbers, cycles, tuple(controls), unevenness)

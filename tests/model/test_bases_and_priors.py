@@ -1,0 +1,116 @@
+"""What the error model's room promises by itself: bases, columns, priors' rows, processes."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.polynomial import chebyshev, legendre
+
+from gradcal_jax import model as models
+from gradcal_jax.model import Bins, BSpline, Polynomial, SensorModel, make_map
+
+X = np.linspace(-60.0, 95.0, 9)
+
+
+@pytest.mark.parametrize("internal", ["legendre", "chebyshev"])
+@pytest.mark.parametrize("degree", [0, 1, 4])
+def test_reported_coefficients_are_those_of_the_normalised_monomials(internal, degree):
+    basis = Polynomial(degree, 20.0, 50.0, internal)
+    engine = np.random.default_rng(degree).standard_normal(basis.size)
+    values = np.asarray(basis(jnp.asarray(X))) @ engine
+    evaluate = legendre.legval if internal == "legendre" else chebyshev.chebval
+    np.testing.assert_allclose(values, evaluate((X - 20.0) / 50.0, engine), rtol=1e-12)
+    reported = basis.to_reported @ engine
+    np.testing.assert_allclose(values, np.polynomial.polynomial.polyval((X - 20.0) / 50.0, reported), rtol=1e-11)
+
+
+@pytest.mark.parametrize(
+    "basis", [Polynomial(3, 20.0, 50.0), BSpline((-40.0, 0.0, 85.0), 2), Bins((-40.0, 0.0, 30.0, 85.0))]
+)
+def test_every_basis_holds_the_constant(basis):
+    inside = X[(X >= -40.0) & (X <= 85.0)]
+    values = np.asarray(basis(jnp.asarray(inside)))
+    assert values.shape == (len(inside), basis.size)
+    np.testing.assert_allclose(values @ basis.constant, 1.0, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Polynomial(-1, 0.0, 1.0), "degree of 0 or more"),
+        (lambda: Polynomial(2, 0.0, 0.0), "half the range"),
+        (lambda: BSpline((0.0, 0.0, 1.0)), "knots that increase"),
+        (lambda: Bins((1.0,)), "two edges"),
+        (lambda: make_map(Bins((0.0, 1.0)), discrepancy=(1e-4, 3, 0)), "smoothness prior instead"),
+        (lambda: make_map(Polynomial(3, 0.0, 1.0), discrepancy=(1e-4, 3, 0)), "exceed the model's"),
+        (lambda: models.Reference(*(np.zeros(()),) * 4, np.zeros(1), (1, 2)), "one amplitude"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_the_mend(make, says):
+    with pytest.raises(ValueError, match=says):
+        make()
+
+
+def gyro(**changes):
+    parts = {
+        "bias": make_map(Polynomial(3, 20.0, 50.0), prior_std=1e-3),
+        "scale": make_map(Polynomial(1, 20.0, 50.0), Polynomial(2, 0.0, 5.0), discrepancy=(1e-4, 2, 3)),
+        "angle_random_walk": np.asarray(1e-5),
+        "processes": models.no_processes(),
+        "reference": models.angle_reference(1e-3, harmonics={1: 2e-4, 4: 1e-4}),
+        "turn_on_std": np.asarray(0.0),
+        "gradient_std": np.asarray(3e-6),
+        "has_gradient": True,
+        "has_gradient_prior": True,
+    }
+    return SensorModel(**(parts | changes))
+
+
+def test_columns_follow_one_another_in_the_order_of_the_module():
+    columns = gyro().columns
+    groups = [
+        columns.bias,
+        columns.scale,
+        columns.gradient,
+        columns.harmonics,
+        columns.bias_discrepancy,
+        columns.scale_discrepancy,
+    ]
+    # Of M: one more degree in T times four in ω, and one more in ω times the two in T.
+    assert [s.stop - s.start for s in groups] == [4, 6, 1, 4, 0, 1 * 4 + 2 * 1]
+    assert [s.start for s in groups] == [0, *(s.stop for s in groups[:-1])]
+    assert columns.count == groups[-1].stop == 21
+
+
+def test_priors_are_rows_of_one_over_their_deviation():
+    model = gyro()
+    rows = np.asarray(model.prior_rows())
+    columns, information = model.columns, rows.T @ rows
+    reported = model.bias.to_reported
+    np.testing.assert_allclose(information[columns.bias, columns.bias], reported.T @ reported / 1e-3**2, rtol=1e-12)
+    np.testing.assert_array_equal(information[columns.scale], 0.0)  # Flat.
+    assert information[columns.gradient, columns.gradient].item() == pytest.approx(3e-6**-2)
+    harmonics = np.diagonal(information)[columns.harmonics]
+    np.testing.assert_allclose(harmonics, np.repeat([2e-4, 1e-4], 2) ** -2.0, rtol=1e-12)
+    beyond = np.diagonal(information)[columns.scale_discrepancy]
+    np.testing.assert_allclose(beyond, 1e-4**-2.0, rtol=1e-12)
+    flat = gyro(bias=None, has_gradient_prior=False, reference=models.angle_reference(1e-3))
+    assert np.asarray(flat.prior_rows()).shape == (6, flat.columns.count)
+
+
+def test_nothing_to_calibrate_is_refused():
+    with pytest.raises(ValueError, match="a bias map, a scale-factor map, or both"):
+        gyro(bias=None, scale=None)
+
+
+def test_processes_are_rows_of_the_table():
+    both = models.gauss_markov(2e-6, 120.0) + models.rate_random_walk(3e-9) + models.constant(1e-5)
+    assert both.count == 3
+    np.testing.assert_allclose(both.decay, [1 / 120.0, 0.0, 0.0])
+    # A stationary process: what decays, 2·decay·σ², is what diffusion brings.
+    np.testing.assert_allclose(both.diffusion**2, [2 / 120.0 * 2e-6**2, 3e-9**2, 0.0])
+    np.testing.assert_allclose(both.initial_std, [2e-6, 0.0, 1e-5])
+    forever = models.gauss_markov(2e-6, np.inf)
+    assert float(forever.decay[0]) == float(forever.diffusion[0]) == 0.0
+    assert models.no_processes().count == 0
+    assert not models.angle_reference(1e-3).has_offset
+    assert models.angle_reference(1e-3, 1e-4).has_offset

@@ -1,0 +1,77 @@
+"""The design's known answers, from the presets' text to the prediction; and predictions that say what they cannot."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gradcal_jax import api, files
+
+
+def predict(name: str, *changes: tuple[str, str]):
+    text = files.presets.text(name)
+    for old, new in changes:
+        assert text.count(old) == 1, (name, old)
+        text = text.replace(old, new)
+    return api.predict(files.parse_spec(text))
+
+
+def by_name(prediction):
+    return {row.name: row for row in prediction.requirements}
+
+
+def test_the_dynamic_gradient_plan():
+    found = by_name(predict("paper-dynamic-gradient"))
+    assert 84.0 < found["full range"].mean_of_max < 88.0
+    assert 42.0 < found["reduced range"].mean_of_max < 44.0
+    assert found["full range"].verdict == "missed"  # The paper's 77 ppm, asked for as 80, are not reached.
+    assert found["reduced range"].verdict is None
+
+
+def test_the_dynamic_standard_plan_best_and_unweighted():
+    best = by_name(predict("paper-dynamic-standard"))
+    assert best["full range"].mean_of_max == pytest.approx(103.3, rel=0.01)
+    assert best["reduced range"].mean_of_max == pytest.approx(81.5, rel=0.01)
+    text = files.presets.text("paper-dynamic-standard").replace('"best linear"', '"least squares"', 1)
+    plain = by_name(api.predict(files.parse_spec(text)))
+    assert plain["full range"].mean_of_max == pytest.approx(127.4, rel=0.01)
+    assert plain["reduced range"].mean_of_max == pytest.approx(100.5, rel=0.01)
+
+
+def test_the_static_standard_plan():
+    row = predict("paper-static-standard").requirements[0]
+    assert row.mean == pytest.approx(0.279, rel=0.01)
+    assert row.max == pytest.approx(0.372, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "mean", "largest"),
+    [
+        ("used = false", "used = false", 0.402, 0.775),
+        pytest.param("used = false", "used = true", 0.358, 0.760, marks=pytest.mark.evidence),
+        pytest.param('"1 K/min"', '"0.5 K/min"', 0.290, 0.576, marks=pytest.mark.evidence),
+        pytest.param('"1 K/min"', '"2 K/min"', 0.547, 1.004, marks=pytest.mark.evidence),
+    ],
+)
+def test_the_static_gradient_plan(old, new, mean, largest):
+    row = predict("paper-static-gradient", (old, new)).requirements[0]
+    assert row.mean == pytest.approx(mean, rel=0.01)
+    assert row.max == pytest.approx(largest, rel=0.01)
+
+
+def test_what_a_plan_cannot_observe_is_null_with_a_sentence():
+    """Four parameters in rate from two rates: the prediction is JSON without nan, and names the combinations."""
+    text = files.presets.text("paper-dynamic-standard")
+    start = text.index("rates", text.index("[plan]"))
+    line = text[start : text.index("\n", start)]
+    text = text.replace(line, 'rates = ["-100 deg/s", "100 deg/s"]')
+    prediction = api.predict(files.parse_spec(text))
+    assert all(row.mean_of_max is None and row.verdict == "unobservable" for row in prediction.requirements)
+    sentences = [w for w in prediction.warnings if "cannot observe" in w]
+    assert len(sentences) == 8  # Two of four powers of rate, at each of four powers of temperature.
+    assert any("b20" in s for s in sentences)
+    plain = json.loads(prediction.model_dump_json(), parse_constant=pytest.fail)
+    assert any(row["std"] is None for row in plain["parameters"])
+    flat = [x for row in plain["covariance"] for x in row if x is not None]
+    assert np.all(np.isfinite(flat))
+    assert np.all(np.abs(flat) < 1e30)

@@ -10,6 +10,7 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.files import correction
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.model import TEMPERATURE_GRADIENT
 
 
 class Rows(NamedTuple):
@@ -129,7 +130,7 @@ def _temperature(built: Assembled, log: Log, unit: int) -> np.ndarray:
         values = log.temperature_c[unit]
         known = np.isfinite(values)
         return values if known.all() else np.interp(log.time_s, log.time_s[known], values[known])
-    if any(m.temperature.size > 1 for m in maps) or built.model.has_gradient:
+    if any(m.temperature.size > 1 for m in maps) or built.model.term(TEMPERATURE_GRADIENT) is not None:
         raise LogError(
             "the log has no temperature, and the spec's maps depend on it: give them a temperature basis of degree 0"
         )

@@ -3,13 +3,12 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-import equinox as eqx
 import numpy as np
 import pytest
 from logs_zoo import GRADIENT, STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api import assemble, knowledge
+from gradcal_jax.api import assemble, posterior_of_plan
 from gradcal_jax.api.calibration import estimate_calibration
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
@@ -18,13 +17,14 @@ from gradcal_jax.api.log_rows import Rows, _host_time, followed
 from gradcal_jax.estimation import nees_band
 from gradcal_jax.files.correction import bias, scale_factor
 from gradcal_jax.files.log import Log, LogError, Reason
-from gradcal_jax.information import information, to_reported
+from gradcal_jax.information import information
 from gradcal_jax.information import posterior as posterior_of
+from gradcal_jax.model import BIAS, SCALE_FACTOR
 
 
 def errors(channel, truth):
     """Of the reported parameters, in standard deviations, and their NEES."""
-    rows = to_reported(channel.model)
+    rows = channel.model.to_reported
     known = channel.found.known[0]
     error = channel.found.parameters[0] - truth
     white = np.linalg.lstsq(known.spread, error, rcond=None)[0]
@@ -52,8 +52,8 @@ def test_raw_samples_of_many_units_err_as_they_say(many):
     for channel in channels:
         assert sum(channel.counts.values()) == made.log.rows_read
     # What was executed is what was planned, so what is known is what was predicted, within how readings are spaced.
-    predicted = knowledge(assemble(spec))
-    rows = to_reported(channels[0].model)
+    predicted = posterior_of_plan(assemble(spec))
+    rows = channels[0].model.to_reported
     ratio = channels[0].found.known[0].deviations(rows) / predicted.deviations(rows)
     assert np.all((ratio > 0.85) & (ratio < 1.03))  # the log is read for a little longer than the plan
 
@@ -72,10 +72,10 @@ def test_the_covariance_is_the_prediction_of_the_executed_timeline(many):
         log.standstill >= 0,
         np.arange(len(log.time_s)) > 0,
     )
-    observations = room.on_timeline(done.timeline, model, np.zeros((done.timeline.piece_count, 1)))
+    observations = room.on_trajectory(done.line, model, np.zeros((done.line.piece_count, 1)))
     ours = room.estimate(observations, model).known[0]
-    theirs = posterior_of(eqx.filter_jit(information)(done.timeline, model))
-    rows = to_reported(model)
+    theirs = posterior_of(information(done.line, model))
+    rows = model.to_reported
     np.testing.assert_allclose(ours.deviations(rows), theirs.deviations(rows), rtol=1e-9)
     np.testing.assert_allclose(ours.covariance(rows), theirs.covariance(rows), rtol=1e-6, atol=1e-16)
     (channel,) = estimate_channels(spec, log, units=[log.units[0]])
@@ -96,23 +96,18 @@ def test_without_noise_the_maps_come_back(text):
     axis = calibration.axis[0]
     model = assemble(spec).model
     t, w = np.array([5.0, 20.0, 35.0]), np.radians(np.array([-250.0, 40.0, 250.0]))
-    rows = np.asarray(model.scale.values(t_(t), t_(w)))
+    rows = model.scale.values(t, w)
     truth = made.truth["x"][0]
-    np.testing.assert_allclose(scale_factor(axis, t, w), rows @ truth[model.columns.scale], atol=0.2e-6)
-    of_bias = np.asarray(model.bias.values(t_(t), t_(t))) @ truth[model.columns.bias]
+    np.testing.assert_allclose(scale_factor(axis, t, w), rows @ truth[model.where(SCALE_FACTOR)], atol=0.2e-6)
+    of_bias = model.bias.values(t, t) @ truth[model.where(BIAS)]
     np.testing.assert_allclose(bias(axis, t), of_bias, atol=np.radians(0.02) / 3600)
     assert calibration.simulated
     assert made.log.simulated
 
 
-def t_(values):
-    import jax.numpy as jnp
-
-    return jnp.asarray(values)
-
-
-def test_a_log_of_the_standard_method_errs_as_it_says():
-    spec = spec_of(STANDARD)
+@pytest.mark.parametrize("points", ["independent", "one run"])
+def test_a_log_of_the_standard_method_errs_as_it_says(points):
+    spec = spec_of(STANDARD + f'points = "{points}"\n')
     squares = []
     for seed in range(6):
         made = simulate_log(spec, units=5, sample_rate_hz=2.0, seed=seed)
@@ -123,9 +118,12 @@ def test_a_log_of_the_standard_method_errs_as_it_says():
     assert low < np.mean(squares) / p < high
     (planned,) = {len(c.weights) for c in channels}
     assert planned == 15
-    rows = to_reported(channels[0].model)
-    ratio = channels[0].found.known[0].deviations(rows) / knowledge(assemble(spec)).deviations(rows)
-    np.testing.assert_allclose(ratio, 1.0, rtol=2e-5)  # the table turned at other rates than told, by up to 100 ppm
+    # Of a table that turns as told: the prediction's covariance, but that points of one run are a row farther apart.
+    told = simulate_log(spec, sample_rate_hz=20.0, noiseless=True)
+    (channel,) = estimate_channels(spec, told.log)
+    rows = channel.model.to_reported
+    ratio = channel.found.known[0].deviations(rows) / posterior_of_plan(assemble(spec)).deviations(rows)
+    np.testing.assert_allclose(ratio, 1.0, rtol=1e-9 if points == "independent" else 2.5e-5)
 
 
 def test_maps_that_do_not_settle_are_said(many):
@@ -175,7 +173,7 @@ def test_gaps_and_masked_rows_are_bridged_by_new_origins_and_counted():
     assert channel.counts["duplicate stamp"] == 100
     assert sum(channel.counts.values()) == rows
     whole = estimate_channels(spec, log)[0]
-    rows_ = to_reported(channel.model)
+    rows_ = channel.model.to_reported
     assert np.all(channel.found.known[0].deviations(rows_) >= whole.found.known[0].deviations(rows_))
 
 
@@ -262,7 +260,7 @@ def test_the_computers_clock_in_the_place_of_the_sensors():
     (right,) = estimate_channels(spec, slow, options=Options(clock="host"))
     (wrong,) = estimate_channels(spec, slow)
     b00 = 2  # after the two of the bias
-    rows = to_reported(right.model)
+    rows = right.model.to_reported
     truth = (rows @ made.truth["x"][0])[b00]
     assert (rows @ right.found.parameters[0])[b00] == pytest.approx(truth, abs=1e-6)
     assert (rows @ wrong.found.parameters[0])[b00] == pytest.approx(truth - 500e-6, abs=5e-6)

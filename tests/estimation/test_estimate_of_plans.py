@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax.api import assemble, knowledge, residual_map
+from gradcal_jax.api import assemble, posterior_of_plan, residual_map
 from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF
-from gradcal_jax.estimation import estimate, nees_band, normalised_errors, on_timeline, whitened
+from gradcal_jax.estimation import estimate, nees_band, normalised_errors, on_trajectory, whitened
 from gradcal_jax.files import parse_spec, presets
-from gradcal_jax.information import contrasts, simulate_noise, statistic, to_reported
+from gradcal_jax.information import contrasts, simulate_noise, statistic
 
 UNITS = 1000
 
@@ -17,11 +17,11 @@ def simulated(name, units, seed=0):
     """Spec, model, observations and the truth that made them: typical maps, noise drawn from the plan's own system."""
     spec = parse_spec(presets.text(name))
     built = assemble(spec)
-    line = built.plan.timeline("x", built.thermal_lag)
+    line = built.trajectory("x")
     rng = np.random.default_rng(seed)
-    observations = on_timeline(line, built.model, np.zeros((line.piece_count, units)))
+    observations = on_trajectory(line, built.model, np.zeros((line.piece_count, units)))
     size = 1e-3 if built.model.bias is None else 1e-4
-    truth = size * rng.standard_normal((units, built.model.columns.count))
+    truth = size * rng.standard_normal((units, built.model.size))
     readings = observations.columns @ truth.T + simulate_noise(observations.steps, units, rng)
     return built, observations._replace(readings=readings), truth
 
@@ -41,8 +41,8 @@ def test_a_thousand_units_err_as_predicted(name):
     found = estimate(observations, built.model)
 
     # The covariance is the prediction's own, to rounding.
-    predicted = knowledge(built)
-    reported = to_reported(built.model)
+    predicted = posterior_of_plan(built)
+    reported = built.model.to_reported
     ours, theirs = found.known[0].covariance(reported), predicted.covariance(reported)
     scale = np.sqrt(np.outer(np.diag(theirs), np.diag(theirs)))
     assert np.max(np.abs(ours - theirs) / scale) < 1e-8

@@ -20,7 +20,6 @@ from gradcal_jax.estimation import find_standstills
 from gradcal_jax.files import parse_spec
 from gradcal_jax.files.importers import import_log, parse_column_map
 from gradcal_jax.files.log import Log
-from gradcal_jax.information import parameter_names, to_reported
 
 FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the recorded data are not here: set GRADCAL_DATA")
@@ -54,8 +53,8 @@ RUNS = ("rate_nofilt1", "rate_nofilt2", "rate_filt1", "rate_filt2")
 
 def scale_factor(channel):
     """What the sensor says of one degree, and its standard deviation: (1 + b00) times the truth."""
-    at = parameter_names(channel.model).index("b00")
-    row = to_reported(channel.model)[at : at + 1]
+    at = channel.model.names().index("b00")
+    row = channel.model.to_reported[at : at + 1]
     return 1.0 + float((row @ channel.found.parameters[0])[0]), float(channel.found.known[0].deviations(row)[0])
 
 
@@ -166,8 +165,8 @@ def test_xsens_stands_still_between_hand_motions():
     assert (first[-1] - first[0]) * log.sample_interval_s > 40.0  # the first 50 s are at rest
     report = estimate_calibration(STEPS, log, options=Options(read_every=0.5))
     for channel in report.channels:
-        names = parameter_names(channel.model)
-        std = channel.found.known[0].deviations(to_reported(channel.model))
+        names = channel.model.names()
+        std = channel.found.known[0].deviations(channel.model.to_reported)
         assert np.isfinite(std[names.index("a0")])
         assert not np.isfinite(std[names.index("b00")])  # without a reference no scale factor is seen
         at_rest = log.rate_rad_per_s[0, first, log.axis_index(channel.axis)].mean()
@@ -188,7 +187,7 @@ def test_mpu9150_stands_still_between_hand_rotations(number):
     if number:
         return
     channels = estimate_channels(STEPS, log, axes=["x"])
-    names = parameter_names(channels[0].model)
+    names = channels[0].model.names()
     still = found >= 0
     mean = np.mean([log.rate_rad_per_s[0, found == k, 0].mean() for k in range(found.max() + 1)])
     assert channels[0].found.parameters[0][names.index("a0")] == pytest.approx(mean, abs=np.radians(0.05))

@@ -16,13 +16,13 @@ from gradcal_jax.estimation import (
     choose_smoothness,
     consistency,
     find_standstills,
-    increments_of_samples,
+    sample_nodes,
     solve,
     split,
     whiteness,
     with_smoothness,
 )
-from gradcal_jax.information import to_reported
+from gradcal_jax.model import BIAS, SCALE_FACTOR
 
 BINS = 'temperature = { basis = "bins", edges = [%s] }\nsmoothness = "%s"' % (  # noqa: UP031
     ", ".join(f'"{t} degC"' for t in range(0, 41, 2)),
@@ -96,7 +96,7 @@ def test_bad_readings_count_for_less_and_are_named(small):
     (clean,) = estimate_channels(spec, log)
     (plain,) = estimate_channels(spec, bad)
     (robust,) = estimate_channels(spec, bad, options=Options(robust=True))
-    rows = to_reported(clean.model)
+    rows = clean.model.to_reported
     std = clean.found.known[0].deviations(rows)
     off = [np.abs(rows @ (c.found.parameters[0] - clean.found.parameters[0])) / std for c in (plain, robust)]
     assert off[0].max() > 3.0
@@ -140,12 +140,11 @@ def test_the_strength_chosen_leaves_less_than_too_little_or_too_much():
     """A curved bias in twenty bins, seen with noise that hides the steps between neighbours."""
     rng = np.random.default_rng(5)
     model = bins_model()
-    columns = model.columns
-    where = np.arange(20)
-    truth = 40 * DEG_PER_H * np.sin(where / 4.0)
-    rows = np.zeros((1, 400, columns.count))
+    bias = model.where(BIAS)
+    truth = 40 * DEG_PER_H * np.sin(np.arange(20) / 4.0)
+    rows = np.zeros((1, 400, model.size))
     rows[0, np.arange(400), rng.integers(0, 20, 400)] = 1.0 / (60 * DEG_PER_H)
-    data = rows[0][:, columns.bias] @ truth + rng.standard_normal(400)
+    data = rows[0][:, bias] @ truth + rng.standard_normal(400)
     white = Whitened(rows, data[None], np.asarray(model.prior_rows()))
     chosen = choose_smoothness(white, model)
     assert not chosen.at_edge
@@ -154,7 +153,7 @@ def test_the_strength_chosen_leaves_less_than_too_little_or_too_much():
     def left(std):
         smooth = with_smoothness(model, std, None)
         found = solve(white._replace(prior=np.asarray(smooth.prior_rows())))
-        return float(np.sqrt(np.mean((found.parameters[0][columns.bias] - truth) ** 2)))
+        return float(np.sqrt(np.mean((found.parameters[0][bias] - truth) ** 2)))
 
     assert left(chosen.bias) < 0.8 * left(1e4 * DEG_PER_H)
     assert left(chosen.bias) < 0.5 * left(0.05 * DEG_PER_H)
@@ -209,8 +208,8 @@ def test_noisy_rates_do_not_bias_the_regressors():
     temperature, yes, no = np.full(count, 25.0), np.ones(1, bool), np.zeros(1, bool)
 
     def sums(rate, level):
-        found = increments_of_samples(model, rate, temperature, steps, rows, yes, no, rate_noise=level)
-        return (found @ np.linalg.inv(to_reported(model)))[0, model.columns.scale]
+        nodes = sample_nodes(rate, temperature, steps, rows, yes, no, np.zeros(1), rate_noise=level)
+        return (model.columns(nodes) @ np.linalg.inv(model.to_reported))[0, model.where(SCALE_FACTOR)]
 
     want, corrected, naive = sums(truth, 0.0), sums(said, noise), sums(said, 0.0)
     spread = 6.0 * np.sqrt(count) * 0.01 * noise  # what the noise itself does to a sum

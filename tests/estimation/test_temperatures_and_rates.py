@@ -7,11 +7,11 @@ import pytest
 from logs_zoo import GRADIENT, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api import assemble, knowledge
+from gradcal_jax.api import assemble, posterior_of_plan
 from gradcal_jax.api.estimate import estimate_channels
-from gradcal_jax.estimation import basis_values, distinct_readings, smoothed_temperature, true_rate
+from gradcal_jax.estimation import distinct_readings, smoothed_temperature, true_rate
 from gradcal_jax.formulas import scale_factor_map
-from gradcal_jax.information import to_reported
+from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
 # Up and down, so that a bias from dT/dt is not a constant one; the die lags, as dies do.
 FOLLOWED = (
@@ -34,8 +34,8 @@ def test_a_coarse_thermometer_is_no_information_about_the_gradient():
     coarse = replace(made.log, temperature_c=np.round(made.log.temperature_c * 16.0) / 16.0)
     channels = estimate_channels(spec, coarse)
     built = assemble(spec)
-    row = to_reported(built.model)[built.model.columns.gradient]
-    (predicted,) = knowledge(built).deviations(row)
+    row = built.model.to_reported[built.model.where(TEMPERATURE_GRADIENT)]
+    (predicted,) = posterior_of_plan(built).deviations(row)
     errors = np.array(
         [float((row @ (c.found.parameters[0] - t))[0]) for c, t in zip(channels, made.truth["x"], strict=True)]
     )
@@ -85,15 +85,15 @@ def test_the_true_rate_is_found_through_a_map_of_five_per_cent():
     ).model
     rng = np.random.default_rng(3)
     temperature, rate = rng.uniform(0.0, 40.0, 5000), np.radians(rng.uniform(-300.0, 300.0, 5000))
-    truth = np.zeros(model.columns.count)
-    truth[model.columns.bias] = np.radians([0.3, -0.1])
-    truth[model.columns.scale] = rng.standard_normal(8)
+    truth = np.zeros(model.size)
+    truth[model.where(BIAS)] = np.radians([0.3, -0.1])
+    truth[model.where(SCALE_FACTOR)] = rng.standard_normal(8)
     scale = model.scale
-    at, by = basis_values(scale.temperature, temperature), basis_values(scale.rate, rate)
-    table = truth[model.columns.scale].reshape(2, 4)
+    at, by = scale.temperature(temperature), scale.rate(rate)
+    table = truth[model.where(SCALE_FACTOR)].reshape(2, 4)
     table *= 0.05 / np.max(np.abs(scale_factor_map(at, by, table)))
-    truth[model.columns.scale] = table.ravel()
-    bias = basis_values(model.bias.temperature, temperature) @ truth[model.columns.bias]
+    truth[model.where(SCALE_FACTOR)] = table.ravel()
+    bias = model.bias.temperature(temperature) @ truth[model.where(BIAS)]
     measured = bias + (1.0 + scale_factor_map(at, by, table)) * rate
     found = true_rate(model, truth, measured, temperature)
     np.testing.assert_allclose(found, rate, rtol=1e-12, atol=1e-15)

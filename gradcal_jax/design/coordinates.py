@@ -122,7 +122,7 @@ class Coordinates(eqx.Module):
     high: Float[AnyArray, " k"]
     turns: Int[AnyArray, " t"]
     ramped: Int[AnyArray, " r"]
-    visits: Int[AnyArray, ""]
+    visits: Float[AnyArray, ""]
     groups: int = eqx.field(static=True)
     free: frozenset[str] = eqx.field(static=True)
     travels: bool = eqx.field(static=True)
@@ -190,8 +190,9 @@ class Coordinates(eqx.Module):
         member = np.arange(self.groups)[:, None] == self.group[None]
         top = xp.max(xp.where(member, z[None], -xp.inf), axis=1, keepdims=True)
         # (A padded group has no member.)
-        weight = xp.where(member, xp.exp(xp.where(member, z[None], 0.0) - xp.where(xp.isfinite(top), top, 0.0)), 0.0)
-        left = self.frame.own_time - member @ self.least
+        below = xp.where(member, z[None] - xp.where(xp.isfinite(top), top, 0.0), 0.0)
+        weight = xp.where(member, xp.exp(below), 0.0)
+        left = self.frame.own_time - xp.sum(xp.where(member, self.least[None], 0.0), axis=1)
         share = left[:, None] * weight / xp.maximum(xp.sum(weight, axis=1, keepdims=True), 1.0)
         return self.least + xp.sum(share, axis=0)
 
@@ -270,7 +271,7 @@ class Coordinates(eqx.Module):
         """From the start of each turn at the table to the next one's, and to the ramp's end for the last."""
         visit = self.frame.own_time + self.frame.other_time
         xp = namespace(self.frame, self.visits)
-        number = np.arange(self.nominal.steps.shape[0])
+        number = np.arange(self.nominal.steps.shape[0], dtype=float)
         last = self.frame.motion_time - (self.visits - 1) * visit
         return xp.where(number < self.visits - 1, visit, xp.where(number == self.visits - 1, last, 0.0))
 
@@ -283,7 +284,7 @@ class Coordinates(eqx.Module):
         xp = namespace(z, even)
         there = lasting > 0.0
         top = xp.max(xp.where(there, z, -xp.inf))
-        weight = xp.where(there, xp.exp(xp.where(there, z, top) - top), 0.0)
+        weight = xp.where(there, xp.exp(xp.where(there, z - top, 0.0)), 0.0)
         uneven = span * weight / xp.sum(weight)
         over = xp.abs(uneven) - xp.abs(even)
         steepest = self.limits.max_slope * lasting
@@ -535,7 +536,7 @@ def _coordinates(
         high,
         np.array([i for i, kind in enumerate(kinds) if kind != "rest"], dtype=int),
         np.array([i for i, kind in enumerate(kinds) if kind in RAMPED_SHAPES], dtype=int),
-        np.asarray(visits),
+        np.asarray(float(visits)),
         groups,
         free,
         bool(np.isfinite(limits.travel)),

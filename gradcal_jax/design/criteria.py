@@ -47,9 +47,7 @@ class Criterion(eqx.Module):
         xp = namespace(variance)
         return xp.reshape(xp.sqrt(variance), self.shape)
 
-    def __call__(
-        self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT
-    ) -> Float[AnyArray, ""]:
+    def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
         """The statistic: exact for an infinite sharpness, from above otherwise."""
         values = self.map(info)
         xp = namespace(values)

@@ -98,7 +98,7 @@ class ProgrammeCoordinates(_Programmes):
             there = xp.clip(here + slopes[k] * durations[k], self.coldest, self.warmest)
             reached.append((there - here) / durations[k])
             here = there
-        return Programme(start, durations, xp.stack(reached), xp.zeros(durations.shape))
+        return Programme(xp.asarray(start), durations, xp.stack(reached), xp.zeros(durations.shape))
 
     def knots(self, z: np.ndarray) -> "tuple[ProgrammeKnots, np.ndarray]":
         """The same programmes by their own numbers, and those of the programme of `z`."""
@@ -125,7 +125,9 @@ class ProgrammeKnots(_Programmes):
         durations = self.time * z[: self.stretches]
         temperatures = self.coldest + (self.warmest - self.coldest) * z[self.stretches :]
         xp = namespace(temperatures)
-        return Programme(temperatures[0], durations, xp.diff(temperatures) / durations, xp.zeros(durations.shape))
+        return Programme(
+            xp.asarray(temperatures[0]), durations, xp.diff(temperatures) / durations, xp.zeros(durations.shape)
+        )
 
     def near(self, z: np.ndarray) -> np.ndarray:
         """A vector from which a polish sets out: durations fill the time, temperatures are in the chamber's range."""
@@ -184,7 +186,7 @@ class StandardCoordinates(eqx.Module):
         stay = self.soak + count * integration
         zeros = xp.zeros(self.temperatures)
         jumps = xp.concatenate([zeros[:1], xp.diff(temperatures)])
-        programme = Programme(temperatures[0], zeros + stay, zeros, jumps)
+        programme = Programme(xp.asarray(temperatures[0]), zeros + stay, zeros, jumps)
         first = lambda v: xp.reshape(xp.asarray(v), (1,))  # noqa: E731
         return eqx.tree_at(
             lambda s: (s.duration, s.peak_rate, s.programme),

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +36,8 @@ _BINDING = 1e-4
 _HELD = 1e-8
 
 
-class Objective(Protocol):
+@runtime_checkable
+class Minimised(Protocol):
     """What is minimised: a pytree, so that its numbers are arguments of the compiled program.
 
     `value(z, by, sharpness)`: the value, positive, and the logarithms by which limits are exceeded (k,), with figures
@@ -92,7 +93,7 @@ class Compiled:
     `places`: which entries of the objective's own `whole` vectors count, where those are padded.
     """
 
-    def __init__(self, objective: Objective, whole: int, places: np.ndarray | None = None) -> None:
+    def __init__(self, objective: Minimised, whole: int, places: np.ndarray | None = None) -> None:
         leaves, structure = jax.tree.flatten(objective)
         self._leaves = [jnp.asarray(leaf) for leaf in leaves]
         self._program = _program(structure)
@@ -271,7 +272,7 @@ def polish(compiled: Compiled, point: np.ndarray, *, steps: int = 300, linear: L
     norm = np.inf
     for _ in range(_POLISHES):
         reached = minimize(
-            lambda z: (float(at(z)[0][0]), at(z)[1][0]),
+            lambda z: (float(at(z)[0][0]), at(z)[1][0].copy()),  # SLSQP writes into what it is given.
             point,
             jac=True,
             method="SLSQP",

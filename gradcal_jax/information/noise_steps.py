@@ -72,7 +72,7 @@ def noise_steps(line: Trajectory, model: SensorModel) -> NoiseSteps:
         )
     decayed = xp.exp(-p.decay[None, :] * line.duration[:, None])
     walk = model.angle_random_walk**2 * line.duration + xp.sum(q_angle, axis=1)
-    start = p.initial_std**2
+    start = (p.initial_std**2)[None]
     if line.rates and line.points == "independent":
         # The processes of a point start afresh, and drive its angle over the piece as over any other.
         walk = walk + xp.sum(to_angle**2 * start, axis=1)
@@ -111,7 +111,7 @@ def noise_steps(line: Trajectory, model: SensorModel) -> NoiseSteps:
         variance = white / line.share + on_the_move**2
         first = xp.reshape(white + offset * spread, (1,))
     initial = put(
-        xp.zeros((n, n)), (states, states), xp.concatenate([first, start, *([xp.reshape(spread, (1,))] * offset)])
+        xp.zeros((n, n)), (states, states), xp.concatenate([first, start[0], *([xp.reshape(spread, (1,))] * offset)])
     )
     if offset:
         initial = put(initial, ([0, n - 1], [n - 1, 0]), -spread)
@@ -165,12 +165,13 @@ def _varying_drive(p: Processes, line: Trajectory, pieces) -> tuple[AnyArray, An
     # e^(−λ(s−u)) between all nodes: also those before u, which the interpolation needs.
     apart = xp.asarray(nodes[None, :] - nodes[:, None])
     fading = xp.exp(-x[..., None] * apart[None, None])
-    h = duration * ((_tail_integration() * fading) @ drive[..., None])[..., 0]
+    h = duration * ((_tail_integration()[None, None] * fading) @ drive[..., None])[..., 0]
     d = duration[..., 0]
     diffusion = p.diffusion[None, :] ** 2
-    to_angle = d * ((drive * xp.exp(-x * nodes)) @ weights)
+    at = nodes[None, None]
+    to_angle = d * ((drive * xp.exp(-x * at)) @ weights)
     q_angle = diffusion * d * (h**2 @ weights)
-    q_cross = diffusion * d * ((h * xp.exp(-x * (1.0 - nodes))) @ weights)
+    q_cross = diffusion * d * ((h * xp.exp(-x * (1.0 - at))) @ weights)
     return to_angle, q_angle, q_cross
 
 

@@ -292,7 +292,7 @@ class EncoderHarmonics(Term):
 
     def _waves(self, angle):
         xp = namespace(angle)
-        phase = angle[:, None] * np.asarray(self.orders, dtype=float)
+        phase = angle[:, None] * np.array([self.orders], dtype=float)
         return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (angle.shape[0], -1))
 
 

@@ -85,9 +85,9 @@ def gauss_nodes(trajectory: Trajectory, model: SensorModel, rule: Rule | None = 
         where = np.asarray(~line.moving & ~line.gap)
         long = where & (np.asarray(line.duration * line.lag_rate) > _LAG_TIMES)
         brief = np.flatnonzero(where & ~long), rule._replace(lag_halves=0)
-        standing = [brief, (np.flatnonzero(long), rule)] if long.any() else [brief]
-    groups = [_group(line, pieces, its, moving=False) for pieces, its in standing]
-    groups.append(_group(line, line.moving_pieces, rule, moving=True))
+        standing = [brief, (np.flatnonzero(long), rule)]
+    kinds = [(pieces, its, False) for pieces, its in standing] + [(line.moving_pieces, rule, True)]
+    groups = [_group(line, pieces, its, moving=moving) for pieces, its, moving in kinds if pieces.shape[0]]
     angle = xp.cumsum(line.turned())
     begin, end = line.ends()
     return Nodes(tuple(groups), end - begin, xp.concatenate([xp.zeros(1), angle[:-1]]), angle)
@@ -101,8 +101,8 @@ def _group(line: Trajectory, pieces, rule: Rule, *, moving: bool) -> GaussNodes:
     if rule.temperature_breaks or rate_breaks or rule.lag_halves:
         lower, upper = _smooth_panels(line, pieces, rule, rate_breaks)
         width = (upper - lower)[..., None]
-        v = xp.reshape(lower[..., None] + width * x, (count, -1))
-        weight = xp.reshape(width * w, (count, -1))
+        v = xp.reshape(lower[..., None] + width * x[None, None], (count, -1))
+        weight = xp.reshape(width * w[None, None], (count, -1))
     else:
         v, weight = (xp.broadcast_to(xp.asarray(values), (count, len(x))) for values in (x, w))
     weight = weight * line.duration[pieces][:, None]

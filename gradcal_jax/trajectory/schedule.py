@@ -324,7 +324,10 @@ def standard_plan(
     counts = len(temperatures), len(rates)
     stay = float(soak) + counts[1] * float(integration)
     programme = Programme(
-        temperatures[0], np.full(counts[0], stay), np.zeros(counts[0]), np.diff(temperatures, prepend=temperatures[0])
+        np.asarray(temperatures[0]),
+        np.full(counts[0], stay),
+        np.zeros(counts[0]),
+        np.diff(temperatures, prepend=temperatures[0]),
     )
     soaking = (0, standing(((0.0, 1.0), (False,))))
     placed = [p for _ in temperatures for p in (soaking, *((1 + k, _HELD) for k in range(counts[1])))]

@@ -38,12 +38,11 @@ STEEPNESS = {"cosine ramps": np.pi / 2, "linear ramps": 1.0, "half sine": np.pi,
 @pytest.mark.parametrize("limited", [False, True])
 def test_any_vector_is_executed_by_the_rig(limited):
     coordinates_ = LIMITED if limited else UNLIMITED
-    decode = jax.jit(lambda z: coordinates_.cycle(z))
 
     @settings(max_examples=100, deadline=None)
     @given(z=arrays(float, UNLIMITED.size, elements=st.floats(-1e6, 1e6)))
     def executed(z):
-        check(decode(jnp.asarray(z)), limited)
+        check(coordinates_.cycle(z), limited)
 
     executed()
 
@@ -67,8 +66,9 @@ def check(cycle: Cycle, limited: bool) -> None:
     assert sum(lasting) == pytest.approx(3600.0)
     assert np.all(np.abs(steps) <= LIMITS.max_slope * lasting * (1 + 1e-9))
     if limited:
-        moves = (LIMITED.plan(cycle).moves[i] for i in (0, 2, 4, 6))
-        turned = np.cumsum([float(m.angle) for m in moves])
+        line = LIMITED.plan(cycle).trajectory()
+        of_cycle = line.start < 2 * 60.0 + 120.0
+        turned = np.cumsum(line.turned()[of_cycle])
         assert np.max(np.abs(turned)) <= 400 * DEG * (1 + 1e-9)
         assert abs(turned[-1]) <= 1e-9 * max(1.0, np.max(np.abs(turned)))
 
@@ -85,23 +85,41 @@ def test_turns_of_limited_travel_are_found_again_and_use_it(travel):
         free=FREE - {"gradient"},
     )
     for seed in range(5):
-        cycle = once.cycle(jnp.asarray(np.random.default_rng(seed).standard_normal(once.size)))
-        again = once.cycle(jnp.asarray(once.vector(cycle)))
-        angles, same = (np.array([float(once.angle(c, i)) for i in range(0, 9, 2)]) for c in (cycle, again))
+        cycle = once.cycle(np.random.default_rng(seed).standard_normal(once.size))
+        again = once.cycle(once.vector(cycle))
+        angles, same = (once.angles(c)[::2] for c in (cycle, again))
         np.testing.assert_allclose(same, angles, atol=1e-3 * np.max(np.abs(angles)))
         assert np.max(np.abs(np.cumsum(same))) <= travel * (1 + 1e-9)
-    forth = once.cycle(jnp.full(once.size, 3.0).at[:9].set(0.0))
-    reached = np.cumsum([float(once.angle(forth, i)) for i in range(0, 9, 2)])
+    forth = once.cycle(np.where(np.arange(once.size) < 9, 0.0, 3.0))
+    reached = np.cumsum(once.angles(forth)[::2])
     assert np.max(reached) > 0.99 * min(travel, 0.9 * reached[-1])
     assert np.all(reached <= travel * (1 + 1e-9))
 
 
 def test_a_decoded_plan_fills_the_motion_time_exactly():
-    z = jnp.asarray(np.random.default_rng(1).standard_normal(UNLIMITED.size))
-    line = UNLIMITED.plan(UNLIMITED.cycle(z)).timeline()
+    z = np.random.default_rng(1).standard_normal(UNLIMITED.size)
+    line = UNLIMITED.decode(z).trajectory()
     assert float(line.start[-1] + line.duration[-1]) == pytest.approx(3600.0, rel=1e-12)
-    ends = line.temperature(jnp.broadcast_to(jnp.array([0.0, 1.0]), (line.piece_count, 2)))
-    assert (float(ends[0, 0]), float(ends[-1, 1])) == pytest.approx((-30.0, 70.0), abs=1e-9)
+    begin, end = line.ends()
+    assert (float(begin[0]), float(end[-1])) == pytest.approx((-30.0, 70.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("plain", [UNLIMITED, LIMITED], ids=["unlimited", "limited"])
+def test_padded_coordinates_decode_to_the_same_plan(plain):
+    """By JAX and padded, against NumPy and as they are: every piece that lasts, whatever stands in the padding."""
+    padded = plain.padded()
+    places = plain.places_in(padded)
+    assert padded.size > plain.size
+    rng = np.random.default_rng(2)
+    z, whole = rng.standard_normal(plain.size), rng.standard_normal(padded.size)
+    whole[places] = z
+    ours = plain.decode(z).trajectory()
+    theirs = jax.jit(lambda c, z: c.decode(z).trajectory())(jax.tree.map(jnp.asarray, padded), jnp.asarray(whole))
+    lasts = np.asarray(theirs.duration) > 0.0
+    for name in ("start", "duration", "terms", "share", "level", "slope", "read", "moving"):
+        mine = getattr(ours, name)[ours.duration > 0.0]
+        size = max(1.0, float(np.max(np.abs(mine))))
+        np.testing.assert_allclose(np.asarray(getattr(theirs, name))[lasts], mine, atol=1e-12 * size, err_msg=name)
 
 
 def test_what_excludes_each_other_is_said():

@@ -1,7 +1,6 @@
 """Criteria, the proven limit, and the search, on plans small enough to know."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,10 +8,13 @@ from numpy.polynomial import legendre
 from scipy.optimize import minimize
 
 from gradcal_jax.design import (
+    Case,
+    Compiled,
     Coordinates,
     Element,
     Frame,
     Limits,
+    Objective,
     Optimality,
     criterion,
     gated_noise_density,
@@ -23,27 +25,28 @@ from gradcal_jax.design import (
     scale_factor_floor,
     search,
 )
-from gradcal_jax.information import information, posterior, residual, square_root, statistic, whitened_rows
-from gradcal_jax.model import Polynomial, SensorModel, angle_reference, constant, gauss_markov, make_map
+from gradcal_jax.design.search import _program
+from gradcal_jax.information import information, posterior, residual, statistic
+from gradcal_jax.model import Polynomial, SensorModel, angle_reference, constant, gauss_markov, gyro_model, make_map
+from gradcal_jax.trajectory import rule_of
 
 DEG = np.pi / 180.0
 WALK = 0.1 * DEG / 60.0
 MAX = 300 * DEG
 
 
-def model(degree_t: int, degree_w: int) -> SensorModel:
-    scale = make_map(Polynomial(degree_t, 20.0, 50.0), Polynomial(degree_w, 0.0, MAX))
-    drift, zero = gauss_markov(DEG / 3600.0, 120.0), jnp.zeros(())
-    return SensorModel(None, scale, jnp.asarray(WALK), drift, angle_reference(0.05 * DEG), zero, jnp.asarray(np.inf))
+def model(degree_t: int, degree_w: int, **prior) -> SensorModel:
+    scale = make_map(Polynomial(degree_t, 20.0, 50.0), Polynomial(degree_w, 0.0, MAX), **prior)
+    return gyro_model(None, scale, WALK, gauss_markov(DEG / 3600.0, 120.0), angle_reference(0.05 * DEG))
 
 
-def small_plan(turns: int) -> Coordinates:
+def small_plan(turns: int, *, motion: float = 3000.0, cycles: int = 4) -> Coordinates:
     elements = tuple(Element("rest" if i % 2 else "cosine ramps", 2.0) for i in range(2 * turns - 1))
     return make_coordinates(
         elements,
         Limits(MAX, 300 * DEG, np.inf, 2.0 / 60.0),
-        Frame(120.0, 240.0, 3000.0, -30.0, 70.0, 1.0),
-        cycles=4,
+        Frame(120.0, 240.0, motion, -30.0, 70.0, 1.0),
+        cycles=cycles,
         others_read=True,
         free=frozenset({"duration", "peak_rate", "ramp"}),
     )
@@ -55,36 +58,72 @@ CRITERION = criterion(LINEAR, "scale_factor", TEMPERATURES, RATES, "mean of max"
 PLAN = small_plan(2)
 
 
-@eqx.filter_jit
-def rows_of(z):
-    return square_root(whitened_rows(PLAN.decode(z).timeline(), LINEAR))
+RULE = rule_of(LINEAR, PLAN.decode(np.zeros(PLAN.size)).trajectory())
+CASE = Case(LINEAR, None, (CRITERION,), (), np.asarray(1.0), RULE)
+PPM = np.array([1e6])
+POINT = np.random.default_rng(3).standard_normal(PLAN.size)
 
 
-def objective(z, sharpness):
-    return CRITERION(rows_of(z), sharpness) * 1e6
-
-
-POINT = jnp.asarray(np.random.default_rng(3).standard_normal(PLAN.size))
+def compiled(coordinates: Coordinates = PLAN, case: Case = CASE) -> Compiled:
+    padded = coordinates.padded()
+    return Compiled(Objective(padded, (case,), PPM, np.zeros(0)), padded.size, coordinates.places_in(padded))
 
 
 def test_the_exact_criterion_is_the_reported_statistic_and_the_smooth_one_lies_just_above():
-    known = posterior(information(PLAN.decode(POINT).timeline(), LINEAR))
+    known = posterior(information(PLAN.decode(POINT).trajectory(), LINEAR))
     reported = statistic("mean of max", residual(known, LINEAR, "scale_factor", TEMPERATURES, RATES)) * 1e6
-    exact = float(objective(POINT, None))
+    at = compiled()
+    exact = np.exp(at(POINT).logs[0])
     assert exact == pytest.approx(reported, rel=1e-10)
     for sharpness in (10.0, 100.0, 1000.0):
-        smooth = float(objective(POINT, jnp.asarray(sharpness)))
+        smooth = np.exp(at(POINT, sharpness).logs[0])
         assert exact <= smooth <= exact * len(TEMPERATURES) ** (1.0 / sharpness) * (1 + 1e-12)
 
 
-def test_the_gradient_is_the_difference():
-    sharpness = jnp.asarray(50.0)
-    value = jax.jit(lambda z: jnp.log(objective(z, sharpness)))
-    gradient = np.asarray(jax.jit(jax.grad(value))(POINT))
-    step = 1e-5
-    eye = np.eye(PLAN.size)
-    difference = np.array([float(value(POINT + step * e) - value(POINT - step * e)) / (2 * step) for e in eye])
+def test_the_gradients_are_the_differences():
+    """In the plan's numbers, and in what may be eased."""
+    at, step, eye = compiled(), 1e-5, np.eye(PLAN.size)
+    gradient = at(POINT, 50.0).of_z[0]
+    value = lambda z: at(z, 50.0).logs[0]  # noqa: E731
+    difference = np.array([(value(POINT + step * e) - value(POINT - step * e)) / (2 * step) for e in eye])
     assert np.max(np.abs(gradient - difference)) < 1e-6 * np.linalg.norm(gradient)
+    sizes = np.array([60.0, DEG, DEG, 0.0, 1e-4])
+    for k in np.flatnonzero(sizes):
+        by = 1e-3 * sizes * np.eye(5)[k]
+        up, down = (np.log(value_of(PLAN.eased(sign * by).decode(POINT))) for sign in (1.0, -1.0))
+        slope = at(POINT).of_eased[0][k] * 2e-3 * sizes[k]
+        assert slope == pytest.approx(up - down, rel=1e-4, abs=1e-9), k
+
+
+def value_of(schedule) -> float:
+    return float(Objective(PLAN, (CASE,), PPM, np.zeros(0)).of_schedule(schedule)[0])
+
+
+def test_a_discrepancy_counts_in_the_search_as_in_the_prediction():
+    hidden = model(1, 1, discrepancy=(5e-6, 2, 3))
+    asked = criterion(hidden, "scale_factor", TEMPERATURES, RATES, "mean of max")
+    rule = rule_of(hidden, PLAN.decode(POINT).trajectory())
+    at = compiled(case=Case(hidden, None, (asked,), (), np.asarray(1.0), rule))
+    known = posterior(information(PLAN.decode(POINT).trajectory(), hidden))
+    reported = statistic("mean of max", residual(known, hidden, "scale_factor", TEMPERATURES, RATES)) * 1e6
+    found = at(POINT)
+    assert np.exp(found.logs[0]) == pytest.approx(reported, rel=1e-9)
+    assert reported > np.exp(compiled()(POINT).logs[0]) + 1.0
+    direction = np.random.default_rng(4).standard_normal(PLAN.size)
+    difference = (at(POINT + 1e-5 * direction).logs[0] - at(POINT - 1e-5 * direction).logs[0]) / 2e-5
+    assert found.of_z[0] @ direction == pytest.approx(difference, rel=1e-5)
+
+
+def test_one_program_serves_every_plan_of_its_class():
+    """Another structure, other times and rates, other sharpnesses: nothing is compiled again."""
+    other = small_plan(2, motion=3300.0, cycles=4)
+    one, two = compiled(), compiled(other)
+    one(POINT)
+    before = _program.cache_info().currsize, one._program._cache_size()
+    for at in (one, two):
+        at(POINT, 8.0), at(POINT, np.inf)
+    assert two._program is one._program
+    assert (_program.cache_info().currsize, one._program._cache_size()) == before
 
 
 def limit_of(criterion_, constant_in_t: SensorModel, seconds: float):
@@ -116,7 +155,7 @@ def test_the_limit_meets_the_known_d_optimum(degree):
     """Polynomials without a constant, x … x^(d+1): their D-optimal weights and places are found here by a search of
     their own, over symmetric designs, of which one is optimal."""
     constant_in_t = model(0, degree)
-    found = limit_of(Optimality(jnp.eye(degree + 1), "D"), constant_in_t, 1000.0)
+    found = limit_of(Optimality(np.eye(degree + 1), "D"), constant_in_t, 1000.0)
     powers = np.arange(1, degree + 2)
 
     def negative(z):
@@ -142,7 +181,7 @@ def test_the_limit_meets_the_known_d_optimum(degree):
 def test_drift_and_readings_only_raise_the_limit():
     density = least_noise_density(LINEAR, 1.0)
     assert density > WALK**2
-    quiet = eqx.tree_at(lambda m: m.reference.reading_noise, LINEAR, jnp.zeros(()))
+    quiet = eqx.tree_at(lambda m: m.reference.reading_noise, LINEAR, np.zeros(()))
     assert least_noise_density(quiet, 1.0) == pytest.approx(WALK**2, rel=1e-3)
 
 
@@ -155,41 +194,57 @@ def test_turns_in_windows_meet_more_noise_than_turns_at_any_time():
     assert gated_noise_density(LINEAR, 1.0, [(0.0, 20000.0)]) == pytest.approx(free, rel=0.02)
 
 
+def still(t):
+    return np.full(np.shape(t), 20.0), np.zeros(np.shape(t))
+
+
 def test_what_multiplies_the_rate_stays_as_known():
-    """The best mean of a stationary Gauss-Markov process over a time: its variance is 2τσ²/(time + 2τ)."""
-    drift, time, tau = LINEAR.processes, 6000.0, 1200.0
-    unstable = gauss_markov(20e-6, tau, bias_gain=0.0, rate_gain=1.0)
+    """The best mean of a stationary Gauss-Markov process over a time: its variance is 2τσ²/(time + 2τ), for any τ."""
+    drift, time = LINEAR.processes, 6000.0
     clock = constant(3e-6, rate_gain=1.0)
     with_ = lambda more: eqx.tree_at(lambda m: m.processes, model(0, 1), more)  # noqa: E731
-    times, at = time * (np.arange(600) + 0.5) / 600, np.array([-30.0, 20.0])
-    known = 2 * tau * 20e-6**2 / (time + 2 * tau)
-    found = scale_factor_floor(with_(drift + unstable), times, 0.0 * times, at)
-    np.testing.assert_allclose(found, known, rtol=2e-3)
-    np.testing.assert_allclose(scale_factor_floor(with_(clock), times[:0], times[:0], at), 3e-6**2)
-    both = scale_factor_floor(with_(drift + unstable + clock), times, 0.0 * times, at)
-    np.testing.assert_allclose(both, found + 3e-6**2, rtol=1e-12)
-    np.testing.assert_array_equal(scale_factor_floor(with_(drift), times, times, at), 0.0)
+    at = np.array([-30.0, 20.0])
+    # In one window, in touching ones, and almost in one: what is not looked at for a moment tells next to nothing.
+    for windows in ([(0.0, time)], [(0.0, 2000.0), (2000.0, time)], [(0.0, 2000.0), (2000.001, time)]):
+        for tau in (1.0, 1200.0, 1e5):
+            unstable = gauss_markov(20e-6, tau, bias_gain=0.0, rate_gain=1.0)
+            known = 2 * tau * 20e-6**2 / (time + 2 * tau)
+            found = scale_factor_floor(with_(drift + unstable), windows, still, at)
+            np.testing.assert_allclose(found, known, rtol=2e-3)
+    np.testing.assert_allclose(scale_factor_floor(with_(clock), [], still, at), 3e-6**2)
+    both = scale_factor_floor(with_(drift + unstable + clock), [(0.0, time)], still, at)
+    np.testing.assert_allclose(both, known + 3e-6**2, rtol=1e-9)
+    np.testing.assert_array_equal(scale_factor_floor(with_(drift), [(0.0, time)], still, at), 0.0)
+
+
+def test_a_continuous_look_is_what_ever_closer_samples_come_to():
+    """A cubic in a temperature that ramps, in windows: against generalised least squares of dense samples."""
+    tau, windows = 50.0, [(0.0, 120.0), (300.0, 380.0)]
+    unstable = gauss_markov(20e-6, tau, bias_gain=0.0, rate_gain=1.0)
+    ramp = lambda t: (-30.0 + 0.25 * t, np.full(np.shape(t), 0.25))  # noqa: E731
+    cubic = eqx.tree_at(lambda m: m.processes, model(3, 1), unstable)
+    at = np.array([-20.0, 10.0, 60.0])
+    found = scale_factor_floor(cubic, windows, ramp, at)
+    times = np.concatenate([np.linspace(a, b, 401) for a, b in windows])
+    kernel = 20e-6**2 * np.exp(-np.abs(times[:, None] - times[None]) / tau)
+    seen, wanted = (cubic.scale.temperature(t) for t in (ramp(times)[0], at))
+    covariance = np.linalg.inv(seen.T @ np.linalg.solve(kernel, seen))
+    np.testing.assert_allclose(found, np.einsum("gi,ij,gj->g", wanted, covariance, wanted), rtol=1e-4)
 
 
 def test_a_prior_leaves_of_what_stays_as_much_as_one_reading_of_it_would():
     """Of M = c + d with d seen and a prior on c of variance P: shared out, the quarter of it counts."""
     clock, std = constant(3e-6, rate_gain=1.0), 5e-6
-    sure = eqx.tree_at(
-        lambda m: (m.processes, m.scale),
-        model(0, 1),
-        (clock, make_map(Polynomial(0, 20.0, 50.0), Polynomial(1, 0.0, MAX), prior_std=std)),
-    )
-    found = scale_factor_floor(sure, np.zeros(0), np.zeros(0), np.array([20.0]))
+    sure = eqx.tree_at(lambda m: m.processes, model(0, 1, prior_std=std), clock)
+    found = scale_factor_floor(sure, [], still, np.array([20.0]))
     np.testing.assert_allclose(found, 1.0 / (4.0 / std**2 + 1.0 / 3e-6**2), rtol=1e-9)
-    loose = eqx.tree_at(lambda m: m.scale.prior_std, sure, np.asarray(1.0))
-    np.testing.assert_allclose(
-        scale_factor_floor(loose, np.zeros(0), np.zeros(0), np.array([20.0])), 3e-6**2, rtol=1e-9
-    )
+    loose = eqx.tree_at(lambda m: m.terms[0].prior_std, sure, np.asarray(1.0))
+    np.testing.assert_allclose(scale_factor_floor(loose, [], still, np.array([20.0])), 3e-6**2, rtol=1e-9)
 
 
 def test_a_floor_under_the_residual_raises_the_limit_and_stays_below_what_is_reached():
     floor = (1e-6 * np.linspace(1.0, 2.0, len(TEMPERATURES))) ** 2
-    raised = eqx.tree_at(lambda c: c.beyond, CRITERION, jnp.asarray(np.repeat(floor, len(RATES))))
+    raised = eqx.tree_at(lambda c: c.beyond, CRITERION, np.repeat(floor, len(RATES)))
     options = {
         "motion_time": 480.0,
         "temperatures": np.linspace(-30, 70, 9),
@@ -204,21 +259,18 @@ def test_a_floor_under_the_residual_raises_the_limit_and_stays_below_what_is_rea
     assert together.certified < alone.reached + 2e-6
 
 
-def without_limits(z, sharpness):
-    return objective(z, sharpness), jnp.zeros(0)
-
-
 def test_the_search_improves_goes_on_where_it_was_and_never_beats_the_limit():
-    options = {"starts": 2, "seed": 0, "steps": 80, "chunk": 20, "hops": 1}
-    whole = [p.state for p in search(without_limits, PLAN.size, **options)]
-    rest = [p.state for p in search(without_limits, PLAN.size, **options, state=whole[1])]
+    options = {"starts": 2, "seed": 0, "steps": 80, "hops": 1}
+    at = compiled()
+    whole = [p.state for p in search(at, **options)]
+    rest = [p.state for p in search(at, **options, state=whole[3])]
     best = whole[-1]
-    assert len(rest) == len(whole) - 2
+    assert len(rest) == len(whole) - 4
     assert rest[-1].best == best.best
     assert np.array_equal(rest[-1].best_point, best.best_point)
-    found = polish(without_limits, best.best_point)
+    found = polish(at, best.best_point)
     assert found.value <= best.best <= best.first
-    assert found.value == pytest.approx(float(objective(jnp.asarray(found.point), None)), rel=1e-12)
+    assert found.value == pytest.approx(np.exp(at(found.point).logs[0]), rel=1e-12)
     assert found.converged, found.sentence
     proven = limit(
         CRITERION,
@@ -233,15 +285,36 @@ def test_the_search_improves_goes_on_where_it_was_and_never_beats_the_limit():
     assert proven.certified * 1e6 <= found.value
 
 
-def test_a_limit_that_binds_is_held_and_priced():
-    """Minimise x² + y² under x + y ≥ 2: the optimum is (1, 1), where the limit binds."""
+def test_a_search_that_is_stopped_ends_at_once_with_its_best():
+    asked = []
 
-    def under_a_limit(z, sharpness):
-        del sharpness
-        return 1.0 + z @ z, jnp.log(2.0 / jnp.maximum(jnp.sum(z) + 10.0, 0.1) * 6.0)[None]
+    def stop() -> bool:
+        asked.append(1)
+        return len(asked) > 3
 
-    *_, last = search(under_a_limit, 2, starts=2, seed=0, steps=80, chunk=20, hops=0)
-    found = polish(under_a_limit, last.state.best_point)
+    *_, last = search(compiled(), starts=4, seed=0, steps=80, stop=stop)
+    assert last.step <= 1
+    assert last.best <= last.first
+
+
+class UnderALimit(eqx.Module):
+    """1 + x² + y² under x + y ≥ 2: the optimum is (1, 1), where the limit binds."""
+
+    offset: np.ndarray
+
+    @property
+    def eased(self) -> int:
+        return 0
+
+    def value(self, z, by, sharpness):
+        del by, sharpness
+        return self.offset + z @ z, jnp.log(2.0 / jnp.maximum(jnp.sum(z) + 10.0, 0.1) * 6.0)[None]
+
+
+def test_a_limit_that_binds_is_held():
+    at = Compiled(UnderALimit(np.asarray(1.0)), 2)
+    *_, last = search(at, starts=2, seed=0, steps=80, hops=0)
+    found = polish(at, last.state.best_point)
     assert np.allclose(found.point, [1.0, 1.0], atol=1e-5)
     assert found.converged, found.sentence
     assert found.gradient_norm < 1e-5

@@ -7,13 +7,13 @@ import pytest
 from helpers import SCENES, core
 from scipy.stats import chi2
 
-from gradcal_jax.information import twin, wishart_test
+from gradcal_jax.information import monte_carlo_errors, wishart_test
 
 RUNS = 2000
 
 
 def check(line, model, runs: int, seed: int = 1) -> None:
-    result = twin(line, model, runs, seed=seed)
+    result = monte_carlo_errors(line, model, runs, seed=seed)
     test = wishart_test(result.errors, result.predicted)
     assert test.consistent, test
     p = result.errors.shape[1]
@@ -24,13 +24,13 @@ def check(line, model, runs: int, seed: int = 1) -> None:
 def test_the_empirical_covariance_is_the_predicted_one():
     scene = replace(SCENES["gap"], timing=1e-4)
     plan, model = core(scene)
-    check(plan.timeline("x"), model, RUNS)
+    check(plan.trajectory(), model, RUNS)
 
 
 def test_the_test_notices_ten_per_cent():
     """A test that accepts everything would prove nothing: errors 10 % too large are refused, and so is a bias."""
     plan, model = core(SCENES["gap"])
-    result = twin(plan.timeline("x"), model, RUNS, seed=2)
+    result = monte_carlo_errors(plan.trajectory(), model, RUNS, seed=2)
     assert wishart_test(result.errors, result.predicted).consistent
     assert not wishart_test(1.1 * result.errors, result.predicted).consistent
     shifted = result.errors + 0.3 * result.predicted.deviations(np.eye(result.errors.shape[1]))
@@ -41,7 +41,7 @@ def test_what_cannot_be_observed_is_refused():
     scene = replace(SCENES["gap"], moves=SCENES["gap"].moves[:1], scale_prior=np.inf)
     plan, model = core(scene)
     with pytest.raises(ValueError, match="unobservable"):
-        twin(plan.timeline("x"), model, 10)
+        monte_carlo_errors(plan.trajectory(), model, 10)
 
 
 @pytest.mark.evidence
@@ -51,4 +51,4 @@ def test_the_papers_full_plans(name):
 
     spec = files.parse_spec(files.presets.text(name))
     built = api.assemble(spec)
-    check(built.plan.timeline("x", built.thermal_lag), built.model, RUNS)
+    check(built.trajectory(), built.model, RUNS)

@@ -4,8 +4,6 @@ import os
 import subprocess
 import sys
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import (
@@ -16,21 +14,15 @@ from helpers import (
     Polynomial,
     Scene,
     core,
+    core_move,
     engine_of,
-    gyro_model,
     knowledge,
 )
 
 from gradcal_jax import model as models
 from gradcal_jax import trajectory
-from gradcal_jax.information import (
-    residual,
-    statistic,
-    unobservable_combinations,
-    unweighted,
-    whiten,
-)
-from gradcal_jax.model import Bins, BSpline, make_map
+from gradcal_jax.information import residual, statistic, unobservable_combinations, unweighted, whiten
+from gradcal_jax.model import SCALE_FACTOR, Bins, BSpline, gyro_model, make_map
 
 LINEAR = Polynomial(1, 20.0, 50.0)
 
@@ -38,14 +30,14 @@ LINEAR = Polynomial(1, 20.0, 50.0)
 def test_the_turn_on_biass_prior_is_a_rank_one_update():
     for internal in ("legendre", "chebyshev"):
         basis = Polynomial(3, 20.0, 50.0, internal)
-        model = gyro_model(make_map(basis, prior_std=2e-3), None, 1e-5, turn_on=5e-3)
+        model = gyro_model(make_map(basis, prior_std=2e-3, common_std=5e-3), None, 1e-5)
         rows = np.asarray(model.prior_rows())
         reported = basis.to_reported
         constant = np.eye(4)[0]
         wanted = np.linalg.inv(2e-3**2 * np.eye(4) + 5e-3**2 * np.outer(constant, constant))
         np.testing.assert_allclose(rows.T @ rows, reported.T @ wanted @ reported, rtol=1e-11, atol=1e-6)
-    spline = make_map(BSpline((-30.0, 0.0, 70.0), 2), prior_std=2e-3)
-    rows = np.asarray(gyro_model(spline, None, 1e-5, turn_on=5e-3).prior_rows())
+    spline = make_map(BSpline((-30.0, 0.0, 70.0), 2), prior_std=2e-3, common_std=5e-3)
+    rows = np.asarray(gyro_model(spline, None, 1e-5).prior_rows())
     wanted = np.linalg.inv(2e-3**2 * np.eye(4) + 5e-3**2 * np.ones((4, 4)))
     np.testing.assert_allclose(rows.T @ rows, wanted, rtol=1e-10)
 
@@ -83,7 +75,8 @@ def test_smoothness_reaches_where_the_plan_does_not(basis):
 
 
 def test_unweighted_least_squares_by_hand():
-    plan = trajectory.standard_plan([-20.0, 10.0, 50.0], 100.0, 60.0, [-3.0, -1.0, 2.0, 4.0])
+    temperatures, rates = [-20.0, 10.0, 50.0], [-3.0, -1.0, 2.0, 4.0]
+    plan = trajectory.standard_plan(temperatures, 100.0, 60.0, rates, points="independent")
     scale = make_map(LINEAR, Polynomial(2, 0.0, 5.0))
     drift = models.gauss_markov(2e-5, 100.0) + models.gauss_markov(1e-4, 50.0, bias_gain=0.0, rate_gain=1.0)
     model = gyro_model(None, scale, 3e-5, drift, models.angle_reference(rate_accuracy=1e-4))
@@ -93,7 +86,7 @@ def test_unweighted_least_squares_by_hand():
     mean = lambda sigma, tau: 2 * sigma**2 * (tau / 60 - (tau / 60) ** 2 * (1 - np.exp(-60 / tau)))  # noqa: E731
     variance = 3e-5**2 / 60 + mean(2e-5, 100.0) + w**2 * mean(1e-4, 50.0) + (1e-4 * w) ** 2
     reported = np.kron(LINEAR.to_reported, scale.rate.to_reported)
-    line = plan.timeline("x")
+    line = plan.trajectory()
     inverse = np.linalg.pinv(rows)
     wanted = np.sqrt(np.diagonal(inverse @ np.diag(variance) @ inverse.T))
     np.testing.assert_allclose(unweighted(line, model).deviations(reported), wanted, rtol=1e-10)
@@ -104,10 +97,44 @@ def test_unweighted_least_squares_by_hand():
     assert np.all(found <= wanted)
 
 
+def test_what_is_common_to_a_run_stays_common_among_its_points():
+    """Both estimators against the covariance of all points written out by the processes' kernels."""
+    temperatures, rates, soak, lasts = [-20.0, 10.0, 50.0], [-3.0, -1.0, 2.0, 4.0], 100.0, 60.0
+    plan = trajectory.standard_plan(temperatures, soak, lasts, rates)
+    scale = make_map(LINEAR, Polynomial(2, 0.0, 5.0))
+    noise = models.gauss_markov(2e-5, 100.0) + models.gauss_markov(1e-4, 500.0, bias_gain=0.0, rate_gain=1.0)
+    noise = noise + models.constant(1e-3, rate_gain=1.0) + models.rate_random_walk(1e-7)
+    model = gyro_model(None, scale, 3e-5, noise, models.angle_reference(rate_accuracy=1e-4))
+    t, w = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
+    stay = soak + lasts * len(rates)
+    start = np.concatenate([k * stay + soak + lasts * np.arange(len(rates)) for k in range(len(temperatures))])
+    apart = np.abs(start[:, None] - start[None]) - lasts
+
+    def markov(sigma, tau):
+        between = sigma**2 * tau**2 * np.exp(-np.maximum(apart, 0.0) / tau) * (1 - np.exp(-lasts / tau)) ** 2
+        own = 2 * sigma**2 * tau * (lasts - tau * (1 - np.exp(-lasts / tau)))
+        return np.where(np.eye(len(start), dtype=bool), own, between)
+
+    first = np.minimum(start[:, None], start[None])
+    walk = 1e-14 * lasts**2 * np.where(apart < 0.0, first + lasts / 3, first + lasts / 2)
+    variance = markov(2e-5, 100.0) + np.outer(w, w) * (markov(1e-4, 500.0) + (1e-3 * lasts) ** 2) + walk
+    variance += np.diag(3e-5**2 * lasts + (1e-4 * w * lasts) ** 2)
+    x = (t - 20.0) / 50.0
+    rows = lasts * np.stack([x**i * (w / 5.0) ** j * w for i in range(2) for j in range(3)], axis=1)
+    reported = np.kron(LINEAR.to_reported, scale.rate.to_reported)
+    best = np.sqrt(np.diagonal(np.linalg.inv(rows.T @ np.linalg.solve(variance, rows))))
+    np.testing.assert_allclose(knowledge(plan, model).deviations(reported), best, rtol=1e-8)
+    inverse = np.linalg.pinv(rows)
+    plain = np.sqrt(np.diagonal(inverse @ variance @ inverse.T))
+    np.testing.assert_allclose(unweighted(plan.trajectory(), model).deviations(reported), plain, rtol=1e-8)
+    # The clock is a constant of the scale factor, and no number of points takes it off.
+    assert knowledge(plan, model).deviations(reported)[0] > 1e-3
+
+
 def test_unweighted_least_squares_is_for_rates():
     plan, model = core(SCENES["gap"])
     with pytest.raises(ValueError, match="standard method"):
-        unweighted(plan.timeline("x"), model)
+        unweighted(plan.trajectory(), model)
 
 
 def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():
@@ -124,17 +151,17 @@ def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():
     reference = models.angle_reference(scene.reading_noise)
     model = gyro_model(None, scale, scene.arw, models.gauss_markov(DRIFT.size, DRIFT.tau), reference)
     made = engine_of(plan, model)
-    data, prior = np.asarray(jax.jit(whiten)(made.steps, made.columns)), np.asarray(made.prior)
+    data, prior = whiten(made.steps, made.columns), made.prior
     known = knowledge(plan, model)
     temperatures, rates = np.array([-10.0, 60.0]), np.array([-4.5, 1.0])
     found = residual(known, model, "scale_factor", temperatures, rates).ravel()
     rows = np.concatenate([data, prior])
     size = np.linalg.norm(rows, axis=0)
     gain = np.linalg.lstsq(rows / size, np.eye(len(rows)), rcond=None)[0] / size[:, None]
-    c, g = model.columns.scale, model.columns.scale_discrepancy
+    c, g = model.where(SCALE_FACTOR), model.where(scale.beyond.name)
     truth = np.linalg.inv(prior)  # columns: one standard deviation of each independent prior direction
-    t, w = (jnp.asarray(x.ravel()) for x in np.meshgrid(temperatures, rates, indexing="ij"))
-    psi, chi = np.asarray(scale.values(t, w)), np.asarray(scale.discrepancy_values(t, w))
+    t, w = (x.ravel() for x in np.meshgrid(temperatures, rates, indexing="ij"))
+    psi, chi = scale.values(t, w), scale.beyond.values(t, w)
     # The error as a linear function of the independent unit draws: the truth's and the readings' noise. The prior's
     # pseudo-data are zero, so only the data rows respond to the truth.
     of_truth = gain[:, : len(data)] @ data @ truth
@@ -184,15 +211,17 @@ def test_a_combination_is_written_out():
 
 
 IN_SINGLE_PRECISION = """
+import jax
 import jax.numpy as jnp
-from gradcal_jax import model, information, plans
+from gradcal_jax import information, trajectory
+from gradcal_jax import model as models
 plan = trajectory.gradient_plan(trajectory.programme(0.0, [(20.0, 0.1)]), read_every=5.0)
 bias = models.make_map(models.Polynomial(0, 0.0, 1.0))
 none = models.no_processes()
 angle = models.angle_reference(1e-3)
-model = models.SensorModel(bias, None, jnp.asarray(1e-5), none, angle, jnp.zeros(()), jnp.zeros(()))
+model = models.gyro_model(bias, None, 1e-5, none, angle)
 try:
-    information.information(plan.timeline("x"), model)
+    information.information(jax.tree.map(jnp.asarray, plan.trajectory()), model)
 except ValueError as error:
     print(error)
 """
@@ -219,17 +248,15 @@ def test_statistics_of_a_map():
 def test_another_axis_is_rest():
     """The channel that stands sees as many readings as it is given, no motion, and no scale factor."""
     scene = SCENES["other axis"]
-    plan, model = core(scene)
-    assert plan.channels == ("x", "y")
-    for channel in plan.channels:
-        line = plan.timeline(channel)
-        mine = sum(a.peak * 0 + 1 for a in scene.moves if a.axis == channel and a.shape != "rest")
-        moved = {int(line.segment_moves[s]) for s in np.asarray(line.segment)[np.asarray(line.moving)]}
-        assert len(moved) == mine
+    assert trajectory.channels_of(tuple(core_move(a) for a in scene.moves)) == ("x", "y")
+    for channel in ("x", "y"):
+        plan, model = core(scene, channel)
+        line = plan.trajectory()
+        mine = {k for k, a in enumerate(scene.moves) if a.axis == channel and a.shape != "rest"}
+        assert set(plan.pieces.move[line.moving].tolist()) == mine
         assert float(line.start[-1] + line.duration[-1]) == pytest.approx(260.0)
-        turning = np.asarray(line.moving)
-        assert np.all(np.asarray(line.turned())[~turning] == 0.0)
-        seen = np.asarray(engine_of(plan, model, channel).columns)[:, model.columns.scale]
+        assert np.all(line.turned()[~line.moving] == 0.0)
+        seen = engine_of(plan, model).columns[:, model.where(SCALE_FACTOR)]
         assert np.any(seen != 0.0)
-        before_it_moves = np.cumsum(turning) == 0
+        before_it_moves = np.cumsum(line.moving) == 0
         assert np.all(seen[before_it_moves] == 0.0)

@@ -2,7 +2,6 @@
 
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import (
@@ -22,8 +21,9 @@ from helpers import (
 )
 from scipy.integrate import quad
 
-from gradcal_jax.information import at_readings, increments, to_reported
-from gradcal_jax.model import make_map
+from gradcal_jax.information import at_readings
+from gradcal_jax.model import TEMPERATURE_GRADIENT, gyro_model, make_map
+from gradcal_jax.trajectory import gauss_nodes
 
 ACTS = [
     Act("cosine ramps", 45.45, 10 * DEG, ramp=3.0),
@@ -68,7 +68,7 @@ def by_quad(scene: Scene) -> np.ndarray:
 
 def compare(scene: Scene, tolerance: float = 1e-12) -> None:
     plan, model = core(scene)
-    found = np.asarray(engine_of(plan, model, lag=scene.lag).columns)[-1] @ np.linalg.inv(to_reported(model))
+    found = engine_of(plan, model, scene.lag).columns[-1] @ np.linalg.inv(model.to_reported)
     wanted = by_quad(scene)
     # The scale of a column: the same integral of absolute values is at most its time times its largest rate.
     size = np.full_like(wanted, sum(duration for duration, _ in scene.stretches))
@@ -96,30 +96,22 @@ def test_splines_high_degrees_and_a_lagging_sensor():
 def test_the_sensitivity_to_gradients_is_the_change_of_temperature():
     scene = Scene(0.0, ((20.0, 0.1), (30.0, -0.2)), (ACTS[2],), lag=5.0, read_every=4.0, gradient=True, bias=BINS[0])
     plan, model = core(scene)
-    line = plan.timeline("x", 5.0)
+    line = plan.trajectory(5.0)
     ends = np.asarray(line.start + line.duration)
-    found = np.asarray(at_readings(line, model))[:, model.columns.gradient][:, 0]
+    found = np.asarray(at_readings(line, model))[:, model.where(TEMPERATURE_GRADIENT)][:, 0]
     np.testing.assert_allclose(found, sensor_temperature(scene, ends), atol=1e-13)
 
 
 def test_the_discrepancys_functions_are_the_polynomials_left_out():
     scene = Scene(-12.0, ((8.0, 0.5),), (ACTS[2],), bias=POLYNOMIALS[0], scale=POLYNOMIALS)
-    plan, model = core(scene)
-    line = plan.timeline("x")
+    line = core(scene)[0].trajectory()
     legendre = np.polynomial.legendre.legval
     for internal in ("legendre", "chebyshev"):
         bases = (Polynomial(1, 20.0, 50.0, internal), Polynomial(2, 0.0, 300 * DEG, internal))
         beyond = make_map(*bases, discrepancy=(1e-3, 2, 4))
-        made = model.__class__(
-            None,
-            beyond,
-            *(
-                getattr(model, f)
-                for f in ("angle_random_walk", "processes", "reference", "turn_on_std", "gradient_std")
-            ),
-        )
-        assert beyond.discrepancy_size == 1 * 5 + 2 * 2 == made.columns.count - beyond.size
-        found = np.asarray(increments(line, made))[:, made.columns.scale_discrepancy].sum(0)
+        made = gyro_model(None, beyond, 1e-5)
+        assert beyond.beyond.size == 1 * 5 + 2 * 2 == made.size - beyond.size
+        found = made.columns(gauss_nodes(line, made))[:, made.where("scale_factor_discrepancy")].sum(0)
         pairs = [(2, j) for j in range(5)] + [(i, j) for i in range(2) for j in (3, 4)]
         time, act = walk(scene), ACTS[2]
 
@@ -130,5 +122,5 @@ def test_the_discrepancys_functions_are_the_polynomials_left_out():
 
         wanted = [quad(weighted, 0, act.duration, args=p, epsabs=1e-13)[0] for p in pairs]
         np.testing.assert_allclose(found, wanted, atol=1e-11)
-        values = np.asarray(beyond.discrepancy_values(jnp.array([70.0]), jnp.array([300 * DEG])))
+        values = beyond.beyond.values(np.array([70.0]), np.array([300 * DEG]))
         np.testing.assert_allclose(values, 1.0, rtol=1e-13)

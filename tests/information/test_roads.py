@@ -18,16 +18,18 @@ from helpers import (
     Polynomial,
     Scene,
     augmented_kalman,
+    core,
     core_model,
     dense_gls,
     deviations,
     engine,
+    engine_of,
     prior_rows_reported,
     reference,
+    traced_engine_of,
     varied,
 )
 
-from gradcal_jax.information import to_reported
 from gradcal_jax.information.noise_steps import NoiseSteps
 
 ANGLE_UNITS = {"rad": 1.0, "deg": 1.0 / DEG, "arcsec": 3600.0 / DEG}
@@ -45,7 +47,7 @@ def in_unit(steps: NoiseSteps, columns, factor: float):
 
 
 def compare_with_dense(scene: Scene, made: Engine) -> np.ndarray:
-    reported = to_reported(core_model(scene))
+    reported = core_model(scene).to_reported
     slow = reference(scene)
     used = np.asarray(made.steps.used)
     columns = np.asarray(made.columns)[used] @ np.linalg.inv(reported)
@@ -60,7 +62,7 @@ def compare_with_dense(scene: Scene, made: Engine) -> np.ndarray:
 
 
 def compare_with_kalman(scene: Scene, made: Engine, found: np.ndarray, tolerance: float) -> None:
-    reported = to_reported(core_model(scene))
+    reported = core_model(scene).to_reported
     rows = np.asarray(made.prior)
     inverse = np.linalg.inv(rows)
     covariance = reported @ augmented_kalman(made.steps, made.columns, inverse @ inverse.T) @ reported.T
@@ -78,6 +80,20 @@ def compare_in_single_precision(steps: NoiseSteps, columns, prior, reported, fou
 
 
 @pytest.mark.parametrize("name", SCENES)
+def test_both_array_libraries_compute_the_same(name):
+    """NumPy at once, and JAX with the whole plan and model as arguments: steps, regressors and priors."""
+    plan, model = core(SCENES[name])
+    lag = SCENES[name].lag
+    for ours, theirs in zip(
+        jax.tree.leaves(engine_of(plan, model, lag)), jax.tree.leaves(traced_engine_of(plan, model, lag)), strict=True
+    ):
+        size = np.max(np.abs(ours), axis=0, initial=0.0)
+        np.testing.assert_allclose(
+            np.asarray(theirs, float) / np.where(size > 0, size, 1.0), ours / np.where(size > 0, size, 1.0), atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("name", SCENES)
 def test_whitening_is_dense_least_squares_in_every_unit_and_precision(name):
     rng = np.random.default_rng(len(name))
     for scene in (SCENES[name], varied(SCENES[name], rng), varied(SCENES[name], rng)):
@@ -85,7 +101,7 @@ def test_whitening_is_dense_least_squares_in_every_unit_and_precision(name):
         found = compare_with_dense(scene, made)
         if made.prior.shape[0] == made.columns.shape[1]:
             compare_with_kalman(scene, made, found, 1e-9)
-    reported = jnp.asarray(to_reported(core_model(scene)))
+    reported = jnp.asarray(core_model(scene).to_reported)
     for factor in ANGLE_UNITS.values():
         steps, columns = in_unit(made.steps, made.columns, factor)
         here = deviations(steps, columns, made.prior, reported)
@@ -105,7 +121,7 @@ def test_the_augmented_filter_meets_whitening_as_far_as_its_priors_let_it(prior,
 def test_the_block_length_does_not_matter():
     scene = SCENES["paper-like"]
     made = engine(scene)
-    contrasts = jnp.asarray(to_reported(core_model(scene)))
+    contrasts = jnp.asarray(core_model(scene).to_reported)
     usual = made.deviations(contrasts)
     for block in (1, 7, 10_000):
         found = deviations(*made, contrasts, block=block)
@@ -114,17 +130,17 @@ def test_the_block_length_does_not_matter():
 
 def test_neither_the_internal_form_nor_the_basis_scaling_matters():
     scene = SCENES["paper-like"]
-    wanted = engine(scene).deviations(to_reported(core_model(scene)))
+    wanted = engine(scene).deviations(core_model(scene).to_reported)
     other = replace(
         scene,
         scale=(Polynomial(1, 20.0, 50.0, "chebyshev"), Polynomial(3, 0.0, 300.0 * DEG, "chebyshev")),
     )
-    found = engine(other).deviations(to_reported(core_model(other)))
+    found = engine(other).deviations(core_model(other).to_reported)
     np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=0)
     # Twice the scales, no prior: a coefficient of degree (i, j) grows by 2^(i + j).
     flat = replace(scene, scale_prior=np.inf)
     wide = replace(flat, scale=(Polynomial(1, 20.0, 100.0), Polynomial(3, 0.0, 600.0 * DEG)))
-    small, large = (engine(s).deviations(to_reported(core_model(s))) for s in (flat, wide))
+    small, large = (engine(s).deviations(core_model(s).to_reported) for s in (flat, wide))
     growth = np.add.outer(np.arange(2), np.arange(4)).ravel()
     np.testing.assert_allclose(large, small * 2.0**growth, rtol=1e-10, atol=0)
 
@@ -206,9 +222,7 @@ def test_random_plans(seed):
     found = compare_with_dense(scene, made)
     # The textbook filter itself loses up to 2e-9 here, in float64; the dense road, in 80 bits, is the judge.
     compare_with_kalman(scene, made, found, 1e-8)
-    compare_in_single_precision(
-        made.steps, made.columns, made.prior, jnp.asarray(to_reported(core_model(scene))), found
-    )
+    compare_in_single_precision(made.steps, made.columns, made.prior, jnp.asarray(core_model(scene).to_reported), found)
     jax.clear_caches()
 
 
@@ -220,5 +234,5 @@ def test_single_precision_in_every_unit(name):
     for factor in ANGLE_UNITS.values():
         steps, columns = in_unit(made.steps, made.columns, factor)
         compare_in_single_precision(
-            steps, columns, made.prior, jnp.asarray(to_reported(core_model(SCENES[name]))), found
+            steps, columns, made.prior, jnp.asarray(core_model(SCENES[name]).to_reported), found
         )

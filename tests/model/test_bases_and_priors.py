@@ -6,7 +6,7 @@ import pytest
 from numpy.polynomial import chebyshev, legendre
 
 from gradcal_jax import model as models
-from gradcal_jax.model import Bins, BSpline, Polynomial, SensorModel, make_map
+from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Bins, BSpline, Polynomial, make_map
 
 X = np.linspace(-60.0, 95.0, 9)
 
@@ -42,7 +42,7 @@ def test_every_basis_holds_the_constant(basis):
         (lambda: Bins((1.0,)), "two edges"),
         (lambda: make_map(Bins((0.0, 1.0)), discrepancy=(1e-4, 3, 0)), "smoothness prior instead"),
         (lambda: make_map(Polynomial(3, 0.0, 1.0), discrepancy=(1e-4, 3, 0)), "exceed the model's"),
-        (lambda: models.Reference(*(np.zeros(()),) * 4, np.zeros(1), (1, 2)), "one amplitude"),
+        (lambda: models.EncoderHarmonics(amplitudes=np.zeros(1), orders=(1, 2)), "one amplitude"),
     ],
 )
 def test_what_makes_no_sense_is_refused_with_the_mend(make, says):
@@ -54,47 +54,53 @@ def gyro(**changes):
     parts = {
         "bias": make_map(Polynomial(3, 20.0, 50.0), prior_std=1e-3),
         "scale": make_map(Polynomial(1, 20.0, 50.0), Polynomial(2, 0.0, 5.0), discrepancy=(1e-4, 2, 3)),
-        "angle_random_walk": np.asarray(1e-5),
-        "processes": models.no_processes(),
-        "reference": models.angle_reference(1e-3, harmonics={1: 2e-4, 4: 1e-4}),
-        "turn_on_std": np.asarray(0.0),
-        "gradient_std": np.asarray(3e-6),
-        "has_gradient": True,
-        "has_gradient_prior": True,
+        "angle_random_walk": 1e-5,
+        "temperature_gradient_std": 3e-6,
+        "harmonics": {1: 2e-4, 4: 1e-4},
     }
-    return SensorModel(**(parts | changes))
+    return models.gyro_model(**(parts | changes))
 
 
-def test_columns_follow_one_another_in_the_order_of_the_module():
-    columns = gyro().columns
-    groups = [
-        columns.bias,
-        columns.scale,
-        columns.gradient,
-        columns.harmonics,
-        columns.bias_discrepancy,
-        columns.scale_discrepancy,
-    ]
+GROUPS = (BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, HARMONICS, "scale_factor_discrepancy")
+
+
+def test_terms_follow_one_another_and_are_found_by_name():
+    model = gyro()
+    groups = [model.where(name) for name in GROUPS]
     # Of M: one more degree in T times four in ω, and one more in ω times the two in T.
-    assert [s.stop - s.start for s in groups] == [4, 6, 1, 4, 0, 1 * 4 + 2 * 1]
+    assert [s.stop - s.start for s in groups] == [4, 6, 1, 4, 1 * 4 + 2 * 1]
     assert [s.start for s in groups] == [0, *(s.stop for s in groups[:-1])]
-    assert columns.count == groups[-1].stop == 21
+    assert model.size == groups[-1].stop == 21 == len(model.names()) == len(model.units())
+    assert model.calibrated == 11
+    assert model.where("bias_discrepancy") == slice(21, 21)
+    assert model.term("bias_discrepancy") is None
+    assert model.units()[-1] == "1"
 
 
 def test_priors_are_rows_of_one_over_their_deviation():
     model = gyro()
-    rows = np.asarray(model.prior_rows())
-    columns, information = model.columns, rows.T @ rows
+    rows = model.prior_rows()
+    information = rows.T @ rows
+    bias, scale, gradient, waves, beyond = (model.where(name) for name in GROUPS)
     reported = model.bias.to_reported
-    np.testing.assert_allclose(information[columns.bias, columns.bias], reported.T @ reported / 1e-3**2, rtol=1e-12)
-    np.testing.assert_array_equal(information[columns.scale], 0.0)  # Flat.
-    assert information[columns.gradient, columns.gradient].item() == pytest.approx(3e-6**-2)
-    harmonics = np.diagonal(information)[columns.harmonics]
+    np.testing.assert_allclose(information[bias, bias], reported.T @ reported / 1e-3**2, rtol=1e-12)
+    np.testing.assert_array_equal(information[scale], 0.0)  # Flat.
+    assert information[gradient, gradient].item() == pytest.approx(3e-6**-2)
+    harmonics = np.diagonal(information)[waves]
     np.testing.assert_allclose(harmonics, np.repeat([2e-4, 1e-4], 2) ** -2.0, rtol=1e-12)
-    beyond = np.diagonal(information)[columns.scale_discrepancy]
-    np.testing.assert_allclose(beyond, 1e-4**-2.0, rtol=1e-12)
-    flat = gyro(bias=None, has_gradient_prior=False, reference=models.angle_reference(1e-3))
-    assert np.asarray(flat.prior_rows()).shape == (6, flat.columns.count)
+    np.testing.assert_allclose(np.diagonal(information)[beyond], 1e-4**-2.0, rtol=1e-12)
+    flat = gyro(bias=None, temperature_gradient_std=np.inf, harmonics=None)
+    assert flat.prior_rows().shape == (6, flat.size)
+
+
+@pytest.mark.parametrize("internal", ["legendre", "chebyshev"])
+def test_smoothness_is_on_neighbours_whatever_the_engine_computes_in(internal):
+    """Bins in rate have neighbours, powers of temperature have none: differences of reported coefficients by bin."""
+    of = make_map(Polynomial(2, 20.0, 50.0, internal), Bins((-1.0, 0.0, 0.5, 1.0)), smoothness_std=0.5)
+    reported = np.random.default_rng(3).standard_normal((3, 3))  # power of temperature, bin
+    engine = np.linalg.solve(of.to_reported, reported.ravel())
+    rows = of.prior_rows()
+    assert np.sum((rows @ engine) ** 2) == pytest.approx(np.sum(np.diff(reported, axis=1) ** 2) / 0.25)
 
 
 def test_nothing_to_calibrate_is_refused():

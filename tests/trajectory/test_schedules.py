@@ -1,8 +1,10 @@
 """What the plans' room promises by itself: moves end where they should, and timelines are on time."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import SCENES, core
 
 from gradcal_jax import trajectory
 from gradcal_jax.formulas import SHAPES, turned_angle
@@ -20,11 +22,11 @@ def a_turn(shape, **more):
 def test_a_move_takes_its_time_turns_its_angle_and_never_jumps(shape):
     move = a_turn(shape, read_every=2.0)
     pieces = move.pieces("x")
-    duration = np.asarray(pieces.duration)
+    duration = (pieces.u_end - pieces.u_start) * (pieces.by_duration * TIME + pieces.by_ramp * move.ramp)
     assert duration.sum() == pytest.approx(TIME, rel=1e-14)
     if shape != "spline":
         assert float(move.angle) == pytest.approx(float(turned_angle(shape, RATE, TIME, RAMP)), abs=1e-12)
-    line = trajectory.gradient_plan(trajectory.programme(0.0, [(TIME, 0.1)]), (move,)).timeline()
+    line = trajectory.gradient_plan(trajectory.programme(0.0, [(TIME, 0.1)]), (move,)).trajectory()
     assert float(np.sum(np.asarray(line.turned()))) == pytest.approx(float(move.angle), abs=1e-12)
     every = np.arange(line.piece_count)
     ends = np.asarray(line.rate(jnp.tile(jnp.array([0.0, 1.0]), (len(every), 1))))
@@ -39,7 +41,8 @@ def test_another_axis_sees_a_rest_of_the_same_length():
     pieces = move.pieces("x")
     assert not pieces.moving.any()
     assert pieces.at_rest.all()
-    assert float(np.sum(np.asarray(pieces.duration))) == pytest.approx(TIME)
+    assert float(np.sum(pieces.u_end - pieces.u_start)) == pytest.approx(1.0)
+    assert np.all(pieces.by_duration == 1.0)
     assert pieces.read.sum() == 3
 
 
@@ -58,7 +61,7 @@ def test_ramps_that_do_not_fit_are_refused():
     ],
 )
 def test_divisions(readings, longest, edges, read):
-    assert divide(8.0, readings, longest) == (edges, read)
+    assert divide(8.0, tuple(readings), longest) == (edges, read)
 
 
 def test_a_cycle_repeats_and_the_chambers_knee_divides_a_piece():
@@ -66,8 +69,8 @@ def test_a_cycle_repeats_and_the_chambers_knee_divides_a_piece():
     moves = (trajectory.rest(4.0, 2.0), trajectory.turn("half sine", 1.0, 6.0))
     programme = trajectory.programme(-10.0, [(21.0, 0.5), (14.0, -0.25)])
     plan = trajectory.gradient_plan(programme, moves, (trajectory.rest(5.0),), read_every=3.0)
-    assert [s.cycles for s in plan.stretches] == [2]
-    line = plan.timeline()
+    assert np.count_nonzero(np.diff(plan.pieces.move == 1)) // 2 == 2
+    line = plan.trajectory()
     start, end = np.asarray(line.start), np.asarray(line.start + line.duration)
     np.testing.assert_allclose(start[1:], end[:-1], atol=1e-12)
     assert end[-1] == pytest.approx(float(programme.total)) == pytest.approx(35.0)
@@ -77,8 +80,7 @@ def test_a_cycle_repeats_and_the_chambers_knee_divides_a_piece():
     wanted = np.where(end <= 21.0 + 1e-9, -10.0 + 0.5 * end, 0.5 - 0.25 * (end - 21.0))
     np.testing.assert_allclose(ends[:, 1], wanted, atol=1e-12)
     np.testing.assert_allclose(ends[1:, 0], ends[:-1, 1], atol=1e-12)
-    moved = {line.segment_moves[s] for s in np.asarray(line.segment)[np.asarray(line.moving)]}
-    assert moved == {1}
+    assert set(plan.pieces.move[line.moving].tolist()) == {1}
 
 
 def test_moves_that_fit_nowhere_are_refused():
@@ -89,8 +91,8 @@ def test_moves_that_fit_nowhere_are_refused():
 def test_a_lagging_sensor_follows_its_differential_equation():
     """dT/dt = (T_chamber − T)/lag, from equilibrium, over a ramp and a hold; against small steps of Heun's method."""
     lag, programme = 40.0, trajectory.programme(10.0, [(60.0, 0.5), (90.0, 0.0)])
-    line = trajectory.gradient_plan(programme, read_every=10.0).timeline("x", lag)
-    assert line.lagged
+    line = trajectory.gradient_plan(programme, read_every=10.0).trajectory(lag)
+    assert float(line.lag_rate) == 1.0 / lag
     step, sensor, at = 0.01, 10.0, {}
     chamber = lambda t: 10.0 + 0.5 * min(t, 60.0)  # noqa: E731
     for k in range(15000):
@@ -106,10 +108,42 @@ def test_a_lagging_sensor_follows_its_differential_equation():
 
 def test_a_standard_plan_soaks_then_holds_each_rate():
     plan = trajectory.standard_plan([-20.0, 50.0], 100.0, 30.0, [-1.0, 0.0, 2.0])
-    line = plan.timeline()
+    line = plan.trajectory()
     assert float(line.start[-1] + line.duration[-1]) == 2 * (100.0 + 3 * 30.0)
-    np.testing.assert_allclose(line.start, [100.0, 130.0, 160.0, 290.0, 320.0, 350.0])
-    np.testing.assert_allclose(line.turned(), [-30.0, 0.0, 60.0] * 2)
-    np.testing.assert_allclose(line.trail, [-20.0] * 3 + [50.0] * 3)
-    assert line.rate_reference
-    assert np.all(np.asarray(line.reset))
+    assert line.rates
+    np.testing.assert_array_equal(line.read, ~line.gap)
+    np.testing.assert_allclose(line.start[line.read], [100.0, 130.0, 160.0, 290.0, 320.0, 350.0])
+    np.testing.assert_allclose(line.turned()[line.read], [-30.0, 0.0, 60.0] * 2)
+    np.testing.assert_allclose(line.level, [-20.0] * 4 + [50.0] * 4)
+
+
+def everything(line):
+    """What a trajectory is, of the pieces that last."""
+    lasts = line.duration > 0.0
+    names = ("start", "duration", "terms", "level", "slope", "excess", "read", "at_rest", "moving", "gap", "share")
+    return {name: np.asarray(getattr(line, name))[lasts] for name in names}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_padding_changes_nothing(name):
+    plan, _ = core(SCENES[name])
+    lag = SCENES[name].lag
+    plain, padded = everything(plan.trajectory(lag)), plan.padded()
+    assert padded.piece_count >= plan.piece_count
+    filled = jax.tree.map(jnp.asarray, padded).trajectory(lag)
+    for field, values in everything(filled).items():
+        np.testing.assert_allclose(values, plain[field], rtol=1e-12, atol=1e-13, err_msg=field)
+    assert not np.any(np.asarray(filled.read)[plan.piece_count :])
+
+
+def test_a_plan_of_the_same_class_has_the_same_shapes():
+    """Another rest, slope, rate and number of cycles: what is compiled for one serves the other."""
+
+    def plan(rest, peak, slope):
+        moves = (trajectory.rest(rest, 1.0), trajectory.turn("cosine ramps", peak, 6.0, ramp=1.0))
+        return trajectory.gradient_plan(trajectory.programme(-10.0, [(200.0, slope)]), moves).padded()
+
+    one, other = plan(5.0, 2.0, 0.1), plan(5.3, -1.0, 0.2)
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    assert [np.shape(x) for x in jax.tree.leaves(one)] == [np.shape(x) for x in jax.tree.leaves(other)]
+    assert np.max(one.pieces.segment) != np.max(other.pieces.segment)

@@ -121,4 +121,4 @@ def test_starts_and_functions_of_priors_are_named():
     assert row.scale_factor.rate is not None
     assert row.scale_factor.rate.prior_functions == "bins"
     assert row.scale_factor.temperature.prior_functions == "monomial"
-    assert row.scale_factor.temperature.smoothness_functions == "legendre"
+    assert row.scale_factor.temperature.smoothness_functions == "monomial"

@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from jobs_small import compiled_programs, written
+from jobs_small import written
 
 from gradcal_jax.files.sweep import read_sweep
 from gradcal_jax.jobs.cluster import Cluster
@@ -24,10 +24,8 @@ def test_an_address_where_nobody_answers_is_an_error_with_advice():
 @pytest.mark.evidence
 def test_two_workers_one_killed_half_way_give_the_same_file(tmp_path, monkeypatch):
     monkeypatch.setitem(CHUNK, "predict", 1)
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", compiled_programs())
-    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
     job = read_sweep(written(tmp_path))
-    with LocalPool(1, compiled_programs()) as one:
+    with LocalPool(1) as one:
         sweep(job, tmp_path / "one.nc", runner=one)
     shot: list[int] = []
     with (

@@ -8,20 +8,25 @@ import time
 
 import numpy as np
 import pytest
-from jobs_small import GRID, compiled_programs, written
+from jobs_small import GRID, SPEC, written
 
 import gradcal_jax as gj
+from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.files import presets
 from gradcal_jax.files.sweep import read_sweep
+from gradcal_jax.information import STATISTICS
+from gradcal_jax.jobs import results
 from gradcal_jax.jobs.dataset import identity_in, read_dataset
+from gradcal_jax.jobs.evaluate import predict_points
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.pool import LocalPool, Task
 from gradcal_jax.jobs.store import Store
-from gradcal_jax.jobs.sweep import CHUNK, chunks_of, dry_run, finished, identity_of, survey, sweep
+from gradcal_jax.jobs.sweep import chunks_of, dry_run, finished, identity_of, sweep
 
 
 @pytest.fixture(scope="module")
 def pool():
-    with LocalPool(1, compiled_programs()) as workers:
+    with LocalPool(1) as workers:
         yield workers
 
 
@@ -44,10 +49,54 @@ def test_every_point_is_what_predict_says(done):
     place = np.unravel_index(7, points.shape)
     scale, bias = expected.requirements
     for name in ("mean_of_max", "max", "mean", "rms"):
-        assert results[f"scale_{name}"].values[place] == pytest.approx(getattr(scale, name), rel=1e-9)
-    assert results["bias_mean"].values[place] == pytest.approx(bias.mean, rel=1e-9)
+        assert results[f"scale_{name}"].values[place] == pytest.approx(getattr(scale, name), rel=1e-12)
+    assert results["bias_mean"].values[place] == pytest.approx(bias.mean, rel=1e-12)
     assert results["scale_verdict"].values[place] == scale.verdict
     assert results["duration"].values[place] == pytest.approx(expected.duration_s)
+
+
+GAP = {
+    "plan.temperature": None,
+    "plan.gradient": None,
+    "plan.programme": [
+        {"soak": "1 min", "at": "0 degC"},
+        {"ramp_to": "10 degC", "rate": "2 K/min"},
+        {"soak": "2 min"},
+        {"ramp_to": "20 degC", "rate": "2 K/min"},
+    ],
+}
+LAG = {"sensor.thermal_lag": "1 min", "plan.cycle.duration": "1 min", "plan.soak": {"duration": "5 min"}}
+USED_SOAK = {"plan.soak": {"duration": "1 min", "used": True}}
+
+
+@pytest.mark.parametrize(
+    ("base", "changes"),
+    [
+        *((SPEC, changes) for changes in ({}, GAP, LAG, USED_SOAK)),
+        *((presets.text(name), {}) for name in ("rig-hand", "paper-static-gradient", "paper-static-standard")),
+    ],
+    ids=["ramp", "two stretches", "lag and idle time", "used soak", "three axes", "standing", "standard"],
+)
+def test_a_worker_predicts_as_predict_does(base, changes):
+    spec = gj.parse_spec(base)
+    expected = gj.predict(gj.changed(spec, changes))
+    (found,) = predict_points(gj.tables_of(spec), [(0, changes)])
+    assert found.failure == ""
+    assert (found.duration_s, found.motion_s) == (expected.duration_s, expected.motion_s)
+    names = {i: requirement.name for i, requirement in enumerate(spec.requirement)}
+    mine = {(names[row.requirement], row.channel): row for row in found.residuals}
+    assert len(mine) == len(found.residuals) == len(expected.requirements)
+    for row in expected.requirements:
+        values = dict(zip(results.STATISTICS, mine[row.name, row.axis].values, strict=True))
+        for name in results.STATISTICS:
+            said = getattr(row, name.replace(" ", "_"))
+            assert values[name] == (None if said is None else pytest.approx(said, rel=1e-12))
+        assert mine[row.name, row.axis].verdict == (row.verdict or "")
+
+
+def test_results_name_statistics_and_units_as_the_prediction_does():
+    assert results.STATISTICS == STATISTICS
+    assert {quantity: unit for quantity, (unit, _) in UNIT_OF.items()} == results.UNIT_OF
 
 
 def test_results_carry_their_units_their_file_and_their_failures(done):
@@ -65,7 +114,7 @@ def test_results_carry_their_units_their_file_and_their_failures(done):
     assert np.all(results["failure"].sel(peak_rate=[60.0, 80.0]).values == "")
     assert np.isnan(results["scale_max"].sel(peak_rate=110.0).values).all()
     assert np.isfinite(results["scale_max"].sel(peak_rate=[60.0, 80.0]).values).all()
-    assert (told[0].stage, told[-1].done, told[-1].total) == ("reading", 12, 12)
+    assert (told[0].stage, told[0].done, told[-1].done, told[-1].total) == ("predict", 0, 12, 12)
     assert finished(job, folder / "results.nc")
     assert not (folder / "results.nc.parts").exists()
 
@@ -92,7 +141,7 @@ def test_chunks_do_not_change_the_numbers(done, in_pairs):
 def test_the_file_does_not_depend_on_workers_nor_on_a_killed_one(done, in_pairs, monkeypatch):
     folder, job, *_ = done
     monkeypatch.setitem(sys.modules["gradcal_jax.jobs.sweep"].CHUNK, "predict", 2)
-    with LocalPool(2, compiled_programs()) as two:
+    with LocalPool(2) as two:
         shot = []
 
         def shoot(progress):
@@ -108,13 +157,15 @@ def test_the_file_does_not_depend_on_workers_nor_on_a_killed_one(done, in_pairs,
 
 def test_a_killed_sweep_goes_on_and_ends_the_same(done, in_pairs, tmp_path):
     path, output = written(tmp_path), tmp_path / "results.nc"
+    # The first time it stops after two chunks of the six, to be killed there.
     script = (
-        "import sys; from pathlib import Path; from gradcal_jax.jobs import sweep as s; s.CHUNK['predict'] = 2\n"
+        "import sys, time; from pathlib import Path; from gradcal_jax.jobs import sweep as s; s.CHUNK['predict'] = 2\n"
         "from gradcal_jax.files.sweep import read_sweep; from gradcal_jax.jobs.pool import LocalPool\n"
-        "s.sweep(read_sweep(sys.argv[1]), Path(sys.argv[2]), runner=LocalPool(1, sys.argv[3]))\n"
+        "wait = lambda p: time.sleep(600.0) if sys.argv[3:] and p.done >= 4 else None\n"
+        "s.sweep(read_sweep(sys.argv[1]), Path(sys.argv[2]), runner=LocalPool(1), progress=wait)\n"
     )
-    command = [sys.executable, "-c", script, str(path), str(output), compiled_programs()]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE)
+    command = [sys.executable, "-c", script, str(path), str(output)]
+    process = subprocess.Popen([*command, "wait"], stderr=subprocess.PIPE)
     parts = tmp_path / "results.nc.parts"
     deadline = time.monotonic() + 120.0
     while len(list(parts.glob("chunk-*.json"))) < 2 and time.monotonic() < deadline and process.poll() is None:
@@ -131,16 +182,18 @@ def test_a_killed_sweep_goes_on_and_ends_the_same(done, in_pairs, tmp_path):
     assert output.read_bytes() == in_pairs
 
 
-def test_what_is_kept_is_not_done_again(done, pool, tmp_path):
+def test_what_is_kept_is_not_done_again(done, pool, tmp_path, monkeypatch):
     _, job, swept, _ = done
+    monkeypatch.setitem(sys.modules["gradcal_jax.jobs.sweep"].CHUNK, "predict", 5)
     output = tmp_path / "results.nc"
-    first = chunks_of(survey(job, Points(job), pool), CHUNK["predict"])[0].points
+    first = chunks_of(len(Points(job)), 5)[0]
     mine = [swept.results[point]._replace(duration_s=1.0) for point in first]
     Store(output, identity_of(job)).write(0, mine)
     again = sweep(job, output, runner=pool)
-    assert again.kept == len(first) + 4
+    assert again.kept == len(first) == 5
     # The numbers come from the disk, the forged durations among them.
-    assert np.count_nonzero(read_dataset(output)["duration"].values == 1.0) == len(first)
+    whole = sum(not result.failure for result in mine)
+    assert np.count_nonzero(read_dataset(output)["duration"].values == 1.0) == whole == 4
 
 
 def test_the_parts_of_another_sweep_are_refused(done, pool, tmp_path):
@@ -188,7 +241,7 @@ def test_standard_plans_and_drawn_points(tmp_path, pool):
     points = Points(job)
     for index in (0, 4):
         expected = gj.predict(gj.changed(job.base, points.changes(index))).requirements[0]
-        assert results["scale_mean_of_max"].values[index] == pytest.approx(expected.mean_of_max, rel=1e-9)
+        assert results["scale_mean_of_max"].values[index] == pytest.approx(expected.mean_of_max, rel=1e-12)
         said = float(points.values(index)[1].split()[0])
         assert results["walk"].values[index] == pytest.approx(said)
 
@@ -197,15 +250,16 @@ def test_a_dry_run_counts_times_and_writes_nothing(done, pool):
     folder, job, *_ = done
     before = sorted(folder.iterdir())
     found = dry_run(job, runner=pool)
-    assert (found.points, found.failing, found.workers) == (12, 4, 1)
-    assert 1 <= found.programs <= found.chunks
-    assert 0.0 < found.next_chunk_s <= found.seconds
+    assert (found.points, found.failing, found.workers, found.chunks) == (12, 4, 1, 1)
+    assert "exceeds rig.table.max_rate" in found.first_failure
+    assert found.next_chunk_s > 0.0
+    assert 0.0 < found.first_chunk_s <= found.seconds
     assert sorted(folder.iterdir()) == before
 
 
 def test_a_sweep_of_which_no_point_is_a_spec_says_why(tmp_path, pool):
     path = written(tmp_path, GRID.replace('"60 deg/s", "80 deg/s", "110 deg/s"', '"110 deg/s"'))
-    with pytest.raises(ValueError, match=r"not one of the 4 points is a spec.*exceeds rig\.table\.max_rate"):
+    with pytest.raises(ValueError, match=r"not one of the 4 points has a result.*exceeds rig\.table\.max_rate"):
         sweep(read_sweep(path), tmp_path / "results.nc", runner=pool)
     assert not (tmp_path / "results.nc.parts").exists()
 
@@ -214,9 +268,8 @@ def test_a_point_that_fails_does_not_take_its_neighbours_along(done, pool):
     _, job, swept, _ = done
     points = Points(job)
     base = gj.tables_of(job.base)
-    chunk = chunks_of(survey(job, points, pool), CHUNK["predict"])[0]
-    first, second = chunk.points[:2]
+    first, second = 0, 1
     share = [(first, points.changes(first)), (99, {"plan.gradient": "30 K/min"}), (second, points.changes(second))]
-    ((_, found),) = pool.run([Task(0, "predict", (base, share, chunk.rooms))])
+    ((_, found),) = pool.run([Task(0, "predict", (base, share))])
     assert "max_heating" in found[1].failure
     assert (found[0], found[2]) == (swept.results[first], swept.results[second])

@@ -36,7 +36,7 @@ ARRIVED = 1.02
 
 
 def problem():
-    """The spec, the coordinates that are searched, and what a plan is worth (ppm; smooth with a sharpness)."""
+    """The spec, the coordinates that are searched, and what is minimised over them (ppm)."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -45,7 +45,7 @@ def problem():
     from gradcal_jax.files import changed, read_spec
 
     spec = changed(read_spec(SPEC), {"design.cycles": "alike", "design.moves": 4, "design.starts": STARTS})
-    return spec, structures(spec, [])[0].coordinates, measure(spec).of
+    return spec, structures(spec, [])[0].coordinates, measure(spec)
 
 
 def ours(seconds: float) -> dict:
@@ -56,14 +56,14 @@ def ours(seconds: float) -> dict:
     from gradcal_jax.design import search
 
     _, coordinates, of = problem()
-    objective = lambda z, sharpness: of(coordinates.decode(z), sharpness)  # noqa: E731
+    objective = of.compiled(coordinates)
     histories = []
     for _ in range(2):
         begin = time.perf_counter()
-        steps = search(objective, coordinates.size, starts=STARTS, seed=0, chunk=5)
+        steps = search(objective, starts=STARTS, seed=0)
         histories.append([(time.perf_counter() - begin, p.best) for p in steps])
     start = np.random.default_rng(0).standard_normal((STARTS, coordinates.size))
-    values = np.array([float(objective(z, None)[0]) for z in start])
+    values = np.array([float(np.exp(objective(z).logs[0])) for z in start])
     order = np.argsort(np.where(np.isfinite(values), values, np.inf))
     return {
         "cold": histories[0],
@@ -76,30 +76,27 @@ def ours(seconds: float) -> dict:
 
 def slsqp(seconds: float) -> dict:
     """The same numbers by SciPy and FilterPy, from the same starts; only the filter's time counts."""
-    import dataclasses
     import importlib.metadata
 
-    import equinox as eqx
-    import jax.numpy as jnp
     import numpy as np
     from filterpy.kalman import KalmanFilter
     from scipy.optimize import minimize
 
     from gradcal_jax.api import assemble
     from gradcal_jax.api.posterior_of_plan import box
+    from gradcal_jax.design import coordinates as room
     from gradcal_jax.design import criterion
     from gradcal_jax.information import at_readings, noise_steps
 
-    spec, merged, _ = problem()
-    coordinates = dataclasses.replace(merged, pieces=READINGS)
+    room._PIECES_A_REST, room._PIECES_OF_OTHERS = READINGS
+    spec, coordinates, _ = problem()
     model = assemble(spec).model
     requirement = spec.requirement[0]
     grid = criterion(model, "scale_factor", *box(requirement, 41), requirement.statistic)
     rows = np.asarray(grid.rows)
 
-    @eqx.filter_jit
     def given(z):
-        line = coordinates.decode(z).timeline()
+        line = coordinates.decode(z).trajectory()
         return noise_steps(line, model), at_readings(line, model)
 
     spent, history, best, readings = 0.0, [], np.inf, 0
@@ -109,7 +106,7 @@ def slsqp(seconds: float) -> dict:
 
     def residual(z):
         nonlocal spent, best, readings
-        steps, columns = given(jnp.asarray(z))
+        steps, columns = given(z)
         f_all, q_all, h_all, r_all, used, initial = (np.asarray(x) for x in steps)
         columns = np.asarray(columns)
         begin = time.perf_counter()

@@ -274,7 +274,7 @@ def large(record: dict, quick: bool) -> list[str]:
 
 
 def prediction(record: dict) -> list[str]:
-    """The paper's dynamic gradient plan: the compiled chain, and the whole of `predict` as a user calls it."""
+    """The paper's dynamic gradient plan: its steps, and the whole of `predict` as a user calls it."""
     worker = Worker(2)
     answer = worker.ask(do="predict", method="prediction")
     worker.close()

@@ -196,10 +196,10 @@ def estimate_ours(log, times: np.ndarray) -> np.ndarray:
 
 def _scale_factors(parameters: np.ndarray, model) -> np.ndarray:
     """On a grid of temperatures and rates."""
-    import jax.numpy as jnp
+    from gradcal_jax.model import SCALE_FACTOR
 
     warm, fast = (g.ravel() for g in np.meshgrid(np.linspace(-20, 60, 9), RATES, indexing="ij"))
-    return np.asarray(model.scale.values(jnp.asarray(warm), jnp.asarray(fast))) @ parameters[model.columns.scale]
+    return model.scale.values(warm, fast) @ parameters[model.where(SCALE_FACTOR)]
 
 
 def _summed(log, rows_at_once: int = 1 << 16) -> tuple[np.ndarray, np.ndarray]:

@@ -42,7 +42,7 @@ def loop(points: list[dict]) -> None:
     for changes in points:
         spec = changed(base, changes)
         built = assemble(spec)
-        line = built.plan.timeline("x")
+        line = built.trajectory("x")
         steps = noise_steps(line, built.model)
         transition, covariance, seen = (np.asarray(x) for x in (steps.transition, steps.covariance, steps.observation))
         variance, used, initial = (np.asarray(x) for x in (steps.reading_variance, steps.used, steps.initial))
@@ -52,8 +52,8 @@ def loop(points: list[dict]) -> None:
             np.linspace(*(float(x) for x in ends), size)
             for ends, size in zip((requirement.temperature, requirement.rate), requirement.grid, strict=True)
         )
-        grid = [jax.numpy.asarray(g.ravel()) for g in np.meshgrid(temperatures, rates, indexing="ij")]
-        rows = np.asarray(contrasts(built.model, "scale_factor", *grid)[0])
+        grid = [g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij")]
+        rows = contrasts(built.model, "scale_factor", *grid)[0]
         begin = time.perf_counter()
         n, p = seen.shape[1], columns.shape[1]
         kalman = KalmanFilter(dim_x=n + p, dim_z=1)

@@ -13,14 +13,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from variants import MOVING, STATIC, spec_of
 
 from gradcal_jax.api.measure import measure
-from gradcal_jax.api.optimise import PRICED, Optimised, eased, optimise
+from gradcal_jax.api.optimise import PRICED, Optimised, optimise
 from gradcal_jax.design import Coordinates, ProgrammeKnots, polish
 
 HERE = Path(__file__).parent
@@ -35,11 +33,8 @@ def tried(name: str, count: int) -> dict[str, Any]:
     """Optimise a variant, perturb its optimum and polish `count` times, ease its limits."""
     spec = spec_of(name)
     best = next(e for e in optimise(spec) if isinstance(e, Optimised))
-    of, coordinates = measure(spec).of, best.coordinates
-
-    def objective(z, sharpness):
-        return of(coordinates.decode(z), sharpness)
-
+    of, coordinates = measure(spec), best.coordinates
+    objective = of.compiled(coordinates)
     knots = coordinates if isinstance(coordinates, ProgrammeKnots) else None
     linear = None if knots is None else knots.limits
     found = polish(objective, best.point, linear=linear)
@@ -76,9 +71,9 @@ def prices(best: Optimised, of, point: np.ndarray) -> list[dict[str, Any]]:
         amount, size = EASED[price.per], PRICED[index][2]
         ends = []
         for sign in (1.0, -1.0):
-            by = jnp.zeros(len(PRICED)).at[index].set(sign * amount * size)
-            other = eqx.filter_jit(eased)(best.coordinates, by)
-            ends.append(polish(lambda z, k, c=other: of(c.decode(z), k), point).value)
+            by = np.zeros(len(PRICED))
+            by[index] = sign * amount * size
+            ends.append(polish(of.compiled(best.coordinates.eased(by)), point).value)
         difference = (ends[0] - ends[1]) / (2.0 * amount)
         rows.append({"limit": price.limit, "per": price.per, "price": price.change, "difference": difference})
     return rows

@@ -60,13 +60,13 @@ def spec_of(name: str) -> Spec:
 def run(name: str) -> dict[str, object]:
     """Optimise a variant, write its recipe, and say what is to be said of it."""
     from gradcal_jax import api
-    from gradcal_jax.api.minimise_time import quickest
+    from gradcal_jax.api.minimise_time import minimise_time
     from gradcal_jax.api.optimise import Optimised, optimise, record_of
 
     spec = spec_of(name)
     begun = time.perf_counter()
     assert spec.design is not None
-    find = quickest if spec.design.minimise == "motion time" else optimise
+    find = minimise_time if spec.design.minimise == "motion time" else optimise
     best = next(event for event in find(spec) if isinstance(event, Optimised))
     took = time.perf_counter() - begun
     made = api.recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))

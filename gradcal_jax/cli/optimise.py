@@ -69,7 +69,7 @@ def optimise(
     from gradcal_jax import api
     from gradcal_jax.api import checkpoints
     from gradcal_jax.api import optimise as room
-    from gradcal_jax.api.minimise_time import quickest
+    from gradcal_jax.api.minimise_time import minimise_time
     from gradcal_jax.api.optimise import Optimised
     from gradcal_jax.files.design import TIMES
 
@@ -81,7 +81,7 @@ def optimise(
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         best: Optimised | None = None
         options = {"steps": steps, "stop": lambda: interrupt.asked}
-        events = quickest(found, **options) if shortest else room.optimise(found, **options, checkpoint=checkpoint)
+        events = minimise_time(found, **options) if shortest else room.optimise(found, **options, checkpoint=checkpoint)
         for event in events:
             if isinstance(event, Optimised):
                 best = event

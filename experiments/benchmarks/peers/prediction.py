@@ -1,15 +1,14 @@
-"""A whole prediction of the paper's dynamic gradient plan: the compiled chain, and `predict` as a user calls it."""
+"""A whole prediction of the paper's dynamic gradient plan: its steps, and `predict` as a user calls it."""
 
 import time
 from pathlib import Path
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.api import assemble, knowledge
+from gradcal_jax.api import assemble, posterior_of_plan
 from gradcal_jax.api import predict as predict_spec
+from gradcal_jax.api.sensitivity import sensitivities
 from gradcal_jax.files.spec import read_spec
 from gradcal_jax.information import contrasts, information
 
@@ -37,34 +36,25 @@ def predict(asked: dict) -> dict:
         np.linspace(*(float(x) for x in ends), size)
         for ends, size in zip((requirement.temperature, requirement.rate), requirement.grid, strict=True)
     )
-    grid = [jnp.asarray(g.ravel()) for g in np.meshgrid(temperatures, rates, indexing="ij")]
+    grid = [g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij")]
 
-    def mean_of_max(plan, model):
-        known = information(plan.timeline("x", built.thermal_lag), model)
-        rows, _ = contrasts(model, "scale_factor", *grid)
-        map_ = jnp.reshape(known.deviations(rows), requirement.grid)
-        return jnp.mean(jnp.max(map_, axis=0))
+    def mean_of_max():
+        known = information(built.trajectory(), built.model)
+        rows, _, _ = contrasts(built.model, "scale_factor", *grid)
+        return float(np.mean(np.max(known.deviations(rows).reshape(requirement.grid), axis=0)))
 
-    compiled = eqx.filter_jit(mean_of_max)
-    slope = eqx.filter_jit(eqx.filter_value_and_grad(lambda both: mean_of_max(*both)))
-    only_information = eqx.filter_jit(lambda plan, model: information(plan.timeline("x", built.thermal_lag), model))
-    wait = jax.block_until_ready
-    line = built.plan.timeline("x", built.thermal_lag)
+    line = built.trajectory()
     return {
         "pieces": int(line.piece_count),
-        "readings": int(np.sum(np.asarray(line.read))),
-        "parameters": int(built.model.columns.count),
-        "ppm": float(compiled(built.plan, built.model)) * 1e6,
+        "readings": int(np.sum(line.read)),
+        "parameters": int(built.model.size),
+        "ppm": mean_of_max() * 1e6,
         "times": {
-            "compiled: plan → information": _seconds(lambda: wait(only_information(built.plan, built.model))),
-            "compiled: plan → information → residual map → statistic": _seconds(
-                lambda: wait(compiled(built.plan, built.model))
-            ),
-            "compiled: the same with the gradient in all of plan, sensor and rig": _seconds(
-                lambda: wait(slope((built.plan, built.model)))
-            ),
-            "`assemble(spec)`, not compiled": _seconds(lambda: assemble(spec)),
-            "`knowledge(built)`": _seconds(lambda: knowledge(built)),
-            "`predict(spec)` as called, second time": _seconds(lambda: predict_spec(spec)),
+            "plan → information": _seconds(lambda: information(built.trajectory(), built.model)),
+            "plan → information → residual map → statistic": _seconds(mean_of_max),
+            "compiled: derivatives in all figures of sensor, rig and plan": _seconds(lambda: sensitivities(spec)),
+            "`assemble(spec)`": _seconds(lambda: assemble(spec)),
+            "`posterior_of_plan(built)`": _seconds(lambda: posterior_of_plan(built)),
+            "`predict(spec)` as called": _seconds(lambda: predict_spec(spec)),
         },
     }

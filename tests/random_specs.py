@@ -1,0 +1,569 @@
+"""Random specs of every kind, small enough that one costs little: `random_spec(rng, **restrict)`.
+
+A spec is a dict of TOML tables (gradcal-spec/1) with quantities as text, as people write them. Everything is drawn from
+one generator, so a seed names a spec. What `restrict` names is not drawn: see `Restrict`.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+FAMILIES = (
+    "static gradient",
+    "static standard",
+    "dynamic gradient",
+    "dynamic standard",
+    "tactical",
+    "consumer",
+    "hand",
+)
+"""The kinds of preset: the paper's four, typical sensors of two grades on a motor table, a gimbal moved by hand."""
+
+SHAPES = ("cosine ramps", "linear ramps", "half sine", "raised cosine", "sinusoid", "spline")
+BASES = ("polynomial", "b-spline", "bins")
+MOST_READINGS = 1500
+
+Table = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Restrict:
+    """What is not to be drawn; None draws it.
+
+    `rests_read_at_end`: whether a rest may be read at its end alone (`read = "end"`, or no key). `bases`: of which
+    kinds the maps are. `processes`: whether the sensor has slow noise at all.
+    """
+
+    family: str | None = None
+    axes: int | None = None
+    temperature: str | None = None
+    estimator: str | None = None
+    bases: tuple[str, ...] = BASES
+    rests_read_at_end: bool | None = None
+    processes: bool | None = None
+
+
+def random_spec(rng: np.random.Generator, **restrict: Any) -> Table:
+    """A valid spec whose requirements its plan (or a prior) observes."""
+    wanted = Restrict(**restrict)
+    family = wanted.family or _one(rng, FAMILIES)
+    plan, frame = _standard(rng, family, wanted) if "standard" in family else _gradient(rng, family, wanted)
+    sensor = _sensor(rng, family, wanted, frame)
+    return {
+        "format": "gradcal-spec/1",
+        "title": f"Random, {family}",
+        "sensor": sensor,
+        "rig": _rig(rng, family, frame),
+        "requirement": _requirements(rng, sensor, frame),
+        "plan": plan,
+    }
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """What sensor, rig and requirements must suit: the plan's temperatures (°C), rates (deg/s) and points."""
+
+    low: float
+    high: float
+    max_rate: float
+    standard: bool
+    unweighted: bool
+    rates: tuple[float, ...]
+    temperatures: tuple[float, ...]
+    integration: float
+
+
+def _one(rng: np.random.Generator, choices) -> Any:
+    return choices[int(rng.integers(len(choices)))]
+
+
+def _chance(rng: np.random.Generator, share: float) -> bool:
+    return bool(rng.random() < share)
+
+
+def _size(rng: np.random.Generator, usual: float, spread: float = 3.0) -> float:
+    """About `usual`, up to `spread` times more or less."""
+    return float(usual * spread ** rng.uniform(-1.0, 1.0))
+
+
+def _text(value: float, unit: str, digits: int = 4) -> str:
+    return f"{value:.{digits}g} {unit}"
+
+
+def _between(rng: np.random.Generator, low: float, high: float, digits: int = 4) -> float:
+    """Rounded as people write figures: the round ones put breaks of the bases and ends of moves on one instant."""
+    return float(f"{rng.uniform(low, high):.{digits}g}")
+
+
+# --- plans ------------------------------------------------------------------------------------------------------------
+
+
+def _standard(rng: np.random.Generator, family: str, wanted: Restrict) -> tuple[Table, _Frame]:
+    count = int(rng.integers(3, 7))
+    low, high = _between(rng, -30, -5, 2), _between(rng, 30, 70, 2)
+    temperatures = [float(f"{t:.3g}") for t in np.linspace(low, high, count)]
+    if _chance(rng, 0.3):
+        temperatures = temperatures[::-1]
+    elif _chance(rng, 0.3):
+        # Down and up again: neighbours differ, but a temperature comes twice.
+        temperatures = [*temperatures, temperatures[0]]
+    plan: Table = {"method": "standard", "temperatures": [_text(t, "degC") for t in temperatures]}
+    integration = _between(rng, 60, 600, 2)
+    # The chamber of `_rig` makes 10 K/min.
+    plan["soak"] = _text(_between(rng, 16, 70, 2), "min")
+    plan["integration"] = _text(integration, "s")
+    rates: tuple[float, ...] = ()
+    if "dynamic" in family:
+        half = sorted({_between(rng, 5, 280, 2) for _ in range(int(rng.integers(2, 4)))})
+        rates = (*(-r for r in half[::-1]), *((0.0,) if _chance(rng, 0.3) else ()), *half)
+        if _chance(rng, 0.3):
+            rates = tuple(rates[i] for i in rng.permutation(len(rates)))
+        plan["rates"] = [_text(r, "deg/s") for r in rates]
+    estimator = wanted.estimator or _one(rng, ("best linear", "best linear", "least squares"))
+    if estimator == "least squares" or _chance(rng, 0.3):
+        plan["estimator"] = estimator
+    unweighted = estimator == "least squares"
+    return plan, _Frame(
+        min(temperatures), max(temperatures), 300.0, True, unweighted, rates, tuple(temperatures), integration
+    )
+
+
+def _gradient(rng: np.random.Generator, family: str, wanted: Restrict) -> tuple[Table, _Frame]:
+    plan: Table = {"method": "gradient"}
+    by_hand = family == "hand"
+    if family == "static gradient":
+        plan["read_every"] = _text(_between(rng, 3, 20, 2), "s")
+        moving, cycle = 0.0, None
+    else:
+        cycle, moving = _cycle(rng, wanted, by_hand)
+    kinds = ("ramp", "ramp", "programme") if cycle is None else ("ramp", "ramp", "list", "programme", "programme")
+    kind = wanted.temperature or _one(rng, kinds)
+    visited = {"ramp": _ramp, "list": _list, "programme": _programme}[kind](rng, plan, cycle, moving)
+    if cycle is not None:
+        plan["cycle"] = cycle
+    max_rate = 120.0 if by_hand else 300.0
+    return plan, _Frame(min(visited), max(visited), max_rate, False, False, (), (), 0.0)
+
+
+def _stay(rng: np.random.Generator, moving: float) -> float:
+    """Seconds that a used stretch lasts: the moves fit at least once, and not too often."""
+    return float(rng.uniform(1.1, 4.5) * moving) if moving else float(rng.uniform(600, 2400))
+
+
+def _ramp(rng: np.random.Generator, plan: Table, cycle: Table | None, moving: float) -> list[float]:
+    span = _stay(rng, moving)
+    start, slope = _between(rng, -25, 30, 2), _between(rng, 0.8, 6, 2)
+    change = min(slope * span / 60.0, 40.0)
+    slope = float(f"{change / span * 60.0:.4g}")
+    end = float(f"{start + _one(rng, (-1, 1)) * change:.4g}")
+    if end < -38.0:
+        end = float(f"{start + change:.4g}")
+    plan["temperature"] = [_text(start, "degC"), _text(end, "degC")]
+    plan["gradient"] = _text(slope, "K/min")
+    if _chance(rng, 0.6):
+        duration = _stay(rng, moving) if _chance(rng, 0.5) else float(rng.uniform(100, 3000))
+        used = _chance(rng, 0.5)
+        plan["soak"] = {"duration": _text(min(duration, 500.0) if used else duration, "s"), "used": used}
+    return [start, end]
+
+
+def _list(rng: np.random.Generator, plan: Table, cycle: Table | None, moving: float) -> list[float]:
+    assert cycle is not None
+    period = moving + _seconds(cycle.get("other_axes", {}).get("duration"))
+    period = max(period, _seconds(cycle.get("duration")))
+    here = _between(rng, -10, 30, 2)
+    visited, slopes = [here], []
+    for _ in range(int(rng.integers(2, 5))):
+        change = float(rng.uniform(3, 15) * _one(rng, (1, 1, -1)))
+        slope = float(f"{np.clip(change / period * 60.0, -9.0, 9.0):.3g}")
+        if not -38.0 < visited[-1] + slope * period / 60.0 < 83.0:
+            slope = -slope
+        slopes.append(slope)
+        visited.append(visited[-1] + slope * period / 60.0)
+    plan["temperature"] = [_text(here, "degC")]
+    plan["gradient"] = [_text(s, "K/min") for s in slopes]
+    if _chance(rng, 0.5):
+        plan["soak"] = {"duration": _text(_between(rng, 60, 400, 2), "s"), "used": _chance(rng, 0.4)}
+    return visited
+
+
+def _programme(rng: np.random.Generator, plan: Table, cycle: Table | None, moving: float) -> list[float]:
+    here = _between(rng, -20, 30, 2)
+    first: Table = {"soak": _text(_between(rng, 60, 900, 2), "s"), "at": _text(here, "degC")}
+    if _chance(rng, 0.3):
+        first |= {"soak": _text(min(_stay(rng, moving), 400.0), "s"), "used": True}
+    items, visited = [first], [here]
+
+    def ramp(used: bool | None) -> None:
+        goal = _between(rng, -30, 70, 3)
+        while abs(goal - visited[-1]) < 3.0:
+            goal = _between(rng, -30, 70, 3)
+        seconds = min(_stay(rng, moving), 600.0) if used is not False else float(rng.uniform(100, 400))
+        rate = float(f"{min(abs(goal - visited[-1]) / seconds * 60.0, 9.5):.4g}")
+        items.append({"ramp_to": _text(goal, "degC"), "rate": _text(rate, "K/min")})
+        if used is not None:
+            items[-1]["used"] = used
+        visited.append(goal)
+
+    def soak() -> None:
+        items.append({"soak": _text(_between(rng, 50, 300, 3), "s")})
+        if _chance(rng, 0.6):
+            items[-1]["used"] = _chance(rng, 0.4)
+
+    def step() -> None:
+        goal = _between(rng, -30, 70, 3)
+        while abs(goal - visited[-1]) < 3.0:
+            goal = _between(rng, -30, 70, 3)
+        items.append({"step_to": _text(goal, "degC")})
+        if _chance(rng, 0.2):
+            items[-1]["used"] = True
+        visited.append(goal)
+
+    # One long used ramp, in which the moves fit for certain; around it whatever comes.
+    before = int(rng.integers(0, 2))
+    for k in range(int(rng.integers(2, 5))):
+        if k == before:
+            goal = 60.0 if visited[-1] < 20.0 else -20.0
+            seconds = max(1.2 * moving, 300.0)
+            rate = float(f"{min(abs(goal - visited[-1]) / seconds * 60.0, 9.5):.4g}")
+            items.append({"ramp_to": _text(goal, "degC"), "rate": _text(rate, "K/min"), "used": True})
+            visited.append(goal)
+        _one(rng, (lambda: ramp(None), lambda: ramp(False), soak, soak, step))()
+    plan["programme"] = items
+    return visited
+
+
+def _seconds(text: str | None) -> float:
+    return 0.0 if text is None else float(text.removesuffix(" s"))
+
+
+# --- motion -----------------------------------------------------------------------------------------------------------
+
+
+def _cycle(rng: np.random.Generator, wanted: Restrict, by_hand: bool) -> tuple[Table, float]:
+    """A cycle and what its own moves take (s)."""
+    count = wanted.axes or _one(rng, (1, 1, 1, 2, 3))
+    axes = sorted(str(a) for a in rng.permutation(["x", "y", "z"])[:count])
+    end_reads = _chance(rng, 0.2) if wanted.rests_read_at_end is None else wanted.rests_read_at_end
+    # The first rest is read while it lasts, so that there is a reading in any case.
+    rest = lambda: _rest(rng, end_reads)  # noqa: E731
+    moves: list[Table] = [{"rest": _text(_between(rng, 4, 12, 2), "s"), "read_every": _text(_one(rng, (1, 2)), "s")}]
+    turns = max(2 * count, int(rng.integers(2, 6)))
+    moving = _seconds(moves[0]["rest"])
+    for k in range(turns):
+        axis = axes[k % count]
+        turn, seconds = _by_hand(rng) if by_hand else _turn(rng)
+        if axis != "x" or _chance(rng, 0.1):
+            turn["axis"] = axis
+        moves.append(turn)
+        moving += seconds
+        if _chance(rng, 0.75):
+            moves.append(rest())
+            moving += _seconds(moves[-1]["rest"]) * moves[-1].get("repeat", 1)
+    cycle: Table = {"moves": moves}
+    if _chance(rng, 0.65):
+        others: Table = {"duration": _text(_between(rng, 10, 60, 2), "s")}
+        if _chance(rng, 0.7):
+            others["read"] = _chance(rng, 0.75)
+            if others["read"] and _chance(rng, 0.5):
+                others["read_every"] = _text(_one(rng, (1, 2.5, 4)), "s")
+        cycle["other_axes"] = others
+    if _chance(rng, 0.15):
+        other = _seconds(cycle.get("other_axes", {}).get("duration"))
+        cycle["duration"] = _text(float(np.ceil(1.02 * moving + other + rng.uniform(0, 20))), "s", 6)
+    return cycle, moving
+
+
+def _rest(rng: np.random.Generator, end_reads: bool) -> Table:
+    rest: Table = {"rest": _text(_between(rng, 2, 12, 2), "s")}
+    if end_reads and _chance(rng, 0.6):
+        if _chance(rng, 0.5):
+            rest["read"] = "end"
+    elif _chance(rng, 0.75):
+        rest["read_every"] = _text(_one(rng, (1, 1, 2, 0.7)), "s")
+    else:
+        rest["read"] = "none"
+    if _chance(rng, 0.08):
+        rest["repeat"] = 2
+    return rest
+
+
+def _reads(rng: np.random.Generator, move: Table, duration: float) -> None:
+    kind = _one(rng, ("", "", "end", "none", "every"))
+    if kind == "every":
+        move["read_every"] = _text(float(f"{duration / rng.uniform(2, 5):.2g}"), "s")
+    elif kind:
+        move["read"] = kind
+
+
+def _turn(rng: np.random.Generator) -> tuple[Table, float]:
+    """A turn and how long it takes, all within 300 deg/s and 600 deg/s²."""
+    shape = _one(rng, SHAPES)
+    move: Table = {"shape": shape}
+    sign, peak = _one(rng, (-1.0, 1.0)), _between(rng, 15, 280, 3)
+    if shape == "sinusoid":
+        period = float(f"{max(2.0 * np.pi * peak / 600.0 * 1.1, rng.uniform(4, 12)):.3g}")
+        cycles = int(rng.integers(1, 4))
+        move |= {"peak_rate": _text(sign * peak, "deg/s"), "period": _text(period, "s")}
+        if cycles > 1 or _chance(rng, 0.3):
+            move["cycles"] = cycles
+        duration = period * cycles
+    elif shape == "spline":
+        controls = rng.uniform(-0.5, 1.0, int(rng.integers(2, 6))) * peak * sign
+        duration = float(f"{rng.uniform(8, 20):.3g}")
+        move |= {"duration": _text(duration, "s"), "rates": [_text(c, "deg/s", 3) for c in controls]}
+    else:
+        # Peak acceleration over peak rate is steepness/ramp, or π/D for the two without a flat part.
+        least = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0}.get(shape, np.pi / 2.0) * peak / 600.0
+        duration = float(f"{2.0 * least * 1.1 + rng.uniform(3, 12):.3g}")
+        if shape in ("half sine", "raised cosine"):
+            fullness = 2.0 / np.pi if shape == "half sine" else 0.5
+            if _chance(rng, 0.5):
+                move |= {"turn": _text(sign * fullness * peak * duration, "deg"), "duration": _text(duration, "s")}
+            else:
+                move |= {"peak_rate": _text(sign * peak, "deg/s"), "duration": _text(duration, "s")}
+        else:
+            ramp = least * 1.1 + 0.05
+            kind = _one(rng, ("rate and duration", "with ramp", "angle and rate", "whole turns"))
+            if kind == "angle and rate":
+                angle = float(f"{peak * (duration - ramp):.4g}")
+                move |= {"turn": _text(sign * angle, "deg"), "peak_rate": _text(peak, "deg/s")}
+                duration = angle / peak + least
+            elif kind == "whole turns":
+                turns = max(1, round(peak * (duration - ramp) / 360.0))
+                move |= {"turns": float(sign * turns), "duration": _text(duration, "s")}
+                # At the rate that this angle needs the largest acceleration must still suffice.
+                duration = float(f"{max(duration, 360.0 * turns / 280.0 + 2.2):.3g}")
+                move["duration"] = _text(duration, "s")
+            else:
+                move |= {"peak_rate": _text(sign * peak, "deg/s"), "duration": _text(duration, "s")}
+                if kind == "with ramp":
+                    move["ramp"] = _text(float(rng.uniform(least * 1.1 + 0.02, 0.48 * duration)), "s", 3)
+    _reads(rng, move, duration)
+    return move, duration
+
+
+def _by_hand(rng: np.random.Generator) -> tuple[Table, float]:
+    turns = float(_one(rng, (-1, 1, 1, -2, 2)))
+    duration = float(f"{abs(turns) * rng.uniform(9, 16):.3g}")
+    move: Table = {"shape": "hand", "turns": turns, "duration": _text(duration, "s")}
+    if _chance(rng, 0.7):
+        move["unevenness"] = _between(rng, 0.0, 0.4, 2)
+    if _chance(rng, 0.3):
+        move["read"] = _one(rng, ("end", "none"))
+    return move, duration
+
+
+# --- sensor -----------------------------------------------------------------------------------------------------------
+
+
+def _sensor(rng: np.random.Generator, family: str, wanted: Restrict, frame: _Frame) -> Table:
+    grade = {"consumer": 10.0, "tactical": 0.7, "hand": 0.7}.get(family, 1.0)
+    sensor: Table = {"quantity": "gyro", "angle_random_walk": _text(_size(rng, 0.1 * grade), "deg/sqrt(h)")}
+    both = family in ("tactical", "consumer", "hand")
+    static = "static" in family
+    has_bias = static or both or _chance(rng, 0.35)
+    has_scale = not static and (has_bias is False or both or _chance(rng, 0.7))
+    noisy = _chance(rng, 0.7 if frame.standard else 0.93) if wanted.processes is None else wanted.processes
+    if noisy:
+        _processes(rng, sensor, grade, static)
+    if _chance(rng, 0.35):
+        sensor["turn_on_bias"] = _text(_size(rng, 10 * grade), "deg/h")
+        if frame.standard and not has_bias and not noisy:
+            del sensor["turn_on_bias"]
+    if _chance(rng, 0.4):
+        sensor["thermal_lag"] = _text(_between(rng, 60, 400, 2), "s")
+    if has_bias and _chance(rng, 0.25) and not frame.unweighted:
+        sensor["bias_temperature_gradient"] = {}
+        if frame.standard or _chance(rng, 0.7):
+            sensor["bias_temperature_gradient"]["prior"] = _text(_size(rng, 5), "deg/h/(K/min)")
+    if has_bias:
+        sensor["bias"] = _bias(rng, wanted, frame, grade)
+    if has_scale:
+        sensor["scale_factor"] = _scale_factor(rng, wanted, frame, grade)
+    return sensor
+
+
+def _processes(rng: np.random.Generator, sensor: Table, grade: float, static: bool) -> None:
+    drifts = _one(rng, (0, 1, 1, 2, 3))
+    rows = lambda n, size, unit: [  # noqa: E731
+        {
+            "standard_deviation": _text(_size(rng, size), unit),
+            "correlation_time": _text(_size(rng, 250, 8.0), "s"),
+        }
+        for _ in range(n)
+    ]
+    if drifts:
+        sensor["drift"] = rows(drifts, 1.0 * grade, "deg/h")
+    if _chance(rng, 0.25):
+        sensor["rate_random_walk"] = _text(_size(rng, 1.0 * grade), "deg/h/sqrt(h)")
+    if not static and _chance(rng, 0.4):
+        sensor["scale_factor_instability"] = rows(_one(rng, (1, 1, 2)), 20 * grade, "ppm")
+    if _chance(rng, 0.3):
+        error: Table = {"standard_deviation": _text(_size(rng, 0.1), "K")}
+        if _chance(rng, 0.6):
+            error["correlation_time"] = _text(_size(rng, 400, 5.0), "s")
+        slopes = _one(rng, ("bias",) if static else ("bias", "scale", "both"))
+        if slopes != "scale":
+            error["bias_slope"] = _text(_size(rng, 5 * grade), "deg/h/K")
+        if slopes != "bias":
+            error["scale_factor_slope"] = _text(_size(rng, 15 * grade), "ppm/K")
+        sensor["temperature_error"] = error
+    if not static and _chance(rng, 0.4):
+        sensor["sample_clock_error"] = _text(_size(rng, 20 * grade), "ppm")
+
+
+def _bias(rng: np.random.Generator, wanted: Restrict, frame: _Frame, grade: float) -> Table:
+    basis, kind = _temperature_basis(rng, wanted, frame)
+    section: Table = {"temperature": basis}
+    _priors(rng, section, frame, (kind,), (500 * grade, "deg/h"), (2 * grade, "deg/h"))
+    if kind == "polynomial" and not frame.unweighted and _chance(rng, 0.2):
+        section["discrepancy"] = {
+            "standard_deviation": _text(_size(rng, 1 * grade), "deg/h"),
+            "temperature_degree": basis["degree"] + int(rng.integers(1, 3)),
+        }
+    return section
+
+
+def _scale_factor(rng: np.random.Generator, wanted: Restrict, frame: _Frame, grade: float) -> Table:
+    temperature, kind_t = _temperature_basis(rng, wanted, frame)
+    rate, kind_w = _rate_basis(rng, wanted, frame)
+    section: Table = {"temperature": temperature, "rate": rate}
+    _priors(rng, section, frame, (kind_t, kind_w), (5000 * grade, "ppm"), (100 * grade, "ppm"))
+    if kind_t == kind_w == "polynomial" and not frame.unweighted and _chance(rng, 0.25):
+        section["discrepancy"] = {
+            "standard_deviation": _text(_size(rng, 5 * grade), "ppm"),
+            "temperature_degree": temperature["degree"] + int(rng.integers(0, 2)),
+            "rate_degree": rate["degree"] + int(rng.integers(1, 3)),
+        }
+    return section
+
+
+def _priors(rng: np.random.Generator, section: Table, frame: _Frame, kinds, prior, smoothness) -> None:
+    """What a plan may not observe gets a prior: all but polynomials of low degree, and points enough for those."""
+    if frame.unweighted:
+        # Ordinary least squares does not use priors; one in the file changes nothing.
+        needs = 0.3
+    else:
+        low = all(k == "polynomial" for k in kinds) and section["temperature"]["degree"] <= 2
+        needs = 0.6 if low and section.get("rate", {}).get("degree", 0) <= 1 else 1.0
+    if _chance(rng, needs):
+        section["prior"] = _text(_size(rng, prior[0]), prior[1])
+    if any(k != "polynomial" for k in kinds) and not frame.unweighted and _chance(rng, 0.4):
+        section["smoothness"] = _text(_size(rng, smoothness[0]), smoothness[1])
+
+
+def _polynomial(rng: np.random.Generator, degree: int, centre: str, scale: str) -> Table:
+    basis: Table = {"basis": "polynomial", "degree": degree, "scale": scale}
+    if centre:
+        basis["centre"] = centre
+    if _chance(rng, 0.3):
+        basis["internal"] = _one(rng, ("legendre", "chebyshev"))
+    return basis
+
+
+def _temperature_basis(rng: np.random.Generator, wanted: Restrict, frame: _Frame) -> tuple[Table, str]:
+    """Coefficients that ordinary least squares can tell apart: polynomials of less degree than there are points."""
+    kind = "polynomial" if frame.unweighted else _one(rng, ("polynomial", *wanted.bases))
+    kind = kind if kind in wanted.bases else wanted.bases[0]
+    if kind == "polynomial":
+        most = min(3, len(set(frame.temperatures)) - 1) if frame.standard else 3
+        centre = _text(0.5 * (frame.low + frame.high), "degC", 2) if _chance(rng, 0.7) else ""
+        scale = _text(max(0.6 * (frame.high - frame.low), 10.0), "K", 2)
+        return _polynomial(rng, int(rng.integers(0, most + 1)), centre, scale), kind
+    return _pieces(rng, kind, frame.low - 6.0, frame.high + 6.0, "degC"), kind
+
+
+def _rate_basis(rng: np.random.Generator, wanted: Restrict, frame: _Frame) -> tuple[Table, str]:
+    kind = _one(rng, ("polynomial", *wanted.bases))
+    if frame.unweighted and kind == "b-spline":
+        kind = "polynomial"
+    kind = kind if kind in wanted.bases else wanted.bases[0]
+    if kind == "polynomial":
+        most = min(3, len(set(frame.rates) - {0.0}) - 1) if frame.standard else 3
+        centre = _text(_between(rng, -20, 20, 2), "deg/s") if _chance(rng, 0.15) else ""
+        return _polynomial(rng, int(rng.integers(0, most + 1)), centre, _text(frame.max_rate, "deg/s")), kind
+    if frame.unweighted:
+        rates = sorted(set(frame.rates) - {0.0})
+        edges = [-frame.max_rate, *((a + b) / 2 for a, b in pairwise(rates)), frame.max_rate]
+        return {"basis": "bins", "edges": [_text(e, "deg/s", 5) for e in edges]}, kind
+    return _pieces(rng, kind, -frame.max_rate, frame.max_rate, "deg/s"), kind
+
+
+def _pieces(rng: np.random.Generator, kind: str, low: float, high: float, unit: str) -> Table:
+    """B-splines or bins over a range, with one to three breaks inside."""
+    inner = int(rng.integers(1, 4))
+    at = np.linspace(low, high, inner + 2)
+    shift = 0.3 * (at[1] - at[0])
+    breaks = [at[0], *(a + rng.uniform(-shift, shift) for a in at[1:-1]), at[-1]]
+    values = [_text(b, unit, 3) for b in breaks]
+    if kind == "bins":
+        return {"basis": "bins", "edges": values}
+    basis: Table = {"basis": "b-spline", "knots": values}
+    if _chance(rng, 0.8):
+        basis["degree"] = int(rng.integers(0, 4))
+    return basis
+
+
+# --- rig and requirements ---------------------------------------------------------------------------------------------
+
+
+def _rig(rng: np.random.Generator, family: str, frame: _Frame) -> Table:
+    table: Table = {
+        "max_rate": _text(frame.max_rate, "deg/s"),
+        "max_acceleration": "600 deg/s^2",
+        "travel": "unlimited",
+    }
+    if family == "hand":
+        table["drive"] = "hand"
+    if frame.standard:
+        if _chance(rng, 0.8):
+            table["rate_accuracy"] = _text(_size(rng, 100), "ppm")
+    else:
+        angle: Table = {}
+        if _chance(rng, 0.85):
+            angle["reading_noise"] = _text(_size(rng, 0.02, 6.0), "deg")
+        if _chance(rng, 0.45):
+            angle["standstill_offset"] = _text(_size(rng, 20, 6.0), "arcsec")
+        if _chance(rng, 0.4):
+            angle["timing_error"] = _text(_size(rng, 0.2), "ms")
+        if family != "static gradient" and _chance(rng, 0.35):
+            orders = sorted(int(n) for n in rng.permutation([1, 2, 3, 5, 36])[: int(rng.integers(1, 4))])
+            angle["harmonics"] = [{"order": n, "amplitude": _text(_size(rng, 15), "arcsec")} for n in orders]
+        table["angle"] = angle
+    return {
+        "table": table,
+        "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "10 K/min", "max_cooling": "10 K/min"},
+    }
+
+
+def _requirements(rng: np.random.Generator, sensor: Table, frame: _Frame) -> list[Table]:
+    box = [_text(frame.low, "degC", 3), _text(frame.high, "degC", 3)]
+    if float(box[0].split()[0]) >= float(box[1].split()[0]):
+        box = [_text(frame.low - 3.0, "degC", 3), _text(frame.high + 3.0, "degC", 3)]
+    rows: list[Table] = []
+    if "scale_factor" in sensor:
+        top = 0.9 * frame.max_rate
+        rows.append(
+            {
+                "name": "scale factor",
+                "quantity": "scale_factor",
+                "temperature": box,
+                "rate": [_text(-top, "deg/s"), _text(_one(rng, (top, 0.4 * top)), "deg/s")],
+                "statistic": _one(rng, ("mean of max", "max", "mean", "rms")),
+                "grid": [int(rng.integers(4, 9)), int(rng.integers(4, 11))],
+            }
+        )
+    if "bias" in sensor:
+        rows.append(
+            {
+                "name": "bias",
+                "quantity": "bias",
+                "temperature": box,
+                "statistic": _one(rng, ("max", "mean", "rms")),
+                "grid": [int(rng.integers(4, 12))],
+            }
+        )
+    return rows

@@ -175,7 +175,7 @@ def shortest_correlation_time(sensor: Sensor) -> float:
 def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: float) -> plans.Move:
     """A move of a spec as the core has it; times in s."""
     if move.is_rest:
-        return plans.rest(move.duration, move.read_every)
+        return plans.rest(move.duration, move.read_every, read_at_end=move.read_end)
     return plans.turn(
         move.shape,
         move.peak_rate,

@@ -31,14 +31,15 @@ def _timeline(plan: plans.Plan, channel: str, thermal_lag) -> plans.Timeline:
 _information = eqx.filter_jit(information)
 
 
-def _line(built: Assembled, channel: str) -> plans.Timeline:
+def timeline_of(built: Assembled, channel: str) -> plans.Timeline:
+    """A spec's plan as the sensor on one axis sees it, its lag included; compiled once for each structure."""
     return _timeline(built.plan, channel, None if built.thermal_lag is None else np.asarray(built.thermal_lag))
 
 
 def knowledge(built: Assembled, channel: str = "x", model: GyroModel | None = None) -> Posterior:
     """What is known after the plan, by the estimator that the spec names. `model` replaces the assembled one."""
     model = built.model if model is None else model
-    line, section = _line(built, channel), built.spec.plan
+    line, section = timeline_of(built, channel), built.spec.plan
     if isinstance(section, StandardPlanSection) and section.estimator == "least squares":
         return unweighted(line, model)
     return posterior(_information(line, model))
@@ -62,7 +63,7 @@ def _survey(line: plans.Timeline):
 
 def survey(built: Assembled, channel: str = "x") -> Survey:
     """Where the plan takes the sensor on one axis."""
-    return Survey(*(float(v) for v in _survey(_line(built, channel))))
+    return Survey(*(float(v) for v in _survey(timeline_of(built, channel))))
 
 
 def residual_map(

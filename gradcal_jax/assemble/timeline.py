@@ -1,14 +1,25 @@
-"""The contract gradcal-timeline/1, filled from a spec: segments, readings and the sensor's model."""
+"""The contract gradcal-timeline/2, filled from a spec: segments, readings and the sensor's model."""
+
+from typing import cast
 
 import numpy as np
 
 from gradcal_jax import plans
 from gradcal_jax.assemble.build import Assembled, assemble
+from gradcal_jax.assemble.knowledge import timeline_of
 from gradcal_jax.files import Spec, Timeline
-from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
+from gradcal_jax.files.bases import (
+    RateBasis,
+    RatePolynomial,
+    RateSpline,
+    TemperatureBasis,
+    TemperaturePolynomial,
+    TemperatureSpline,
+)
 from gradcal_jax.files.contracts import (
     BasisRow,
     DiscrepancyRow,
+    Functions,
     GradientSensitivityRow,
     HarmonicRow,
     MapRow,
@@ -16,16 +27,18 @@ from gradcal_jax.files.contracts import (
     ReadingRow,
     SegmentRow,
     SensorRow,
+    StartsRow,
     TemperatureErrorRow,
 )
 from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.sensor import Bias, ScaleFactor, ScaleFactorDiscrepancy
+from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.sensor import Bias, ScaleFactor, ScaleFactorDiscrepancy, Sensor
 
 
 def timeline(spec: Spec) -> Timeline:
     """Every segment and reading of a spec's plan in SI, axes one after the other; temperatures (°C) are the chamber's.
 
-    Enough for another program to work out the covariance alone: contract gradcal-timeline/1. Errors: none.
+    Enough for another program to work out the covariance alone: contract gradcal-timeline/2. Errors: none.
     """
     built = assemble(spec)
     segments: list[SegmentRow] = []
@@ -38,8 +51,11 @@ def timeline(spec: Spec) -> Timeline:
         segments += rows[0]
         readings += rows[1]
     harmonics = tuple(HarmonicRow(order=h.order, sigma=float(h.amplitude)) for h in spec.rig.table.angle.harmonics)
+    standard = spec.plan if isinstance(spec.plan, StandardPlan) else None
     return Timeline(
         title=spec.title,
+        estimator="best linear" if standard is None else standard.estimator,
+        points=None if standard is None else "independent",
         sensor=_sensor_row(spec),
         harmonics=harmonics,
         segments=tuple(segments),
@@ -50,7 +66,7 @@ def timeline(spec: Spec) -> Timeline:
 def _gradient_rows(
     built: Assembled, plan: plans.GradientPlan, channel: Axis
 ) -> tuple[list[SegmentRow], list[ReadingRow]]:
-    line = plan.timeline(channel)
+    line = timeline_of(built, channel)
     times, chamber = (np.asarray(x) for x in plan.programme.knots())
     start, duration, turned = np.asarray(line.start), np.asarray(line.duration), np.asarray(line.turned())
     end = start + duration
@@ -71,12 +87,13 @@ def _gradient_rows(
             "temperature_bends": tuple(bends) or None,
         }
 
-    def reading(time: float, standstill: int | None) -> ReadingRow:
+    def reading(time: float, standstill: int | None, *, origin: bool = False) -> ReadingRow:
         stands = standstill is not None
         return ReadingRow(
             time=time,
             kind="angle",
             axis=channel,
+            origin=origin,
             white_std=white,
             standstill_id=standstill,
             offset_std=offset if stands else 0.0,
@@ -84,32 +101,43 @@ def _gradient_rows(
         )
 
     segments: list[SegmentRow] = []
-    readings = [reading(float(start[0]), 0)]
+    readings = [reading(float(start[0]), 0, origin=True)]
     standstill = 0
     if start[0] > 0.0:
-        lead = between(0.0, float(start[0]))
         segments.append(
-            SegmentRow(axis=channel, start=0.0, duration=float(start[0]), shape="rest", standstill_id=0, **lead)
+            SegmentRow(
+                axis=channel,
+                start=0.0,
+                duration=float(start[0]),
+                shape="rest",
+                standstill_id=0,
+                read=True,
+                used=False,
+                **between(0.0, float(start[0])),
+            )
         )
     bounds = np.flatnonzero(np.diff(segment)) + 1
     for pieces in np.split(np.arange(len(segment)), bounds):
         first, last = pieces[0], pieces[-1]
         index = line.segment_moves[segment[first]]
-        own = {}
+        move, own = (None if index < 0 else moves[index]), {}
         if moving[first]:
             own = _shape(moves[index], float(turned[pieces].sum()))
             standstill += 1
-        for k in pieces:
-            if read[k]:
-                readings.append(reading(float(end[k]), standstill if at_rest[k] else None))
-            elif k in gaps:
-                readings.append(reading(float(end[k]), standstill))
+        readings += [reading(float(end[k]), standstill if at_rest[k] else None) for k in pieces if read[k]]
+        # A gap in which the chamber bends has several pieces, but the angle is read once, at its end.
+        unused = last in gaps
+        if unused:
+            readings.append(reading(float(end[last]), standstill, origin=True))
         segments.append(
             SegmentRow(
                 axis=channel,
+                table_axis=None if move is None or move.shape == "rest" else cast("Axis", move.axis),
                 start=float(start[first]),
                 duration=float(end[last] - start[first]),
                 standstill_id=None if moving[first] else standstill,
+                read=unused or bool(np.any(read[pieces])),
+                used=not unused,
                 **({"shape": "rest"} | own),
                 **between(float(start[first]), float(end[last])),
             )
@@ -139,12 +167,14 @@ def _standard_rows(built: Assembled, plan: plans.StandardPlan) -> tuple[list[Seg
     clock, point = 0.0, 0
     for temperature in np.asarray(plan.temperatures):
         at: dict = {"temperature_start": float(temperature), "temperature_end": float(temperature)}
-        segments.append(SegmentRow(axis="x", start=clock, duration=soak, shape="rest", **at))
+        segments.append(SegmentRow(axis="x", start=clock, duration=soak, shape="rest", read=False, used=False, **at))
         clock += soak
         for rate in np.asarray(plan.rates):
             segments.append(
                 SegmentRow(
                     axis="x",
+                    table_axis="x" if rate else None,
+                    read=True,
                     start=clock,
                     duration=integration,
                     shape="constant" if rate else "rest",
@@ -185,6 +215,7 @@ def _sensor_row(spec: Spec) -> SensorRow:
         scale_factor_instability=processes(sensor.scale_factor_instability),
         thermal_lag=_plain(sensor.thermal_lag),
         sample_clock_error=_plain(sensor.sample_clock_error),
+        starts=_starts_row(spec.sensor),
         temperature_error=None
         if error is None
         else TemperatureErrorRow(
@@ -199,31 +230,54 @@ def _sensor_row(spec: Spec) -> SensorRow:
     )
 
 
+def _starts_row(sensor: Sensor) -> StartsRow:
+    error = sensor.temperature_error
+    return StartsRow(
+        drift="stationary" if sensor.drift else None,
+        rate_random_walk="zero" if sensor.rate_random_walk else None,
+        scale_factor_instability="stationary" if sensor.scale_factor_instability else None,
+        temperature_error=None if error is None else "stationary" if error.correlation_time else "constant",
+        sample_clock_error="constant" if sensor.sample_clock_error else None,
+        turn_on_bias=None if not sensor.turn_on_bias else "constant" if sensor.bias is None else "prior",
+    )
+
+
 def _map_row(section: Bias | ScaleFactor) -> MapRow:
-    beyond = section.discrepancy
+    beyond, smooth = section.discrepancy, section.smoothness is not None
+    by_rate = isinstance(section, ScaleFactor)
     return MapRow(
-        temperature=_basis_row(section.temperature),
-        rate=_basis_row(section.rate) if isinstance(section, ScaleFactor) else None,
+        temperature=_basis_row(section.temperature, smooth),
+        rate=_basis_row(section.rate, smooth) if by_rate else None,
         prior=_plain(section.prior),
         smoothness=_plain(section.smoothness),
+        smoothness_along=() if not smooth else ("temperature", "rate") if by_rate else ("temperature",),
         discrepancy=None
         if beyond is None
         else DiscrepancyRow(
             sigma=float(beyond.standard_deviation),
+            functions="legendre",
             temperature_degree=beyond.temperature_degree,
             rate_degree=beyond.rate_degree if isinstance(beyond, ScaleFactorDiscrepancy) else None,
         ),
     )
 
 
-def _basis_row(section) -> BasisRow:
+def _basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:
+    """`smooth`: whether a smoothness prior is on the coefficients; it is on those that the engine computes in."""
     if isinstance(section, TemperaturePolynomial | RatePolynomial):
         return BasisRow(
-            basis="polynomial", degree=section.degree, centre=float(section.centre), scale=float(section.scale)
+            basis="polynomial",
+            degree=section.degree,
+            centre=float(section.centre),
+            scale=float(section.scale),
+            prior_functions="monomial",
+            smoothness_functions=section.internal if smooth else None,
         )
+    own: Functions = section.basis
+    alike: dict = {"basis": own, "prior_functions": own, "smoothness_functions": own if smooth else None}
     if isinstance(section, TemperatureSpline | RateSpline):
-        return BasisRow(basis="b-spline", degree=section.degree, knots=tuple(float(k) for k in section.knots))
-    return BasisRow(basis="bins", edges=tuple(float(e) for e in section.edges))
+        return BasisRow(degree=section.degree, knots=tuple(float(k) for k in section.knots), **alike)
+    return BasisRow(edges=tuple(float(e) for e in section.edges), **alike)
 
 
 def _plain(value: float | None) -> float | None:

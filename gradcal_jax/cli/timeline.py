@@ -39,7 +39,7 @@ def timeline(
     spec
         The spec file.
     json
-        Print gradcal-timeline/1: segments, readings and the sensor's model, in SI.
+        Print gradcal-timeline/2: segments, readings and the sensor's model, in SI.
     csv
         Print the rows as comma-separated values, in SI.
     rows

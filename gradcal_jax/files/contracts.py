@@ -1,4 +1,4 @@
-"""Contracts for other programs: gradcal-timeline/1 and gradcal-prediction/1. SI unless a name ends in its unit.
+"""Contracts for other programs: gradcal-timeline/2 and gradcal-prediction/1. SI unless a name ends in its unit.
 
 They are written by the program and read by others, so every number is plain. What cannot be observed is null, with a
 warning; nothing is ever nan or infinite.
@@ -15,8 +15,17 @@ Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Axis = Literal["x", "y", "z"]
 
 
+Functions = Literal["monomial", "legendre", "chebyshev", "b-spline", "bins"]
+
+
 class BasisRow(Section):
-    """A basis: `centre` and `scale` in °C and K, or in rad/s; `knots` or `edges` likewise."""
+    """A basis: `centre` and `scale` in °C and K, or in rad/s; `knots` or `edges` likewise.
+
+    Functions of x = (value − centre)/scale for polynomials. B-splines are clamped: the end knots are repeated, and
+    beyond them the value at the end holds; beyond the outer edges the outer bins hold. `prior_functions`: the functions
+    whose coefficients the map's `prior` is on, and a prediction's `std`; `smoothness_functions`: those whose
+    coefficients its `smoothness` is on (null without one).
+    """
 
     basis: Literal["polynomial", "b-spline", "bins"]
     degree: int | None = None
@@ -24,6 +33,8 @@ class BasisRow(Section):
     scale: Size | None = None
     knots: tuple[Finite, ...] | None = None
     edges: tuple[Finite, ...] | None = None
+    prior_functions: Functions
+    smoothness_functions: Functions | None = None
 
 
 class ProcessRow(Section):
@@ -34,20 +45,29 @@ class ProcessRow(Section):
 
 
 class DiscrepancyRow(Section):
-    """Prior standard deviation of the polynomials that the structure leaves out, up to these degrees."""
+    """Prior standard deviation of each of the polynomials that the structure leaves out, up to these degrees.
+
+    Products of the `functions` of the map's own x in temperature and in rate, those of the structure excepted.
+    """
 
     sigma: Size
+    functions: Literal["legendre"]
     temperature_degree: int
     rate_degree: int | None = None
 
 
 class MapRow(Section):
-    """B(T) in rad/s, or M(T, ω) as a ratio. `prior`, `smoothness`: standard deviations; null is flat."""
+    """B(T) in rad/s, or M(T, ω) as a ratio, in products of the two bases. Standard deviations, null is flat:
+
+    `prior` of each coefficient, independent; `smoothness` of each difference of coefficients that are neighbours along
+    the axes `smoothness_along`.
+    """
 
     temperature: BasisRow
     rate: BasisRow | None = None
     prior: Size | None = None
     smoothness: Size | None = None
+    smoothness_along: tuple[Literal["temperature", "rate"], ...] = ()
     discrepancy: DiscrepancyRow | None = None
 
 
@@ -66,8 +86,29 @@ class GradientSensitivityRow(Section):
     prior: Size | None = None
 
 
+class StartsRow(Section):
+    """How each slow error begins with the run: of each that the sensor has, null for the others.
+
+    "stationary": a Gauss–Markov process in its stationary state; "zero": a walk from 0; "constant": one draw that
+    stays; "prior": no noise, but a part of B's prior, where B has one: its variance is added to that of the
+    coefficients of the function that is 1 everywhere, all together.
+    """
+
+    drift: Literal["stationary"] | None = None
+    rate_random_walk: Literal["zero"] | None = None
+    scale_factor_instability: Literal["stationary"] | None = None
+    temperature_error: Literal["stationary", "constant"] | None = None
+    sample_clock_error: Literal["constant"] | None = None
+    turn_on_bias: Literal["constant", "prior"] | None = None
+
+
 class SensorRow(Section):
-    """The error model. `arw` in rad/√s, `rate_random_walk` in rad/s/√s, `turn_on_bias` in rad/s, `thermal_lag` in s."""
+    """The error model. `arw` in rad/√s, `rate_random_walk` in rad/s/√s, `turn_on_bias` in rad/s.
+
+    `drift`, `rate_random_walk` and `turn_on_bias` are rate errors; `scale_factor_instability` and `sample_clock_error`
+    are multiplied by the rate. `thermal_lag` (s): first order, between the chamber and what the maps and
+    `bias_temperature_gradient` see; sensor and chamber are in equilibrium at the start of the first segment.
+    """
 
     quantity: Literal["gyro"] = "gyro"
     arw: Size
@@ -77,6 +118,7 @@ class SensorRow(Section):
     scale_factor_instability: tuple[ProcessRow, ...] = ()
     thermal_lag: Size | None = None
     sample_clock_error: Size | None = None
+    starts: StartsRow
     temperature_error: TemperatureErrorRow | None = None
     bias_temperature_gradient: GradientSensitivityRow | None = None
     bias: MapRow | None = None
@@ -84,15 +126,21 @@ class SensorRow(Section):
 
 
 class SegmentRow(Section):
-    """What one axis and the chamber do from `start` for `duration` (s).
+    """What one sensor axis and the chamber do from `start` for `duration` (s).
 
     `shape` is "rest", "constant" or a motion shape, with the shape's own parameters: `ramp` (s), `cycles`, `controls`
     (rates relative to `peak_rate`), `unevenness`. `peak_rate` (rad/s) and `angle` (rad) are signed. Temperatures
-    (°C) are the chamber's, linear from start to end, or through `temperature_bends` (time s, °C).
-    `standstill_id` numbers the times that the axis stands; null while it moves.
+    (°C) are the chamber's, linear from start to end, or through `temperature_bends` (time s, °C); where a segment
+    begins elsewhere than the one before it ended, the chamber steps.
+    `standstill_id` numbers the times that the axis stands; null while it moves. `table_axis`: the axis that the table
+    turns meanwhile; null: none. `read`: whether a reading of this axis falls into the segment, its start excepted.
+    `used`: false where the data are not part of the calibration; a reading that ends it is the angle's new origin.
     """
 
     axis: Axis
+    table_axis: Axis | None = None
+    read: bool
+    used: bool = True
     start: Finite
     duration: Size
     shape: str
@@ -111,6 +159,9 @@ class SegmentRow(Section):
 class ReadingRow(Section):
     """One reading. "angle": at `time` (s). "rate": the mean over `duration` up to `time`.
 
+    `origin`: the angle is counted from this reading on; of what was turned before it nothing is known. The first
+    reading of an axis is one.
+
     `white_std`: of this reading alone; `offset_std`: common to the standstill (or the set point) `standstill_id`;
     rad for angles, rad/s for rates. `timing_std` in s. A rate reading's `rate` is the reference in rad/s.
     """
@@ -118,6 +169,7 @@ class ReadingRow(Section):
     time: Finite
     kind: Literal["angle", "rate"]
     axis: Axis
+    origin: bool = False
     white_std: Size
     standstill_id: int | None = None
     offset_std: Size = 0.0
@@ -134,10 +186,18 @@ class HarmonicRow(Section):
 
 
 class Timeline(Section):
-    """gradcal-timeline/1: all that another program needs to compute the information matrix by itself."""
+    """gradcal-timeline/2: all that another program needs to compute the information matrix by itself.
 
-    format: Literal["gradcal-timeline/1"] = "gradcal-timeline/1"
+    `estimator`: "best linear" is generalised least squares with all priors; "least squares" weighs the mean rate errors
+    of all readings alike and uses no prior. `points`, of the standard method: "independent" where every rate reading
+    has noise of its own, begun anew; "one run" where all share what `starts` begins, over the run's time, and only the
+    reference (`offset_std`) is drawn anew at each set point. Axes share nothing.
+    """
+
+    format: Literal["gradcal-timeline/2"] = "gradcal-timeline/2"
     title: str | None = None
+    estimator: Literal["best linear", "least squares"] = "best linear"
+    points: Literal["independent", "one run"] | None = None
     sensor: SensorRow
     harmonics: tuple[HarmonicRow, ...] = ()
     segments: tuple[SegmentRow, ...]

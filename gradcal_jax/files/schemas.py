@@ -23,6 +23,8 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "sweep": ("sweep", "SweepFile"),
     "catalogue": ("catalogue", "CatalogueFile"),
 }
+# All are the first of their kind but these.
+_VERSIONS: Final[Mapping[str, str]] = {"timeline": "2"}
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -31,6 +33,10 @@ class _WithTexts(GenerateJsonSchema):
 
     def encode_default(self, dft: Any) -> Any:
         return dft.text if isinstance(dft, Quantity) else super().encode_default(dft)
+
+
+def _version(plain: str) -> str:
+    return _VERSIONS.get(plain, "1")
 
 
 def names() -> tuple[str, ...]:
@@ -43,12 +49,14 @@ def schema(name: str) -> dict[str, Any]:
 
     Errors: `ValueError` for other names.
     """
-    plain = name.removeprefix("gradcal-").removesuffix("/1")
-    if plain in _MODELS:
+    plain, _, version = name.removeprefix("gradcal-").partition("/")
+    if plain in _MODELS and version in ("", _version(plain)):
         module, model = _MODELS[plain]
         section = cast("type[Section]", getattr(import_module(f"gradcal_jax.files.{module}"), model))
         body = section.model_json_schema(mode="validation", schema_generator=_WithTexts)
-        return {"$schema": _DIALECT, "$id": f"gradcal-{plain}/1", **body}
+        return {"$schema": _DIALECT, "$id": f"gradcal-{plain}/{_version(plain)}", **body}
+    if plain in _MODELS:
+        raise ValueError(f'this program writes gradcal-{plain}/{_version(plain)}; there is no schema of "{name}" here')
     close = nearest(plain, _MODELS)
     ending = f'; nearest: "{close}"' if close else f"; known: {', '.join(_MODELS)}"
     raise ValueError(f'there is no file or contract named "{name}"{ending}')

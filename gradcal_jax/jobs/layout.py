@@ -126,7 +126,7 @@ def plans_of(spec: Spec) -> tuple[Plan, ...] | None:
 def parts_of(move: ResolvedMove, channel: str, others_read_every: float | None, longest: float) -> tuple[Part, ...]:
     """A move as the channel sees it: `plans.Move.pieces` in NumPy, which is a hundred times quicker one by one."""
     if move.is_rest:
-        return (rest(move.duration, move.read_every),)
+        return (rest(move.duration, move.read_every, move.read_end),)
     if channel != move.axis:
         return (rest(move.duration, others_read_every),)
     divided = move_of(move, others_read_every, longest).divisions
@@ -150,9 +150,9 @@ def parts_of(move: ResolvedMove, channel: str, others_read_every: float | None, 
 
 
 @lru_cache(maxsize=4096)
-def rest(duration: float, read_every: float | None) -> Part:
-    """Standing still, read or not."""
-    times = formulas.reading_times(duration, read_every)
+def rest(duration: float, read_every: float | None, read_at_end: bool = False) -> Part:
+    """Standing still, read every so often, at its end alone, or not."""
+    times = formulas.reading_times(duration, read_every) or ([duration] if read_at_end else [])
     edges, read = divide(duration, times)
     count = len(read)
     return Part(

@@ -97,7 +97,7 @@ OF_THE_PROGRAM: Final[dict[str, str]] = {
     "clock": "Of the sensor or of the computer; the sensor's own rate error looks like a scale factor.",
     "column map": "A file that says what the columns of another program's recording mean, and in which units.",
     "confidence": "The share of cases in which the true value lies within an interval.",
-    "contract": "A form of JSON that other programs may rely on: gradcal-timeline/1 and gradcal-prediction/1.",
+    "contract": "A form of JSON that other programs may rely on: gradcal-timeline/2 and gradcal-prediction/1.",
     "Dask": "A program that spreads work over the machines of a cluster.",
     "delta": "How long the average lasts that the Direct Bound counts drift from.",
     "design": "A spec's [design] says what `optimise` minimises and which numbers of the plan are free.",

@@ -179,12 +179,13 @@ def repeat(block: Pieces, count: int) -> Pieces:
     return Pieces._make([*arrays, *(np.tile(f, count) for f in block[_ARRAYS:])])
 
 
-def rest(duration: float, read_every: float | None = None) -> Move:
-    """A rest of `duration` s, read every `read_every` s (None: unread).
+def rest(duration: float, read_every: float | None = None, *, read_at_end: bool = False) -> Move:
+    """A rest of `duration` s, read every `read_every` s, or (None) at its end alone if `read_at_end`.
 
     Errors: `ValueError` for what is no number.
     """
-    division = divide(float(duration), formulas.reading_times(float(duration), read_every))
+    at_end = [float(duration)] if read_at_end else []
+    division = divide(float(duration), formulas.reading_times(float(duration), read_every) or at_end)
     return _move("rest", 0.0, duration, (division,), division)
 
 

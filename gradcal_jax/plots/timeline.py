@@ -11,7 +11,7 @@ from gradcal_jax.plots.style import new_axes, style_of
 def draw_temperature(
     written: Timeline, *, label: str = "", index: int = 0, ax: Axes | None = None
 ) -> tuple[Axes, Line2D]:
-    """The chamber's temperature against time, from a `gradcal-timeline/1`."""
+    """The chamber's temperature against time, from a `gradcal-timeline/2`."""
     ax = new_axes(ax, (6.4, 3.2))
     axis = written.segments[0].axis
     points: list[tuple[float, float]] = []

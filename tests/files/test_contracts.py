@@ -15,10 +15,13 @@ from gradcal_jax.files.schemas import names, schema
 def test_schemas_are_valid_and_closed(name):
     found = schema(name)
     jsonschema.Draft202012Validator.check_schema(found)
-    assert found["$id"] == f"gradcal-{name}/1"
+    version = 2 if name == "timeline" else 1
+    assert found["$id"] == f"gradcal-{name}/{version}"
     assert found["additionalProperties"] is False
     assert json.loads(json.dumps(found)) == found
-    assert schema(f"gradcal-{name}/1") == found
+    assert schema(f"gradcal-{name}/{version}") == found
+    with pytest.raises(ValueError, match=f"gradcal-{name}/{version}"):
+        schema(f"gradcal-{name}/{3 - version}")
 
 
 @pytest.mark.parametrize("name", presets.names())
@@ -33,19 +36,22 @@ def test_every_preset_satisfies_the_schema_of_specs_and_slips_do_not(name):
 
 
 TIMELINE = {
-    "format": "gradcal-timeline/1",
+    "format": "gradcal-timeline/2",
     "sensor": {
         "arw": 2.9e-5,
         "drift": [{"sigma": 4.8e-6, "tau": 120.0}],
+        "starts": {"drift": "stationary"},
         "scale_factor": {
-            "temperature": {"basis": "polynomial", "degree": 3, "centre": 20.0, "scale": 50.0},
-            "rate": {"basis": "polynomial", "degree": 3, "centre": 0.0, "scale": 5.2},
+            "temperature": {
+                "basis": "polynomial", "degree": 3, "centre": 20.0, "scale": 50.0, "prior_functions": "monomial",
+            },
+            "rate": {"basis": "polynomial", "degree": 3, "centre": 0.0, "scale": 5.2, "prior_functions": "monomial"},
             "prior": None,
         },
     },
     "segments": [
         {
-            "axis": "x", "start": 0.0, "duration": 10.0, "shape": "rest",
+            "axis": "x", "start": 0.0, "duration": 10.0, "shape": "rest", "read": True,
             "temperature_start": -30.0, "temperature_end": -29.9, "standstill_id": 0,
         },
     ],

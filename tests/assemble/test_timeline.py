@@ -1,0 +1,124 @@
+"""The timeline contract: every reading that `check` counts, where the angle's origin is, what is used and turned."""
+
+import copy
+import tomllib
+
+import numpy as np
+import pytest
+
+from gradcal_jax.assemble.prediction import predict
+from gradcal_jax.assemble.timeline import timeline
+from gradcal_jax.files import presets, spec_of
+
+TABLES = tomllib.loads(presets.text("paper-dynamic-gradient"))
+TABLES["requirement"][0]["grid"] = [5, 5]
+del TABLES["requirement"][1]
+TABLES["sensor"]["scale_factor"]["prior"] = "10000 ppm"
+TURN = {"turn": "360 deg", "duration": "10 s", "shape": "linear ramps"}
+
+
+def spec_with(rests, turns=({},), **plan):
+    """A small plan whose rests of 6 s and turns have the given keys."""
+    tables = copy.deepcopy(TABLES)
+    moves = []
+    for k, (rest, turn) in enumerate(zip(rests, [*turns] * len(rests), strict=False)):
+        moves += [{"rest": "6 s", **rest}, {**TURN, "turn": f"{(-1) ** k * 360} deg", **turn}]
+    tables["plan"] = {"method": "gradient", "temperature": ["-20 degC", "20 degC"], "gradient": "9 K/min"} | plan
+    tables["plan"]["cycle"] = {"moves": moves}
+    tables["rig"]["chamber"] |= {"max_heating": "10 K/min", "max_cooling": "10 K/min"}
+    return spec_of(tables)
+
+
+@pytest.mark.parametrize(
+    ("rests", "turns"),
+    [
+        (({},), ({},)),
+        (({"read": "end"}, {"read": "none"}), ({"read": "end"},)),
+        (({"read_every": "2 s"}, {}), ({"read": "none"}, {"read_every": "3 s"})),
+        (({"read": "end", "repeat": 2}, {"read_every": "7 s"}), ({},)),
+    ],
+)
+def test_every_reading_that_is_counted_is_in_the_timeline(rests, turns):
+    spec = spec_with(rests, turns)
+    written = timeline(spec)
+    assert sum(not r.origin for r in written.readings) == spec.schedule.readings
+    cycle, schedule = spec.gradient_schedule.cycle, spec.gradient_schedule
+    own = sum(m.repeat * m.readings for m in cycle.moves)
+    assert schedule.readings == schedule.cycles * own
+    for segment in written.segments:
+        end = segment.start + segment.duration
+        assert segment.read == any(segment.start + 1e-9 < r.time <= end + 1e-9 for r in written.readings)
+
+
+def test_a_rest_read_at_its_end_is_one_read_so_often_that_this_is_its_only_reading():
+    at_end = [{"read": "end"}, {}]
+    every = [{"read_every": "6 s"}, {"read_every": "6 s"}]
+    left = [predict(spec_with(rests)).requirements[0].mean for rests in (at_end, every)]
+    unread = predict(spec_with([{"read": "none"}] * 2)).requirements[0].mean
+    assert left[0] == pytest.approx(left[1], rel=1e-12)
+    assert unread > 1.01 * left[0]
+
+
+def test_unused_stretches_end_with_a_new_origin():
+    programme = [
+        {"soak": "50 s", "at": "-20 degC"},
+        {"ramp_to": "0 degC", "rate": "9 K/min"},
+        {"step_to": "10 degC"},
+        {"soak": "40 s"},
+        {"ramp_to": "30 degC", "rate": "9 K/min"},
+    ]
+    moves = spec_with([{"read_every": "2 s"}, {}], temperature=None, gradient=None, programme=programme)
+    written = timeline(moves)
+    unused = [s for s in written.segments if not s.used]
+    origins = [r.time for r in written.readings if r.origin]
+    assert len(unused) == 2
+    assert origins == pytest.approx([s.start + s.duration for s in unused])
+    assert np.all(np.diff([s.start for s in written.segments]) > 0)
+    assert written.estimator == "best linear"
+    assert written.points is None
+
+
+def test_axes_that_stand_while_the_table_turns_another_say_which():
+    written = timeline(spec_with([{"read_every": "2 s"}, {"read_every": "3 s"}], ({"axis": "y"}, {"axis": "z"})))
+    for axis, other in (("y", "z"), ("z", "y")):
+        mine = [s for s in written.segments if s.axis == axis]
+        assert {s.table_axis for s in mine if s.shape != "rest"} == {axis}
+        assert {s.table_axis for s in mine if s.shape == "rest"} == {None, other}
+        assert not any(s.read for s in mine if s.table_axis == other)
+
+
+def test_standard_points_say_what_they_share_and_how_they_are_weighed():
+    tables = tomllib.loads(presets.text("paper-dynamic-standard"))
+    tables["plan"]["estimator"] = "least squares"
+    written = timeline(spec_of(tables))
+    assert written.points == "independent"
+    assert written.estimator == "least squares"
+    assert written.sensor.starts.drift == "stationary"
+    assert {r.standstill_id for r in written.readings} == set(range(36))
+    assert sum(s.used for s in written.segments) == 36
+
+
+def test_starts_and_functions_of_priors_are_named():
+    tables = copy.deepcopy(TABLES)
+    sensor = tables["sensor"]
+    sensor |= {"rate_random_walk": "1 deg/h/sqrt(h)", "turn_on_bias": "1 deg/h", "sample_clock_error": "5 ppm"}
+    sensor["temperature_error"] = {"standard_deviation": "0.1 K", "scale_factor_slope": "1 ppm/K"}
+    sensor["scale_factor"] |= {
+        "rate": {"basis": "bins", "edges": ["-300 deg/s", "0 deg/s", "300 deg/s"]},
+        "smoothness": "10 ppm",
+    }
+    row = timeline(spec_of(tables)).sensor
+    found = row.starts.model_dump()
+    assert found == {
+        "drift": "stationary",
+        "rate_random_walk": "zero",
+        "scale_factor_instability": None,
+        "temperature_error": "constant",
+        "sample_clock_error": "constant",
+        "turn_on_bias": "constant",
+    }
+    assert row.scale_factor is not None
+    assert row.scale_factor.rate is not None
+    assert row.scale_factor.rate.prior_functions == "bins"
+    assert row.scale_factor.temperature.prior_functions == "monomial"
+    assert row.scale_factor.temperature.smoothness_functions == "legendre"

@@ -5,7 +5,6 @@ one generator, so a seed names a spec. What `restrict` names is not drawn: see `
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -482,13 +481,13 @@ def _rate_basis(rng: np.random.Generator, wanted: Restrict, frame: _Frame) -> tu
         kind = "polynomial"
     kind = kind if kind in wanted.bases else wanted.bases[0]
     if kind == "polynomial":
-        most = min(3, len(set(frame.rates) - {0.0}) - 1) if frame.standard else 3
+        # Of k rates, k − 1 coefficients and a bias can be told apart.
+        most = min(3, len(set(frame.rates) - {0.0}) - 2) if frame.standard else 3
         centre = _text(_between(rng, -20, 20, 2), "deg/s") if _chance(rng, 0.15) else ""
         return _polynomial(rng, int(rng.integers(0, most + 1)), centre, _text(frame.max_rate, "deg/s")), kind
     if frame.unweighted:
-        rates = sorted(set(frame.rates) - {0.0})
-        edges = [-frame.max_rate, *((a + b) / 2 for a, b in pairwise(rates)), frame.max_rate]
-        return {"basis": "bins", "edges": [_text(e, "deg/s", 5) for e in edges]}, kind
+        # Two rates or more in each, or a bias could not be told from them.
+        return {"basis": "bins", "edges": [_text(e, "deg/s") for e in (-frame.max_rate, 0.0, frame.max_rate)]}, kind
     return _pieces(rng, kind, -frame.max_rate, frame.max_rate, "deg/s"), kind
 
 

@@ -105,8 +105,8 @@ def scaled(built, factors: dict[str, object]) -> SensorModel:
         )
     for name, of in FIGURES.items():
         if name in factors:
-            xp = namespace(factors[name])
-            model = eqx.tree_at(of, model, xp.asarray(np.asarray(of(model)) * factors[name]))
+            larger = of(model) * factors[name]
+            model = eqx.tree_at(of, model, namespace(larger).asarray(larger))
     return model
 
 

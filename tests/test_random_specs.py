@@ -1,0 +1,40 @@
+"""The generator of random specs: all that it draws is valid, small and of every kind."""
+
+import numpy as np
+import pytest
+from random_specs import BASES, FAMILIES, MOST_READINGS, SHAPES, random_spec
+
+from gradcal_jax.files import spec_of
+
+
+def test_random_specs_are_valid_small_and_of_every_kind():
+    seen: set[str] = set()
+    for seed in range(300):
+        tables = random_spec(np.random.default_rng(seed))
+        spec = spec_of(tables)
+        assert 0 < spec.schedule.readings <= MOST_READINGS, seed
+        assert random_spec(np.random.default_rng(seed)) == tables
+        assert spec.requirement
+        text = repr(tables)
+        wanted = (*FAMILIES, *SHAPES, *BASES, "hand", "least squares", "programme", "harmonics", "discrepancy")
+        wanted += ("smoothness", "turn_on_bias", "rate_random_walk", "bias_temperature_gradient", "thermal_lag")
+        wanted += ("'axis': 'z'", "'read': 'end'", "'read': 'none'", "'used': False", "chebyshev", "step_to", "repeat")
+        seen |= {word for word in wanted if word in text}
+    assert seen == set(wanted)
+
+
+@pytest.mark.parametrize(
+    ("restrict", "holds"),
+    [
+        ({"family": "tactical", "axes": 3}, lambda s: "'axis': 'y'" in repr(s) and "'axis': 'z'" in repr(s)),
+        ({"family": "dynamic standard", "estimator": "least squares"}, lambda s: "estimator" in s["plan"]),
+        ({"family": "static gradient", "temperature": "programme"}, lambda s: "programme" in s["plan"]),
+        ({"processes": False}, lambda s: "drift" not in s["sensor"]),
+        ({"bases": ("bins",)}, lambda s: "knots" not in repr(s)),
+    ],
+)  # fmt: skip
+def test_what_is_restricted_is_not_drawn(restrict, holds):
+    for seed in range(20):
+        tables = random_spec(np.random.default_rng(seed), **restrict)
+        spec_of(tables)
+        assert holds(tables)

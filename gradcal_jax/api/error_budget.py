@@ -21,10 +21,10 @@ DISCREPANCY: Final = "model discrepancy"
 Field = Callable[[SensorModel], object]
 FIGURES: Final[dict[str, Field]] = {
     "angle random walk": lambda m: m.angle_random_walk,
-    "rate reference": lambda m: m.reference.rate_accuracy,
+    "rate accuracy": lambda m: m.reference.rate_accuracy,
     "reading noise": lambda m: m.reference.reading_noise,
     "standstill offset": lambda m: m.reference.standstill_offset,
-    "timing": lambda m: m.reference.timing_error,
+    "timing error": lambda m: m.reference.timing_error,
 }
 """Where the noise figures that every model has stand, by the names that people use."""
 
@@ -77,9 +77,9 @@ def _of_priors(model: SensorModel, slope: Sensitivity) -> dict[str, float]:
 def active_sources(built: Assembled) -> list[str]:
     """Names of the sources of noise that are not zero."""
     line = built.trajectory()
-    meaningless = ("reading noise", "standstill offset", "timing") if line.rates else ("rate reference",)
+    meaningless = ("reading noise", "standstill offset", "timing error") if line.rates else ("rate accuracy",)
     figures = [n for n, of in FIGURES.items() if n not in meaningless and float(np.asarray(of(built.model))) > 0.0]
-    return [n for n in figures if n != "timing" or len(line.moving_pieces)] + list(built.sources)
+    return [n for n in figures if n != "timing error" or len(line.moving_pieces)] + list(built.sources)
 
 
 def only(built: Assembled, name: str) -> SensorModel:

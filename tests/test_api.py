@@ -2,6 +2,7 @@
 
 import json
 
+import jax
 import numpy as np
 import pytest
 
@@ -57,6 +58,21 @@ def test_the_static_gradient_plan(old, new, mean, largest):
     row = predict("paper-static-gradient", (old, new)).requirements[0]
     assert row.mean == pytest.approx(mean, rel=0.01)
     assert row.max == pytest.approx(largest, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-dynamic-standard"])
+def test_a_prediction_compiles_nothing(name):
+    """Not with its shares of the error sources, either; the counter does count."""
+    compiled: list[str] = []
+    listen = lambda event, *_, **__: compiled.append(event) if "backend_compile" in event else None  # noqa: E731
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        api.predict(files.parse_spec(files.presets.text(name)), limits=True)
+        assert compiled == []
+        jax.jit(lambda x: x + len(name))(1.0)
+        assert compiled != []
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
 
 
 def test_what_a_plan_cannot_observe_is_null_with_a_sentence():

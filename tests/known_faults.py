@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.assemble.build import assemble
-from gradcal_jax.assemble.knowledge import timeline_of
+from gradcal_jax.api.build import assemble
+from gradcal_jax.api.knowledge import timeline_of
 from gradcal_jax.errormodel import Polynomial
 from gradcal_jax.files import Spec
 from gradcal_jax.files.schedule import StandardSchedule

@@ -114,7 +114,7 @@ def _compiled(given: _Figures, names: tuple[str, ...], factors):
 def _names(built: Assembled) -> list[str]:
     """Figures that the spec has, by the names that people use."""
     model, line = built.model, built.trajectory()
-    unread = ("reading noise", "standstill offset", "timing") if line.rates else ("rate reference",)
+    unread = ("reading noise", "standstill offset", "timing error") if line.rates else ("rate accuracy",)
     found = [n for n, of in FIGURES.items() if n not in unread and float(np.asarray(of(model))) > 0.0]
     found += list(built.sources)
     if model.harmonics is not None:

@@ -18,8 +18,8 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from gradcal_jax.assemble.prediction import predict
-from gradcal_jax.assemble.sensitivity import sensitivities
+from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.sensitivity import sensitivities
 from gradcal_jax.files import presets, spec_of
 
 HERE = Path(__file__).resolve().parent

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from gradcal_jax.assemble.prediction import predict
-from gradcal_jax.assemble.sensitivity import sensitivities
+from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.sensitivity import sensitivities
 from gradcal_jax.files import spec_of
 
 HERE = Path(__file__).parent

@@ -19,8 +19,8 @@ import recompute
 from known_faults import INTEGRALS, LAG, TURNING, changing
 from random_specs import random_spec
 
-from gradcal_jax.assemble.prediction import predict
-from gradcal_jax.assemble.timeline import timeline
+from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import presets, spec_of
 from gradcal_jax.files.schedule import GradientSchedule
 

@@ -298,8 +298,9 @@ def test_odrive_lost_command_is_sent_again_and_a_reboot_is_noticed() -> None:
         assert axis.read().rate_dps == pytest.approx(60.0, rel=1e-3)
         device.reboot()
         clock.sleep(10.0)
+        # It had been powered by this program: held is held, also after a reboot.
         assert axis.safe(AxisSafe.HOLD).evidence.startswith("0.000 deg/s")
-        assert device.axes[0].state == odrive.IDLE
+        assert device.axes[0].state == odrive.CLOSED_LOOP
 
 
 def test_odrive_of_generation_06_with_gear() -> None:

@@ -240,7 +240,9 @@ def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
 
 def _breaks_off(event: Event) -> bool:
     """Whether a run is interrupted or ends here: from now on somebody may be at the rig."""
-    return event.name in ("interlock", "ending") or (event.name == "state" and event.data["state"] == "paused")
+    return event.name in ("interlock", "ending", "not done") or (
+        event.name == "state" and event.data["state"] == "paused"
+    )
 
 
 def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:

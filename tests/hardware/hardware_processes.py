@@ -38,7 +38,7 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
     else:
         made, first = new_folder(path, read_recipe(folder / "recipe.toml"), read_rig(folder / "rig.toml")), 0
     write_whole(path / "pid", str(os.getpid()))
-    rules = standard_rules(Limits(imu_stale_s=2.0 * speed, temperature_band_k=None))
+    rules = standard_rules(Limits(imu_stale_s=2.0 * speed, temperature_band_k=None, latest_s=1.0 * speed))
     result = run_session(
         made, made.rig(), clock, first_step=first, guard=guard, interlocks=rules, safe_deadline_s=20.0,
         wait_when_paused=False, handle_signals=True,

@@ -16,6 +16,7 @@ killed is `guard`.
 
 import math
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -28,7 +29,7 @@ from .errors import Disconnected, HardwareError, LimitExceeded
 from .interlocks import Interlocks, Situation, standard_rules
 from .journal import Journal, JournalFull, free_space_bytes, plain
 from .roles import AxisReading, ChamberReading, ImuDecoder, MotionAxis
-from .safety import SafeOutcome, make_safe
+from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
 from .track import Course, Stable, Step, Track, beyond_limits
 from .turning import AxesDuty
@@ -173,6 +174,8 @@ class Runner:
         self._unconfirmed: list[_Executed] = []
         self._tries: dict[int, int] = {}
         self._shortfall: _NotDone | None = None
+        self.ticked_s = time.monotonic()
+        """Real time of when the run's own thread last came by: one that hangs does not."""
         self._heard_end_s = math.inf
         self._problem: str = ""
         self._working = threading.Event()
@@ -222,6 +225,9 @@ class Runner:
             with self.clock.aside():
                 for helper in helpers:
                     helper.join(timeout=5.0)
+            # Only now: nobody else reads the lines of the units any more.
+            for name, problem in put_back(self.bench).items():
+                self._event("settings put back", quietly=True, device=name, problem=problem)
             good = all(outcome.verified for outcome in outcomes)
             self._event("end", quietly=True, exit_status=status, reason=reason, verified_safe=good)
         return RunResult(status, reason, outcomes, self._steps_done)
@@ -507,6 +513,7 @@ class Runner:
 
     def _duties(self, end_s: float | None = None) -> None:
         """Whatever recurs: requests, readings, interlocks."""
+        self.ticked_s = time.monotonic()
         self._obey_requests()
         self._confirm_steps()
         now = self.clock.now()
@@ -566,6 +573,7 @@ class Runner:
             if self.clock.now() - self._shown_s >= self.chamber_every_s:
                 self._shown_s = self.clock.now()
                 self._show(None)
+            self.ticked_s = time.monotonic()
             self._obey_requests()
             if self.state is not State.PAUSED:
                 break
@@ -609,6 +617,7 @@ class Runner:
         self._event("state", quietly=quietly, state=state.value)
 
     def _event(self, name: str, /, *, quietly: bool = False, **data: Any) -> None:
+        self.ticked_s = time.monotonic()
         try:
             self.journal.event(self.clock.now(), name, **data)
         except JournalFull:

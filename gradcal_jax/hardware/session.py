@@ -5,15 +5,19 @@ While it runs, Ctrl-C pauses after the step; again, it makes safe and ends. SIGT
 
 import math
 import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from types import FrameType
 
 from ..files.rig import RigFile
 from .binding import track_of
 from .clock import Clock
-from .guard import guarded
+from .errors import HardwareError
+from .guard import BEAT_S, Guard, guarded
 from .interlocks import Interlocks, standard_rules
 from .journal import Journal
 from .run_folder import RunFolder, begin_session, require_same_devices, sessions
@@ -21,6 +25,9 @@ from .runner import Progress, Runner, RunResult, State
 from .setup import open_rig
 from .terminal import Terminal
 from .transcript import Recorder
+
+# Longer than the run's own thread ever waits for one device: to find a reference takes minutes.
+_HANGS_S = 300.0
 
 
 def run_session(
@@ -79,12 +86,49 @@ def run_session(
             with_runner(runner)
         if handle_signals:
             stack.enter_context(signals_to(runner))
+        for name, settings in bench.settings.items():
+            settings.on_first_change = partial(_changes, journal, clock, watched, name)
         if watched is not None:
             watched.begun()
+            stack.enter_context(_beating(watched, runner, journal, clock))
         result = runner.run()
         if watched is not None and result.verified_safe:
             watched.done()
         return result
+
+
+def _changes(journal: Journal, clock: Clock, watched: Guard | None, device: str, name: str, value: str) -> None:
+    """A setting of a device is about to be changed: what it was goes to where it can be put back from."""
+    journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)
+    if watched is not None:
+        watched.remember(device, name, value)
+
+
+@contextmanager
+def _beating(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> Generator[None, None, None]:
+    """While inside, the guard hears that the run is alive, for as long as the run's own thread is."""
+    over = threading.Event()
+
+    def beat() -> None:
+        while not over.wait(BEAT_S):
+            if time.monotonic() - runner.ticked_s > _HANGS_S:
+                continue
+            try:
+                said = watched.beat()
+            except HardwareError as problem:
+                said = str(problem)
+            if said:
+                print(said, file=sys.stderr, flush=True)
+                with suppress(HardwareError):
+                    journal.event(clock.now(), "guard", what=said)
+
+    thread = threading.Thread(target=beat, daemon=True, name="telling the guard")
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 @contextmanager

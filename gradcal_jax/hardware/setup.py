@@ -20,6 +20,7 @@ from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDe
 from .clock import Clock
 from .errors import HardwareError, WrongIdentity
 from .roles import AxisLimits, Chamber, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis
+from .settings import KeptSettings
 from .terminal import Line, Terminal
 from .transcript import Recorder
 from .transport import Transport
@@ -175,6 +176,11 @@ class Bench:
     axes: dict[str, MotionAxis] = field(default_factory=dict[str, MotionAxis])
     imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
     _ports: ExitStack = field(default_factory=ExitStack)
+
+    @property
+    def settings(self) -> dict[str, KeptSettings]:
+        """What the drivers of axes and units have changed, by device."""
+        return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
 
     def close(self) -> None:
         self._ports.close()

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import serial
 
 from .clock import Clock
-from .errors import Disconnected, PortRefused
+from .errors import Disconnected, PortRefused, PortTaken
 from .transcript import Recorder
 
 if sys.platform == "win32":
@@ -52,7 +52,7 @@ class PortLock:
         except OSError:
             owner = os.pread(self._handle, 200, 1).decode("utf-8", "replace").strip() if os.name == "posix" else ""
             os.close(self._handle)
-            raise PortRefused(
+            raise PortTaken(
                 f"The port {url} is in use by another run{f' ({owner})' if owner else ''}. "
                 "Wait until it ends or give this run another port."
             ) from None

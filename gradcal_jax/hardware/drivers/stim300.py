@@ -23,6 +23,7 @@ from ..errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTi
 from ..exchange import Exchange, NotThisReply
 from ..framing import LineFramer
 from ..roles import Identity, ImuSettings, SafeReport
+from ..settings import KeptSettings
 from ..transport import Transport
 from .stim300_datagrams import CONTENTS, INTERNAL_RATE_HZ, LAYOUTS, Stim300Decoder
 
@@ -131,6 +132,8 @@ class Stim300Stream:
             device="The STIM300",
             reply_timeout_s=config.reply_timeout_s,
         )
+        # What is set lasts until the unit is switched off, and is never saved.
+        self.settings = KeptSettings()
         self._registers: dict[str, str] = {}
         self._in_utility = False
 

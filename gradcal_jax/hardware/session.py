@@ -18,7 +18,7 @@ from .binding import track_of
 from .clock import Clock
 from .errors import HardwareError
 from .guard import BEAT_S, Guard, guarded
-from .interlocks import Interlocks, standard_rules
+from .interlocks import Interlocks, Limits, standard_rules
 from .journal import Journal
 from .run_folder import RunFolder, begin_session, require_same_devices, sessions
 from .runner import Progress, Runner, RunResult, State
@@ -67,7 +67,7 @@ def run_session(
 
         bench = stack.enter_context(open_rig(rig, clock, recorder_of, terminal=terminal))
         number = 0 if resumed is None else sessions(resumed)
-        begin_session(journal, clock.now(), number, simulated=simulated, first_step=first_step)
+        begin_session(journal, clock.now(), number, rig, simulated=simulated, first_step=first_step)
         if resumed is not None and number:
             with clock.party():
                 require_same_devices(bench, resumed)
@@ -76,7 +76,7 @@ def run_session(
             bench,
             journal,
             clock,
-            interlocks or standard_rules(),
+            interlocks or standard_rules(_limits_of(rig)),
             on_progress,
             safe_deadline_s=safe_deadline_s,
             wait_when_paused=wait_when_paused,
@@ -95,6 +95,12 @@ def run_session(
         if watched is not None and result.verified_safe:
             watched.done()
         return result
+
+
+def _limits_of(rig: RigFile) -> Limits:
+    if rig.chamber is None:
+        return Limits()
+    return Limits(temperature_band_k=float(rig.chamber.band), temperature_lag_s=float(rig.chamber.lag))
 
 
 def _changes(journal: Journal, clock: Clock, watched: Guard | None, device: str, name: str, value: str) -> None:

@@ -39,14 +39,12 @@ class PortLock:
         self._path = folder / (hashlib.sha256(identity.encode()).hexdigest()[:24] + ".lock")
         try:
             folder.mkdir(exist_ok=True)
-            _share(folder, 0o1777)
-            self._handle = self._open()
+            self._handle = self._open(folder)
         except OSError as problem:
             raise PortRefused(
                 f"The port {url} cannot be locked against other runs: {self._path}: {problem.strerror}. Let every "
                 f"account that uses the rig write in {folder}, or remove it while nothing runs."
             ) from None
-        _share(self._path, 0o666)
         try:
             self._take()
         except OSError:
@@ -62,14 +60,23 @@ class PortLock:
             # The first byte belongs to the lock (Windows locks a byte range), the note begins behind it.
             os.write(self._handle, f"\nprocess {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
 
-    def _open(self) -> int:
-        # A link that somebody put there is not followed: what it leads to would be overwritten.
+    def _open(self, folder: Path) -> int:
+        """A link that somebody put there, folder or file, is not followed: what it leads to would be changed."""
         flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
-        try:
-            # Linux may forbid O_CREAT for a file of another account in a folder that all may write in.
-            return os.open(self._path, flags)
-        except FileNotFoundError:
+        if sys.platform == "win32":
             return os.open(self._path, flags | os.O_CREAT, 0o666)
+        inside = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        try:
+            _share(inside, 0o1777)
+            try:
+                # Linux may forbid O_CREAT for a file of another account in a folder that all may write in.
+                handle = os.open(self._path.name, flags, dir_fd=inside)
+            except FileNotFoundError:
+                handle = os.open(self._path.name, flags | os.O_CREAT, 0o666, dir_fd=inside)
+            _share(handle, 0o666)
+            return handle
+        finally:
+            os.close(inside)
 
     def _take(self) -> None:
         if sys.platform == "win32":
@@ -83,10 +90,10 @@ class PortLock:
         os.close(self._handle)
 
 
-def _share(path: Path, mode: int) -> None:
+def _share(handle: int, mode: int) -> None:
     """Accounts on one computer share its ports. Only the owner can say so, and has."""
     with contextlib.suppress(OSError):
-        path.chmod(mode)
+        os.fchmod(handle, mode)
 
 
 class Transport:

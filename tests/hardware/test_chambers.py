@@ -96,25 +96,57 @@ def test_every_chamber_refuses_what_lies_outside_its_own_limits(bench) -> None:
         assert chamber.read().setpoint_c == before
 
 
-def test_no_chamber_is_put_off_by_a_bad_line(bench) -> None:
-    """Drops, noise, duplicates, truncated and split replies: the commands still take effect, verified."""
+@pytest.mark.parametrize("way", ["faults", "commands"])
+def test_no_chamber_is_put_off_by_a_bad_line(bench, way: str) -> None:
+    """Drops, noise, duplicates, truncated and split replies or commands: what takes effect is verified."""
     clock = VirtualClock()
-    share = 0.06
+    share = 0.06 if way == "faults" else 0.03
     faults = Faults(
         seed=4, probability={"drop": share, "truncate": share, "duplicate": share, "split": share, "noise": share}
     )
-    with bench(clock, faults=faults) as (chamber, device, _):
+    with bench(clock, **{way: faults}) as (chamber, device, _):
         done = 0
         for index in range(12):
             target = 10.0 + index
             try:
                 chamber.hold(target)
-            except (ReplyTimeout, FramingError):
+            except (ReplyTimeout, FramingError, Rejected, NotVerified):
                 continue  # three questions in a row were lost: reported, never a wrong value
             done += 1
             assert device.plant.set_point_c(clock.now()) == target
         assert done >= 8
         assert sum(faults.count.values()) > 10
+
+
+@pytest.mark.parametrize("fault", ["drop", "duplicate", "flip", "delay"])
+def test_every_command_lost_doubled_damaged_or_late_once_is_noticed(bench, fault) -> None:
+    """Each line of a session in its turn: what returns without an exception has taken effect."""
+    clock = VirtualClock()
+    faults = Faults(seed=5, delay_s=0.15)
+    with bench(clock, commands=faults) as (chamber, device, _):
+        ramps = chamber.limits().hardware_ramp
+        refused = 0
+        for number in range(12):
+            target = 20.0 + number
+            # The other lines of the session pass: a line that is split is whole again.
+            faults._next.clear()
+            faults.once(*["split"] * number, fault)
+            try:
+                chamber.hold(target)
+                assert device.plant.set_point_c(clock.now()) == target
+                assert device.plant.conditioning
+                if ramps:
+                    clock.sleep(1800.0)
+                    chamber.ramp(target + 20.0, 1.0)
+                    began = clock.now(), device.plant.set_point_c(clock.now())
+                    clock.sleep(300.0)
+                    rate = (device.plant.set_point_c(clock.now()) - began[1]) / (clock.now() - began[0]) * 60.0
+                    assert rate == pytest.approx(1.0, abs=0.25)
+                chamber.standby()
+                assert not device.plant.conditioning
+            except HardwareError:
+                refused += 1  # said to whoever asked, and the run ends
+        assert refused <= 4
 
 
 def test_late_and_double_replies_are_not_taken_for_the_next_answer(bench) -> None:

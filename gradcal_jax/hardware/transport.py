@@ -100,6 +100,7 @@ class Transport:
     """Bytes to and from one port.
 
     `url` is a device path, `COM3`, or any URL of `serial.serial_for_url`, such as `socket://192.168.0.7:10001`.
+    `terminator`, where it is given, is what a text that is written ends in, in the place of what its driver wrote.
     Reading returns what is there, as soon as anything is. All methods raise `Disconnected` once the port is gone.
     """
 
@@ -112,12 +113,14 @@ class Transport:
         bytesize: int = 8,
         parity: Parity = "N",
         stopbits: int = 1,
+        terminator: bytes = b"",
         write_timeout_s: float = 2.0,
         recorder: Recorder | None = None,
     ) -> None:
         self.url = url
         self._clock = clock
         self._recorder = recorder
+        self._terminator = terminator
         self._lock = PortLock(url)
         try:
             port: Any = serial.serial_for_url(url, do_not_open=True)
@@ -147,6 +150,8 @@ class Transport:
         return {name: getattr(self._port, name) for name in ("baudrate", "bytesize", "parity", "stopbits")}
 
     def write(self, data: bytes) -> None:
+        if self._terminator:
+            data = data.rstrip(b"\r\n") + self._terminator
         if self._recorder is not None:
             self._recorder.record(self._clock.now(), ">", data)
         self._link.host_wrote(len(data))

@@ -109,7 +109,7 @@ def test_every_command_of_an_axis_lost_doubled_damaged_or_late_once_is_noticed(a
     """Each line of a session in its turn: what returns without an exception has taken effect."""
     quick = {zaber_bench: ZaberConfig(reply_timeout_s=0.05), odrive_bench: ODriveConfig(reply_timeout_s=0.05)}
     # A stage answers every line; of a board's session of two hundred lines every seventh is enough here.
-    step = 7 if axis_bench is odrive_bench else 3
+    step = 11 if axis_bench is odrive_bench else 7
     refused = tried = 0
     for number in range(0, 100 if axis_bench is odrive_bench else 60, step):
         clock, faults = VirtualClock(), Faults(seed=number, delay_s=0.08)
@@ -218,6 +218,40 @@ def test_stage_with_chatter_check_sums_and_settings_for_a_run() -> None:
         port.say(b"!01 1 IDLE --\r\n#01 0 hello\r\n")
         axis.home()
         axis.move_to(10.0, 50.0, 50.0)
+
+
+@pytest.mark.parametrize("firmware", [6, 7])
+def test_stage_of_either_firmware_and_its_settings_put_back(firmware: int) -> None:
+    clock = VirtualClock()
+    with zaber_bench(clock, ZaberOptions(firmware=firmware)) as (axis, device, _):
+        before = dict(device.stages[0].settings)
+        assert axis.identify().model == "device 50081"
+        axis.home()
+        axis.move_to(30.0, 50.0, 90.0)
+        wait_until_still(axis, clock)
+        assert device.stages[0].settings != before
+        axis.settings.put_back()
+        assert device.stages[0].settings == before
+        assert axis.read().position_deg == pytest.approx(30.0, abs=0.001)
+
+
+def test_vectornav_outputs_of_an_earlier_use_are_silent_and_put_back() -> None:
+    clock = VirtualClock()
+    with vectornav_bench(clock) as (unit, device, _):
+        device.registers |= {6: "14", 76: "1,2,01,0008", 77: "2,2,01,0008"}
+        before = dict(device.registers)
+        unit.configure()
+        decoder = unit.decoder()
+        unit.start()
+        end = clock.now() + 2.0
+        batches = []
+        while clock.now() < end:
+            with clock.aside():
+                batches.append(decoder.push(*unit.read_bytes(0.5)))
+        assert len(join(batches)) == pytest.approx(400, rel=0.05)
+        assert (device.registers[76][:2], device.registers[77][:2]) == ("0,", "0,")
+        unit.settings.put_back()
+        assert device.registers == before
 
 
 def test_stage_without_reference_or_with_a_fault_does_not_move() -> None:

@@ -168,7 +168,7 @@ def parse_acknowledgement(frame: bytes, command: str) -> None:
 def open_exchange(transport: Transport, clock: Clock, config: EspecConfig) -> Exchange:
     return Exchange(
         transport,
-        LineFramer(b"\r\n"),
+        LineFramer(),
         clock=clock,
         device="The ESPEC chamber",
         reply_timeout_s=config.reply_timeout_s,

@@ -171,7 +171,7 @@ def decimal(value: float) -> str:
 def open_exchange(transport: Transport, clock: Clock, config: ODriveConfig) -> Exchange:
     return Exchange(
         transport,
-        LineFramer(b"\r\n"),
+        LineFramer(),
         clock=clock,
         device="The ODrive controller",
         reply_timeout_s=config.reply_timeout_s,
@@ -200,7 +200,7 @@ class ODriveAxis:
             self._exchange.tell(request("i"))
             lines = self._exchange.transport.read(self._config.reply_timeout_s)
             lines += self._exchange.transport.drain(self._config.reply_timeout_s)
-        texts = [parse_line(line) for line in lines.split(b"\r\n") if line]
+        texts = [parse_line(line) for line in re.split(rb"[\r\n]+", lines) if line]
         if len(texts) != 3:
             raise FramingError(
                 f"The controller at {self._exchange.transport.url} answered `i` with {printable(lines)!r}; hardware, "

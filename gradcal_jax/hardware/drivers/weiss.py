@@ -50,7 +50,6 @@ class WeissConfig:
     reply_timeout_s: float = 5.0
     acknowledge_timeout_s: float = 1.0
     description_silence_s: float = 1.0
-    line_end: str = "\r"
     temperature_channel: str = ""
     product_channel: str = ""
     start_channel: int = 1
@@ -116,8 +115,8 @@ def number(value: float) -> str:
     return "0000.0" if text == "-000.0" else text
 
 
-def request(address: int, letter: str, body: str = "", line_end: str = "\r") -> bytes:
-    return f"${address:02d}{letter}{' ' if body else ''}{body}{line_end}".encode("ascii")
+def request(address: int, letter: str, body: str = "") -> bytes:
+    return f"${address:02d}{letter}{' ' if body else ''}{body}\r".encode("ascii")
 
 
 def write_body(layout: Layout, record: Record, *, temperature_c: float, start: bool, start_channel: int) -> str:
@@ -198,7 +197,7 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
 def open_exchange(transport: Transport, clock: Clock, config: WeissConfig) -> Exchange:
     return Exchange(
         transport,
-        LineFramer(b"\r"),
+        LineFramer(),
         clock=clock,
         device="The Weiss/Vötsch chamber",
         reply_timeout_s=config.reply_timeout_s,
@@ -425,4 +424,4 @@ class WeissChamber:
             )
 
     def _request(self, letter: str, body: str = "") -> bytes:
-        return request(self._config.address, letter, body, self._config.line_end)
+        return request(self._config.address, letter, body)

@@ -139,7 +139,7 @@ def parse_reply(frame: bytes, *, demand_checksum: bool) -> Reply:
 def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Exchange:
     return Exchange(
         transport,
-        LineFramer(b"\r\n"),
+        LineFramer(),
         clock=clock,
         device="The Zaber stage",
         reply_timeout_s=config.reply_timeout_s,

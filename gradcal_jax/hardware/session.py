@@ -68,6 +68,8 @@ def run_session(
         bench = stack.enter_context(open_rig(rig, clock, recorder_of, terminal=terminal))
         number = 0 if resumed is None else sessions(resumed)
         begin_session(journal, clock.now(), number, rig, simulated=simulated, first_step=first_step)
+        for name, settings in bench.settings.items():
+            settings.on_first_change = partial(_changes, journal, clock, watched, name)
         if resumed is not None and number:
             with clock.party():
                 require_same_devices(bench, resumed)
@@ -86,8 +88,6 @@ def run_session(
             with_runner(runner)
         if handle_signals:
             stack.enter_context(signals_to(runner))
-        for name, settings in bench.settings.items():
-            settings.on_first_change = partial(_changes, journal, clock, watched, name)
         if watched is not None:
             watched.begun()
             stack.enter_context(_beating(watched, runner, journal, clock))

@@ -433,6 +433,25 @@ def test_damaged_datagrams_are_counted_as_gaps_and_never_decoded(imu_bench) -> N
         assert len(samples) + lost == round(spanned) + 1
 
 
+@pytest.mark.parametrize("fault", ["drop", "duplicate", "flip"])
+def test_a_command_of_an_imu_lost_doubled_or_damaged_once_is_noticed(imu_bench, fault) -> None:
+    refused = 0
+    for number in range(1, 22, 4):
+        clock, faults = VirtualClock(), Faults(seed=number)
+        with imu_bench(clock, commands=faults) as (unit, _, _):
+            faults.once(*["split"] * number, fault)
+            try:
+                unit.identify()
+                settings = unit.configure()
+                samples = stream(unit, clock, 1.0)
+            except HardwareError:
+                refused += 1
+                continue
+            assert len(samples) == pytest.approx(settings.sample_rate_hz, rel=0.2)
+            assert np.all(samples.gap_before[1:] == 0)
+    assert refused <= (6 if fault == "flip" else 2)  # of a damaged line the unit itself says that it is
+
+
 def read_for_ever(unit: ImuStream) -> None:
     while True:
         unit.read_bytes(0.1)

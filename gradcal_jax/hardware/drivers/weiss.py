@@ -259,14 +259,13 @@ class WeissChamber:
         start_c, runs = self._nominal(before), before.digital[self._config.start_channel] == "1"
         for _ in range(_TRIES):
             with self._exchange.alone():
-                if self._orders != order:
-                    raise NotVerified("The chamber was told something else before its ramp had begun.")
+                self._require_newest(order)
                 if amiss:
                     # From where it began: it may be on its way at full speed.
                     self._write(start_c, start=True)
                 warming = temperature_c >= start_c
                 self._tell(temperature_c, rate if warming else 0.0, 0.0 if warming else rate, start=True)
-            amiss = self._amiss((self._clock.now(), start_c) if runs else None, temperature_c, rate)
+            amiss = self._amiss(order, (self._clock.now(), start_c) if runs else None, temperature_c, rate)
             runs = True
             if not amiss:
                 return rate
@@ -362,7 +361,12 @@ class WeissChamber:
         body = write_body(layout, self._record(), temperature_c=temperature_c, start=start, start_channel=channel)
         self._acknowledged("E", body)
 
-    def _amiss(self, begins: tuple[float, float] | None, target_c: float, rate_k_per_min: float) -> str:
+    def _require_newest(self, order: int) -> None:
+        """A ramp that is still being watched gives way at once to whatever the chamber is told next."""
+        if self._orders != order:
+            raise NotVerified("The chamber was told something else before its ramp had begun.")
+
+    def _amiss(self, order: int, begins: tuple[float, float] | None, target_c: float, rate_k_per_min: float) -> str:
         """Watch the nominal value until it has moved as it should: then empty; else what is wrong.
 
         `begins`: when it was told, and its value then. Of a chamber that stood nobody knows it before it runs.
@@ -370,6 +374,7 @@ class WeissChamber:
         sent_s, channel = self._clock.now(), self._config.start_channel
         until_s = sent_s + 60.0 * (_MOVED_K + _HIDDEN_K) / rate_k_per_min + 3.0 * self._config.min_interval_s
         while True:
+            self._require_newest(order)
             record = self._record()
             now_s, nominal = self._clock.now(), self._nominal(record)
             if record.digital[channel] != "1":

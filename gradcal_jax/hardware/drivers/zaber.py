@@ -11,7 +11,8 @@ Unverified on real hardware: `velocity_factor` and `acceleration_factor` (data v
 time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver asks for it and
 then demands a check sum of every reply if it was granted and the next reply carries one (`reply_checksum` tells).
 Rates are not read from the device but are the mean since a reading at least 0.4 s before: a noisy encoder that is read
-twice in a millisecond would make any rate of nothing.
+twice in a millisecond would make any rate of nothing. The time is taken from when the earlier position was asked for to
+when the later had come: a host that was busy in between makes a rate too small, and never too large.
 
 Firmware 6 calls its identity `deviceid`, firmware 7 `device.id`. Settings outlive a session: they are set only where
 they differ (whether a stage writes them to its flash memory at each `set` is open), and put back at the end.
@@ -155,6 +156,7 @@ class ZaberAxis:
         self._clock = exchange.clock
         self._message_id = 0
         self._steps_per_turn = float(config.microsteps_per_turn)
+        # When a position was asked for, and the position.
         self._recent: deque[tuple[float, float]] = deque()
         self.reply_checksum = False
         self.settings = KeptSettings(self._setting, self._set)
@@ -198,6 +200,7 @@ class ZaberAxis:
         )
 
     def read(self) -> AxisReading:
+        asked_s = self._clock.now()
         reply = self._ask("get pos")
         time_s = self._clock.now()
         position = self._degrees(_number(reply))
@@ -206,7 +209,7 @@ class ZaberAxis:
         rate = 0.0
         if self._recent and reply.busy and time_s - self._recent[0][0] >= _RATE_OVER_S:
             rate = (position - self._recent[0][1]) / (time_s - self._recent[0][0])
-        self._recent.append((time_s, position))
+        self._recent.append((asked_s, position))
         flag = reply.warning
         text = f"{flag} ({WARNINGS.get(flag, 'see the manual')})"
         return AxisReading(

@@ -57,7 +57,7 @@ def run(
     output
         The folder of the run, to be made.
     resume
-        Go on with the run in this folder; a recipe and a rig are not given.
+        Go on with the run in this folder; a recipe is not given, and a rig only to be compared with the run's.
     simulate
         Use simulated devices in the place of a rig.
     speed
@@ -70,9 +70,9 @@ def run(
         Print nothing but how the run ended, as JSON.
     """
     if resume is not None:
-        if recipe is not None or rig is not None or output is not None or simulate:
+        if recipe is not None or output is not None or simulate:
             raise ValueError("--resume takes nothing but the folder: recipe, rig and simulation are those of its run")
-        return _resume(resume, json)
+        return _resume(resume, rig, json)
     if recipe is None or output is None:
         raise ValueError("what to run, and where to? gradcal run RECIPE --rig RIG -o RUN/, or --simulate for --rig")
     if simulate == (rig is not None):
@@ -91,16 +91,18 @@ def run(
     return _say(output, result, json)
 
 
-def _resume(path: Path, json: bool) -> int:
+def _resume(path: Path, rig: Path | None, json: bool) -> int:
+    from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.execute import resume
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
 
     folder = RunFolder(path)
-    first, simulated = prepare_resume(folder), bool(folder.notes()["simulated"])
+    bench = None if rig is None else read_rig(rig)
+    first, simulated = prepare_resume(folder, bench), bool(folder.notes()["simulated"])
     if not json:
         print(f"going on with step {first + 1}" + (f"\n{_REHEARSAL}" if simulated else ""))
     with _Watcher(simulated, quiet=json) as watcher:
-        result = resume(path, **watcher.attends())
+        result = resume(path, rig=bench, **watcher.attends())
     return _say(path, result, json)
 
 

@@ -4,16 +4,17 @@ The file names drivers and ports; what a driver's `options` mean is the driver's
 `gradcal_jax.hardware.setup`, so that this room needs no serial library.
 """
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from gradcal_jax.files.document import format_problem, read_text, read_toml
 from gradcal_jax.files.problems import Problem, SpecError, from_validation
-from gradcal_jax.files.quantity import Flag, Quantity, Temperature, Text
+from gradcal_jax.files.quantity import Flag, PositiveTemperatureDifference, Quantity, Temperature, Text, Time
 from gradcal_jax.files.section import Section, refuse
 
 FORMAT: Final = "gradcal-rig/1"
@@ -22,18 +23,37 @@ TERMINAL: Final = "terminal"
 
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,30}$")]
 Options = dict[str, Any]
+_HOST: Final = r"(?:\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+):\d{1,5}"
+_PORT: Final = re.compile(
+    rf"/(?!.*://)\S+|(?:\\\\\.\\)?COM\d{{1,3}}|socket://{_HOST}|rfc2217://{_HOST}"
+    r"(?:\?(?:ign_set_control|poll_modem|timeout=\d+(?:\.\d+)?)(?:&(?:ign_set_control|poll_modem|timeout=\d+))*)?"
+)
+
+
+def _port(text: str) -> str:
+    """Serial libraries know other addresses, too, some of which write files: a rig file may come from anybody."""
+    if text == TERMINAL or _PORT.fullmatch(text):
+        return text
+    raise ValueError("expected a device path, such as /dev/ttyUSB0, or COM3, socket://host:port, rfc2217://host:port")
+
+
+Port = Annotated[Text, AfterValidator(_port)]
 
 
 class ChamberDevice(Section):
     """`[chamber]`. `safe` says what it does when a run ends badly; `ambient` is where "ambient" goes.
 
+    While a run follows its course, the air may be `lag` behind it and `band` beside it; more pauses the run.
+
     `serial_number`, where given, must be the device's own: another chamber on the same cable is refused.
     """
 
     driver: Text
-    port: Text
+    port: Port
     safe: Literal["standby", "hold", "ambient"]
     ambient: Temperature = Quantity(23.0, "23 degC", "temperature")
+    lag: Time = Quantity(300.0, "5 min", "time")
+    band: PositiveTemperatureDifference = Quantity(3.0, "3 K", "temperature difference")
     serial_number: Text | None = None
     options: Options = Field(default_factory=dict)
 
@@ -43,7 +63,7 @@ class EncoderDevice(Section):
     read."""
 
     driver: Text
-    port: Text
+    port: Port
     options: Options = Field(default_factory=dict)
 
 
@@ -56,7 +76,7 @@ class AxisDevice(Section):
 
     name: Name
     driver: Text
-    port: Text
+    port: Port
     safe: Literal["hold", "controlled stop", "unpower"]
     gravity_loaded: Flag
     serial_number: Text | None = None
@@ -86,7 +106,7 @@ class ImuDevice(Section):
 
     name: Name
     driver: Text
-    port: Text
+    port: Port
     serial_number: Text | None = None
     options: Options = Field(default_factory=dict)
 
@@ -177,6 +197,8 @@ driver  = "espec"            # espec, weiss or watlow_f4
 port    = "/dev/ttyUSB0"
 safe    = "standby"          # when a run ends badly: standby, hold or ambient
 ambient = "23 degC"
+lag     = "5 min"            # in a run the air may be so far behind its course,
+band    = "3 K"              # and so far beside it
 # [chamber.options]          # what the driver leaves open; see its documentation
 # baudrate = 19200
 

@@ -1,5 +1,10 @@
-"""The chamber's side of a run: what it was told, what it has read, and when its temperature counts as stable."""
+"""The chamber's side of a run: what it was told, what it has read, and when its temperature counts as stable.
 
+Beside what the chamber says stands the recipe's own course of the air (`Expected`): a chamber that takes every command
+and does nothing agrees with itself for ever.
+"""
+
+import itertools
 import threading
 from collections import deque
 from collections.abc import Callable, Generator
@@ -12,6 +17,7 @@ from .track import Course, Stable
 
 _SOFT_STEP_S = 5.0
 _REMEMBERED = 1 << 14
+_KNOTS = 64
 
 Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
@@ -25,6 +31,45 @@ class _SoftRamp:
     start_c: float
     target_c: float
     slope_k_per_s: float
+
+
+class Expected:
+    """The recipe's temperature of the air over time, straight between knots; constant after the last."""
+
+    def __init__(self) -> None:
+        self._knots: tuple[tuple[float, float], ...] = ()
+
+    def unknown(self) -> None:
+        """The chamber goes somewhere as fast as it can."""
+        self._knots = ()
+
+    def stands(self, now_s: float, temperature_c: float) -> None:
+        self._knots = ((now_s, temperature_c),)
+
+    def ramps(self, from_s: float, target_c: float, k_per_min: float) -> None:
+        """From where the course is at that time, if that is known."""
+        if not self._knots:
+            return
+        start_c = self._at(from_s)
+        before = tuple(knot for knot in self._knots[-_KNOTS:] if knot[0] < from_s)
+        reached_s = from_s + abs(target_c - start_c) / k_per_min * 60.0
+        self._knots = (*before, (from_s, start_c), (reached_s, target_c))
+
+    def of_late(self, now_s: float, lag_s: float) -> tuple[float, float] | None:
+        """The lowest and the highest of the last `lag_s`."""
+        if not self._knots:
+            return None
+        inside = [value for time_s, value in self._knots if now_s - lag_s < time_s < now_s]
+        inside += [self._at(now_s - lag_s), self._at(now_s)]
+        return min(inside), max(inside)
+
+    def _at(self, time_s: float) -> float:
+        if time_s <= self._knots[0][0]:
+            return self._knots[0][1]
+        for (t0, a), (t1, b) in itertools.pairwise(self._knots):
+            if time_s < t1:
+                return a + (b - a) * (time_s - t0) / (t1 - t0)
+        return self._knots[-1][1]
 
 
 class ChamberDuty:
@@ -41,6 +86,7 @@ class ChamberDuty:
         self._soft: _SoftRamp | None = None
         self._next_soft_s = 0.0
         self._held_c: float | None = None
+        self.expected = Expected()
         self.newest: ChamberReading | None = None
         self.before: ChamberReading | None = None
 
@@ -78,6 +124,13 @@ class ChamberDuty:
         with self._alone() as may:
             if may:
                 self._hold(temperature_c)
+
+    def expect(self, course: Course, now_s: float) -> None:
+        """What the recipe has the air do from now on."""
+        if course.ramp_k_per_min is not None:
+            self.expected.ramps(now_s, course.temperature_c, course.ramp_k_per_min)
+        elif self.expected.of_late(now_s, 0.0) != (course.temperature_c, course.temperature_c):
+            self.expected.unknown()
 
     def follow(self, course: Course) -> None:
         """Go where a course says: by the controller's own ramp where it has one, else by `step_soft_ramp`."""

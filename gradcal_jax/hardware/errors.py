@@ -23,6 +23,10 @@ class PortRefused(HardwareError):
     """The port does not exist, cannot be opened, or belongs to another program."""
 
 
+class PortTaken(PortRefused):
+    """Another run holds the port."""
+
+
 class Disconnected(HardwareError):
     """The port vanished while it was open: a cable, an adapter or the peer is gone."""
 

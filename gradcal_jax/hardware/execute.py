@@ -79,15 +79,17 @@ def run(
     return _simulated(path, recipe, simulation, None, attended)
 
 
-def resume(folder: str | Path, **attended: Unpack[Attended]) -> RunResult:
+def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack[Attended]) -> RunResult:
     """Go on with a run that was ended or lost, by the recipe and on the rig (or the simulation) in its folder.
+
+    A `rig` that is given must be the one that the run began with.
 
     The step that was cut short is done again; a simulated run goes on 60 s after the last thing recorded. `attended`
     and what is returned: as `run`. Errors: `ValueError` where the folder holds no run, a complete one, or
     one of another recipe or version; `HardwareError` where other devices answer than the run began with.
     """
     found = RunFolder(Path(folder))
-    first = prepare_resume(found)
+    first = prepare_resume(found, rig)
     notes = found.notes()
     if notes["simulated"]:
         return _simulated(found.path, found.recipe(), notes["simulation"], first, attended)

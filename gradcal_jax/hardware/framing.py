@@ -28,15 +28,16 @@ class Framer(Protocol):
 
 
 class LineFramer:
-    """Text lines that end at `terminator`, which is not part of the frame. Empty lines are dropped.
+    """Text lines that end at `terminator`, which is not part of the frame; None: at CR, LF or both, as a device may be
+    set. Empty lines are dropped.
 
     A line longer than `longest` bytes is garbage: it is dropped up to the next terminator.
     """
 
-    def __init__(self, terminator: bytes, *, longest: int = 4096) -> None:
+    def __init__(self, terminator: bytes | None = None, *, longest: int = 4096) -> None:
         self._terminator = terminator
         self._longest = longest
-        self._buffer = b""
+        self._buffer: bytes = b""
         self._overlong = False
 
     @property
@@ -47,12 +48,14 @@ class LineFramer:
         self._buffer, self._overlong = b"", False
 
     def push(self, data: bytes) -> list[bytes]:
-        *lines, self._buffer = (self._buffer + data).split(self._terminator)
+        data = self._buffer + data
+        terminator = self._terminator or b"\n"
+        *lines, self._buffer = (data.replace(b"\r", b"\n") if self._terminator is None else data).split(terminator)
         if lines and self._overlong:
             lines, self._overlong = lines[1:], False
         if len(self._buffer) > self._longest:
             # The tail may be the first part of a terminator of several bytes.
-            self._buffer, self._overlong = self._buffer[1 - len(self._terminator) or len(self._buffer) :], True
+            self._buffer, self._overlong = self._buffer[1 - len(terminator) or len(self._buffer) :], True
         return [line for line in lines if line and len(line) <= self._longest]
 
 

@@ -1,51 +1,162 @@
 """A process beside the run that makes the rig safe when the run cannot do it any more.
 
-It holds one end of a pipe and nothing else. The run says "begun" through it before it moves anything, and "done" when
-it has ended by itself with everything verified safe. When the pipe closes after the one word and without the other, the
-run was killed, broken off, or could not reach a device; its ports are free again, and the guard opens them, makes every
-device safe, and then appends what became of them to the run's journal.
+All that it will need is read before anything moves: the rig file, the drivers, the folder of the journal. Only then it
+says "ready". From then on both hold a pipe to the other. The run says "begun" before it moves anything, "before" with
+every setting of a device that it is about to change for the first time, "alive" every second, and "done" when it has
+ended by itself with everything verified safe. The guard answers "alive".
+
+When the pipe closes after "begun" and without "done", the run was killed, broken off, or could not reach a device. When
+it stays open and nothing comes, the run hangs: the guard ends it. Then the ports are free; the guard opens them, makes
+every device safe, puts back the settings, and appends what became of them to the run's journal. A device that does not
+answer is tried again and again, for an hour, unless another run takes its port. A guard that does not answer in its
+turn is replaced, and the run's journal says so.
 """
 
+import json
 import os
+import queue
+import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
 from ..files.rig import RigFile, read_rig
 from .clock import Clock, RealClock
-from .errors import HardwareError, PortRefused
+from .errors import HardwareError, PortRefused, PortTaken
 from .journal import Journal
-from .safety import SafeOutcome, make_safe
-from .setup import Bench, open_rig
+from .safety import SafeOutcome, make_safe, put_back
+from .setup import Bench, configs_of, open_rig
 
-_BEGUN = b"begun\n"
-_DONE = b"done\n"
-_TO_OPEN_S = 10.0
+Settings = dict[str, dict[str, str]]
+"""What settings of devices were before the run changed them, by device and name."""
+
+BEAT_S = 1.0
+_SILENT_S = 20.0
+_TO_START_S = 30.0
+_TO_OPEN_S = 3.0
+_KEEP_TRYING_S = 3600.0
+_LONGEST_PAUSE_S = 30.0
+
+
+# -------------------------------------------------------------------------------------------------- the run's own side
 
 
 class Guard:
-    """The run's end of the pipe. A guard that has died is told nothing, and the run goes on without it."""
+    """The run's end of the pipes."""
 
-    def __init__(self, pipe: IO[bytes]) -> None:
-        self._pipe = pipe
-        self.must_act = False
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._before: list[str] = []
+        self._begun = False
+        self._lock = threading.Lock()
+        self._unanswered_s: float | None = None
+        self._next_start_s = 0.0
+        self._start()
+
+    @property
+    def must_act(self) -> bool:
+        """Whether the guard has something left to do."""
+        return self._begun
+
+    @property
+    def process(self) -> "subprocess.Popen[bytes]":
+        return self._process
 
     def begun(self) -> None:
         """From now on the rig may be anything but safe."""
-        self.must_act = True
-        with suppress(OSError):
-            self._pipe.write(_BEGUN)
+        self._begun = True
+        self._say("begun")
+
+    def remember(self, device: str, name: str, value: str) -> None:
+        """What a setting of a device is, which is about to be changed."""
+        self._before.append("before " + json.dumps([device, name, value]))
+        self._say(self._before[-1])
 
     def done(self) -> None:
         """Everything was verified safe: nothing is left to do."""
-        self.must_act = False
-        with suppress(OSError):
-            self._pipe.write(_DONE)
+        self._begun = False
+        self._say("done")
+
+    def beat(self) -> str:
+        """Say that the run is alive. A sentence where the guard was not, and was replaced."""
+        code, now = self._process.poll(), time.monotonic()
+        if code is None and (self._unanswered_s is None or now - self._unanswered_s < _SILENT_S):
+            self._unanswered_s = self._unanswered_s or now
+            self._say("alive")
+            return ""
+        if now < self._next_start_s:
+            return ""
+        self._next_start_s = now + _LONGEST_PAUSE_S
+        self._end()
+        self._start()
+        if self._begun:
+            self._say("begun")
+        for line in self._before:
+            self._say(line)
+        why = "had died" if code is not None else f"had not answered for {_SILENT_S:g} s"
+        return f"the guard {why}; another one has taken its place"
+
+    def close(self) -> None:
+        """The run ends here: a guard that must act begins now."""
+        with self._lock, suppress(OSError):
+            self._input.close()
+        if self.must_act:
+            # It takes as long as it takes; whoever waits for the run's end is to hear of it now.
+            threading.Thread(target=self._process.wait, daemon=True, name="leaving it to the guard").start()
+            return
+        try:
+            self._process.wait(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _start(self) -> None:
+        """Start a guard. Raises `HardwareError` where it cannot do what it may have to."""
+        process = subprocess.Popen(
+            [sys.executable, "-m", "gradcal_jax.hardware.guard", str(self._folder), str(_SILENT_S)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+            bufsize=0,
+        )
+        assert process.stdin is not None
+        assert process.stdout is not None
+        self._process, self._input = process, process.stdin
+        ready, heard = threading.Event(), list[bytes]()
+        self._unanswered_s = None
+
+        def listen(output: IO[bytes]) -> None:
+            with output:
+                while said := output.read(64):
+                    if not heard:
+                        heard.append(said)
+                        ready.set()
+                    self._unanswered_s = None
+            ready.set()
+
+        threading.Thread(target=listen, args=(process.stdout,), daemon=True, name="hearing the guard").start()
+        ready.wait(_TO_START_S)
+        if not heard:
+            self._end()
+            raise HardwareError(
+                f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: "
+                "what it said stands above."
+            )
+
+    def _end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        with self._lock, suppress(OSError):
+            self._input.close()
+
+    def _say(self, line: str) -> None:
+        with self._lock, suppress(OSError, ValueError):
+            self._input.write(line.encode() + b"\n")
 
 
 @contextmanager
@@ -54,67 +165,137 @@ def guarded(folder: Path) -> Generator[Guard, None, None]:
 
     The ports are to be opened inside and closed again before the end: then the guard takes over, if it has to.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-m", "gradcal_jax.hardware.guard", str(folder)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        start_new_session=True,
-        bufsize=0,
-    )
-    assert process.stdin is not None
-    guard = Guard(process.stdin)
+    guard = Guard(folder)
     try:
         yield guard
     finally:
-        process.stdin.close()
-        if guard.must_act:
-            # It takes as long as it takes; whoever waits for the run's end is to hear of it now.
-            threading.Thread(target=process.wait, daemon=True, name="leaving it to the guard").start()
-        else:
-            try:
-                process.wait(timeout=10.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        guard.close()
 
 
-def watch(folder: Path) -> list[SafeOutcome]:
-    """Wait for the run's end on standard input; make safe if it had begun and ended without its last word."""
-    said = b""
-    while chunk := os.read(0, 64):
-        said += chunk
-    if _BEGUN not in said or said.endswith(_DONE):
+# ------------------------------------------------------------------------------------------------- the guard's process
+
+
+def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEEP_TRYING_S) -> list[SafeOutcome]:
+    """Wait for the run's end on standard input; make safe if it had begun and ended, or hangs, without a last word."""
+    # Where the folder is moved to, the guard's own goes with it.
+    os.chdir(folder)
+    rig = read_rig("rig.toml")
+    configs_of(rig)
+    run = os.getppid()
+    print("ready", flush=True)
+    lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+
+    def listen() -> None:
+        said = b""
+        while chunk := os.read(0, 4096):
+            *whole, said = (said + chunk).split(b"\n")
+            for line in whole:
+                lines.put(line)
+        lines.put(None)
+
+    threading.Thread(target=listen, daemon=True, name="hearing the run").start()
+    begun, hangs = False, False
+    before: Settings = {}
+    while True:
+        try:
+            line = lines.get(timeout=silent_s)
+        except queue.Empty:
+            if begun and not hangs:
+                hangs = True
+                with suppress(OSError):
+                    os.kill(run, getattr(signal, "SIGKILL", signal.SIGTERM))
+            continue
+        if line is None:
+            break
+        if line in (b"begun", b"done"):
+            begun = line == b"begun"
+        elif line == b"alive":
+            with suppress(OSError):
+                print("alive", flush=True)
+        elif line.startswith(b"before "):
+            device, name, value = json.loads(line.removeprefix(b"before "))
+            before.setdefault(device, {}).setdefault(name, value)
+    if not begun:
         return []
-    return make_folder_safe(folder)
+    why = "the run did not answer any more and was ended" if hangs else "the run is gone, or left something unsafe"
+    return make_folder_safe(Path(), rig=rig, before=before, why=why, keep_trying_s=keep_trying_s)
 
 
-def make_folder_safe(folder: Path, *, deadline_s: float = 60.0) -> list[SafeOutcome]:
-    """Open the rig of a run's folder and make every device safe; the journal says afterwards what became of them."""
+def make_folder_safe(
+    folder: Path,
+    *,
+    rig: RigFile | None = None,
+    before: Mapping[str, Mapping[str, str]] | None = None,
+    why: str = "the run is gone, or left something unsafe",
+    deadline_s: float = 60.0,
+    keep_trying_s: float = 0.0,
+) -> list[SafeOutcome]:
+    """Make every device of a run's folder safe and put back its settings; the journal says what became of them.
+
+    A device that is not verified safe is tried again for `keep_trying_s`.
+    """
     clock = RealClock()
-    rig = read_rig(folder / "rig.toml")
-    outcomes: list[SafeOutcome] = []
+    rig = read_rig(folder / "rig.toml") if rig is None else rig
     happened: list[tuple[float, str, dict[str, Any]]] = []
 
     def note(name: str, **data: Any) -> None:
         happened.append((clock.now(), name, data))
 
-    note("guard", what="the run is gone, or left something unsafe; making the rig safe")
+    note("guard", what=f"{why}; making the rig safe")
+    end, pause_s, found = time.monotonic() + keep_trying_s, 1.0, dict[str, SafeOutcome]()
+    while True:
+        for outcome in _try_once(rig, clock, before or {}, deadline_s, note):
+            found[outcome.name] = outcome
+            note(
+                "made safe",
+                by="guard",
+                device=outcome.name,
+                action=outcome.action,
+                verified=outcome.verified,
+                evidence=outcome.evidence,
+            )
+        left = {name: outcome for name, outcome in found.items() if not outcome.verified}
+        again = bool(left) and time.monotonic() < end
+        if left and keep_trying_s:
+            # What a device says at every try is said to whoever is there; the journal has the first and the last.
+            what = "is not safe, and is tried again" if again else "could not be made safe"
+            for name, outcome in left.items():
+                print(f"{name} {what}: {outcome.evidence}", file=sys.stderr, flush=True)
+            note("guard", what=f"{', '.join(left)} {what}")
+        if happened and (not again or pause_s == 1.0):
+            _write(folder / "journal", happened)
+        happened.clear()
+        if not again:
+            return list(found.values())
+        time.sleep(pause_s)
+        pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
+        rig = _only(rig, set(left))
+
+
+def _try_once(
+    rig: RigFile, clock: Clock, before: Mapping[str, Mapping[str, str]], deadline_s: float, note: Any
+) -> list[SafeOutcome]:
+    outcomes: list[SafeOutcome] = []
     try:
         with _open_soon(rig, clock, outcomes) as bench:
+            for name, settings in bench.settings.items():
+                settings.keep(before.get(name, {}))
             outcomes += make_safe(bench, clock, deadline_s=deadline_s)
+            for name, problem in put_back(bench).items():
+                note("settings put back", device=name, problem=problem)
     except HardwareError as problem:
         note("guard", what=f"the rig could not be made safe: {problem}")
-    for outcome in outcomes:
-        note(
-            "made safe",
-            by="guard",
-            device=outcome.name,
-            action=outcome.action,
-            verified=outcome.verified,
-            evidence=outcome.evidence,
-        )
-    _write(folder / "journal", happened)
     return outcomes
+
+
+def _only(rig: RigFile, names: set[str]) -> RigFile:
+    """The rig with these devices alone."""
+    chosen = {
+        "chamber": rig.chamber if "chamber" in names else None,
+        "axis": tuple(entry for entry in rig.axis if entry.name in names),
+        "imu": tuple(entry for entry in rig.imu if entry.name in names),
+    }
+    return rig.model_copy(update=chosen)
 
 
 def _write(path: Path, happened: list[tuple[float, str, dict[str, Any]]]) -> None:
@@ -130,7 +311,7 @@ def _write(path: Path, happened: list[tuple[float, str, dict[str, Any]]]) -> Non
 
 def _open_soon(rig: RigFile, clock: Clock, missing: list[SafeOutcome]) -> Bench:
     """The killed run's ports are free in a moment. A port that is not, as of a cable that was pulled, keeps no other
-    device from being made safe: its device is among the `missing`.
+    device from being made safe: its device is among the `missing`, unless another run has taken it.
     """
     end = time.monotonic() + _TO_OPEN_S
     while True:
@@ -140,21 +321,19 @@ def _open_soon(rig: RigFile, clock: Clock, missing: list[SafeOutcome]) -> Bench:
             if time.monotonic() > end:
                 break
             time.sleep(0.1)
-
-    def opens(name: str, action: str, **alone: Any) -> bool:
+    openable: set[str] = set()
+    actions = {entry.name: entry.safe for entry in rig.axis} | {entry.name: "left streaming" for entry in rig.imu}
+    for name, action in (actions | ({"chamber": rig.chamber.safe} if rig.chamber is not None else {})).items():
         try:
-            open_rig(nothing.model_copy(update=alone), clock).close()
+            open_rig(_only(rig, {name}), clock).close()
+            openable.add(name)
+        except PortTaken as problem:
+            # It is theirs now, and no longer the guard's to try again.
+            missing.append(SafeOutcome(name, "left to another run", True, str(problem), 0, 0.0))
         except HardwareError as problem:
             missing.append(SafeOutcome(name, action, False, str(problem), 0, 0.0))
-            return False
-        return True
-
-    nothing = rig.model_copy(update={"chamber": None, "axis": (), "imu": ()})
-    axes = [entry for entry in rig.axis if opens(entry.name, entry.safe, axis=(entry,))]
-    chamber = rig.chamber if rig.chamber and opens("chamber", rig.chamber.safe, chamber=rig.chamber) else None
-    units = [entry for entry in rig.imu if opens(entry.name, "left streaming", imu=(entry,))]
-    return open_rig(rig.model_copy(update={"chamber": chamber, "axis": tuple(axes), "imu": tuple(units)}), clock)
+    return open_rig(_only(rig, openable), clock)
 
 
 if __name__ == "__main__":
-    watch(Path(sys.argv[1]))
+    watch(Path(sys.argv[1]), *map(float, sys.argv[2:]))

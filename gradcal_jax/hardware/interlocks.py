@@ -9,11 +9,18 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from .roles import AxisReading, ChamberReading
+from .turning import too_fast
+
+# A door that was opened for a moment is no reason to end a run.
+_PATIENCE_S = 30.0
 
 
 @dataclass(frozen=True)
 class Situation:
-    """The newest that is known. `imu_age_s`: time since each unit's last bytes."""
+    """The newest that is known. `imu_age_s`: time since each unit's last bytes. `course_c`: the lowest and the highest
+    temperature that the recipe has had for the air of late, None while the chamber goes somewhere as fast as it can.
+    `allowed_dps`: how fast an axis may turn now by what it was told, and how fast the rig lets it.
+    """
 
     time_s: float
     chamber: ChamberReading | None
@@ -21,7 +28,8 @@ class Situation:
     axes: Mapping[str, AxisReading]
     imu_age_s: Mapping[str, float]
     free_bytes: int
-    settled: bool
+    course_c: tuple[float, float] | None
+    allowed_dps: Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -36,10 +44,17 @@ class Rule:
 
 @dataclass(frozen=True)
 class Limits:
-    """The numbers of the standard rules; what is None is not watched."""
+    """The numbers of the standard rules, and of what counts as executed; what is None is not watched.
+
+    The air may be `temperature_band_k` beside its course, and `temperature_lag_s` behind it. A command that is
+    `latest_s` late, a turn that ends so late, and a step of which more than `lost_share` of a unit's samples are lost
+    were not executed as written.
+    """
 
     temperature_band_k: float | None = 3.0
-    temperature_band_patience_s: float = 300.0
+    temperature_lag_s: float = 300.0
+    latest_s: float = 1.0
+    lost_share: float = 0.02
     temperature_slope_k_per_min: float | None = None
     imu_stale_s: float | None = 2.0
     free_bytes: int = 200_000_000
@@ -50,6 +65,7 @@ class Interlocks:
     """Rules with their memory of since when each has been violated."""
 
     rules: tuple[Rule, ...]
+    limits: Limits = field(default_factory=Limits)
     _since: dict[str, float] = field(default_factory=dict[str, float])
 
     def check(self, situation: Situation) -> tuple[Rule, str] | None:
@@ -69,7 +85,7 @@ class Interlocks:
 
 
 def standard_rules(limits: Limits | None = None) -> Interlocks:
-    """Chamber alarm, faults of axes, band and slope of the temperature, stale units, disk space."""
+    """Chamber alarm, faults and over-speed of axes, course and slope of the temperature, stale units, disk space."""
     given = limits or Limits()
 
     def alarm(now: Situation) -> str:
@@ -81,13 +97,27 @@ def standard_rules(limits: Limits | None = None) -> Interlocks:
         found = [f"axis {name}: {', '.join(reading.faults)}" for name, reading in now.axes.items() if reading.faults]
         return "; ".join(found)
 
-    def band(now: Situation) -> str:
-        if now.chamber is None or given.temperature_band_k is None or not now.settled:
+    def over_speed(now: Situation) -> str:
+        found = [
+            f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; it was told {allowed[0]:g} and the rig allows "
+            f"{allowed[1]:g}"
+            for name, allowed in now.allowed_dps.items()
+            if name in now.axes and too_fast(now.axes[name].rate_dps, allowed)
+        ]
+        return "; ".join(found)
+
+    def course(now: Situation) -> str:
+        if now.chamber is None or given.temperature_band_k is None or now.course_c is None:
             return ""
-        away = now.chamber.air_c - now.chamber.setpoint_c
+        low, high = now.course_c
+        air = now.chamber.air_c
+        away = min(air - low, 0.0) or max(air - high, 0.0)
         if abs(away) <= given.temperature_band_k:
             return ""
-        return f"the air is {away:+.1f} K from the set point, more than {given.temperature_band_k:g} K"
+        return (
+            f"the air is at {air:.1f} degC, {away:+.1f} K from the recipe's course of the last "
+            f"{given.temperature_lag_s:g} s; the rig allows {given.temperature_band_k:g} K"
+        )
 
     def slope(now: Situation) -> str:
         before, after = now.previous_chamber, now.chamber
@@ -115,9 +145,11 @@ def standard_rules(limits: Limits | None = None) -> Interlocks:
         (
             Rule("chamber alarm", "abort", 0.0, alarm),
             Rule("axis fault", "abort", 0.0, faults),
-            Rule("temperature band", "pause", given.temperature_band_patience_s, band),
+            Rule("over-speed", "abort", 0.0, over_speed),
+            Rule("temperature course", "pause", _PATIENCE_S, course),
             Rule("temperature slope", "abort", 0.0, slope),
             Rule("stale unit", "pause", 0.0, stale),
             Rule("disk space", "pause", 0.0, disk),
-        )
+        ),
+        given,
     )

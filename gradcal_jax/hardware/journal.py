@@ -17,6 +17,7 @@ disk that stalls for seconds therefore costs memory and not bytes of a line whos
 
 import errno
 import json
+import math
 import os
 import shutil
 import struct
@@ -27,7 +28,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, cast
 
 from .errors import HardwareError
 from .transcript import Direction
@@ -38,6 +39,20 @@ _EVENT, _RECEIVED, _SENT = 1, 2, 3
 _LONGEST = 1 << 26
 _MOST_WAITING = 1 << 28
 LINE_EVENT = "line"
+_NUMBER = (int, float)
+# What is read back of events, and its types.
+_FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
+    LINE_EVENT: {"number": (int,), "name": (str,)},
+    "session": {"number": (int,), "wall_clock_s": _NUMBER, "simulated": (bool,)},
+    "step begins": {"begins_s": _NUMBER},
+    "step done": {"number": (int,)},
+    "configuration": {"device": (str,), "registers": (dict,)},
+    "identity": {"device": (str,)},
+    "angle": {"axis": (str,), "time_s": _NUMBER, "moving": (bool,), "position_deg": (*_NUMBER, type(None))},
+    "move": {"axis": (str,)},
+    "homing": {"axis": (str,)},
+    "state": {"state": (str,)},
+}
 
 
 class JournalFull(HardwareError):
@@ -260,10 +275,35 @@ def _record(data: bytes, start: int, names: dict[int, str]) -> tuple[Event | Chu
     if zlib.crc32(memoryview(data)[head : end - 4]) != int.from_bytes(data[end - 4 : end], "little"):
         return None, start
     payload = data[head + _HEAD.size : end - 4]
+    if not math.isfinite(time_s):
+        raise _strange(start, "its time is no number")
     if kind == _EVENT:
-        content = json.loads(payload)
-        return Event(time_s, content.pop("event"), content), end
+        return _event(start, time_s, payload), end
     return Chunk(time_s, names.get(line, f"line {line}"), kind == _RECEIVED, payload), end
+
+
+def _event(start: int, time_s: float, payload: bytes) -> Event:
+    """An event, whose fields are what this program writes: what comes from elsewhere is refused in a sentence."""
+    try:
+        read: Any = json.loads(payload)
+    except (ValueError, RecursionError):
+        raise _strange(start, "it is no JSON") from None
+    content = cast("dict[str, Any]", read if isinstance(read, dict) else {})
+    name: Any = content.pop("event", None)
+    if not isinstance(name, str):
+        raise _strange(start, "it has no name")
+    for field_name, kinds in _FIELDS.get(name, {}).items():
+        value = content.get(field_name)
+        if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+            raise _strange(start, f"of an event {name!r} the field {field_name!r} is {value!r}")
+    return Event(time_s, name, content)
+
+
+def _strange(start: int, why: str) -> HardwareError:
+    return HardwareError(
+        f"The journal holds a record that no run of this program wrote, at byte {start}: {why}. Take the journal from "
+        "where the run was made."
+    )
 
 
 def free_space_bytes(folder: Path) -> int:

@@ -29,7 +29,7 @@ from .errors import HardwareError
 from .journal import Chunk, Event, JournalContents
 from .roles import ImuBatch, ImuDecoder
 from .rounds import Doubt, rounds_resolved
-from .run_folder import SESSION, exit_status
+from .run_folder import SESSION, exit_status, rig_as_run
 from .setup import DRIVERS, config_of
 
 _MARGIN_S: Final = 0.02
@@ -62,10 +62,11 @@ class _Session:
 
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
-    """The log of one unit (by name; None: the rig's only one).
+    """The log of one unit (by name; None: the rig's only one), decoded as the journal says that it was configured.
 
     Raises `HardwareError` where the journal holds no samples of a stretch with data.
     """
+    rig = rig_as_run(contents, rig)
     device = _device(rig, unit)
     parts: list[_Part] = []
     aside = 0
@@ -240,7 +241,9 @@ def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
 
 def _breaks_off(event: Event) -> bool:
     """Whether a run is interrupted or ends here: from now on somebody may be at the rig."""
-    return event.name in ("interlock", "ending") or (event.name == "state" and event.data["state"] == "paused")
+    return event.name in ("interlock", "ending", "not done") or (
+        event.name == "state" and event.data["state"] == "paused"
+    )
 
 
 def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:

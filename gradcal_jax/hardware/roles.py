@@ -12,6 +12,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from .settings import KeptSettings
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -125,6 +127,8 @@ class AxisReading:
 
 @runtime_checkable
 class MotionAxis(Protocol):
+    settings: KeptSettings
+
     def identify(self) -> Identity: ...
     def limits(self) -> AxisLimits: ...
     def read(self) -> AxisReading: ...
@@ -219,6 +223,8 @@ class ImuDecoder(Protocol):
 
 @runtime_checkable
 class ImuStream(Protocol):
+    settings: KeptSettings
+
     def identify(self) -> Identity: ...
     def configure(self) -> ImuSettings:
         """Bring the unit to the profile of the rig file, verify by read-back; nothing is saved to its flash."""

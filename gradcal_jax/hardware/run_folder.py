@@ -1,7 +1,7 @@
 """The folder of a run: recipe and rig as executed, the journal, and what resuming needs to know.
 
     recipe.toml, rig.toml    as they were when the run began
-    run.json                 when, by which version, simulated or not, the recipe's fingerprint
+    run.json                 when, by which version, simulated or not, the recipe's fingerprint, the rig
     journal                  raw bytes and events of the run and of every resumed part of it
     hidden_truth.json        of a simulated run: what the calibration is to find
 
@@ -14,10 +14,10 @@ import time
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from ..files.recipe import Recipe, read_recipe
-from ..files.rig import RigFile, read_rig
+from ..files.rig import RigFile, read_rig, rig_of
 from ..files.writing import write_toml, write_whole
 from .binding import track_of
 from .errors import HardwareError, WrongIdentity
@@ -92,6 +92,7 @@ def new_folder(path: Path, recipe: Recipe, rig: RigFile, *, simulated: dict[str,
     notes: dict[str, Any] = {
         "format": FORMAT,
         "recipe": recipe.fingerprint,
+        "rig": tables_of(rig),
         "version": version("gradcal_jax"),
         "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "simulated": simulated is not None,
@@ -101,7 +102,25 @@ def new_folder(path: Path, recipe: Recipe, rig: RigFile, *, simulated: dict[str,
     return folder
 
 
-def begin_session(journal: Journal, now_s: float, number: int, *, simulated: bool, first_step: int) -> None:
+def tables_of(rig: RigFile) -> dict[str, Any]:
+    """A rig as its file has it."""
+    return rig.model_dump(mode="json", exclude_unset=True)
+
+
+def rig_as_run(contents: JournalContents, rig: RigFile) -> RigFile:
+    """The rig that the run began with, as its journal has it; `rig` where the journal has none.
+
+    A rig file that was changed afterwards does not change what the recorded bytes mean.
+    """
+    for event in contents.events:
+        if event.name == SESSION and isinstance(event.data.get("rig"), dict):
+            return rig_of(event.data["rig"], "the rig in the journal")
+    return rig
+
+
+def begin_session(
+    journal: Journal, now_s: float, number: int, rig: RigFile, *, simulated: bool, first_step: int
+) -> None:
     """The event that begins a part of a run; the wall clock stands beside the monotonic one."""
     journal.event(
         now_s,
@@ -111,6 +130,7 @@ def begin_session(journal: Journal, now_s: float, number: int, *, simulated: boo
         wall_clock_s=time.time(),
         simulated=simulated,
         version=version("gradcal_jax"),
+        rig=tables_of(rig),
     )
 
 
@@ -135,11 +155,11 @@ def exit_status(contents: JournalContents) -> str:
     return status
 
 
-def prepare_resume(folder: RunFolder) -> int:
-    """Check that the run can go on, and return the step by which.
+def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
+    """Check that the run can go on, and return the step by which. `rig`: one that it is said to go on with.
 
-    Raises `RunFolderError`: the recipe in the folder is another than the run began with, another version wrote the run,
-    or everything is done.
+    Raises `RunFolderError`: the recipe or the rig is another than the run began with, another version wrote the run, or
+    everything is done.
     """
     notes = folder.notes()
     recipe = folder.recipe()
@@ -147,6 +167,13 @@ def prepare_resume(folder: RunFolder) -> int:
         raise RunFolderError(
             f"The recipe in {folder.path} is not the one that the run began with: put it back, or begin a new run."
         )
+    then: Any = notes.get("rig")
+    for now in (folder.rig(), rig):
+        if now is not None and isinstance(then, dict) and (found := _differences(then, tables_of(now))):
+            raise RunFolderError(
+                f"The rig is not the one that the run in {folder.path} began with: {'; '.join(found)}. Put it back, or "
+                "begin a new run."
+            )
     if notes.get("version") != version("gradcal_jax"):
         raise RunFolderError(
             f"The run was begun by gradcal {notes.get('version')} and this is {version('gradcal_jax')}: resume it with "
@@ -156,6 +183,19 @@ def prepare_resume(folder: RunFolder) -> int:
     if exit_status(contents) == "success":
         raise RunFolderError(f"The run in {folder.path} is complete; make its log with `gradcal log {folder.path}`.")
     return steps_done(contents)
+
+
+def _differences(then: Any, now: Any, key: str = "") -> list[str]:
+    """Where two sets of tables differ, by key."""
+    if isinstance(then, list) and isinstance(now, list):
+        lists = cast("list[Any]", then), cast("list[Any]", now)
+        then, now = ({str(number): entry for number, entry in enumerate(side, 1)} for side in lists)
+    if isinstance(then, dict) and isinstance(now, dict):
+        sides = cast("dict[str, Any]", then), cast("dict[str, Any]", now)
+        names = sorted({*sides[0], *sides[1]})
+        places = [(f"{key}.{name}" if key else name, name) for name in names]
+        return [text for place, name in places for text in _differences(sides[0].get(name), sides[1].get(name), place)]
+    return [] if then == now else [f"{key} is {now!r} and was {then!r}"]
 
 
 def require_same_devices(bench: Bench, contents: JournalContents) -> None:

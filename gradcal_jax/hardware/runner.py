@@ -16,6 +16,7 @@ killed is `guard`.
 
 import math
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -27,8 +28,8 @@ from .course import ChamberDuty
 from .errors import Disconnected, HardwareError, LimitExceeded
 from .interlocks import Interlocks, Situation, standard_rules
 from .journal import Journal, JournalFull, free_space_bytes, plain
-from .roles import AxisReading, ChamberReading, MotionAxis
-from .safety import SafeOutcome, make_safe
+from .roles import AxisReading, ChamberReading, ImuDecoder, MotionAxis
+from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
 from .track import Course, Stable, Step, Track, beyond_limits
 from .turning import AxesDuty
@@ -61,6 +62,7 @@ _SLICE_S = 0.25
 _ARRIVAL_S = 0.1
 _PIECES_S = 0.2
 _LONGEST_ARRIVAL_S = 60.0
+_TRIES = 3
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,46 @@ class _Interrupted(Exception):
     """A pause in the middle of a step."""
 
 
+class _NotDone(Exception):
+    """A step was not executed as written."""
+
+    def __init__(self, number: int, why: str) -> None:
+        Exception.__init__(self, why)
+        self.number = number
+
+
+@dataclass(frozen=True)
+class _Executed:
+    """A step by its number, on the run's clock."""
+
+    number: int
+    began_s: float
+    ended_s: float
+
+
+class _Losses:
+    """What is missing of a unit's samples: the stream is decoded once while it comes, and only this is kept."""
+
+    def __init__(self, decoder: ImuDecoder, sample_rate_hz: float) -> None:
+        self._decoder, self._sample_rate_hz = decoder, sample_rate_hz
+        self._found: deque[tuple[float, int, bool]] = deque(maxlen=1 << 16)
+
+    def push(self, data: bytes, time_s: float) -> None:
+        batch = self._decoder.push(data, time_s)
+        missing, restarted = int(batch.gap_before.sum()), bool(batch.restarted.any())
+        if missing or restarted:
+            self._found.append((time_s, missing, restarted))
+
+    def between(self, executed: _Executed, share: float) -> str:
+        """A sentence where more than a share of a step's samples is missing, or the unit began anew in it."""
+        inside = [found for found in list(self._found) if executed.began_s < found[0] <= executed.ended_s]
+        if any(restarted for _, _, restarted in inside):
+            return "the unit began anew in mid-step"
+        lost = sum(missing for _, missing, _ in inside)
+        whole = (executed.ended_s - executed.began_s) * self._sample_rate_hz
+        return f"{lost} of {whole:.0f} samples are lost" if lost > share * whole else ""
+
+
 class _Ended(Exception):
     """Stop or abort."""
 
@@ -126,9 +168,14 @@ class Runner:
         self._duty: ChamberDuty | None = None
         if self.bench.chamber is not None:
             self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
-        self._axes = AxesDuty(self.bench.axes, self.clock, self._event)
+        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, self.interlocks.limits.latest_s)
         self._imu_heard_s: dict[str, float] = {}
-        self._unconfirmed: list[tuple[float, str, int]] = []
+        self._losses: dict[str, _Losses] = {}
+        self._unconfirmed: list[_Executed] = []
+        self._tries: dict[int, int] = {}
+        self._shortfall: _NotDone | None = None
+        self.ticked_s = time.monotonic()
+        """Real time of when the run's own thread last came by: one that hangs does not."""
         self._heard_end_s = math.inf
         self._problem: str = ""
         self._working = threading.Event()
@@ -136,8 +183,6 @@ class Runner:
         self._shown_s = -math.inf
         self._steps_done = self.first_step
         self._step_ends_s = 0.0
-        self._settled = self._was_settled = False
-        self._course_c: float | None = None
 
     # ------------------------------------------------------------------------------------------------- from outside
 
@@ -180,6 +225,9 @@ class Runner:
             with self.clock.aside():
                 for helper in helpers:
                     helper.join(timeout=5.0)
+            # Only now: nobody else reads the lines of the units any more.
+            for name, problem in put_back(self.bench).items():
+                self._event("settings put back", quietly=True, device=name, problem=problem)
             good = all(outcome.verified for outcome in outcomes)
             self._event("end", quietly=True, exit_status=status, reason=reason, verified_safe=good)
         return RunResult(status, reason, outcomes, self._steps_done)
@@ -201,7 +249,9 @@ class Runner:
             identity = unit.identify()
             require_identity(entry.name, entry, identity)
             self._event("identity", device=entry.name, **plain(identity))
-            self._event("configuration", device=entry.name, **plain(unit.configure()))
+            settings = unit.configure()
+            self._event("configuration", device=entry.name, **plain(settings))
+            self._losses[entry.name] = _Losses(unit.decoder(), settings.sample_rate_hz)
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
         self._axes.home(self.track.moved, self._duties)
@@ -256,11 +306,12 @@ class Runner:
                         self._problem = f"The chamber cannot be read: {problem}"
                         return
 
-    def _tell_chamber(self, course: Course) -> None:
+    def _tell_chamber(self, course: Course, due_s: float) -> None:
         """In a thread of its own: a chamber that takes seconds to acknowledge delays no move and no reading."""
         duty = self._duty
         if duty is None:
             return
+        duty.expect(course, due_s)
 
         def tell() -> None:
             with self.clock.party():
@@ -272,13 +323,14 @@ class Runner:
         threading.Thread(target=tell, daemon=True, name="telling the chamber").start()
 
     def _carry_bytes(self, name: str) -> None:
-        """Raw bytes to the journal, nothing else: decoding may lag, the disk may not."""
-        unit = self.bench.imus[name]
+        """Raw bytes to the journal first; then what is missing between them is counted."""
+        unit, losses = self.bench.imus[name], self._losses[name]
         while self._working.is_set():
             try:
                 data, time_s = unit.read_bytes(0.2)
                 if data:
                     self.journal.bytes_of(name, time_s, data, received=True)
+                    losses.push(data, time_s)
                     self._imu_heard_s[name] = time_s
             except HardwareError as problem:
                 self._problem = f"{name}: {problem}"
@@ -295,23 +347,39 @@ class Runner:
         while self._steps_done < len(self.track.steps):
             step = self.track.steps[self._steps_done]
             try:
-                self._run_step(step, again)
+                self._unconfirmed.append(self._run_step(step, again))
+                again = False
+                self._steps_done += 1
+                self._confirm_steps()
+                if self.state is State.PAUSING and self._steps_done < len(self.track.steps):
+                    self._pause_between(step)
+                    after = self.track.steps[self._steps_done]
+                    if after.follows:
+                        self._event("seam", step=after.name, why="the run was paused before it")
+                        again = True
+                if self._steps_done == len(self.track.steps):
+                    self._await_confirmation()
             except _Interrupted:
                 self._wait_paused()
                 self._event("seam", step=step.name, why="the step begins again after a pause")
                 again = True
-                continue
-            again = False
-            self._unconfirmed.append((self.clock.now(), step.name, self._steps_done))
-            self._steps_done += 1
-            self._confirm_steps()
-            if self.state is State.PAUSING and self._steps_done < len(self.track.steps):
-                self._pause_between(step)
-                after = self.track.steps[self._steps_done]
-                if after.follows:
-                    self._event("seam", step=after.name, why="the run was paused before it")
-                    again = True
-        self._await_confirmation()
+            except _NotDone as shortfall:
+                self._take_back(shortfall)
+                again = True
+
+    def _take_back(self, shortfall: "_NotDone") -> None:
+        """A step that was not executed as written is made again, a few times; then the run ends."""
+        number, why = shortfall.number, str(shortfall)
+        name = self.track.steps[number].name
+        self._event("not done", step=name, number=number, why=why)
+        self._tries[number] = self._tries.get(number, 0) + 1
+        if self._tries[number] == _TRIES:
+            raise HardwareError(f"Step {name!r} was not executed as written, {_TRIES} times. The last time: {why}.")
+        self._axes.stop()
+        self._shortfall = None
+        self._steps_done = number
+        self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
+        self._event("seam", step=name, why="the step is made again; it was not executed as written")
 
     def _pause_between(self, step: Step) -> None:
         """Nothing turns while a run is paused, also what the next step would have gone on with."""
@@ -327,17 +395,23 @@ class Runner:
         """A step is done when its samples are in the journal too: what a resumed run does not do again is whole. What
         is heard first behind its end may be a piece of a burst, and the other pieces hold the step's last samples."""
         heard = min(self._imu_heard_s.values(), default=math.inf)
-        while self._unconfirmed and self._unconfirmed[0][0] + _ARRIVAL_S <= heard:
+        while self._unconfirmed and self._shortfall is None and self._unconfirmed[0].ended_s + _ARRIVAL_S <= heard:
             self._heard_end_s = min(self._heard_end_s, self.clock.now())
             if self.clock.now() < self._heard_end_s + _PIECES_S:
                 return
             self._heard_end_s = math.inf
-            _, name, number = self._unconfirmed.pop(0)
-            self._event("step done", step=name, number=number)
+            executed = self._unconfirmed.pop(0)
+            step = self.track.steps[executed.number]
+            for name, losses in self._losses.items() if step.read_at_s else ():
+                if lost := losses.between(executed, self.interlocks.limits.lost_share):
+                    self._shortfall = _NotDone(executed.number, f"{name}: {lost}")
+                    return
+            self._event("step done", step=step.name, number=executed.number)
 
     def _await_confirmation(self) -> None:
         until = self.clock.now() + _LONGEST_ARRIVAL_S
         while self._unconfirmed:
+            self._require_executed()
             try:
                 self._duties()
             except _Interrupted:
@@ -347,14 +421,13 @@ class Runner:
                 raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: see the units.")
             self.clock.sleep(_SLICE_S)
 
-    def _run_step(self, step: Step, again: bool) -> None:
+    def _run_step(self, step: Step, again: bool) -> "_Executed":
         self._event("step", step=step.name, number=self._steps_done)
-        self._was_settled, self._settled = self._settled, False
         flows, axes = step.follows and not again, self._axes
+        latest_s = self.interlocks.limits.latest_s
         begin = self._step_ends_s if flows else self._begin(step, again)
         axes.late_s = axes.late_s if flows else 0.0
         self._step_ends_s = begin + step.duration_s
-        self._settled = self._is_settled(step)
         self._event("step begins", step=step.name, number=self._steps_done, begins_s=begin, data=bool(step.read_at_s))
         courses = [course for course in step.courses if flows or course.start_s > 0.0]
         moves, reads = list(step.moves), list(step.read_at_s)
@@ -364,16 +437,23 @@ class Runner:
             end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
             reads = [read for read in reads if motion + read <= end + 1e-6]
             if reads and motion + reads[0] <= now and not axes.turned_by_hand:
+                if late := sum(motion + read < now - latest_s for read in reads):
+                    axes.amiss.append(f"{late} readings are up to {now - motion - reads[0]:.1f} s late")
                 reads = [read for read in reads if motion + read > now]
                 axes.read()
             if every_s is not None and now >= every_s:
                 every_s += step.read_every_s * max(1, round((now - every_s) / step.read_every_s))
                 axes.read()
             while courses and begin + courses[0].start_s <= self.clock.now():
-                self._tell_chamber(courses.pop(0))
+                course = courses.pop(0)
+                if (late_s := self.clock.now() - begin - course.start_s) > latest_s:
+                    axes.amiss.append(f"the chamber was told its course {late_s:.1f} s late")
+                self._tell_chamber(course, begin + course.start_s)
             while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
-                axes.move(step.name, moves.pop(0), self._duties)
+                axes.move(step.name, moves[0], motion + moves[0].start_s, self._duties)
+                moves.pop(0)
             axes.look()
+            self._require_executed()
             self._duties(end)
             if self.clock.now() >= end and not moves and not reads and not axes.turned_by_hand:
                 break
@@ -389,14 +469,16 @@ class Runner:
         if not (after and after[0].follows):
             axes.end_spins(step.name, step.duration_s)
         axes.settle_all(self._duties)
+        self._require_executed()
         axes.late_s = end - self._step_ends_s
+        return _Executed(self._steps_done, begin, self.clock.now())
 
-    def _is_settled(self, step: Step) -> bool:
-        """Whether the air is to be near its set point from now on: not while the chamber goes somewhere at its best."""
-        was, self._course_c = self._course_c, step.temperature_c
-        if step.ready is not None or step.ramp_k_per_min is not None:
-            return True
-        return self._was_settled and step.temperature_c in (None, was)
+    def _require_executed(self) -> None:
+        """What an axis or a reading did not do as the track has it ends the step: it is to be made again."""
+        if self._shortfall is not None:
+            raise self._shortfall
+        if self._axes.amiss:
+            raise _NotDone(self._steps_done, "; ".join(dict.fromkeys(self._axes.amiss)))
 
     def _begin(self, step: Step, again: bool) -> float:
         """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
@@ -405,10 +487,14 @@ class Runner:
         ready = step.ready or (step.again if again else None)
         duty, at_c = self._duty, step.begins_c
         if duty is not None and at_c is not None and ready is not None:
+            duty.expected.unknown()
             duty.hold(at_c)
             self._await(step, duty, at_c, ready)
+            duty.expected.stands(self.clock.now(), at_c)
         if duty is not None and step.temperature_c is not None:
-            duty.follow(Course(0.0, step.temperature_c, step.ramp_k_per_min))
+            course = Course(0.0, step.temperature_c, step.ramp_k_per_min)
+            duty.expect(course, self.clock.now())
+            duty.follow(course)
         return self.clock.now()
 
     def _await(self, step: Step, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
@@ -427,6 +513,7 @@ class Runner:
 
     def _duties(self, end_s: float | None = None) -> None:
         """Whatever recurs: requests, readings, interlocks."""
+        self.ticked_s = time.monotonic()
         self._obey_requests()
         self._confirm_steps()
         now = self.clock.now()
@@ -439,12 +526,15 @@ class Runner:
         """Interlocks pause the run or end it; one that is paused or has not begun they can only end."""
         if self._problem:
             raise HardwareError(self._problem)
+        self._axes.watch()
         now = self.clock.now()
         ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
         free = free_space_bytes(self.journal.path.parent)
-        newest, before = (None, None) if self._duty is None else (self._duty.newest, self._duty.before)
-        paused = self.state is State.PAUSED
-        situation = Situation(now, newest, before, self._axes.newest, ages, free, self._settled and not paused)
+        duty, paused = self._duty, self.state is State.PAUSED
+        newest, before = (None, None) if duty is None else (duty.newest, duty.before)
+        lag_s = self.interlocks.limits.temperature_lag_s
+        course_c = None if duty is None or paused else duty.expected.of_late(now, lag_s)
+        situation = Situation(now, newest, before, self._axes.newest, ages, free, course_c, self._axes.allowed())
         tripped = self.interlocks.check(situation)
         if tripped is None or (paused and tripped[0].action != "abort"):
             return
@@ -483,6 +573,7 @@ class Runner:
             if self.clock.now() - self._shown_s >= self.chamber_every_s:
                 self._shown_s = self.clock.now()
                 self._show(None)
+            self.ticked_s = time.monotonic()
             self._obey_requests()
             if self.state is not State.PAUSED:
                 break
@@ -526,6 +617,7 @@ class Runner:
         self._event("state", quietly=quietly, state=state.value)
 
     def _event(self, name: str, /, *, quietly: bool = False, **data: Any) -> None:
+        self.ticked_s = time.monotonic()
         try:
             self.journal.event(self.clock.now(), name, **data)
         except JournalFull:

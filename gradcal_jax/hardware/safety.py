@@ -94,6 +94,19 @@ def make_safe(
     ]
 
 
+def put_back(bench: Bench) -> dict[str, str]:
+    """Put back the settings that drivers have changed; of each device that had any the problem, empty where none."""
+    found: dict[str, str] = {}
+    for name, settings in bench.settings.items():
+        if settings.before:
+            try:
+                settings.put_back()
+                found[name] = ""
+            except HardwareError as problem:
+                found[name] = str(problem)
+    return found
+
+
 def _try(
     attempt: _Attempt, act: Callable[[], SafeReport], clock: Clock, deadline_s: float, retry_pause_s: float
 ) -> None:

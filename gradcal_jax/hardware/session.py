@@ -5,22 +5,29 @@ While it runs, Ctrl-C pauses after the step; again, it makes safe and ends. SIGT
 
 import math
 import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from types import FrameType
 
 from ..files.rig import RigFile
 from .binding import track_of
 from .clock import Clock
-from .guard import guarded
-from .interlocks import Interlocks, standard_rules
+from .errors import HardwareError
+from .guard import BEAT_S, Guard, guarded
+from .interlocks import Interlocks, Limits, standard_rules
 from .journal import Journal
 from .run_folder import RunFolder, begin_session, require_same_devices, sessions
 from .runner import Progress, Runner, RunResult, State
 from .setup import open_rig
 from .terminal import Terminal
 from .transcript import Recorder
+
+# Longer than the run's own thread ever waits for one device: to find a reference takes minutes.
+_HANGS_S = 300.0
 
 
 def run_session(
@@ -60,7 +67,9 @@ def run_session(
 
         bench = stack.enter_context(open_rig(rig, clock, recorder_of, terminal=terminal))
         number = 0 if resumed is None else sessions(resumed)
-        begin_session(journal, clock.now(), number, simulated=simulated, first_step=first_step)
+        begin_session(journal, clock.now(), number, rig, simulated=simulated, first_step=first_step)
+        for name, settings in bench.settings.items():
+            settings.on_first_change = partial(_changes, journal, clock, watched, name)
         if resumed is not None and number:
             with clock.party():
                 require_same_devices(bench, resumed)
@@ -69,7 +78,7 @@ def run_session(
             bench,
             journal,
             clock,
-            interlocks or standard_rules(),
+            interlocks or standard_rules(_limits_of(rig)),
             on_progress,
             safe_deadline_s=safe_deadline_s,
             wait_when_paused=wait_when_paused,
@@ -81,10 +90,51 @@ def run_session(
             stack.enter_context(signals_to(runner))
         if watched is not None:
             watched.begun()
+            stack.enter_context(_beating(watched, runner, journal, clock))
         result = runner.run()
         if watched is not None and result.verified_safe:
             watched.done()
         return result
+
+
+def _limits_of(rig: RigFile) -> Limits:
+    if rig.chamber is None:
+        return Limits()
+    return Limits(temperature_band_k=float(rig.chamber.band), temperature_lag_s=float(rig.chamber.lag))
+
+
+def _changes(journal: Journal, clock: Clock, watched: Guard | None, device: str, name: str, value: str) -> None:
+    """A setting of a device is about to be changed: what it was goes to where it can be put back from."""
+    journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)
+    if watched is not None:
+        watched.remember(device, name, value)
+
+
+@contextmanager
+def _beating(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> Generator[None, None, None]:
+    """While inside, the guard hears that the run is alive, for as long as the run's own thread is."""
+    over = threading.Event()
+
+    def beat() -> None:
+        while not over.wait(BEAT_S):
+            if time.monotonic() - runner.ticked_s > _HANGS_S:
+                continue
+            try:
+                said = watched.beat()
+            except HardwareError as problem:
+                said = str(problem)
+            if said:
+                print(said, file=sys.stderr, flush=True)
+                with suppress(HardwareError):
+                    journal.event(clock.now(), "guard", what=said)
+
+    thread = threading.Thread(target=beat, daemon=True, name="telling the guard")
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 @contextmanager

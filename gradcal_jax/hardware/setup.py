@@ -20,6 +20,7 @@ from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDe
 from .clock import Clock
 from .errors import HardwareError, WrongIdentity
 from .roles import AxisLimits, Chamber, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis
+from .settings import KeptSettings
 from .terminal import Line, Terminal
 from .transcript import Recorder
 from .transport import Transport
@@ -36,6 +37,8 @@ class Driver:
     module: str
     device_class: str
     config_class: str
+    text: bool = True
+    """Whether its messages are lines, whose end may be a setting of the device."""
 
     def load(self) -> types.ModuleType:
         return importlib.import_module(f"{__package__}.drivers.{self.module}")
@@ -47,7 +50,7 @@ class Driver:
 DRIVERS: Final[Mapping[str, Driver]] = {
     "espec": Driver("chamber", "espec", "EspecChamber", "EspecConfig"),
     "weiss": Driver("chamber", "weiss", "WeissChamber", "WeissConfig"),
-    "watlow_f4": Driver("chamber", "watlow_f4", "WatlowF4Chamber", "WatlowF4Config"),
+    "watlow_f4": Driver("chamber", "watlow_f4", "WatlowF4Chamber", "WatlowF4Config", text=False),
     "zaber": Driver("axis", "zaber", "ZaberAxis", "ZaberConfig"),
     "odrive": Driver("axis", "odrive", "ODriveAxis", "ODriveConfig"),
     OPERATOR: Driver("axis", "operator", "OperatorAxis", "OperatorConfig"),
@@ -66,7 +69,14 @@ _UNITS: Final = (
 )
 
 
-_LINE_SETTINGS: Final = ("baudrate", "stopbits", "parity")
+# Options that every device on a serial line has besides its driver's, and what they may be.
+_LINE_OPTIONS: Final[Mapping[str, tuple[object, ...]]] = {
+    "bytesize": (7, 8),
+    "parity": ("N", "E", "O"),
+    "stopbits": (1, 2),
+    "terminator": ("CR", "LF", "CRLF"),
+}
+_TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
 
 
 # ---------------------------------------------------------------------------------------------------------- options
@@ -95,9 +105,14 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
     values: dict[str, Any] = {}
     for name, value in device.options.items():
         key = (*place, "options", name)
+        choices = _LINE_OPTIONS.get(name, ()) if driver.text or name != "terminator" else ()
+        if choices and device.port != TERMINAL and name not in names:
+            if not any(value == choice and type(value) is type(choice) for choice in choices):
+                problems.append(Problem(key, f"expected {' or '.join(map(repr, choices))}", value))
+            continue
         if name not in names:
-            close = nearest(name, names)
-            ending = f'; nearest: "{close}"' if close else f"; known here: {', '.join(names)}"
+            close = nearest(name, (*names, *_LINE_OPTIONS))
+            ending = f'; nearest: "{close}"' if close else f"; known here: {', '.join((*names, *_LINE_OPTIONS))}"
             problems.append(Problem(key, "this key is unknown" + ending, value, "unknown"))
             continue
         try:
@@ -176,6 +191,11 @@ class Bench:
     imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
     _ports: ExitStack = field(default_factory=ExitStack)
 
+    @property
+    def settings(self) -> dict[str, KeptSettings]:
+        """What the drivers of axes and units have changed, by device."""
+        return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
+
     def close(self) -> None:
         self._ports.close()
 
@@ -204,13 +224,17 @@ def open_rig(
     bench = Bench(rig)
     exchanges: dict[str, Any] = {}
 
-    def opened(url: str, config: Any) -> Line:
+    def opened(device: Device | EncoderDevice, config: Any) -> Line:
+        url = device.port
         recorder = recorder_of(url) if recorder_of is not None else None
         if url == TERMINAL:
             line = terminal or Terminal()
             line.clock, line.recorder = clock, recorder
         else:
-            settings = {name: getattr(config, name) for name in _LINE_SETTINGS if hasattr(config, name)}
+            settings: dict[str, Any] = {name: device.options[name] for name in _LINE_OPTIONS if name in device.options}
+            if "terminator" in settings:
+                settings["terminator"] = _TERMINATORS[settings["terminator"]]
+            settings["baudrate"] = config.baudrate
             line = Transport(url, clock=clock, recorder=recorder, **settings)
         bench._ports.callback(line.close)  # pyright: ignore[reportPrivateUsage]
         return line
@@ -218,7 +242,7 @@ def open_rig(
     def axis_or_chamber(device: Device | EncoderDevice, config: Any, *more: Any) -> Any:
         module = DRIVERS[device.driver].load()
         if device.port not in exchanges:
-            exchanges[device.port] = module.open_exchange(opened(device.port, config), clock, config)
+            exchanges[device.port] = module.open_exchange(opened(device, config), clock, config)
         return getattr(module, DRIVERS[device.driver].device_class)(exchanges[device.port], config, *more)
 
     try:
@@ -226,7 +250,7 @@ def open_rig(
             config = configs[place]
             if isinstance(device, ImuDevice):
                 make = getattr(DRIVERS[device.driver].load(), DRIVERS[device.driver].device_class)
-                bench.imus[device.name] = make(opened(device.port, config), clock, config)
+                bench.imus[device.name] = make(opened(device, config), clock, config)
             elif isinstance(device, ChamberDevice):
                 bench.chamber = axis_or_chamber(device, config)
             else:

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import serial
 
 from .clock import Clock
-from .errors import Disconnected, PortRefused
+from .errors import Disconnected, PortRefused, PortTaken
 from .transcript import Recorder
 
 if sys.platform == "win32":
@@ -39,20 +39,18 @@ class PortLock:
         self._path = folder / (hashlib.sha256(identity.encode()).hexdigest()[:24] + ".lock")
         try:
             folder.mkdir(exist_ok=True)
-            _share(folder, 0o1777)
-            self._handle = self._open()
+            self._handle = self._open(folder)
         except OSError as problem:
             raise PortRefused(
                 f"The port {url} cannot be locked against other runs: {self._path}: {problem.strerror}. Let every "
                 f"account that uses the rig write in {folder}, or remove it while nothing runs."
             ) from None
-        _share(self._path, 0o666)
         try:
             self._take()
         except OSError:
             owner = os.pread(self._handle, 200, 1).decode("utf-8", "replace").strip() if os.name == "posix" else ""
             os.close(self._handle)
-            raise PortRefused(
+            raise PortTaken(
                 f"The port {url} is in use by another run{f' ({owner})' if owner else ''}. "
                 "Wait until it ends or give this run another port."
             ) from None
@@ -62,14 +60,23 @@ class PortLock:
             # The first byte belongs to the lock (Windows locks a byte range), the note begins behind it.
             os.write(self._handle, f"\nprocess {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
 
-    def _open(self) -> int:
-        # A link that somebody put there is not followed: what it leads to would be overwritten.
+    def _open(self, folder: Path) -> int:
+        """A link that somebody put there, folder or file, is not followed: what it leads to would be changed."""
         flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
-        try:
-            # Linux may forbid O_CREAT for a file of another account in a folder that all may write in.
-            return os.open(self._path, flags)
-        except FileNotFoundError:
+        if sys.platform == "win32":
             return os.open(self._path, flags | os.O_CREAT, 0o666)
+        inside = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        try:
+            _share(inside, 0o1777)
+            try:
+                # Linux may forbid O_CREAT for a file of another account in a folder that all may write in.
+                handle = os.open(self._path.name, flags, dir_fd=inside)
+            except FileNotFoundError:
+                handle = os.open(self._path.name, flags | os.O_CREAT, 0o666, dir_fd=inside)
+            _share(handle, 0o666)
+            return handle
+        finally:
+            os.close(inside)
 
     def _take(self) -> None:
         if sys.platform == "win32":
@@ -83,16 +90,17 @@ class PortLock:
         os.close(self._handle)
 
 
-def _share(path: Path, mode: int) -> None:
+def _share(handle: int, mode: int) -> None:
     """Accounts on one computer share its ports. Only the owner can say so, and has."""
     with contextlib.suppress(OSError):
-        path.chmod(mode)
+        os.fchmod(handle, mode)
 
 
 class Transport:
     """Bytes to and from one port.
 
     `url` is a device path, `COM3`, or any URL of `serial.serial_for_url`, such as `socket://192.168.0.7:10001`.
+    `terminator`, where it is given, is what a text that is written ends in, in the place of what its driver wrote.
     Reading returns what is there, as soon as anything is. All methods raise `Disconnected` once the port is gone.
     """
 
@@ -105,12 +113,14 @@ class Transport:
         bytesize: int = 8,
         parity: Parity = "N",
         stopbits: int = 1,
+        terminator: bytes = b"",
         write_timeout_s: float = 2.0,
         recorder: Recorder | None = None,
     ) -> None:
         self.url = url
         self._clock = clock
         self._recorder = recorder
+        self._terminator = terminator
         self._lock = PortLock(url)
         try:
             port: Any = serial.serial_for_url(url, do_not_open=True)
@@ -140,6 +150,8 @@ class Transport:
         return {name: getattr(self._port, name) for name in ("baudrate", "bytesize", "parity", "stopbits")}
 
     def write(self, data: bytes) -> None:
+        if self._terminator:
+            data = data.rstrip(b"\r\n") + self._terminator
         if self._recorder is not None:
             self._recorder.record(self._clock.now(), ">", data)
         self._link.host_wrote(len(data))

@@ -3,6 +3,10 @@
 A motor does a turn in the time that the track reckons with; it is looked at when it should stand, until it says so. A
 person takes the time that a person takes: while an axis is turned by hand nothing else of the track begins, and what
 comes after it begins as much later as the turn was late (`late_s`), so that every rest keeps its length.
+
+What was not done as the track says is `amiss`: a command that went out late, a turn that ended late or somewhere else,
+a spin at another rate. How fast an axis may turn now (`allowed`) follows from what it was told, and the rates that are
+read are held against it (`interlocks`).
 """
 
 import math
@@ -11,13 +15,19 @@ from collections.abc import Callable, Mapping
 from .clock import Clock
 from .errors import HardwareError
 from .journal import plain
-from .roles import AxisReading, MotionAxis
+from .roles import AxisLimits, AxisReading, MotionAxis
 from .track import Move
 
 _POLL_S = 0.05
 _POLL_BY_HAND_S = 0.25
 _LONGEST_MOVE_S = 120.0
 _NEAR_BY_HAND_DEG = 5.0
+# How often an axis is read for its rate alone, and how long after a slower command it may still turn as before.
+_WATCH_MOVING_S, _WATCH_STANDING_S = 0.5, 5.0
+_EASING_S = 1.0
+_OFF_GOAL_DEG = 1.0
+_OFF_RATE, _OFF_RATE_DPS = 0.1, 3.0
+_OFF_READINGS = 3
 
 Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
@@ -26,25 +36,36 @@ Tell = Callable[..., None]
 class AxesDuty:
     """Tells the axes their moves and remembers what they say. One thread, the run's own."""
 
-    def __init__(self, axes: Mapping[str, MotionAxis], clock: Clock, event: Tell) -> None:
+    def __init__(self, axes: Mapping[str, MotionAxis], clock: Clock, event: Tell, latest_s: float = 1.0) -> None:
         self._axes = axes
         self._clock = clock
         self._event = event
+        self._latest_s = latest_s
         self._goal_deg: dict[str, float] = {}
         # What ends by itself: when to look next; and when it was to end, of those that are turned by hand.
         self._turning: dict[str, float] = {}
         self._planned_end_s: dict[str, float] = {}
         self._spinning: set[str] = set()
         self._by_hand: set[str] = set()
+        # What was asked for: the rate now, the rate before and until when that is still allowed, and ends of turns.
+        self._asked_dps: dict[str, float] = {}
+        self._easing: dict[str, tuple[float, float]] = {}
+        self._due_end_s: dict[str, float] = {}
+        self._spins: dict[str, tuple[float, float]] = {}
+        self._off_rate: dict[str, int] = {}
+        self._limits: dict[str, AxisLimits] = {}
         self.newest: dict[str, AxisReading] = {}
         self.late_s = 0.0
+        self.amiss: list[str] = []
 
     def home(self, names: list[str], meanwhile: Callable[[], None]) -> None:
         """Find the references."""
         for name in names:
             self._event("homing", axis=name)
-            if self._axes[name].limits().by_hand:
+            if self._limits_of(name).by_hand:
                 self._by_hand.add(name)
+            # At what rate a reference is searched is the device's affair.
+            self._asked_dps[name] = math.inf
             self._axes[name].home()
             self.settle(name, meanwhile)
             self._goal_deg[name] = 0.0
@@ -62,7 +83,7 @@ class AxesDuty:
     def go_to_start(self, step: str, start_deg: Mapping[str, float], meanwhile: Callable[[], None]) -> None:
         """Bring axes to where a step begins that begins by itself."""
         for name, position in start_deg.items():
-            limits = self._axes[name].limits()
+            limits = self._limits_of(name)
             endless = limits.lowest_deg is None and limits.highest_deg is None
             # An endless axis has no cable to wind up: within one turn is the same place.
             goal = position % 360.0 if endless else position
@@ -72,12 +93,15 @@ class AxesDuty:
                 self._command(step, goes)
                 self.settle(name, meanwhile)
 
-    def move(self, step: str, move: Move, meanwhile: Callable[[], None]) -> None:
+    def move(self, step: str, move: Move, due_s: float, meanwhile: Callable[[], None]) -> None:
         """A turn waits until the turn before it has ended; how late that makes it is in the journal."""
         name = move.axis
+        if (late_s := self._clock.now() - due_s) > self._latest_s:
+            self.amiss.append(f"a {move.kind} of axis {name} began {late_s:.1f} s late")
         if move.kind in ("go", "turn") and (name in self._turning or name in self._spinning):
             if name in self._spinning:
                 self._axes[name].stop()
+                self._spinning.discard(name)
             self.settle(name, meanwhile)
         self._command(step, move)
 
@@ -92,6 +116,32 @@ class AxesDuty:
         """Read all axes."""
         for name in self._axes:
             self._read(name)
+
+    def watch(self) -> None:
+        """Read the rates of axes that have a motor, oftener where they move; these readings are no events."""
+        now = self._clock.now()
+        for name in self._axes:
+            under_way = name in self._turning or name in self._spinning
+            last = self.newest.get(name)
+            every_s = _WATCH_MOVING_S if under_way else _WATCH_STANDING_S
+            if self._limits_of(name).by_hand or (last is not None and now - last.time_s < every_s):
+                continue
+            reading = self.newest[name] = self._axes[name].read()
+            asked_dps, runs_s = self._spins.get(name, (0.0, math.inf))
+            off = reading.time_s > runs_s and abs(reading.rate_dps - asked_dps) > _off(asked_dps)
+            self._off_rate[name] = self._off_rate.get(name, 0) + 1 if off else 0
+            # One reading may be a busy host's.
+            if self._off_rate[name] == _OFF_READINGS:
+                self.amiss.append(f"axis {name} spins at {reading.rate_dps:.2f} deg/s instead of {asked_dps:g}")
+
+    def allowed(self) -> dict[str, tuple[float, float]]:
+        """How fast an axis that has a motor may turn now, by what it was told; and how fast the rig lets it, deg/s."""
+        now, found = self._clock.now(), dict[str, tuple[float, float]]()
+        for name in self._axes:
+            limits = self._limits_of(name)
+            if not limits.by_hand:
+                found[name] = (self._allowed_dps(name, now), limits.max_rate_dps)
+        return found
 
     def settle_all(self, meanwhile: Callable[[], None]) -> None:
         """Wait until every axis stands that is to stand."""
@@ -116,10 +166,14 @@ class AxesDuty:
         """Stop every axis now."""
         for name, axis in self._axes.items():
             axis.stop()
+            self._asks(name, 0.0)
             self._event("stopped", at_once=False, axis=name)
         self._spinning.clear()
         self._turning.clear()
         self._planned_end_s.clear()
+        self._due_end_s.clear()
+        self._spins.clear()
+        self.amiss.clear()
 
     # -------------------------------------------------------------------------------------------------------- parts
 
@@ -132,6 +186,9 @@ class AxesDuty:
 
     def _command(self, step: str, move: Move) -> None:
         axis, name = self._axes[move.axis], move.axis
+        self._asks(name, abs(move.rate_dps), move.acceleration_dps2)
+        self._due_end_s.pop(name, None)
+        self._spins.pop(name, None)
         began = self._clock.now()
         if move.kind in ("go", "turn"):
             turned = self._goal_deg.get(name, 0.0) + move.angle_deg
@@ -140,11 +197,14 @@ class AxesDuty:
             self._goal_deg[name] = goal
             self._spinning.discard(name)
             self._turning[name] = began + (move.duration_s if move.kind == "turn" else 0.0)
+            if name not in self._by_hand:
+                self._due_end_s[name] = self._turning[name] if move.kind == "turn" else math.inf
             if name in self._by_hand:
                 self._planned_end_s[name], self._turning[name] = self._turning[name], began
         elif move.kind == "spin":
             axis.spin(move.rate_dps, move.acceleration_dps2)
             self._spinning.add(name)
+            self._spins[name] = (move.rate_dps, began + self._ramp_s(name, move) + _EASING_S)
             self._turning.pop(name, None)
         else:
             axis.stop()
@@ -162,4 +222,56 @@ class AxesDuty:
             self._turning.pop(name, None)
             planned_s = self._planned_end_s.pop(name, math.inf)
             self.late_s += max(0.0, reading.time_s - planned_s)
+            if name not in self._spinning:
+                self._stood(name, reading)
         return reading
+
+    def _stood(self, name: str, reading: AxisReading) -> None:
+        """An axis stands where it was to stand: when it was to, and where?"""
+        if self._asked_dps.get(name):
+            self._asks(name, 0.0)
+        due_s = self._due_end_s.pop(name, None)
+        if due_s is None:
+            return
+        if (late_s := reading.time_s - due_s) > self._latest_s:
+            self.amiss.append(
+                f"a turn of axis {name} ended {late_s:.1f} s late, and the rest after it is as much short"
+            )
+        if abs(reading.position_deg - self._goal_deg[name]) > _OFF_GOAL_DEG:
+            self.amiss.append(
+                f"axis {name} stands at {reading.position_deg:.3f} deg and was to go to {self._goal_deg[name]:.3f}"
+            )
+
+    def _asks(self, name: str, rate_dps: float, acceleration_dps2: float = math.inf) -> None:
+        """From now on an axis is asked for this rate; what it turned at before it may turn at until it has slowed."""
+        now = self._clock.now()
+        before_dps = self._allowed_dps(name, now)
+        slows_s = (before_dps - rate_dps) / acceleration_dps2 if acceleration_dps2 > 0.0 else 0.0
+        slows_s = min(max(slows_s, 0.0), _LONGEST_MOVE_S) if math.isfinite(before_dps) else 0.0
+        self._easing[name] = (before_dps, now + slows_s + _EASING_S)
+        self._asked_dps[name] = rate_dps
+
+    def _allowed_dps(self, name: str, now: float) -> float:
+        before_dps, until_s = self._easing.get(name, (0.0, -math.inf))
+        return max(self._asked_dps.get(name, 0.0), before_dps if now <= until_s else 0.0)
+
+    def _ramp_s(self, name: str, move: Move) -> float:
+        before = self.newest.get(name)
+        change = abs(move.rate_dps - (before.rate_dps if before is not None else 0.0))
+        return change / move.acceleration_dps2
+
+    def _limits_of(self, name: str) -> AxisLimits:
+        """As the axis told them when the run began."""
+        if name not in self._limits:
+            self._limits[name] = self._axes[name].limits()
+        return self._limits[name]
+
+
+def _off(asked_dps: float) -> float:
+    """How far a rate that is read may be from the one that was asked for."""
+    return _OFF_RATE * abs(asked_dps) + _OFF_RATE_DPS
+
+
+def too_fast(rate_dps: float, allowed: tuple[float, float]) -> bool:
+    """Whether an axis turns faster than it was told, or than the rig lets it."""
+    return abs(rate_dps) > min(bound + _off(bound) for bound in allowed)

@@ -14,6 +14,7 @@ from pathlib import Path
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.rig import read_rig
 from gradcal_jax.files.writing import write_toml, write_whole
+from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.interlocks import Limits, standard_rules
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
@@ -38,7 +39,8 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
     else:
         made, first = new_folder(path, read_recipe(folder / "recipe.toml"), read_rig(folder / "rig.toml")), 0
     write_whole(path / "pid", str(os.getpid()))
-    rules = standard_rules(Limits(imu_stale_s=2.0 * speed, temperature_band_k=None))
+    watching._SILENT_S = float(os.environ.get("SILENT_S", watching._SILENT_S))
+    rules = standard_rules(Limits(imu_stale_s=2.0 * speed, temperature_band_k=None, latest_s=1.0 * speed))
     result = run_session(
         made, made.rig(), clock, first_step=first, guard=guard, interlocks=rules, safe_deadline_s=20.0,
         wait_when_paused=False, handle_signals=True,
@@ -68,9 +70,12 @@ def laboratory(folder: Path, speed: float) -> Iterator[subprocess.Popen[str]]:
         process.stdout.close()
 
 
-def start_run(folder: Path, path: Path, speed: float, *, guard: bool = False) -> subprocess.Popen[str]:
+def start_run(
+    folder: Path, path: Path, speed: float, *, guard: bool = False, silent_s: float = 20.0
+) -> subprocess.Popen[str]:
     words = [sys.executable, __file__, "run", str(folder), str(path), str(speed)] + (["guard"] if guard else [])
-    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    environment = os.environ | {"SILENT_S": str(silent_s)}
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
 
 
 if __name__ == "__main__":

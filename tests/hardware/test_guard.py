@@ -2,19 +2,26 @@
 
 import errno
 import os
+import select
+import shutil
+import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hardware_bench import Rig, short_recipe
+from hardware_processes import laboratory, start_run
 
+from gradcal_jax.files.rig import TEMPLATE
 from gradcal_jax.files.writing import write_toml
-from gradcal_jax.hardware import guard, runner
+from gradcal_jax.hardware import guard, runner, session
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.errors import PortRefused
+from gradcal_jax.hardware.errors import HardwareError, PortRefused
+from gradcal_jax.hardware.interlocks import Limits, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.runner import Progress, RunResult
@@ -116,11 +123,142 @@ def test_a_port_that_is_gone_keeps_no_other_device_from_being_made_safe(
     [(b"", False), (b"begun\n", True), (b"begun\ndone\n", False), (b"begun\ndo", True)],
 )
 def test_it_acts_on_a_run_that_had_begun_and_was_not_done(said: bytes, acts: bool, tmp_path: Path) -> None:
-    # A folder without a rig: whoever wants to open it stumbles.
-    words = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path)]
+    # A rig whose ports are not there: whoever wants to open them says so.
+    (tmp_path / "rig.toml").write_text(TEMPLATE.replace("/dev/ttyUSB", "/nowhere/port"))
+    Journal(tmp_path / "journal").close()
+    words = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path), "20", "0"]
     done = subprocess.run(words, input=said, capture_output=True)
-    assert (done.returncode != 0) == acts
-    assert (b"rig.toml" in done.stderr) == acts
+    assert (done.returncode, done.stdout) == (0, b"ready\n")
+    devices = {event.data.get("device"): event.data.get("verified") for event in by_guard(tmp_path / "journal")}
+    assert devices == ({None: None, "table": False, "chamber": False, "unit1": False} if acts else {})
+
+
+def test_a_guard_that_could_not_work_keeps_the_run_from_beginning(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text("format = 1")
+    with pytest.raises(HardwareError, match="cannot work with"), guard.guarded(tmp_path):
+        pass
+
+
+# ----------------------------------------------------------------------------------- what it needs, it has beforehand
+
+
+def guard_of(folder: Path) -> "subprocess.Popen[bytes]":
+    words = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(folder)]
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert select.select([process.stdout], [], [], 20.0)[0], "it does not say that it is ready"
+    return process
+
+
+@pytest.mark.parametrize("fate", ["moved", "removed"])
+def test_the_folder_may_go_away_before_the_run_is_killed(fate: str, tmp_path: Path) -> None:
+    clock, folder = RealClock(), tmp_path / "run"
+    folder.mkdir()
+    with Rig(clock) as rig:
+        limit = rig.table.axes[0].values["trap_traj.config.vel_limit"]
+        write_toml(rig.rig, folder / "rig.toml")
+        process = guard_of(folder)
+        assert process.stdin is not None
+        with process.stdin:
+            process.stdin.write(b'begun\nbefore ["table", "trap_traj.config.vel_limit", "%g"]\n' % limit)
+            process.stdin.flush()
+            left_turning(rig, folder, clock)
+            rig.table.axes[0].values["trap_traj.config.vel_limit"] = 0.125
+            (folder.rename(tmp_path / "elsewhere") if fate == "moved" else shutil.rmtree(folder))
+        assert process.wait(timeout=60.0) == 0
+        assert process.stdout is not None
+        process.stdout.close()
+        assert rig.chamber.mode == "STANDBY"
+        assert rig.axis.state(clock.now())[1] == 0.0
+        # What the run had changed of a device is as it was, though this process never changed it.
+        assert rig.table.axes[0].values["trap_traj.config.vel_limit"] == limit
+    if fate == "moved":
+        verified = [event.data.get("verified") for event in by_guard(tmp_path / "elsewhere" / "journal")]
+        assert verified == [None, True, True, True]
+
+
+def test_a_device_that_does_not_answer_is_tried_until_it_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guard, "_TO_OPEN_S", 0.3)
+    clock = RealClock()
+    with Rig(clock) as rig:
+        left_turning(rig, tmp_path, clock)
+        rig.ports[0].faults.mute = True
+        mend = threading.Timer(4.0, lambda: setattr(rig.ports[0].faults, "mute", False))
+        mend.start()
+        outcomes = guard.make_folder_safe(tmp_path, deadline_s=1.0, keep_trying_s=60.0)
+        mend.join()
+        assert rig.chamber.mode == "STANDBY"
+    assert all(outcome.verified for outcome in outcomes)
+    assert "chamber is not safe, and is tried again" in capsys.readouterr().err
+    verified = [event.data["verified"] for event in by_guard(tmp_path / "journal") if "device" in event.data]
+    assert verified.count(False) >= 1
+    assert verified[-1] is True
+
+
+# ------------------------------------------------------------------------------------------------- alive, both ways
+
+
+def test_a_guard_that_died_is_announced_and_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(session, "BEAT_S", 0.1)
+    killed: list[int] = []
+    clock, made = RealClock(speed=SPEED), short_recipe(1.0)
+
+    def look(progress: Progress) -> None:
+        if not killed:
+            guards[0].process.kill()
+            killed.append(guards[0].process.pid)
+
+    guards: list[guard.Guard] = []
+    start = guard.Guard.begun
+
+    def begun(self: guard.Guard) -> None:
+        guards.append(self)
+        start(self)
+
+    def hindered(*_: object, **__: object) -> list[SafeOutcome]:
+        return [SafeOutcome("chamber", "standby", False, "has not answered yet", 1, 60.0)]
+
+    monkeypatch.setattr(guard.Guard, "begun", begun)
+    monkeypatch.setattr(runner, "make_safe", hindered)
+    with SimulatedLab(made.spec, clock) as lab:
+        folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
+        result = run_of(lab, folder, clock, on_progress=look, interlocks=standard_rules(Limits(latest_s=20.0)))
+        assert not result.verified_safe
+        end = time.monotonic() + 60.0
+        while time.monotonic() < end and lab.chamber.mode != "STANDBY":
+            time.sleep(0.1)
+        # The other one did what the first was there for.
+        assert lab.chamber.mode == "STANDBY"
+    assert len(killed) == 1
+    said = "the guard had died; another one has taken its place"
+    assert said in [event.data.get("what") for event in by_guard(folder.journal_path)]
+    assert said in capsys.readouterr().err
+
+
+def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path: Path) -> None:
+    """The process is stopped, as by a debugger or a disk that never answers: it holds its ports and says nothing."""
+    write_toml(short_recipe(6.0), tmp_path / "recipe.toml")
+    with laboratory(tmp_path, SPEED) as lab:
+        run = start_run(tmp_path, tmp_path / "run", SPEED, guard=True, silent_s=2.0)
+        journal = tmp_path / "run" / "journal"
+        end = time.monotonic() + 60.0
+        while time.monotonic() < end and not (journal.exists() and journal.read_bytes().count(b'"move"') >= 2):
+            time.sleep(0.1)
+        os.kill(int((tmp_path / "run" / "pid").read_text()), signal.SIGSTOP)
+        while time.monotonic() < end and not (journal.exists() and journal.read_bytes().count(b'"by":"guard"') >= 3):
+            time.sleep(0.1)
+        assert lab.stdin is not None
+        assert lab.stdout is not None
+        lab.stdin.write("state\n")
+        lab.stdin.flush()
+        assert lab.stdout.readline().split() == ["STANDBY", "0.0"]
+        run.communicate(timeout=30.0)
+        assert run.returncode == -signal.SIGKILL
+    assert "did not answer any more" in by_guard(journal)[0].data["what"]
 
 
 def run_of(lab: SimulatedLab, folder: RunFolder, clock: RealClock, **more: Any) -> RunResult:

@@ -33,7 +33,7 @@ def test_only_a_run_that_never_began_is_taken_over(tmp_path: Path) -> None:
     assert not new_folder(path, made, rig).notes()["simulated"]
     assert not folder.journal_path.exists()
     with Journal(folder.journal_path) as journal:
-        begin_session(journal, 0.0, 0, simulated=False, first_step=0)
+        begin_session(journal, 0.0, 0, rig, simulated=False, first_step=0)
     with pytest.raises(RunFolderError, match="gradcal run --resume"):
         new_folder(path, made, rig)
 

@@ -46,9 +46,9 @@ REFUSALS = {
     "CHB NOT READY": "the chamber is not ready",
 }
 
-_NUMBER = r"-?\d{1,3}\.\d"
+_NUMBER = r"-?\d{1,3}(?:\.\d{1,2})?"
 _TEMPERATURE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER}),({_NUMBER})")
-_MONITOR = re.compile(rf"({_NUMBER}),(\d{{0,3}}),([A-Z ]+),(\d+)")
+_MONITOR = re.compile(rf"({_NUMBER}),((?:{_NUMBER})?),([A-Z ]+),(\d+)")
 _ALARMS = re.compile(r"\d+(,\d+)*")
 
 
@@ -102,7 +102,8 @@ def reply_text(frame: bytes) -> str:
     """The text of a reply. Raises `Rejected` for `NA:`, `FramingError` for bytes that are no text."""
     if not all(32 <= byte < 127 for byte in frame):
         raise FramingError(f"The chamber answered {printable(frame)!r}, which is no text. Check the baud rate.")
-    text = frame.decode("ascii").strip()
+    # Models differ in blanks around commas and in decimals, of which there are none to two.
+    text = re.sub(r" *, *", ",", frame.decode("ascii").strip())
     if (refusal := re.match(r"NA\s*:\s*(.*)", text)) is not None:
         code = refusal[1].strip()
         meaning = REFUSALS.get(code, "see the chamber's manual")
@@ -167,7 +168,7 @@ def parse_acknowledgement(frame: bytes, command: str) -> None:
 def open_exchange(transport: Transport, clock: Clock, config: EspecConfig) -> Exchange:
     return Exchange(
         transport,
-        LineFramer(b"\r\n"),
+        LineFramer(),
         clock=clock,
         device="The ESPEC chamber",
         reply_timeout_s=config.reply_timeout_s,

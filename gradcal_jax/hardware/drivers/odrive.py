@@ -3,21 +3,34 @@
 Sources: ODrive's repository (documentation and firmware 0.5.6) and the enumerations of its 0.6.11 package. 115200 8N1.
 A request that ends in `*` and the decimal exclusive or of its characters is answered with one; a damaged request
 *vanishes without an answer*. Commands of motion are never answered: the driver reads back what the controller took for
-its input. `t` leaves the controller in trapezoid mode, in which a later `v` is silently ignored, so that the input mode
-is set and verified before every move. An invalid encoder estimate is printed as 0.0, so that readiness is asked for
-with every position. `q` and `c` are not used.
+its input. An invalid encoder estimate is printed as 0.0, so that readiness is asked for with every position. `q` and
+`c` are not used.
 
-**Watchdog**: fed by every motion command and by `heartbeat()`. When it expires the motor goes idle and *coasts*: an
-unbalanced gimbal falls. `safe('hold')` therefore switches the watchdog off before it leaves the motor powered.
+**What the controller remembers decides what a command does.** `t` plans from `pos_setpoint`, which no command of
+velocity moves and which `t` itself does not synchronise: after a spin the axis would first go back to where the last
+move ended, as fast as the controller's `vel_limit` lets it. Writing `control_mode` as a property does synchronise. So
+before every `t` the mode is written, `pos_setpoint` and estimate are read back, and only where they agree is the move
+sent. An `input_vel` of an earlier spin acts as soon as the input mode lets it: it is set to nought before modes are
+changed. A velocity loop at nought gives way to a load; what stands is therefore held by the position loop.
+
+**Watchdog**: fed by every motion command and by `heartbeat()`, checked by the controller in every state, and its error
+stays until `sc`. When it expires the motor goes idle and *coasts*: an unbalanced gimbal falls. `safe` switches it off,
+clears the error that it left, and takes an axis that this program had powered under control again. Errors that are
+there when a run begins are cleared and shown as warnings of every reading; those that come back, and those that come
+later, are faults. (`sc` clears the errors of both motors of a board.)
+
+Positions are float32: one step is 2⁻²³ of the value, 0.011 deg at 440 turns; `limits().resolution_deg` says it.
 
 Unverified on real hardware: the property names, which change between versions of the firmware and are options
-(`ready_property`, `error_property`, `input_velocity_property`, `input_position_property`); that `v` is ignored in
-trapezoid mode (read from the source). The position counts from where the encoder found its index or was switched on:
-there is no homing by default (`home_state` 11 asks the controller to).
+(`ready_property`, `error_property`, `input_velocity_property`, `input_position_property`, `setpoint_property`); that
+generation 0.6 synchronises in the same way (the read-back decides). The position counts from where the encoder found
+its index or was switched on: there is no homing by default (`home_state` 11 asks the controller to).
 """
 
 import re
 from dataclasses import dataclass
+
+import numpy as np
 
 from ..checksums import xor8
 from ..clock import Clock
@@ -25,6 +38,7 @@ from ..errors import ChecksumError, DeviceFault, FramingError, LimitExceeded, No
 from ..exchange import Exchange, until_shown
 from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
+from ..settings import KeptSettings
 from ..transport import Transport
 
 IDLE, CLOSED_LOOP = 1, 8
@@ -61,6 +75,8 @@ _REFUSALS = ("invalid command format", "invalid motor", "invalid property", "not
 _NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _FEEDBACK = re.compile(rf"({_NUMBER}) ({_NUMBER})")
 _STANDING_TURNS_PER_S = 1e-3
+_SYNCHRONISED_DEG = 0.2
+_CONTROL_MODE, _INPUT_MODE = "controller.config.control_mode", "controller.config.input_mode"
 
 
 @dataclass(frozen=True)
@@ -84,10 +100,11 @@ class ODriveConfig:
     home_state: int = 0
     home_timeout_s: float = 60.0
     stop_timeout_s: float = 30.0
-    ready_property: str = "encoder.is_ready"
+    ready_property: str = ""
     error_property: str = ""
     input_velocity_property: str = "controller.input_vel"
     input_position_property: str = "controller.input_pos"
+    setpoint_property: str = "controller.pos_setpoint"
 
     def __post_init__(self) -> None:
         if self.generation not in ("0.5", "0.6"):
@@ -98,6 +115,15 @@ class ODriveConfig:
     @property
     def errors_in(self) -> str:
         return self.error_property or ("error" if self.generation == "0.5" else "active_errors")
+
+    @property
+    def ready_in(self) -> str:
+        """Empty: generation 0.6 has no such property, and an encoder that is not valid is one of its errors."""
+        return self.ready_property or ("encoder.is_ready" if self.generation == "0.5" else "")
+
+    @property
+    def watchdog_bit(self) -> int:
+        return 0x800 if self.generation == "0.5" else 0x01000000
 
 
 # ------------------------------------------------------------------------------------------------------------ codec
@@ -145,7 +171,7 @@ def decimal(value: float) -> str:
 def open_exchange(transport: Transport, clock: Clock, config: ODriveConfig) -> Exchange:
     return Exchange(
         transport,
-        LineFramer(b"\r\n"),
+        LineFramer(),
         clock=clock,
         device="The ODrive controller",
         reply_timeout_s=config.reply_timeout_s,
@@ -161,13 +187,20 @@ class ODriveAxis:
         self._clock = exchange.clock
         self._target_turns: float | None = None
         self._spinning = False
+        self._powered = False
+        self._cleared: tuple[str, ...] = ()
+        self.settings = KeptSettings(
+            lambda name: decimal(self._property(name)),
+            lambda name, value: self._set(name, float(value)),
+            lambda shown, wanted: _near(float(shown), float(wanted)),
+        )
 
     def identify(self) -> Identity:
         with self._exchange.alone():
             self._exchange.tell(request("i"))
             lines = self._exchange.transport.read(self._config.reply_timeout_s)
             lines += self._exchange.transport.drain(self._config.reply_timeout_s)
-        texts = [parse_line(line) for line in lines.split(b"\r\n") if line]
+        texts = [parse_line(line) for line in re.split(rb"[\r\n]+", lines) if line]
         if len(texts) != 3:
             raise FramingError(
                 f"The controller at {self._exchange.transport.url} answered `i` with {printable(lines)!r}; hardware, "
@@ -179,21 +212,23 @@ class ODriveAxis:
     def limits(self) -> AxisLimits:
         config = self._config
         fastest = abs(self._property("controller.config.vel_limit")) * 360.0 / config.turns_per_table_turn
+        ends = [abs(self._target(end)) for end in (config.lowest_deg, config.highest_deg) if end is not None]
+        farthest = max([abs(self._feedback()[0]), *ends])
         return AxisLimits(
             min(config.max_rate_dps, fastest),
             config.max_acceleration_dps2,
             config.lowest_deg,
             config.highest_deg,
-            360e-6 / config.turns_per_table_turn,
+            max(1e-6, _spacing(farthest)) * 360.0 / config.turns_per_table_turn,
             hardware_watchdog=config.watchdog_s > 0.0,
         )
 
     def read(self) -> AxisReading:
         config = self._config
-        turns, turns_per_s = self._exchange.ask(request(f"f {config.motor}"), parse_feedback)
+        turns, turns_per_s = self._feedback()
         time_s = self._clock.now()
         errors = self._faults()
-        ready = self._property(config.ready_property) != 0.0 if config.ready_property else True
+        ready = self._property(config.ready_in) != 0.0 if config.ready_in else True
         slow = abs(turns_per_s) < _STANDING_TURNS_PER_S
         arrived = self._target_turns is None or abs(turns - self._target_turns) < self._turns(config.in_position_deg)
         moving = not slow or self._spinning or not arrived
@@ -207,10 +242,11 @@ class ODriveAxis:
             moving,
             ready,
             errors if ready else (*errors, "the encoder's position is not valid"),
-            (),
+            self._cleared,
         )
 
     def home(self) -> None:
+        self._clear_errors()
         if self._config.home_state:
             self._tell(f"w axis{self._config.motor}.requested_state {self._config.home_state}")
             self._wait_for_state(IDLE, self._config.home_timeout_s, "homing")
@@ -225,11 +261,16 @@ class ODriveAxis:
             raise LimitExceeded(f"{position_deg:g} deg lies outside the travel of the rig file.")
         rate, acceleration = self._checked(rate_dps, acceleration_dps2)
         self._close_loop()
-        self._set("trap_traj.config.vel_limit", rate)
-        self._set("trap_traj.config.accel_limit", acceleration)
-        self._set("trap_traj.config.decel_limit", acceleration)
-        turns = (position_deg - config.zero_deg) * config.direction / 360.0 * config.turns_per_table_turn
+        if self.read().moving:
+            self._brake()
+        else:
+            self._hold_here()
+        self.settings.change("trap_traj.config.vel_limit", decimal(rate))
+        self.settings.change("trap_traj.config.accel_limit", decimal(acceleration))
+        self.settings.change("trap_traj.config.decel_limit", decimal(acceleration))
+        turns = self._target(position_deg)
         self._spinning, self._target_turns = False, turns
+        self.settings.note(_INPUT_MODE, str(TRAPEZOID))
         self._shown(f"t {config.motor} {decimal(turns)}", config.input_position_property, turns)
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
@@ -250,21 +291,33 @@ class ODriveAxis:
     def arm_watchdog(self) -> None:
         """Switch the watchdog on; from now on `heartbeat` must come well within `watchdog_s`."""
         if self._config.watchdog_s > 0.0:
-            self._set("config.watchdog_timeout", self._config.watchdog_s)
+            self.settings.change("config.watchdog_timeout", decimal(self._config.watchdog_s))
             self._tell(f"u {self._config.motor}")
             self._set("config.enable_watchdog", 1.0)
 
     def safe(self, policy: AxisSafe) -> SafeReport:
-        reading = self._brake()
+        self._disarm_watchdog()
+        expired = self._error_code() == self._config.watchdog_bit
+        if expired:
+            self._clear_errors()
         if policy is AxisSafe.UNPOWER:
+            reading = self._brake()
             self._tell(f"w axis{self._config.motor}.requested_state {IDLE}")
             self._wait_for_state(IDLE, 2.0, "unpowering")
-        elif self._config.watchdog_s > 0.0:
-            self._set("config.enable_watchdog", 0.0)
-        state = int(self._property("current_state"))
-        powered = "closed loop" if state == CLOSED_LOOP else "idle" if state == IDLE else f"state {state}"
+            held = True
+        else:
+            # What this program has powered is held, also where it was let go of; what stood idle is left idle.
+            if self._powered or expired:
+                self._close_loop()
+            reading = self._brake()
+            # The mode holds the angle: it is not put back.
+            self.settings.before.pop(_CONTROL_MODE, None)
+            held = not self._powered or self._state() == CLOSED_LOOP
+        state = self._state()
+        powered = "held by the position loop" if state == CLOSED_LOOP else "idle" if state == IDLE else f"state {state}"
         evidence = f"{reading.rate_dps:.3f} deg/s at {reading.position_deg:.3f} deg, {powered}"
-        return SafeReport(policy.value, not reading.moving, "; ".join([evidence, *reading.faults]))
+        notes = (*reading.faults, *(f"cleared: {error}" for error in self._cleared))
+        return SafeReport(policy.value, held and not reading.moving, "; ".join([evidence, *notes]))
 
     def close(self) -> None:
         self._exchange.transport.close()
@@ -277,6 +330,12 @@ class ODriveAxis:
     def _property(self, path: str) -> float:
         return self._exchange.ask(request(f"r axis{self._config.motor}.{path}"), parse_number)
 
+    def _feedback(self) -> tuple[float, float]:
+        return self._exchange.ask(request(f"f {self._config.motor}"), parse_feedback)
+
+    def _state(self) -> int:
+        return int(self._property("current_state"))
+
     def _set(self, path: str, value: float) -> None:
         self._shown(f"w axis{self._config.motor}.{path} {decimal(value)}", path, value)
 
@@ -285,41 +344,97 @@ class ODriveAxis:
         until_shown(
             lambda: self._tell(words),
             lambda: self._property(path),
-            lambda shown: abs(shown - value) <= 1e-5 + 2e-5 * abs(value),
+            lambda shown: _near(shown, value),
             what=f"{words!r}",
             clock=self._clock,
         )
 
+    def _error_code(self) -> int:
+        return int(self._property(self._config.errors_in))
+
     def _faults(self) -> tuple[str, ...]:
-        code = int(self._property(self._config.errors_in))
+        code = self._error_code()
         names = ERRORS_05 if self._config.generation == "0.5" else ERRORS_06
         known = [f"0x{bit:x} ({text})" for bit, text in names.items() if code & bit]
         rest = code & ~sum(names)
         return tuple(known + ([f"0x{rest:x}"] if rest else []))
 
+    def _clear_errors(self) -> None:
+        """What an earlier session left is shown and cleared. Raises `DeviceFault` for what comes back."""
+        self._disarm_watchdog()
+        if not (faults := self._faults()):
+            return
+        if self._config.generation == "0.5":
+            codes = {part: int(self._property(f"{part}.error")) for part in ("motor", "encoder", "controller")}
+            faults += tuple(f"{part} 0x{code:x}" for part, code in codes.items() if code)
+        self._tell("sc")
+        if self._faults():
+            raise DeviceFault(
+                f"The controller reports {', '.join(faults)}, also after its errors were cleared. See to the cause.",
+                codes=faults,
+            )
+        self._cleared = faults
+
+    def _disarm_watchdog(self) -> None:
+        if self._property("config.enable_watchdog"):
+            self._set("config.enable_watchdog", 0.0)
+
     def _close_loop(self) -> None:
         if faults := self._faults():
             raise DeviceFault(f"The controller reports {', '.join(faults)}. Clear the cause and start again.")
-        if int(self._property("current_state")) != CLOSED_LOOP:
-            self._tell(f"w axis{self._config.motor}.requested_state {CLOSED_LOOP}")
-            self._wait_for_state(CLOSED_LOOP, 2.0, "closing the loop")
+        if self._state() != CLOSED_LOOP:
+            # In position control the loop closes on where the motor is; at a velocity it would begin to turn.
+            self._set(self._config.input_velocity_property, 0.0)
+            self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
+            until_shown(
+                lambda: self._tell(f"w axis{self._config.motor}.requested_state {CLOSED_LOOP}"),
+                self._state,
+                lambda state: state == CLOSED_LOOP,
+                what="Closing the loop",
+                clock=self._clock,
+                looks=10,
+            )
+        self._powered = True
 
     def _wait_for_state(self, state: int, timeout_s: float, doing: str) -> None:
         end = self._clock.now() + timeout_s
-        while (seen := int(self._property("current_state"))) != state:
+        while (seen := self._state()) != state:
             if self._clock.now() > end:
                 raise NotVerified(f"The controller is in state {seen} after {timeout_s:g} s of {doing}, not {state}.")
             self._clock.sleep(self._config.poll_s)
 
     def _velocity(self, turns_per_s: float, acceleration_turns: float) -> None:
-        self._set("controller.config.vel_ramp_rate", acceleration_turns)
-        self._set("controller.config.control_mode", float(VELOCITY_CONTROL))
-        self._set("controller.config.input_mode", float(VELOCITY_RAMP))
+        self.settings.change("controller.config.vel_ramp_rate", decimal(acceleration_turns))
+        for _ in range(2):
+            # A trapezoid that ends in between puts the control mode back to position: hence twice, and verified.
+            if (self._property(_CONTROL_MODE), self._property(_INPUT_MODE)) == (VELOCITY_CONTROL, VELOCITY_RAMP):
+                break
+            self._set(self._config.input_velocity_property, 0.0)
+            self.settings.change(_CONTROL_MODE, str(VELOCITY_CONTROL))
+            self.settings.change(_INPUT_MODE, str(VELOCITY_RAMP))
         words = f"v {self._config.motor} {decimal(turns_per_s)} 0"
         self._shown(words, self._config.input_velocity_property, turns_per_s)
 
+    def _hold_here(self) -> None:
+        """The position loop holds the axis where it stands, and its set point is there: verified, or raised."""
+        path, tolerance = self._config.setpoint_property, self._turns(_SYNCHRONISED_DEG)
+
+        def astray() -> tuple[float, float]:
+            return self._property(_CONTROL_MODE), self._property(path) - self._feedback()[0]
+
+        self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
+        until_shown(
+            lambda: self._tell(f"w axis{self._config.motor}.{_CONTROL_MODE} {POSITION_CONTROL}"),
+            astray,
+            lambda shown: shown[0] == POSITION_CONTROL and abs(shown[1]) <= tolerance,
+            what="Position control where the axis stands (mode, turns from there to the set point)",
+            clock=self._clock,
+        )
+
     def _brake(self) -> AxisReading:
-        if int(self._property("current_state")) == CLOSED_LOOP:
+        """To standstill, and held there if the motor has power."""
+        closed = self._state() == CLOSED_LOOP
+        if closed:
             self._velocity(0.0, self._turns(self._config.max_acceleration_dps2))
         self._spinning, self._target_turns = False, None
         end = self._clock.now() + self._config.stop_timeout_s
@@ -327,6 +442,8 @@ class ODriveAxis:
             if self._clock.now() > end:
                 raise NotVerified(f"The axis still turns at {reading.rate_dps:.2f} deg/s. Look at the table.")
             self._clock.sleep(self._config.poll_s)
+        if closed and not reading.faults:
+            self._hold_here()
         return reading
 
     def _checked(self, rate_dps: float, acceleration_dps2: float) -> tuple[float, float]:
@@ -341,6 +458,19 @@ class ODriveAxis:
     def _turns(self, degrees: float) -> float:
         return degrees / 360.0 * self._config.turns_per_table_turn
 
+    def _target(self, position_deg: float) -> float:
+        return self._turns((position_deg - self._config.zero_deg) * self._config.direction)
+
     def _degrees(self, turns: float) -> float:
         config = self._config
         return config.zero_deg + config.direction * turns * 360.0 / config.turns_per_table_turn
+
+
+def _spacing(value: float) -> float:
+    """Between neighbouring float32."""
+    return float(np.spacing(np.float32(abs(value))))
+
+
+def _near(shown: float, value: float) -> bool:
+    """Equal to ten characters and float32."""
+    return abs(shown - value) <= max(1e-5, 2.0 * _spacing(value))

@@ -24,6 +24,7 @@ from ... import units
 from ..clock import Clock
 from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, SafeReport
+from ..settings import KeptSettings
 from ..terminal import Line
 from ..track import Move
 
@@ -135,6 +136,7 @@ class OperatorAxis:
     ) -> None:
         self._console, self._config, self._clock, self._name = console, config, clock, name
         self._encoder = encoder
+        self.settings = KeptSettings() if encoder is None else encoder.settings
         self._whole_turns_deg = 0.0
         self._goal_deg = 0.0
         self._question = ""

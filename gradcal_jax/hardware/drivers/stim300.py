@@ -8,7 +8,7 @@ The counter counts internal samples (2000 /s) modulo 256: at 125 samples/s it wr
 are lost in a disturbed stretch are reckoned with the host's clock.
 
 Unverified on real hardware: that a unit already in Utility Mode answers the request with status 1; the codes of the
-output units (`rate_unit_code`, `increment_unit_code`); which field of `$it` tells the line end (`line_end_field`);
+output units (`rate_unit_code`, `increment_unit_code`);
 rates other than those of a standard line on USB adapters.
 """
 
@@ -23,6 +23,7 @@ from ..errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTi
 from ..exchange import Exchange, NotThisReply
 from ..framing import LineFramer
 from ..roles import Identity, ImuSettings, SafeReport
+from ..settings import KeptSettings
 from ..transport import Transport
 from .stim300_datagrams import CONTENTS, INTERNAL_RATE_HZ, LAYOUTS, Stim300Decoder
 
@@ -51,7 +52,6 @@ class Stim300Config:
     increments: bool = False
     rate_unit_code: int = 0
     increment_unit_code: int = 1
-    line_end_field: int = 4
     reply_timeout_s: float = 1.0
     mode_timeout_s: float = 3.0
 
@@ -106,12 +106,10 @@ def decoder_of(config: Stim300Config, registers: Mapping[str, str]) -> Stim300De
             f"The unit reports its ranges as {registers.get('irng')!r}; one accelerometer range was expected in the "
             "fourth to sixth field."
         ) from None
-    line = registers.get("it", "").split(",")
     return Stim300Decoder(
         sample_rate_hz=config.sample_rate_hz,
         acceleration_range_g=range_g,
         increments=config.increments,
-        line_end=len(line) > config.line_end_field and line[config.line_end_field] == "1",
     )
 
 
@@ -131,6 +129,8 @@ class Stim300Stream:
             device="The STIM300",
             reply_timeout_s=config.reply_timeout_s,
         )
+        # What is set lasts until the unit is switched off, and is never saved.
+        self.settings = KeptSettings()
         self._registers: dict[str, str] = {}
         self._in_utility = False
 

@@ -78,6 +78,8 @@ def _int24(columns: NDArray[np.uint8]) -> NDArray[np.int32]:
 class Stim300Decoder:
     """Bytes of Normal Mode -> samples. `acceleration_range_g` comes from the unit itself (`$irng`).
 
+    Whether the unit ends its datagrams in CR LF shows at the first one.
+
     A unit whose start-up bit comes up in the middle of a stream has begun anew: power was cut, or it was reset.
 
     Special datagrams between normal ones are passed over and counted; before the first lock, as after power-on, they
@@ -92,7 +94,6 @@ class Stim300Decoder:
         sample_rate_hz: float = 125.0,
         acceleration_range_g: int = 10,
         increments: bool = False,
-        line_end: bool = False,
     ) -> None:
         bits = (_INCREMENT_BITS if increments else _ACCELERATION_BITS).get(acceleration_range_g)
         if bits is None:
@@ -100,8 +101,8 @@ class Stim300Decoder:
         rate = sample_rate_hz if increments else 1.0
         self._gyro_scale = rate / 2 ** (21 if increments else 14)
         self._acceleration_scale = rate / 2**bits / (STANDARD_GRAVITY if increments else 1.0)
-        self._line_end = line_end
-        self._buffer = b""
+        self._line_end: bool | None = None
+        self._buffer: bytes = b""
         self._locked: int | None = None
         self._disturbed = False
         self._step = round(INTERNAL_RATE_HZ / sample_rate_hz)
@@ -128,13 +129,24 @@ class Stim300Decoder:
                 break
             assert self._locked is not None
             layout = LAYOUTS[self._locked]
-            stride = layout.length + 2 * self._line_end
+            stride = layout.length + 2 * bool(self._line_end)
             whole = len(self._buffer) // stride
+            if self._line_end is None:
+                if self._last_count is not None:
+                    # What comes after the first datagram tells: no identifier is a CR.
+                    if self._buffer == b"\r":
+                        break
+                    self._line_end = self._buffer.startswith(b"\r\n")
+                    self._buffer = self._buffer.removeprefix(b"\r\n")
+                    continue
+                whole = min(whole, 1)
             good = self._sound_frames(whole, stride, layout)
             if good:
                 block = np.frombuffer(self._buffer, np.uint8, good * stride).reshape(good, stride)
                 batches.append(self._decode(block, layout, host_time_s))
                 self._buffer = self._buffer[good * stride :]
+                if self._line_end is None:
+                    continue
             if good == whole:
                 # What is left may already be known not to be a datagram of this kind.
                 if self._buffer and self._buffer[0] != self._locked and not self._skip_special(stride):

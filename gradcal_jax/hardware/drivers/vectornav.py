@@ -19,15 +19,17 @@ import re
 import struct
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..checksums import crc16_vectornav, xor8
 from ..clock import Clock
-from ..errors import ChecksumError, FramingError, NotVerified, Rejected, printable
+from ..errors import ChecksumError, NotVerified, Rejected, printable
 from ..exchange import Exchange, NotThisReply
 from ..roles import Identity, ImuBatch, ImuSettings, SafeReport
+from ..settings import KeptSettings
 from ..transport import Transport
 from .imu_common import STANDARD_GRAVITY, join
 
@@ -270,6 +272,11 @@ class VectorNavStream:
             device="The VectorNav unit",
             reply_timeout_s=config.reply_timeout_s,
         )
+        self.settings = KeptSettings(
+            lambda name: ",".join(self._read(int(name))),
+            lambda name, value: self._write(int(name), value),
+            lambda shown, wanted: _same(shown.split(","), wanted.split(",")),
+        )
 
     def identify(self) -> Identity:
         model, hardware, serial, firmware = (",".join(self._read(register)) for register in (1, 2, 3, 4))
@@ -279,19 +286,24 @@ class VectorNavStream:
         self.stop()
         registers = {f"{register:02d}": ",".join(self._read(register)) for register in (1, 2, 3, 4, 5, 30)}
         if self._config.output == "ascii":
-            self._write(7, f"{self._config.sample_rate_hz:g}")
+            self.settings.change("7", f"{self._config.sample_rate_hz:g}")
         registers |= {f"{register:02d}": ",".join(self._read(register)) for register in (6, 7, 75)}
         return ImuSettings(self._config.sample_rate_hz, 0, registers)
 
     def start(self) -> None:
         if self._config.output == "ascii":
-            self._write(6, str(_IMU_OUTPUT))
+            self.settings.change("6", str(_IMU_OUTPUT))
         else:
-            self._write(75, self._binary_output(1))
+            self.settings.change("75", self._binary_output(1))
 
     def stop(self) -> None:
-        self._write(6, "0")
-        self._write(75, self._binary_output(0))
+        """Silence, also of the other outputs, which an earlier use may have left on."""
+        self.settings.change("6", "0")
+        self.settings.change("75", self._binary_output(0))
+        for register in ("76", "77"):
+            # A unit without this output has none that is on.
+            with suppress(Rejected):
+                self.settings.change(register, ",".join(["0", *self._read(int(register))[1:]]))
 
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         return self._transport.read_stamped(timeout_s)
@@ -334,6 +346,6 @@ class VectorNavStream:
 
 def _same(shown: list[str], wanted: list[str]) -> bool:
     """Equal but for leading zeros; a unit may append fields of its other ports."""
-    if len(shown) < len(wanted):
-        raise FramingError(f"A register reports {','.join(shown)!r}; {len(wanted)} fields were expected.")
-    return all((a.lstrip("0") or "0") == (b.lstrip("0") or "0") for a, b in zip(shown, wanted, strict=False))
+    return len(shown) >= len(wanted) and all(
+        (a.lstrip("0") or "0") == (b.lstrip("0") or "0") for a, b in zip(shown, wanted, strict=False)
+    )

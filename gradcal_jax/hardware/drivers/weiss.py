@@ -11,15 +11,19 @@ The manual allows one string in five seconds (`min_interval_s`): more disturbs t
 Unverified on real hardware: that `$aaU` is per minute (two sources agree, no manual page was seen); `$aaF`, the reply
 to which no source shows (`read_faults`, off by default: then `alarms` is always empty and the rig needs another way to
 notice a chamber alarm); records with 16 digital channels (`digital_channels`, one source); the acknowledgement, which
-old controllers send (`0`) and new ones do not (both are accepted, the read-back decides). While a gradient runs the
-nominal value of the record is the moving one.
+old controllers send (`0`) and new ones do not (both are accepted, the read-back decides).
+
+**Neither a gradient nor the target of a ramp can be read back.** A `$E` that is lost leaves the chamber as it was, a
+lost `$U` lets it go as fast as it can, and a gradient outlives the run that set it. But while a gradient runs the
+nominal value of the record is the moving one: a ramp counts as begun only when that moves, at about the rate that was
+asked for, and is told again otherwise. `hold`, `standby` and `safe` take the gradient off.
 """
 
 import re
 from dataclasses import dataclass
 
 from ..clock import Clock
-from ..errors import FramingError, LimitExceeded, Rejected, ReplyTimeout, printable
+from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
 from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
@@ -29,7 +33,10 @@ LOWEST_PLAUSIBLE_C, HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _NUMBER = re.compile(r"-?\d{1,5}\.\d")
 _CHANNEL = re.compile(r"(?:CV|SV|MV|DO)\d\d")
 _DEFINITION = re.compile(r"((?:CV|SV|MV|DO)\d\d)\s+(?!(?:CV|SV|MV|DO)\d)(.*[A-Za-z].*)")
-_RANGE = re.compile(r"min\D*?(-?\d+(?:\.\d+)?)\D+?max\D*?(-?\d+(?:\.\d+)?)\s*(.*)")
+_RANGE = re.compile(r"min\D*?(-?\d+(?:\.\d+)?)\D+?max\D*?(-?\d+(?:\.\d+)?)\s*(.*)", re.IGNORECASE)
+_TRIES = 3
+# Of a nominal value that is to move, K: what counts as movement, and what resolution and time may hide.
+_MOVED_K, _HIDDEN_K = 0.25, 0.15
 
 
 @dataclass(frozen=True)
@@ -43,7 +50,6 @@ class WeissConfig:
     reply_timeout_s: float = 5.0
     acknowledge_timeout_s: float = 1.0
     description_silence_s: float = 1.0
-    line_end: str = "\r"
     temperature_channel: str = ""
     product_channel: str = ""
     start_channel: int = 1
@@ -109,8 +115,8 @@ def number(value: float) -> str:
     return "0000.0" if text == "-000.0" else text
 
 
-def request(address: int, letter: str, body: str = "", line_end: str = "\r") -> bytes:
-    return f"${address:02d}{letter}{' ' if body else ''}{body}{line_end}".encode("ascii")
+def request(address: int, letter: str, body: str = "") -> bytes:
+    return f"${address:02d}{letter}{' ' if body else ''}{body}\r".encode("ascii")
 
 
 def write_body(layout: Layout, record: Record, *, temperature_c: float, start: bool, start_channel: int) -> str:
@@ -150,7 +156,7 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
     lines = [line.strip() for line in re.split(r"[\r\n]+", text) if line.strip()]
     definitions = [(index, match) for index, line in enumerate(lines) if (match := _DEFINITION.match(line))]
     starts = {
-        kind: next((i for i, line in enumerate(lines) if re.search(rf"\b{kind}-?\s?[Ss]tring", line)), None)
+        kind: next((i for i, line in enumerate(lines) if re.search(rf"\b{kind}-?\s?string", line, re.I)), None)
         for kind in "EI"
     }
     if starts["E"] is None or starts["I"] is None:
@@ -191,7 +197,7 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
 def open_exchange(transport: Transport, clock: Clock, config: WeissConfig) -> Exchange:
     return Exchange(
         transport,
-        LineFramer(b"\r"),
+        LineFramer(),
         clock=clock,
         device="The Weiss/Vötsch chamber",
         reply_timeout_s=config.reply_timeout_s,
@@ -207,6 +213,8 @@ class WeissChamber:
         self._config = config
         self._clock = exchange.clock
         self._known: Layout | None = None
+        self._acknowledges = False
+        self._orders = 0
 
     def identify(self) -> Identity:
         layout = self._layout()
@@ -235,9 +243,8 @@ class WeissChamber:
 
     def hold(self, temperature_c: float) -> None:
         self._check(temperature_c)
-        # An old gradient stays active until it is overwritten.
-        self._gradient(0.0, 0.0)
-        self._write(temperature_c, start=True, nominal_moves=False)
+        self._orders += 1
+        self._write(temperature_c, start=True)
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         if not self._config.hardware_ramp:
@@ -246,15 +253,30 @@ class WeissChamber:
         if not rate > 0.0:
             raise LimitExceeded(f"{rate_k_per_min} K/min is below the chamber's resolution of 0.1 K/min.")
         self._check(temperature_c)
-        layout, record = self._layout(), self._record()
-        warming = temperature_c >= record.numbers[layout.nominal(layout.temperature)]
-        self._gradient(rate if warming else 0.0, 0.0 if warming else rate)
-        self._write(temperature_c, start=True, nominal_moves=True)
-        return rate
+        self._orders += 1
+        order, amiss = self._orders, ""
+        before = self._record()
+        start_c, runs = self._nominal(before), before.digital[self._config.start_channel] == "1"
+        for _ in range(_TRIES):
+            with self._exchange.alone():
+                self._require_newest(order)
+                if amiss:
+                    # From where it began: it may be on its way at full speed.
+                    self._write(start_c, start=True)
+                warming = temperature_c >= start_c
+                self._tell(temperature_c, rate if warming else 0.0, 0.0 if warming else rate, start=True)
+            amiss = self._amiss(order, (self._clock.now(), start_c) if runs else None, temperature_c, rate)
+            runs = True
+            if not amiss:
+                return rate
+        raise NotVerified(
+            f"A ramp to {temperature_c:.1f} degC at {rate:g} K/min was told {_TRIES} times: {amiss}. Look at the "
+            "chamber's display: it may be in local mode, or its gradients may be switched off."
+        )
 
     def standby(self) -> None:
-        layout, record = self._layout(), self._record()
-        self._write(record.numbers[layout.nominal(layout.temperature)], start=False, nominal_moves=False)
+        self._orders += 1
+        self._write(self._nominal(self._record()), start=False)
 
     def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
         if policy is ChamberSafe.STANDBY:
@@ -309,17 +331,20 @@ class WeissChamber:
 
         return self._exchange.ask(self._request("I"), parse)
 
-    def _write(self, temperature_c: float, *, start: bool, nominal_moves: bool) -> None:
-        layout, before, channel = self._layout(), self._record(), self._config.start_channel
-        body = write_body(layout, before, temperature_c=temperature_c, start=start, start_channel=channel)
+    def _nominal(self, record: Record) -> float:
+        layout = self._layout()
+        return record.numbers[layout.nominal(layout.temperature)]
+
+    def _write(self, temperature_c: float, *, start: bool) -> None:
+        """A set point without a gradient: an old one stays active until it is overwritten."""
+        channel = self._config.start_channel
 
         def shows(now: Record) -> bool:
-            nominal = now.numbers[layout.nominal(layout.temperature)]
-            arrived = abs(nominal - float(number(temperature_c))) < 0.05
-            return (now.digital[channel] == "1") == start and (arrived or nominal_moves)
+            arrived = abs(self._nominal(now) - float(number(temperature_c))) < 0.05
+            return (now.digital[channel] == "1") == start and arrived
 
         until_shown(
-            lambda: self._acknowledged("E", body),
+            lambda: self._tell(temperature_c, 0.0, 0.0, start=start),
             self._record,
             shows,
             what=f"Set point {temperature_c:.1f} degC with start {'on' if start else 'off'}",
@@ -327,23 +352,67 @@ class WeissChamber:
             looks=1,
         )
 
-    def _gradient(self, up: float, down: float) -> None:
+    def _tell(self, temperature_c: float, up: float, down: float, *, start: bool) -> None:
+        layout, channel = self._layout(), self._config.start_channel
         self._acknowledged("U", " ".join(map(number, (up, down, 0.0, 0.0))))
+        if not (up or down or self._acknowledges):
+            # That a gradient was taken off shows only where the set point has far to go.
+            self._acknowledged("U", " ".join(map(number, (up, down, 0.0, 0.0))))
+        body = write_body(layout, self._record(), temperature_c=temperature_c, start=start, start_channel=channel)
+        self._acknowledged("E", body)
+
+    def _require_newest(self, order: int) -> None:
+        """A ramp that is still being watched gives way at once to whatever the chamber is told next."""
+        if self._orders != order:
+            raise NotVerified("The chamber was told something else before its ramp had begun.")
+
+    def _amiss(self, order: int, begins: tuple[float, float] | None, target_c: float, rate_k_per_min: float) -> str:
+        """Watch the nominal value until it has moved as it should: then empty; else what is wrong.
+
+        `begins`: when it was told, and its value then. Of a chamber that stood nobody knows it before it runs.
+        """
+        sent_s, channel = self._clock.now(), self._config.start_channel
+        until_s = sent_s + 60.0 * (_MOVED_K + _HIDDEN_K) / rate_k_per_min + 3.0 * self._config.min_interval_s
+        while True:
+            self._require_newest(order)
+            record = self._record()
+            now_s, nominal = self._clock.now(), self._nominal(record)
+            if record.digital[channel] != "1":
+                return "it is not started"
+            arrived = abs(nominal - target_c) < 0.05
+            if begins is None:
+                layout = self._layout()
+                begins = (now_s, record.numbers[layout.actual(layout.temperature)] if arrived else nominal)
+            moved, took_s = abs(nominal - begins[1]), now_s - begins[0]
+            if moved > 1.5 * rate_k_per_min * took_s / 60.0 + _HIDDEN_K:
+                return f"its nominal value moved {moved:.1f} K in {took_s:.0f} s"
+            if moved >= _MOVED_K or arrived:
+                return ""
+            if now_s > until_s:
+                return f"its nominal value stays at {nominal:.1f} degC"
+            self._clock.sleep(1.0)
 
     def _acknowledged(self, letter: str, body: str) -> None:
-        """Send a command. `0` and silence are both consent; the read-back that follows decides."""
+        """Send a command, again where a chamber that acknowledges did not. `0` and silence are both consent; what the
+        chamber then shows decides."""
 
         def parse(frame: bytes) -> None:
             text = frame.decode("ascii", "replace").strip()
+            if not text.isprintable() or "\ufffd" in text:
+                raise FramingError(f"The chamber acknowledged ${letter} by {printable(frame)!r}. Check the line.")
             if text != "0":
                 raise Rejected(f"The chamber refuses ${letter}: {text!r}.", code=text)
 
-        try:
-            self._exchange.ask(
-                self._request(letter, body), parse, repeat=False, reply_timeout_s=self._config.acknowledge_timeout_s
-            )
-        except ReplyTimeout:
-            return
+        for _ in range(_TRIES):
+            try:
+                self._exchange.ask(
+                    self._request(letter, body), parse, repeat=False, reply_timeout_s=self._config.acknowledge_timeout_s
+                )
+                self._acknowledges = True
+                return
+            except (ReplyTimeout, FramingError):
+                if not self._acknowledges:
+                    return
 
     def _faults(self) -> tuple[str, ...]:
         if not self._config.read_faults:
@@ -360,4 +429,4 @@ class WeissChamber:
             )
 
     def _request(self, letter: str, body: str = "") -> bytes:
-        return request(self._config.address, letter, body, self._config.line_end)
+        return request(self._config.address, letter, body)

@@ -10,10 +10,17 @@ for devices without that setting.
 Unverified on real hardware: `velocity_factor` and `acceleration_factor` (data value per microstep/s and microstep/s²;
 time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver asks for it and
 then demands a check sum of every reply if it was granted and the next reply carries one (`reply_checksum` tells).
-Rates are not read from the device but are the mean since the previous reading.
+Rates are not read from the device but are the mean since a reading at least 0.4 s before: a noisy encoder that is read
+twice in a millisecond would make any rate of nothing. The time is taken from when the earlier position was asked for to
+when the later had come: a host that was busy in between makes a rate too small, and never too large.
+
+Firmware 6 calls its identity `deviceid`, firmware 7 `device.id`. Settings outlive a session: they are set only where
+they differ (whether a stage writes them to its flash memory at each `set` is open), and put back at the end.
 """
 
 import re
+from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 
 from ..checksums import lrc_zaber
@@ -22,6 +29,7 @@ from ..errors import ChecksumError, DeviceFault, FramingError, LimitExceeded, No
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
+from ..settings import KeptSettings
 from ..transport import Transport
 
 WARNINGS = {
@@ -53,6 +61,7 @@ WARNINGS = {
     "WH": "not homed",
 }
 _UNREFERENCED = {"WR", "WH"}
+_RATE_OVER_S = 0.4
 _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-Z]{2}) (\S.*)")
 
 
@@ -131,7 +140,7 @@ def parse_reply(frame: bytes, *, demand_checksum: bool) -> Reply:
 def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Exchange:
     return Exchange(
         transport,
-        LineFramer(b"\r\n"),
+        LineFramer(),
         clock=clock,
         device="The Zaber stage",
         reply_timeout_s=config.reply_timeout_s,
@@ -147,19 +156,22 @@ class ZaberAxis:
         self._clock = exchange.clock
         self._message_id = 0
         self._steps_per_turn = float(config.microsteps_per_turn)
-        self._previous: tuple[float, float] | None = None
+        # When a position was asked for, and the position.
+        self._recent: deque[tuple[float, float]] = deque()
         self.reply_checksum = False
+        self.settings = KeptSettings(self._setting, self._set)
 
     def identify(self) -> Identity:
+        # Not every stage has each of them; what they were is put back when the driver goes.
+        for name, value in (("comm.checksum", "1"), ("comm.alert", "0"), ("knob.enable", "0")):
+            with suppress(Rejected):
+                self.settings.change(name, value)
         try:
-            self._ask("set comm.checksum 1", axis=0)
-            self.reply_checksum = self._ask("get device.id", axis=0).checked
+            model = self._setting("device.id")
         except Rejected:
-            self.reply_checksum = False
-        self._tolerated("set comm.alert 0")
-        self._tolerated("set knob.enable 0")
-        model, serial = self._setting("device.id", axis=0), self._setting("system.serial", axis=0)
-        firmware = self._setting("version", axis=0)
+            model = self._setting("deviceid")  # the name of firmware 6
+        self.reply_checksum = self._ask("get system.serial", axis=0).checked
+        serial, firmware = self._setting("system.serial"), self._setting("version")
         return Identity(
             "zaber",
             f"device {model}",
@@ -188,13 +200,16 @@ class ZaberAxis:
         )
 
     def read(self) -> AxisReading:
+        asked_s = self._clock.now()
         reply = self._ask("get pos")
         time_s = self._clock.now()
         position = self._degrees(_number(reply))
+        while len(self._recent) > 1 and time_s - self._recent[1][0] >= _RATE_OVER_S:
+            self._recent.popleft()
         rate = 0.0
-        if self._previous is not None and reply.busy and time_s > self._previous[0]:
-            rate = (position - self._previous[1]) / (time_s - self._previous[0])
-        self._previous = (time_s, position)
+        if self._recent and reply.busy and time_s - self._recent[0][0] >= _RATE_OVER_S:
+            rate = (position - self._recent[0][1]) / (time_s - self._recent[0][0])
+        self._recent.append((asked_s, position))
         flag = reply.warning
         text = f"{flag} ({WARNINGS.get(flag, 'see the manual')})"
         return AxisReading(
@@ -208,7 +223,7 @@ class ZaberAxis:
         )
 
     def home(self) -> None:
-        self._ask("home", repeat=False)
+        self._ask("home")
         reading = self._until_idle(self._config.home_timeout_s, "homing")
         if not reading.referenced:
             raise DeviceFault("The axis stopped without finding its reference. Look at the stage.", codes=("WR",))
@@ -229,7 +244,7 @@ class ZaberAxis:
                 codes=reading.faults,
             )
         self._check_rate(rate_dps)
-        self._set("maxspeed", round(rate_dps * self._velocity_data()))
+        self.settings.change("maxspeed", str(round(rate_dps * self._velocity_data())))
         self._set_acceleration(acceleration_dps2)
         steps = round((position_deg - self._config.zero_deg) * self._config.direction / 360.0 * self._turn())
         self._start(f"move abs {steps}")
@@ -256,7 +271,7 @@ class ZaberAxis:
         if policy is AxisSafe.UNPOWER:
             if not self._config.unpower_command:
                 raise Rejected("The rig file names no unpower_command for this stage; choose the safe policy 'hold'.")
-            self._ask(self._config.unpower_command, repeat=False)
+            self._ask(self._config.unpower_command)
         state = "; ".join((*reading.faults, *reading.warnings)) or "no warnings"
         return SafeReport(policy.value, not reading.moving, f"idle at {reading.position_deg:.4f} deg, {state}")
 
@@ -265,7 +280,8 @@ class ZaberAxis:
 
     # -------------------------------------------------------------------------------------------------------- parts
 
-    def _ask(self, words: str, *, axis: int | None = None, repeat: bool = True) -> Reply:
+    def _ask(self, words: str, *, axis: int | None = None) -> Reply:
+        """Every command of this driver says where to be and not how to change: it does no harm twice."""
         config = self._config
         number = self._config.axis if axis is None else axis
 
@@ -278,32 +294,27 @@ class ZaberAxis:
                     raise NotThisReply
                 return reply
 
-            reply = self._exchange.ask(command(config.device, number, message_id, words), parse, repeat=repeat)
+            reply = self._exchange.ask(command(config.device, number, message_id, words), parse)
         if not reply.accepted:
             text = f"{reply.data}, {reply.warning}" if reply.warning != "--" else reply.data
             raise Rejected(f"The stage refuses {words!r}: {text}.", code=reply.data, text=reply.warning)
         return reply
 
     def _start(self, words: str) -> None:
-        """A command of motion is sent once: whether it took effect is what the next reading says."""
-        reply = self._ask(words, repeat=False)
+        reply = self._ask(words)
         if reply.warning.startswith("F"):
             raise DeviceFault(f"The stage reports {reply.warning} ({WARNINGS.get(reply.warning, 'see the manual')}).")
 
-    def _tolerated(self, words: str) -> None:
-        try:
-            self._ask(words, axis=0)
-        except Rejected:
-            return
+    def _setting(self, name: str) -> str:
+        return self._ask(f"get {name}", axis=_axis_of(name)).data
 
-    def _setting(self, name: str, *, axis: int | None = None) -> str:
-        return self._ask(f"get {name}", axis=axis).data
-
-    def _set(self, name: str, value: int) -> None:
+    def _set(self, name: str, value: str) -> None:
+        if (name, value) == ("comm.checksum", "0"):
+            self.reply_checksum = False
         until_shown(
-            lambda: self._ask(f"set {name} {value}", repeat=False),
+            lambda: self._ask(f"set {name} {value}", axis=_axis_of(name)),
             lambda: self._setting(name),
-            lambda shown: shown == str(value),
+            lambda shown: shown == value,
             what=f"The setting {name} = {value}",
             clock=self._clock,
         )
@@ -314,7 +325,7 @@ class ZaberAxis:
                 f"{acceleration_dps2:g} deg/s² lies outside 0 to {self._config.max_acceleration_dps2:g} deg/s²."
             )
         data = round(acceleration_dps2 / 360.0 * self._turn() * self._config.acceleration_factor)
-        self._set("accel", max(1, data))
+        self.settings.change("accel", str(max(1, data)))
 
     def _check_rate(self, rate_dps: float) -> None:
         if not 0.0 < rate_dps <= self._config.max_rate_dps:
@@ -351,6 +362,11 @@ class ZaberAxis:
         if raise_faults and reading.faults:
             raise DeviceFault(f"The axis reports {', '.join(reading.faults)} after {doing}.", codes=reading.faults)
         return reading
+
+
+def _axis_of(setting: str) -> int | None:
+    """Settings of the whole device are asked of its axis 0; None: of the rig file's axis."""
+    return 0 if setting.startswith(("comm.", "knob.", "device", "system.", "version")) else None
 
 
 def _number(reply: Reply) -> float:

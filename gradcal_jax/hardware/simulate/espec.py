@@ -17,6 +17,9 @@ class EspecOptions:
     humidity: bool = False
     knows_detail: bool = True
     echo_off: bool = False
+    decimals: int = 1
+    blanks: bool = False
+    """After commas of a reply."""
     high_c: float = 140.0
     low_c: float = -50.0
 
@@ -80,19 +83,24 @@ class SimulatedEspec:
             return "NA:PARA ERR"
         mode = self._mode(now, detail)
         humidity = "45" if self.options.humidity else ""
+
+        def number(value: float) -> str:
+            return f"{value:.{self.options.decimals}f}"
+
         answers = {
             "ROM": "P3S1.10" if not argument else "P3D1.05",
             "TYPE": "T,T,P300,140.0" if self.options.humidity else "T,P300,140.0",
             "MODE": mode,
-            "MON": f"{air:.1f},{humidity},{mode},{len(self.alarms)}",
-            "TEMP": f"{air:.1f},{set_point:.1f},{self.options.high_c:.1f},{self.options.low_c:.1f}",
+            "MON": f"{number(air)},{humidity},{mode},{len(self.alarms)}",
+            "TEMP": ",".join(map(number, (air, set_point, self.options.high_c, self.options.low_c))),
             "HUMI": "45,OFF,100,0" if self.options.humidity else "NA:CONT NOT READY-1",
             "ALARM": ",".join(map(str, [len(self.alarms), *self.alarms])),
             "SET": self.refrigeration,
             "CONSTANT SET": f"{self.constant_c:.1f},ON",
             "KEYPROTECT": "ON" if self.keys_locked else "OFF",
         }
-        return answers.get(name, "NA:CMD ERR")
+        answer = answers.get(name, "NA:CMD ERR")
+        return answer.replace(",", ", ") if self.options.blanks else answer
 
     def _command(self, text: str) -> str:
         """Obey, and return an empty refusal; or refuse and change nothing."""

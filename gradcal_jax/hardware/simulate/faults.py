@@ -1,4 +1,4 @@
-"""What can go wrong on a simulated line, from the device to the host.
+"""What can go wrong on a simulated line, one way: a port has such a switchboard for replies and one for commands.
 
 Two ways to ask for it: a probability for every message, or `once(...)` for the very next ones. Delays are real seconds,
 because the time-outs they provoke are real. What goes wrong *in* a device (alarm, reboot, a stalled axis) is a method

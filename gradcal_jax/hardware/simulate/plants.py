@@ -5,6 +5,7 @@ Both are asked for their state at a time and advance themselves to it; time neve
 
 import math
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -216,26 +217,36 @@ class AxisPlant:
 
     def move_to(self, now_s: float, target_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Trapezoid (or triangle) to an angle; what still moves is stopped first."""
+        self.move_through(now_s, ((target_deg, rate_dps, acceleration_dps2),))
+
+    def move_through(self, now_s: float, legs: Sequence[tuple[float, float, float]]) -> None:
+        """Trapezoids to one angle after the other, each with its rate and acceleration."""
         with self._lock:
             now_s = max(now_s, self._told_s)
             position, rate = self.state(now_s)
-            phases = self._change(now_s, position, rate, 0.0, acceleration_dps2)
-            start = phases[-1]
-            self._held(start.position_deg, 0.0)
-            target_deg += self._too_far(start.position_deg)
-            way = target_deg - start.position_deg
-            peak = min(rate_dps, math.sqrt(abs(way) * acceleration_dps2))
-            if peak > 0.0:
-                up, cruise = peak / acceleration_dps2, abs(way) / peak - peak / acceleration_dps2
-                sign = math.copysign(1.0, way)
-                ramp = 0.5 * peak * up * sign
-                begin = start.start_s
-                phases[-1] = _Phase(begin, start.position_deg, 0.0, sign * acceleration_dps2)
-                phases.append(_Phase(begin + up, start.position_deg + ramp, sign * peak, 0.0))
-                down = begin + up + cruise
-                phases.append(_Phase(down, target_deg - ramp, sign * peak, -sign * acceleration_dps2))
-                phases.append(_Phase(down + up, target_deg, 0.0, 0.0))
+            phases = self._change(now_s, position, rate, 0.0, legs[0][2])
+            for target_deg, rate_dps, acceleration_dps2 in legs:
+                start = phases[-1]
+                self._held(start.position_deg, 0.0)
+                target_deg += self._too_far(start.position_deg)
+                way = target_deg - start.position_deg
+                peak = min(rate_dps, math.sqrt(abs(way) * acceleration_dps2))
+                if peak > 0.0:
+                    up, cruise = peak / acceleration_dps2, abs(way) / peak - peak / acceleration_dps2
+                    sign = math.copysign(1.0, way)
+                    ramp = 0.5 * peak * up * sign
+                    begin = start.start_s
+                    phases[-1] = _Phase(begin, start.position_deg, 0.0, sign * acceleration_dps2)
+                    phases.append(_Phase(begin + up, start.position_deg + ramp, sign * peak, 0.0))
+                    down = begin + up + cruise
+                    phases.append(_Phase(down, target_deg - ramp, sign * peak, -sign * acceleration_dps2))
+                    phases.append(_Phase(down + up, target_deg, 0.0, 0.0))
             self._replace(now_s, self._within_travel(phases))
+
+    @property
+    def ends_s(self) -> float:
+        """When what it was told last has been done."""
+        return self._phases[-1].start_s
 
     def turn_by_hand(self, now_s: float, target_deg: float, duration_s: float, unevenness: float) -> None:
         """A slow and uneven turn from standstill: the plans' own shape, in pieces of constant acceleration."""

@@ -58,10 +58,18 @@ class SimulatedPort:
     """
 
     def __init__(
-        self, device: Device | StreamingDevice, clock: Clock, *, faults: Faults | None = None, on_socket: bool = False
+        self,
+        device: Device | StreamingDevice,
+        clock: Clock,
+        *,
+        faults: Faults | None = None,
+        commands: Faults | None = None,
+        on_socket: bool = False,
     ) -> None:
         self.device = device
         self.faults = faults or Faults()
+        """Of what the device says; `commands`: of what it hears."""
+        self.commands = commands or Faults()
         self.lost_bytes = 0
         self._clock = clock
         self._on_socket = on_socket or sys.platform == "win32"
@@ -155,10 +163,11 @@ class SimulatedPort:
                 time.sleep(0.01)
             if not data:
                 continue
-            with self._device_lock:
-                replies = self.device.receive(data)
-            for reply in replies:
-                self._deliver(reply)
+            for heard in self.commands.apply(data):
+                with self._device_lock:
+                    replies = self.device.receive(heard)
+                for reply in replies:
+                    self._deliver(reply)
             self._speaks.set()
             # Handled only now: virtual time waits until the command has had its effect and its reply is out.
             self._link.device_handled(len(data))

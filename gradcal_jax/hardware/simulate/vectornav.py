@@ -48,6 +48,8 @@ class SimulatedVectorNav:
             7: "40",
             30: "0,0,0,0,1,0,1",
             75: "0,4,00",
+            76: "0,4,00",
+            77: "0,4,00",
         }
         self._paused = False
         self._powered_s = self._clock.now()
@@ -63,14 +65,14 @@ class SimulatedVectorNav:
         return replies
 
     def next_emission_s(self) -> float | None:
-        if self._output() is None:
+        if self._output() is None and not self._attitude():
             return None
         ahead = max(1, round(self.options.burst_s / self.sensor.true_period_s))
         return self.sensor.next_time_s(ahead)
 
     def emit(self, now_s: float) -> list[bytes]:
-        output = self._output()
-        count = self.sensor.due(now_s) if output is not None else 0
+        output, attitude = self._output(), self._attitude()
+        count = self.sensor.due(now_s) if output is not None or attitude else 0
         if not count:
             return []
         samples = self.sensor.take(count)
@@ -80,12 +82,15 @@ class SimulatedVectorNav:
         # The unit's own clock: fast by the same share as its sampling.
         own = (samples.time_s - self._powered_s) * (1.0 + self.sensor.truth.clock_error)
         for index in range(count):
+            if attitude:
+                body = bytes.fromhex("010800") + struct.pack("<3f", 0.0, 0.0, 0.0)
+                messages.append(b"\xfa" + body + crc16_vectornav(body).to_bytes(2, "big"))
             if output == "binary":
                 nanoseconds = round(float(own[index]) * 1e9)
                 values = (*force[index], *rate[index], samples.temperature_c[index])
                 body = bytes.fromhex("050100 1c00") + struct.pack("<Q7f", nanoseconds, *values)
                 messages.append(b"\xfa" + body + crc16_vectornav(body).to_bytes(2, "big"))
-            else:
+            elif output == "ascii":
                 numbers = ",".join(
                     ["+00.0000,+00.2000,+00.4000"]
                     + [f"{value:+07.3f}" for value in force[index]]
@@ -103,6 +108,10 @@ class SimulatedVectorNav:
         if not self.registers[75].startswith("0,"):
             return "binary"
         return "ascii" if self.registers[6] == "19" else None
+
+    def _attitude(self) -> bool:
+        """Whether the second or third output, of attitude, was left on by somebody."""
+        return not self._paused and not all(self.registers[register].startswith("0,") for register in (76, 77))
 
     def _answer(self, line: bytes) -> bytes:
         body, star, check = line.rpartition(b"*")
@@ -133,9 +142,16 @@ class SimulatedVectorNav:
         if len(fields) < 2:
             return _message("VNERR,05")
         register = int(fields[0]) if fields[0].isdigit() else -1
-        if register not in (5, 6, 7, 75):
+        if register not in (5, 6, 7, 75, 76, 77):
             return _message("VNERR,08")
-        if register == 75:
+        if fields[1:2] == ["0"] and register >= 75:
+            self.registers[register] = ",".join(fields[1:])
+            code = 0
+        elif register in (76, 77):
+            known = fields[2:] and fields[3:] == ["01", "0008"]
+            self.registers[register] = ",".join(fields[1:]) if known else self.registers[register]
+            code = 0 if known else 7
+        elif register == 75:
             code = self._write_binary(fields[1:])
         elif len(fields) != 2:
             code = 6

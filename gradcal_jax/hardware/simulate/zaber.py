@@ -18,6 +18,7 @@ _COMMAND = re.compile(r"/(?:(\d+) ?)?(?:(\d+) ?)?(?:(\d+) ?)?(.*)")
 @dataclass
 class ZaberOptions:
     device_id: int = 50081
+    firmware: int = 7
     serial: int = 12345
     microsteps_per_turn: int = 1152000
     tells_cycle: bool = True
@@ -49,8 +50,7 @@ class SimulatedZaber:
         self.stages = [_Stage(plant) for plant in plants]
         for number, stage in enumerate(self.stages):
             stage.settings = {
-                "device.id": self.options.device_id,
-                "deviceid": self.options.device_id,
+                ("device.id" if self.options.firmware >= 7 else "deviceid"): self.options.device_id,
                 "system.serial": self.options.serial + number,
                 "resolution": 64,
                 "maxspeed": round(turn / 360 * 100 * self.options.velocity_factor),
@@ -176,7 +176,7 @@ class SimulatedZaber:
         if name in ("pos", "encoder.pos"):
             return True, str(round(stage.plant.reading(now) / 360.0 * self.options.microsteps_per_turn))
         if name == "version":
-            return True, "7.28"
+            return True, "7.28" if self.options.firmware >= 7 else "6.18"
         return (True, str(stage.settings[name])) if name in stage.settings else (False, "BADCOMMAND")
 
     def _set(self, stage: _Stage, rest: str) -> tuple[bool, str]:

@@ -1,0 +1,57 @@
+"""Data, stop and parity bits and the end of a line are settings of every serial device, in the rig file."""
+
+from typing import Any
+
+import pytest
+
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.rig import rig_of
+from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.drivers.espec import EspecChamber
+from gradcal_jax.hardware.errors import ReplyTimeout
+from gradcal_jax.hardware.setup import DRIVERS, configs_of, open_rig
+from gradcal_jax.hardware.simulate.port import SimulatedPort
+
+
+def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:
+    entry: dict[str, Any] = {"driver": driver, "port": port, "options": options}
+    role = DRIVERS[driver].role
+    if role == "chamber":
+        return rig_of({"format": "gradcal-rig/1", "chamber": {**entry, "safe": "hold"}})
+    axis = {"safe": "hold", "gravity_loaded": False} if role == "axis" else {}
+    return rig_of({"format": "gradcal-rig/1", role: [{**entry, "name": "a", **axis}]})
+
+
+@pytest.mark.parametrize("driver", [name for name in DRIVERS if name != "operator"])
+def test_every_serial_device_has_the_settings_of_its_line(driver: str) -> None:
+    line = {"bytesize": 7, "parity": "E", "stopbits": 2}
+    configs_of(rig_with(driver, line))
+    if driver == "watlow_f4":
+        with pytest.raises(SpecError, match="terminator"):
+            configs_of(rig_with(driver, {"terminator": "CR"}))
+    else:
+        configs_of(rig_with(driver, {"terminator": "CR"}))
+    for name, wrong in (("parity", "X"), ("stopbits", 3), ("bytesize", "8")):
+        with pytest.raises(SpecError, match=name):
+            configs_of(rig_with(driver, {name: wrong}))
+
+
+def test_they_reach_the_port() -> None:
+    heard: list[bytes] = []
+
+    class Listener:
+        def receive(self, data: bytes) -> list[bytes]:
+            heard.append(data)
+            return []
+
+    options = {"stopbits": 2, "terminator": "CR", "reply_timeout": "0.1 s"}
+    with (
+        SimulatedPort(Listener(), RealClock()) as port,
+        open_rig(rig_with("espec", options, port.url), RealClock()) as bench,
+    ):
+        assert isinstance(bench.chamber, EspecChamber)
+        settings = bench.chamber._exchange.transport.settings
+        assert (settings["bytesize"], settings["stopbits"], settings["parity"]) == (8, 2, "N")
+        with pytest.raises(ReplyTimeout):
+            bench.chamber.read()
+    assert heard[0] == b"TEMP?\r"

@@ -1,0 +1,164 @@
+"""What was not executed as written is not done: it is made again after a seam, or the run ends and says so."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hardware_bench import Rig, short_recipe
+
+from gradcal_jax.hardware.binding import track_of
+from gradcal_jax.hardware.clock import VirtualClock
+from gradcal_jax.hardware.interlocks import Limits, standard_rules
+from gradcal_jax.hardware.journal import Event, Journal, read_journal
+from gradcal_jax.hardware.runner import Progress, Runner
+from gradcal_jax.hardware.setup import open_rig
+
+
+@contextmanager
+def lab(folder: Path, *, stage: bool = False, limits: Limits | None = None) -> Iterator[tuple[Rig, Runner]]:
+    clock = VirtualClock()
+    with Rig(clock, stage=stage) as rig, Journal(folder / "journal") as journal:
+        rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
+        bench = open_rig(rig.rig, clock)
+        track = track_of(short_recipe(2.0), ["table"])
+        rules = standard_rules(limits)
+        with bench:
+            yield rig, Runner(track, bench, journal, clock, rules, safe_deadline_s=10.0, wait_when_paused=False)
+
+
+def events(folder: Path, name: str) -> list[Event]:
+    return [event for event in read_journal(folder / "journal").events if event.name == name]
+
+
+def once_turning(rig: Rig, runner: Runner, act: Callable[[], Any], *, times: int = 1) -> None:
+    """Act from within the run's own thread, in a step with data, while the table turns."""
+    left = [times]
+    runner.chamber_every_s = 1.0
+
+    def look(progress: Progress) -> None:
+        under_way = progress.step_left_s is not None and progress.steps_done >= 1
+        if left[0] and under_way and abs(rig.axis.state(runner.clock.now())[1]) > 10.0:
+            left[0] -= 1
+            act()
+
+    runner.on_progress = look
+
+
+def was_executed(folder: Path) -> None:
+    """The last attempt at every step has all its commands, on time."""
+    found = read_journal(folder / "journal").events
+    done = {event.data["number"] for event in found if event.name == "step done"}
+    begins = {event.data["number"]: event for event in found if event.name == "step begins"}
+    assert done == set(begins)
+    for begin in begins.values():
+        later = found[found.index(begin) + 1 :]
+        end = next((k for k, event in enumerate(later) if event.name in ("step", "ending")), len(later))
+        moves = [event.data for event in later[:end] if event.name == "move"]
+        for move in moves:
+            assert move["began_s"] - begin.data["begins_s"] == pytest.approx(move["start_s"], abs=1.0)
+
+
+def test_a_host_that_slept_in_a_turn_makes_the_step_again(tmp_path: Path) -> None:
+    with lab(tmp_path) as (rig, runner):
+        once_turning(rig, runner, lambda: runner.clock.sleep(25.0))
+        result = runner.run()
+        assert result.exit_status == "success", result.reason
+    (amiss,) = events(tmp_path, "not done")
+    assert "late" in amiss.data["why"]
+    assert amiss.data["step"] in [event.data["step"] for event in events(tmp_path, "seam")]
+    was_executed(tmp_path)
+
+
+def test_a_host_that_is_always_late_ends_the_run_with_a_sentence(tmp_path: Path) -> None:
+    with lab(tmp_path) as (rig, runner):
+        once_turning(rig, runner, lambda: runner.clock.sleep(8.0), times=1000)
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        assert "was not executed as written, 3 times" in result.reason
+        assert result.verified_safe
+        assert result.steps_done < len(runner.track.steps)
+
+
+def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
+    with lab(tmp_path, stage=True) as (rig, runner):
+        move, swallowed = rig.table._move, []
+
+        def once_lame(stage: Any, rest: str, now: float, busy: bool) -> tuple[bool, str]:
+            if rest.startswith("abs") and not swallowed and len(events(tmp_path, "step begins")) > 1:
+                swallowed.append(rest)
+                return True, "0"
+            return move(stage, rest, now, busy)
+
+        rig.table._move = once_lame
+        result = runner.run()
+        assert (result.exit_status, len(swallowed)) == ("success", 1), result.reason
+    (amiss,) = events(tmp_path, "not done")
+    assert "was to go to" in amiss.data["why"]
+    was_executed(tmp_path)
+
+
+def test_samples_that_were_lost_make_the_step_again(tmp_path: Path) -> None:
+    with lab(tmp_path) as (rig, runner):
+        faults = rig.ports[2].faults
+        faults.delay_s = 0.0
+
+        def lossy() -> None:
+            faults.once(*["drop", "split"] * 40)
+
+        once_turning(rig, runner, lossy)
+        result = runner.run()
+        assert result.exit_status == "success", result.reason
+    (amiss,) = events(tmp_path, "not done")
+    assert "samples are lost" in amiss.data["why"]
+    was_executed(tmp_path)
+
+
+def test_a_chamber_that_agrees_with_itself_and_stays_where_it_is_does_not_pass(tmp_path: Path) -> None:
+    limits = Limits(temperature_band_k=0.5, temperature_lag_s=10.0)
+    with lab(tmp_path, limits=limits) as (rig, runner):
+
+        def ignore(*_: object, **__: object) -> None:
+            """It takes every command, reports a set point where the air is, and does nothing."""
+
+        def look(progress: Progress) -> None:
+            if progress.steps_done >= 1:
+                rig.chamber.plant._gradient_k_per_s = None
+                rig.chamber.plant.command = ignore
+
+        runner.on_progress = look
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        assert "from the recipe's course" in result.reason
+        assert result.verified_safe
+
+
+@pytest.mark.parametrize("stage", [False, True])
+@pytest.mark.parametrize("when", ["in a turn", "at rest"])
+def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path: Path, stage: bool, when: str) -> None:
+    with lab(tmp_path, stage=stage) as (rig, runner):
+        ran: list[float] = []
+
+        def run_away() -> None:
+            ran.append(runner.clock.now())
+            rig.axis.spin(runner.clock.now(), 700.0, 1e5)
+
+        if when == "in a turn":
+            once_turning(rig, runner, run_away)
+        else:
+
+            def look(progress: Progress) -> None:
+                resting = progress.step_left_s is not None and not rig.axis.moving(runner.clock.now())
+                if not ran and progress.steps_done >= 2 and resting:
+                    run_away()
+
+            runner.on_progress = look
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        assert "Interlock 'over-speed': axis table turns at" in result.reason
+        assert "the rig allows 300" in result.reason
+        assert result.verified_safe
+        assert rig.axis.state(runner.clock.now())[1] == 0.0
+    (tripped,) = events(tmp_path, "interlock")
+    assert tripped.time_s - ran[0] < 6.0

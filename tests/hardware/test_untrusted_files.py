@@ -1,0 +1,120 @@
+"""Files that may come from anybody: rig files, lock folders, journals. Nothing is written by them, no traceback."""
+
+import json
+import struct
+import tempfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gradcal_jax.cli import main
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.rig import TEMPLATE, parse_rig
+from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.errors import HardwareError, PortRefused
+from gradcal_jax.hardware.journal import parse_journal
+from gradcal_jax.hardware.run_folder import sessions, steps_done
+from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.transport import Transport
+
+
+def rig_at(port: str) -> str:
+    return TEMPLATE.replace('"/dev/ttyUSB1"', json.dumps(port))
+
+
+@pytest.mark.parametrize(
+    "port",
+    [
+        "/dev/ttyUSB1",
+        "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0",
+        "COM3",
+        "\\\\.\\COM12",
+        "socket://192.168.0.7:10001",
+        "socket://[fe80::1]:10001",
+        "rfc2217://chamber.lab:2217?ign_set_control&timeout=3",
+    ],
+)
+def test_ports_that_a_rig_file_may_name(port: str) -> None:
+    assert parse_rig(rig_at(port)).axis[0].port == port
+
+
+@pytest.mark.parametrize(
+    "port",
+    [
+        "spy:///dev/ttyUSB1?file=/home/me/.profile",
+        "/x/spy:///dev/ttyUSB1?file=/home/me/.profile",
+        "alt:///dev/ttyUSB1?class=PosixPollSerial",
+        "hwgrep://0403:6001",
+        "loop://",
+        "cp2110://1",
+        "socket://192.168.0.7:10001?logging=debug",
+        "rfc2217://host:1?logging=debug",
+        "notes.txt",
+        "../../notes.txt",
+        "COMX",
+        "/dev/tty\nUSB",
+    ],
+)
+def test_ports_that_it_may_not(port: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SpecError, match="expected a device path"):
+        parse_rig(rig_at(port))
+    (tmp_path / "rig.toml").write_text(rig_at(port))
+    assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 2
+    assert "expected a device path" in capsys.readouterr().err
+
+
+class Mute:
+    def receive(self, data: bytes) -> list[bytes]:
+        return []
+
+
+def test_a_lock_folder_that_is_a_link_is_refused_and_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir(mode=0o700)
+    (tmp_path / "gradcal-ports").symlink_to(mine)
+    with SimulatedPort(Mute(), RealClock()) as port:
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+        with pytest.raises(PortRefused, match="cannot be locked"):
+            Transport(port.url, clock=RealClock())
+    assert mine.stat().st_mode & 0o777 == 0o700
+    assert list(mine.iterdir()) == []
+
+
+def record(payload: bytes, kind: int = 1, time_s: float = 1.0) -> bytes:
+    """A record whose check sum fits."""
+    body = struct.pack("<BBId", kind, 0, len(payload), time_s) + payload
+    return b"\xa7\x4a" + body + zlib.crc32(body).to_bytes(4, "little")
+
+
+GOOD: dict[str, Any] = {"event": "session", "number": 0, "wall_clock_s": 1.0, "simulated": False}
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"no json",
+        b"[" * 100_000,
+        b"[1, 2]",
+        b'{"name": "without an event"}',
+        b'{"event": 7}',
+        json.dumps({"event": "line", "name": "x"}).encode(),
+        json.dumps({"event": "line", "number": "x", "name": "x"}).encode(),
+        json.dumps({"event": "step done", "number": "many"}).encode(),
+        json.dumps({"event": "step done", "number": True}).encode(),
+        json.dumps(GOOD | {"wall_clock_s": None}).encode(),
+        json.dumps({"event": "angle", "axis": "x", "time_s": "now", "moving": False, "position_deg": 1.0}).encode(),
+        json.dumps({"event": "configuration", "device": "unit1", "registers": []}).encode(),
+    ],
+)
+def test_a_crafted_journal_is_a_sentence(payload: bytes) -> None:
+    with pytest.raises(HardwareError, match="no run of this program wrote, at byte") as caught:
+        parse_journal(record(json.dumps(GOOD).encode()) + record(payload))
+    assert str(caught.value).endswith("where the run was made.")
+    with pytest.raises(HardwareError, match="its time is no number"):
+        parse_journal(record(json.dumps(GOOD).encode(), time_s=float("nan")))
+    contents = parse_journal(record(json.dumps(GOOD).encode()))
+    assert (sessions(contents), steps_done(contents)) == (1, 0)

@@ -52,8 +52,8 @@ def optimise(
 ) -> search.Optimised:
     """The best plan that gradient descent finds for a spec with a [design], rounded to the controllers' steps.
 
-    `steps`: iterations of each start. `watch` is told of progress (`assemble.optimise.Step`: `best` in `unit`, `share`
-    of the work). Returns `assemble.optimise.Optimised`: the rounded `spec`, `now` its residual and `before` the first
+    `steps`: iterations of each start. `watch` is told of progress (`api.optimise.Step`: `best` in `unit`, `share`
+    of the work). Returns `api.optimise.Optimised`: the rounded `spec`, `now` its residual and `before` the first
     plan's, in `unit` (ppm or deg/h; minutes, where time is minimised), `converged` and a `sentence` that says why or
     why not, the limits that bind and what easing them is worth. The best of several local optima: `limit` says how
     much another plan could still gain.
@@ -73,7 +73,7 @@ def optimise(
 def limit(spec: Spec) -> list[PlanLimit]:
     """What no plan on this rig in this time can do better than, for every scale-factor requirement of a gradient plan.
 
-    Each `assemble.limit.PlanLimit` has `certified` (proven) and `value` (of the spec's own plan) in `unit`, the plan's
+    Each `api.limit.PlanLimit` has `certified` (proven) and `value` (of the spec's own plan) in `unit`, the plan's
     `efficiency`, and `relaxed`: what the proof lets a plan do that the rig does not. The derivation, a convex problem
     with its certificate, stands in `gradcal_jax.design.limit`.
 
@@ -85,7 +85,7 @@ def limit(spec: Spec) -> list[PlanLimit]:
 def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS) -> list[frontiers.Point]:
     """The best residual for each of several durations of the ramp, `motion_s` in s, soaks not counted.
 
-    Each `assemble.frontier.Point` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.
+    Each `api.frontier.Point` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.
 
     Errors: as `optimise`, where no duration has a plan and only one was asked for.
     """
@@ -120,7 +120,7 @@ def instability(
     """The drift that bounds what a record at rest shows: the Direct Bound of Berman's equations 6 and 7.
 
     One channel, masked where the table moves, less its bias over temperature (`bias_degree`, `lag` in s: see
-    `assemble.instability.at_rest`). The drift is counted from an average of `averaging_time_s`, over `shortest_s` to
+    `api.instability.at_rest`). The drift is counted from an average of `averaging_time_s`, over `shortest_s` to
     `longest_s`, and must stay within `margin` standard deviations. `angle_random_walk`: rad/√s; None: the Allan
     deviation's. `temperature_c`: rows between two temperatures alone. Returns `bound` (`drift_std` in rad/s,
     `correlation_time_s`), the Allan deviation with its fit, and `drift_block()`, text for a spec.

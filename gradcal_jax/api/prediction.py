@@ -18,7 +18,7 @@ def predict(spec: Spec, *, limits: bool = False) -> Prediction:
 
     `limits`: also say of each requirement what it is limited by. The exact covariance of generalised least squares
     under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with a warning. Errors:
-    `ValueError` where JAX is not in float64.
+    none; whatever is wrong with a file, `read_spec` has refused already.
     """
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}

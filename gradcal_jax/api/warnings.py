@@ -15,7 +15,7 @@ _NEARLY = 1e-3
 def unobservable(spec: Spec) -> list[str]:
     """One sentence for each combination of parameters (named as in the paper, SI) that the plan cannot observe.
 
-    Errors: `ValueError` where JAX is not in float64.
+    Errors: none.
     """
     built = assemble(spec)
     return [s for channel in built.channels for s in _unobservable(built, channel, posterior_of_plan(built, channel))]

@@ -138,7 +138,7 @@ def _options(
     read_every: str,
     neighbours: str | None,
 ) -> dict[str, Any]:
-    """Texts as the fields of `assemble.estimate_options.Options`, in SI. Raises `ValueError`s that name the option."""
+    """Texts as the fields of `api.estimate_options.Options`, in SI. Raises `ValueError`s that name the option."""
     earth = 0.0
     if earth_rate is not None and latitude is not None:
         raise ValueError("--earth-rate and --latitude say the same thing twice: give one of them")

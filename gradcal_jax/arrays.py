@@ -7,14 +7,15 @@ What the two libraries write differently stands here.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-AnyArray = jax.Array | np.ndarray
-"""An array of either library, for annotations: `Float[AnyArray, "n p"]`."""
+# An array of either library, for annotations: `Float[AnyArray, "n p"]`. What is done with it is the same for both, which
+# a type checker cannot follow; shapes and kinds are checked where the tests run.
+AnyArray = Any if TYPE_CHECKING else jax.Array | np.ndarray
 
 Carry = TypeVar("Carry")
 

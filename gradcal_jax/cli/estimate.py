@@ -9,7 +9,7 @@ from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
-from gradcal_jax.cli.recordings import Axes, ColumnMapFile, described, load, quantity
+from gradcal_jax.cli.recordings import WHOLE, Axes, Recording, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
@@ -46,7 +46,7 @@ def estimate(
     clock: str = "sensor",
     read_every: str = "1 s",
     neighbours: str | None = None,
-    columns: ColumnMapFile = None,
+    source: Recording = WHOLE,
     force: Flag = False,
     json: Json = False,
     plot: Plot = None,
@@ -58,7 +58,7 @@ def estimate(
     Parameters
     ----------
     log
-        A log (.nc), or a recording of another program with --columns.
+        A log (.nc), a flight log, or another program's table with --columns.
     spec
         The spec: noise, table and maps of the sensor. What was done is read from the log itself.
     recipe
@@ -87,8 +87,6 @@ def estimate(
         Spacing of the readings while the table stands.
     neighbours
         Also without a structure: moves of one rate within, say, "5 K" taken together, beside what the map says of them.
-    columns
-        What the columns of a recording mean (gradcal-columns/1).
     force
         Overwrite the output.
     json
@@ -98,7 +96,7 @@ def estimate(
     """
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours)
     model = _spec(spec, recipe)
-    recorded = load(log, columns)
+    recorded = load(log, source)
     files = _files(output, unit or recorded.units)
     for path in files.values():
         writable(path, force)

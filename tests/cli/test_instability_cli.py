@@ -55,7 +55,9 @@ def test_the_direct_bound_is_a_block_for_the_spec(record, capsys, tmp_path):
 
 
 def test_json_says_the_same_and_ranges_are_looked_at_one_by_one(record, capsys):
-    status, told = printed(capsys, "instability", record, "--delta", "60 s", "--to", "200 s", "--json", "--ranges", "2")
+    status, told = printed(
+        capsys, "instability", record, "--delta", "60 s", "--longest", "200 s", "--json", "--ranges", "2"
+    )
     assert status == 0
     found = json.loads(told.out)
     (channel,) = found["channels"]
@@ -85,7 +87,7 @@ def test_where_no_drift_shows_the_status_says_so(tmp_path, capsys):
     rng = np.random.default_rng(3)
     path = tmp_path / "quiet.nc"
     write_log(Log(np.arange(4000.0), WALK * rng.standard_normal((1, 4000, 1)), ("a",), ("x",)), path)
-    status, told = printed(capsys, "instability", path, "--to", "200 s")
+    status, told = printed(capsys, "instability", path, "--longest", "200 s")
     assert status == 1
     assert "does not show" in told.out
     assert "[[sensor.drift]]" not in told.out
@@ -96,7 +98,7 @@ def test_where_no_drift_shows_the_status_says_so(tmp_path, capsys):
     [
         (("instability", "LOG", "--axis", "q"), "no axis 'q'"),
         (("instability", "LOG", "--delta", "10"), "--delta"),
-        (("instability", "LOG", "--from", "2 s", "--to", "1 s"), "--from"),
+        (("instability", "LOG", "--shortest", "2 s", "--longest", "1 s"), "--shortest"),
         (("instability", "LOG", "--delta", "9 h"), "too short"),
         (("instability", "LOG", "--temperature", "90 degC", "95 degC"), "no usable row lies between"),
         (("instability", "LOG", "--lag", "late"), "--lag"),

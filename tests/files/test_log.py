@@ -191,7 +191,7 @@ def test_missing_saturated_and_marked_rows_are_masked_by_unit():
     assert kinds(kept)["saturated"].done == "keep"
     stated = examine(columns(np.where(np.isnan(rate), 0.0, rate), full_scale_rad_per_s=4.36))
     assert stated.counts() == {"used": 990, "saturated": 10}
-    clean = examine(columns(np.rint(quiet(1000) * 3000)))  # few counts, whose extremes repeat
+    clean = examine(columns(np.rint(quiet(1000) * 3000) / 3000))  # few counts, whose extremes repeat
     assert clean.counts() == {"used": 1000}
 
 

@@ -130,7 +130,7 @@ def test_several_sensors_on_one_table(tmp_path):
                 f'rate.z = {{ column = "{name}", index = 2, unit = "rad/s" }}\n'
                 for name, temperature in (("a", 'temperature = { column = "ta", unit = "degC" }\n'), ("b", ""))
             )
-            + '[policy]\nmissing_temperatures = "keep"\n'
+            + '[policy]\nmissing_temperatures = "keep"\nwrong_units = "keep"\n'
         ),
     )
     assert log.units == ("SN-a", "SN-b")

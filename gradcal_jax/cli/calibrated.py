@@ -59,7 +59,7 @@ def apply(
 
     found = read_calibration(calibration)
     writable(output, force)
-    recorded = load(log, source)
+    recorded = load(log, source, unit=unit)
     corrected = correct(found, recorded, _unit(recorded, found.serial_number, unit))
     write_log(corrected.log, output)
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
@@ -116,7 +116,7 @@ def validate(
         raise ValueError(f"--parts must be 1 or more, not {parts}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     found = read_calibration(calibration)
-    recorded = load(log, source)
+    recorded = load(log, source, unit=unit)
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()

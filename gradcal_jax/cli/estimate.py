@@ -96,7 +96,7 @@ def estimate(
     """
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours)
     model = _spec(spec, recipe)
-    recorded = load(log, source)
+    recorded = load(log, source, unit=unit[0] if unit else None)
     files = _files(output, unit or recorded.units)
     for path in files.values():
         writable(path, force)

@@ -99,7 +99,7 @@ def instability(
     if not (delta_s > 0 and 0 < shortest_s <= longest_s and margin > 0):
         raise ValueError("--delta, --shortest and --margin must be positive, and --longest no shorter than --shortest")
     left_out = [span(text, "--without") for text in without]
-    recorded = load(log, source)
+    recorded = load(log, source, unit=unit)
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
@@ -252,7 +252,7 @@ def allan(
     delta_s, lag_s = quantity(delta, "time", "--delta"), _lag(lag)
     chosen = _terms(terms)
     left_out = [span(text, "--without") for text in without]
-    recorded = load(log, source)
+    recorded = load(log, source, unit=unit)
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()

@@ -43,12 +43,13 @@ class Recording:
 WHOLE: Final = Recording()
 
 
-def load(path: Path, source: Recording = WHOLE) -> "Log":
+def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "Log":
     """A log of this program (netCDF), a flight log, or a table with its column map: the part that was asked for.
 
-    Raises `ValueError`s.
+    `unit` is needed where several run at clocks of their own. Raises `ValueError`s.
     """
     from gradcal_jax.files.log import part_of, read_log
+    from gradcal_jax.files.vehicle import is_vehicle_log, read_vehicle_log
 
     begin = None if source.begin is None else quantity(source.begin, "time", "--from")
     end = None if source.end is None else quantity(source.end, "time", "--to")
@@ -59,6 +60,8 @@ def load(path: Path, source: Recording = WHOLE) -> "Log":
         return part_of(read_log(path), begin_s=begin, end_s=end, rows=rows)
     from gradcal_jax.files.importers import import_log, read_column_map
 
+    if is_vehicle_log(path) and source.columns is None:
+        return part_of(read_vehicle_log(path, unit=unit, rows=rows), begin_s=begin, end_s=end)
     if source.columns is None:
         from gradcal_jax.files.column_guess import without_a_map
 

@@ -268,7 +268,7 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
     farthest = float(tau[rows[whole.farthest]])
     # A trend or what temperature did shows at long times: the shorter ones may still be of the model.
-    least = int(chosen.sum()) + 1
+    least = int(chosen.sum()) + 2
     shorter = [rows[:length] for length in range(len(rows) - 1, least - 1, -1)] if whole.chance < MISFIT else []
     for band in shorter:
         inside = _least_squares(steps[band], variance[band], runs, interval, chosen, low_passed)

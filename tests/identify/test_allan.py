@@ -158,10 +158,10 @@ def flicker(seed, samples, interval, instability):
 
 
 @pytest.mark.parametrize("length", [2, 3, 4, 8, 16, 32])
-@pytest.mark.parametrize("instability", [0.0, 1.0])
+@pytest.mark.parametrize("instability", [0.0, 0.3])
 def test_a_low_pass_is_found_and_its_times_are_left_out(length, instability):
     """Moving means of 2 to 32 samples over white noise of 0.5 and, where there is any, 1/f noise."""
-    samples, interval = 1 << 17, 0.01
+    samples, interval = 1 << 18, 0.01
     rate = simulate(length, samples, interval, angle_random_walk=0.5) + flicker(length, samples, interval, instability)
     fit = fit_allan(overlapping_allan(low_passed(rate, length), interval))
     assert fit.low_passed

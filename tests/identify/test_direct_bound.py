@@ -191,7 +191,7 @@ def test_the_scatter_of_bounds_is_known_from_one_record():
         said.append(scatter_of_bound(bound, rate, 1.0))
     ratio = np.median(said, axis=0) / np.std(found, axis=0)
     assert np.all((ratio > 0.4) & (ratio < 2.5))
-    assert scatter_of_bound(bound, rate[:500], 1.0) is None
+    assert scatter_of_bound(bound, rate[:400], 1.0) is None
 
 
 def test_wrong_arguments_get_a_sentence():

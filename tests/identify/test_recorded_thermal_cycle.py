@@ -89,7 +89,8 @@ def test_allan_and_direct_bound_side_by_side(log, axis, pays):
     # Both look at one record: the drift over ten minutes is of the Allan model's size times a maximum's few sigmas.
     for allan, bound in ((allan_at_once, at_once), (allan_lagging, lagging)):
         slow = np.sqrt(allan.rate_random_walk.value**2 * 600.0 / 3 * 2)
-        assert 0.3 < bound.largest_drift[-1] / slow < 6.0
+        # (The fit believes its short times, and of x the loop in temperature is no rate random walk.)
+        assert 0.3 < bound.largest_drift[-1] / slow < 8.0
     if pays:
         assert thermal.lag_time_s > 60.0
         assert lagging.limit[-1] < 0.8 * at_once.limit[-1]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gradcal_jax.assemble.calibration import EstimateReport
     from gradcal_jax.assemble.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
+    from gradcal_jax.files.log import Log
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
@@ -46,6 +47,7 @@ def estimate(
     clock: str = "sensor",
     read_every: str = "1 s",
     neighbours: str | None = None,
+    temperature: str | None = None,
     source: Recording = WHOLE,
     force: Flag = False,
     json: Json = False,
@@ -87,6 +89,8 @@ def estimate(
         Spacing of the readings while the table stands.
     neighbours
         Also without a structure: moves of one rate within, say, "5 K" taken together, beside what the map says of them.
+    temperature
+        At which a log without a thermometer was recorded, such as "23 degC".
     force
         Overwrite the output.
     json
@@ -97,6 +101,7 @@ def estimate(
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours)
     model = _spec(spec, recipe)
     recorded = load(log, source, unit=unit[0] if unit else None)
+    recorded = _at(recorded, temperature)
     files = _files(output, unit or recorded.units)
     for path in files.values():
         writable(path, force)
@@ -125,6 +130,22 @@ def estimate(
 
         save_figure(draw_estimate(report), plot, quiet=json)
     return DONE if report.as_wished else NOT_AS_WISHED
+
+
+def _at(recorded: "Log", temperature: str | None) -> "Log":
+    """The log with the temperature that was said; one without any is refused, for a calibration holds at some."""
+    if (recorded.temperature_c is None) == (temperature is not None):
+        if temperature is None:
+            return recorded
+        from dataclasses import replace
+
+        import numpy as np
+
+        shape = recorded.rate_rad_per_s.shape[:2]
+        return replace(recorded, temperature_c=np.full(shape, quantity(temperature, "temperature", "--temperature")))
+    if temperature is not None:
+        raise ValueError("--temperature is for logs without one: this log has its own")
+    raise ValueError('the log has no temperature: say at which it was recorded, such as --temperature "23 degC"')
 
 
 def _options(

@@ -14,6 +14,7 @@ Sources: ArduPilot, `libraries/AP_InertialSensor/AP_InertialSensor_Backend.cpp` 
 and then turned by the board's orientation. All three are undone here, with the parameters in force at each sample.
 """
 
+import contextlib
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -46,9 +47,10 @@ def gyros(path: Path) -> Sequence[GyroStream]:
         parameters = _table(log, "PARM") if "PARM" in names else ()
         tables = [_table(log, name) for name in ("IMU", "IMU2", "IMU3") if name in names]
     finally:
-        for opened in (getattr(log, "data_map", None), getattr(log, "filehandle", None)):
-            if opened is not None:
-                opened.close()
+        for name in ("filehandle", "data_map"):
+            # A reader that failed may still look at the map; it goes with the reader then.
+            with contextlib.suppress(AttributeError, BufferError):
+                getattr(log, name).close()
     if not any(len(table) for table in tables):
         raise LogError("the log holds no IMU messages: set the IMU bit of LOG_BITMASK")
     if len(parameters) == 0:

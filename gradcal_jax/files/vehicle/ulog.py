@@ -23,7 +23,8 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     """Every gyro by its device id, in the order of topics; the FIFO's samples where there are some."""
     reader: Any = library("pyulog", "pyulog")
     # Names alone are looked at of what is in sensor_combined.
-    log = reader.ULog(str(path), [*_RAW, "sensor_combined"])
+    with path.open("rb") as opened:
+        log = reader.ULog(opened, [*_RAW, "sensor_combined"])
     found = [data for data in log.data_list if data.name in _RAW]
     names = {data.name for data in log.data_list}
     start_s = float(log.start_timestamp) * 1e-6

@@ -1,6 +1,7 @@
 """Logs of vehicles and robots: equal to their libraries' own export; what is known of each source; refusals."""
 
 import csv
+import json
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vehicle_samples import bag, dataflash, imu_rows, mcap, ros_messages, sensor_gyro, sensor_gyro_fifo, ulog
 
+from gradcal_jax.cli import main
 from gradcal_jax.files.importers import import_log, parse_column_map
 from gradcal_jax.files.log import LogError
 from gradcal_jax.files.vehicle import read_vehicle_log
@@ -326,3 +328,17 @@ def test_an_hour_at_a_kilohertz_is_read_in_twenty_seconds(tmp_path, ending):
 def _stamped(content, us):
     ns = START_NS + us * 1000
     return content[:4] + np.array([ns // 10**9, ns % 10**9], "<u4").tobytes() + content[12:]
+
+
+def test_the_commands_take_them_as_they_are(tmp_path, capsys):
+    """`gradcal allan flight.ulg` is the library's Allan deviation; no map, and a map is not needed for `instability`."""
+    rows = 20_000
+    stamps = 1_000_000 + 1000 * np.arange(rows)
+    rate = 1e-3 * np.random.default_rng(2).standard_normal((rows, 3))
+    path = ulog(tmp_path / "flight.ulg", ("sensor_gyro", 0, sensor_gyro(stamps, rate, 30.0 + stamps * 1e-9, 9)))
+    assert main(["allan", str(path), "--axis", "x", "--to", "15 s", "--json"]) == 0
+    (channel,) = json.loads(capsys.readouterr().out)["channels"]
+    found = channel["coefficients"]["angle_random_walk_deg_per_sqrt_h"]
+    assert found["value"] == pytest.approx(np.degrees(1e-3 * np.sqrt(1e-3)) * 60, abs=4 * found["standard_error"])
+    assert main(["instability", str(path), "--axis", "y", "--longest", "2 s", "--delta", "1 s"]) == 1
+    assert "unit 9" in capsys.readouterr().out

@@ -331,7 +331,7 @@ def _stamped(content, us):
 
 
 def test_the_commands_take_them_as_they_are(tmp_path, capsys):
-    """`gradcal allan flight.ulg` is the library's Allan deviation; no map, and a map is not needed for `instability`."""
+    """`gradcal allan flight.ulg` and `gradcal instability flight.ulg`, without a map."""
     rows = 20_000
     stamps = 1_000_000 + 1000 * np.arange(rows)
     rate = 1e-3 * np.random.default_rng(2).standard_normal((rows, 3))

@@ -41,6 +41,7 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     """Every IMU of the log by its number (0, 1, 2), thermal correction, offsets and board rotation undone."""
     reader: Any = library("pymavlink.DFReader", "pymavlink")
     log = reader.DFReader_binary.__new__(reader.DFReader_binary)
+    log.init_clock = lambda: None  # the calendar, for which it would parse every message
     try:
         log.__init__(str(path))  # what it opens stays open where this fails, and is closed below
         names = {fmt.name for fmt in log.formats.values()}

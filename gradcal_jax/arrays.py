@@ -15,7 +15,10 @@ import numpy as np
 
 # An array of either library, for annotations: `Float[AnyArray, "n p"]`. What is done with it is the same for both, which
 # a type checker cannot follow; shapes and kinds are checked where the tests run.
-AnyArray = Any if TYPE_CHECKING else jax.Array | np.ndarray
+if TYPE_CHECKING:
+    AnyArray = Any
+else:
+    AnyArray = jax.Array | np.ndarray
 
 Carry = TypeVar("Carry")
 

@@ -1,7 +1,7 @@
 """What a plan is limited by: the share of every error source in a residual."""
 
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
 import equinox as eqx
 import numpy as np
@@ -18,7 +18,7 @@ PRIOR: Final = "prior knowledge"
 ENCODER: Final = "angle error of the encoder"
 DISCREPANCY: Final = "model discrepancy"
 
-Field = Callable[[SensorModel], object]
+Field = Callable[[SensorModel], Any]
 FIGURES: Final[dict[str, Field]] = {
     "angle random walk": lambda m: m.angle_random_walk,
     "rate accuracy": lambda m: m.reference.rate_accuracy,
@@ -87,7 +87,7 @@ def only(built: Assembled, name: str) -> SensorModel:
     return scaled(built, {n: float(n == name) for n in active_sources(built)})
 
 
-def scaled(built, factors: dict[str, object]) -> SensorModel:
+def scaled(built, factors: Mapping[str, Any]) -> SensorModel:
     """The model of whatever has one and its `sources`, with sources of noise multiplied by factors."""
     model = built.model
     sizes: list = [1.0] * model.processes.count

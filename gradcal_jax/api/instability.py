@@ -18,6 +18,8 @@ _LAG_PAYS = 0.9
 _LONGEST_LAG_S = 1800.0
 # Without as wide a span of temperature (K) nothing can be said of B(T), and none is removed.
 _TELLING_SPAN = 5.0
+# rad/√s, 10 deg/√h: three times the angle random walk of the coarsest MEMS gyros on sale.
+_NOISIEST = 10.0 / DEG_PER_SQRT_H
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class Rest:
     rate: np.ndarray
     valid: np.ndarray
     sample_interval_s: float
+    time_s: np.ndarray
+    """`(samples,)`: of the record's clock; NaN where a gap stands."""
     temperature_c: np.ndarray | None
     thermal: identify.ThermalBias | None
     messages: tuple[str, ...]
@@ -47,6 +51,16 @@ class Instability:
     bound: identify.DirectBound
     temperature_c: tuple[float, float] | None
     """The range that was looked at; None: all of the record."""
+    scatter: tuple[float, float] | None
+    """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None where they are too few."""
+
+    @property
+    def deciding_span_s(self) -> tuple[float, float]:
+        """When the drift that decides happened, by the record's clock: from the average over Δ to its end."""
+        bound, interval = self.bound, self.rest.sample_interval_s
+        first = bound.deciding_start_index - round(bound.averaging_time_s / interval)
+        last = bound.deciding_start_index + round(bound.deciding_time_s / interval) - 1
+        return float(self.rest.time_s[first]), float(self.rest.time_s[last])
 
     def drift_block(self) -> str:
         """The `[[sensor.drift]]` of a spec; a comment alone where no drift shows."""
@@ -76,9 +90,11 @@ def at_rest(
     *,
     bias_degree: int | None = None,
     lag: float | str = "auto",
+    without: Sequence[tuple[float, float]] = (),
 ) -> Rest:
     """One channel, masked where the table moves, less its bias over temperature.
 
+    `without`: spans of the record's time (s) to leave out.
     `bias_degree`: of the polynomial B(T) taken off; None: 3 where the record spans 5 K or more, otherwise the mean
     alone; −1: nothing is taken off. `lag` of the bias behind the temperature: seconds, "fit", or "auto": fitted, and
     used where it leaves a tenth less. **Raises:** `LogError` where nothing of the record is at rest.
@@ -91,6 +107,11 @@ def at_rest(
         moving = int(np.count_nonzero(even.valid & ~valid))
         if moving:
             messages.append(f"{moving} rows in which the table moves are left out")
+    time = np.where(even.row >= 0, log.time_s[even.row], np.nan)
+    for first, last in without:
+        out = valid & (time >= first) & (time <= last)
+        valid &= ~out
+        messages.append(f"{np.count_nonzero(out)} rows from {first:g} s to {last:g} s are left out as asked")
     if not valid.any():
         raise LogError("no usable row of the record is marked as standing still: an instability is seen at rest only")
     rate = even.rate_rad_per_s.copy()
@@ -126,6 +147,7 @@ def at_rest(
         rate,
         valid,
         even.sample_interval_s,
+        time,
         temperature,
         thermal,
         tuple(messages),
@@ -202,13 +224,19 @@ def instability(
     allan = identify.overlapping_allan(rest.rate, interval, valid=valid)
     fit = identify.fit_allan(allan)
     walk = fit.angle_random_walk.value if angle_random_walk is None else angle_random_walk
+    if angle_random_walk is None and walk <= fit.angle_random_walk.standard_error:
+        raise LogError(
+            f"the Allan deviation of axis {rest.axis} shows no angle random walk, which the bound stands on: give the "
+            'data sheet\'s with --random-walk, such as "0.1 deg/sqrt(h)"'
+        )
     times = identify.integration_times(max(shortest_s, interval), longest, interval, count=count)
     times = times[times <= room * (1 + 1e-12)]
     observed = identify.largest_drift(rest.rate, interval, times, averaging_time_s, valid=valid)
     bound = identify.fit_direct_bound(
         observed, walk, margin=margin, rate_in_words=lambda rate: f"{rate * DEG_PER_H:.3g} deg/h"
     )
-    return Instability(rest, allan, fit, bound, temperature_c)
+    scatter = identify.scatter_of_bound(bound, rest.rate, interval, valid=valid)
+    return Instability(rest, allan, fit, bound, temperature_c, scatter)
 
 
 def temperature_ranges(rest: Rest, parts: int) -> list[tuple[float, float]]:
@@ -234,6 +262,9 @@ def instability_row(found: Instability) -> dict[str, Any]:
         "margin": bound.margin,
         "averaging_time_s": bound.averaging_time_s,
         "deciding_time_s": bound.deciding_time_s,
+        "deciding_span_s": found.deciding_span_s,
+        "drift_std_scatter_deg_per_h": None if found.scatter is None else found.scatter[0] * DEG_PER_H,
+        "correlation_time_scatter_ln": None if found.scatter is None else found.scatter[1],
         "hidden_drift_std_deg_per_h": finite(bound.hidden_drift_std * DEG_PER_H),
         "advised_averaging_time_s": bound.advised_averaging_time_s,
         "boundary": [
@@ -252,7 +283,7 @@ def instability_row(found: Instability) -> dict[str, Any]:
             "lag_s": thermal.lag_time_s,
             "residual_rms_deg_per_h": thermal.residual_rms * DEG_PER_H,
         },
-        "messages": [*found.rest.messages, *bound.messages],
+        "messages": [*found.rest.messages, *allan_notes(found.allan_fit), *bound.messages],
     }
 
 
@@ -280,25 +311,49 @@ def allan_row(rest: Rest, allan: identify.AllanDeviation, fit: identify.AllanFit
             ("upper_deg_per_h", fit.upper * DEG_PER_H),
             ("model_deg_per_h", fit.model_deviation * DEG_PER_H),
         ),
-        "chi_squared": fit.chi_squared,
-        "messages": list(rest.messages),
+        "fitted_time_s": fit.fitted_time_s.tolist(),
+        "low_passed": fit.low_passed,
+        "misfit": {
+            "chi_squared": fit.chi_squared,
+            "degrees": fit.chi_squared_degrees,
+            "chance": fit.chance,
+            "level": identify.MISFIT,
+        },
+        "messages": [*rest.messages, *allan_notes(fit)],
     }
 
 
-def allan_misfit(allan: identify.AllanDeviation, fit: identify.AllanFit) -> str | None:
-    """A sentence where the fitted terms part from the curve by more than a third, and by more than chance has it."""
-    kept = np.isin(allan.averaging_time_s, fit.averaging_time_s)
-    found, model = allan.deviation[kept], fit.model_deviation
-    apart = (np.abs(np.log(model / found)) > np.log(4.0 / 3.0)) & (
-        (model < fit.lower[kept]) | (model > fit.upper[kept])
-    )
-    if not apart.any():
-        return None
-    times = fit.averaging_time_s[apart]
-    return (
-        f"the fitted terms do not follow the curve between {times[0]:.3g} and {times[-1]:.3g} s: the record holds "
-        "something else (a trend, a period, what temperature did), and the coefficients describe it badly"
-    )
+def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
+    """What a fit leaves out, and whether its model holds, in sentences."""
+    notes: list[str] = []
+    if not plausible(fit):
+        notes.append(
+            f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.3g} deg/sqrt(h) is more than any "
+            "gyro has: are rates in deg/s stated as rad/s, or stamps in ms as s, or did the sensor move?"
+        )
+    if fit.low_passed:
+        notes.append(
+            f"a low-pass averages the samples: times below {fit.fitted_time_s[0]:.3g} s are left out of the fit, and "
+            "quantisation cannot be told"
+        )
+    if fit.chance < identify.MISFIT:
+        last = fit.fitted_time_s[-1]
+        notes.append(
+            f"the fitted terms do not follow the curve (χ² {fit.chi_squared:.4g} of {fit.chi_squared_degrees} degrees; "
+            f"{identify.MISFIT:.0%} of records of such noise are as far off), least of all near "
+            f"{fit.farthest_time_s:.3g} s: the record holds something else (a trend, a period, what temperature did); "
+            + (
+                f"times above {last:.3g} s are left out of the fit"
+                if last < fit.averaging_time_s[-1] / 2
+                else "the standard errors are widened by that"
+            )
+        )
+    return tuple(notes)
+
+
+def plausible(fit: identify.AllanFit) -> bool:
+    """Whether some gyro is as noisy as that; otherwise a unit is wrong, or the sensor moved."""
+    return fit.angle_random_walk.value <= _NOISIEST
 
 
 def curve(*columns: tuple[str, np.ndarray]) -> dict[str, list[float]]:

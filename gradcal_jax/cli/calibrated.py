@@ -7,7 +7,7 @@ from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, as_json, writable
-from gradcal_jax.cli.recordings import ColumnMapFile, described, load, quantity
+from gradcal_jax.cli.recordings import WHOLE, Recording, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns as table
 
@@ -30,7 +30,7 @@ def apply(
     *,
     output: Output,
     unit: str | None = None,
-    columns: ColumnMapFile = None,
+    source: Recording = WHOLE,
     force: Flag = False,
     json: Json = False,
 ) -> int:
@@ -43,13 +43,11 @@ def apply(
     calibration
         The calibration file.
     log
-        A log (.nc), or a recording of another program with --columns.
+        A log (.nc), a flight log, or another program's table with --columns.
     output
         The corrected log (.nc).
     unit
         Which unit of the log; without it the one of the calibration's serial number, or the only one.
-    columns
-        What the columns of a recording mean (gradcal-columns/1).
     force
         Overwrite the output.
     json
@@ -61,7 +59,7 @@ def apply(
 
     found = read_calibration(calibration)
     writable(output, force)
-    recorded = load(log, columns)
+    recorded = load(log, source, unit=unit)
     corrected = correct(found, recorded, _unit(recorded, found.serial_number, unit))
     write_log(corrected.log, output)
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
@@ -88,7 +86,7 @@ def validate(
     table_axis: str | None = None,
     earth_rate: str | None = None,
     parts: int = 3,
-    columns: ColumnMapFile = None,
+    source: Recording = WHOLE,
     json: Json = False,
 ) -> int:
     """Hold a calibration against a log that it was not made from: what is left by temperature and rate.
@@ -100,7 +98,7 @@ def validate(
     calibration
         The calibration file.
     log
-        A log (.nc), or a recording of another program with --columns.
+        A log (.nc), a flight log, or another program's table with --columns.
     unit
         Which unit of the log; without it the one of the calibration's serial number, or the only one.
     table_axis
@@ -109,8 +107,6 @@ def validate(
         Of the Earth along the sensor's axis, such as "10.4 deg/h"; it is taken off.
     parts
         In how many ranges of temperature.
-    columns
-        What the columns of a recording mean (gradcal-columns/1).
     json
         Print all numbers as JSON.
     """
@@ -120,7 +116,7 @@ def validate(
         raise ValueError(f"--parts must be 1 or more, not {parts}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     found = read_calibration(calibration)
-    recorded = load(log, columns)
+    recorded = load(log, source, unit=unit)
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()

@@ -9,7 +9,7 @@ from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
-from gradcal_jax.cli.recordings import Axes, ColumnMapFile, described, load, quantity
+from gradcal_jax.cli.recordings import WHOLE, Axes, Recording, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gradcal_jax.api.calibration import EstimateReport
     from gradcal_jax.api.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
+    from gradcal_jax.files.log import Log
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
@@ -46,7 +47,8 @@ def estimate(
     clock: str = "sensor",
     read_every: str = "1 s",
     neighbours: str | None = None,
-    columns: ColumnMapFile = None,
+    temperature: str | None = None,
+    source: Recording = WHOLE,
     force: Flag = False,
     json: Json = False,
     plot: Plot = None,
@@ -58,7 +60,7 @@ def estimate(
     Parameters
     ----------
     log
-        A log (.nc), or a recording of another program with --columns.
+        A log (.nc), a flight log, or another program's table with --columns.
     spec
         The spec: noise, table and maps of the sensor. What was done is read from the log itself.
     recipe
@@ -87,8 +89,8 @@ def estimate(
         Spacing of the readings while the table stands.
     neighbours
         Also without a structure: moves of one rate within, say, "5 K" taken together, beside what the map says of them.
-    columns
-        What the columns of a recording mean (gradcal-columns/1).
+    temperature
+        At which a log without a thermometer was recorded, such as "23 degC".
     force
         Overwrite the output.
     json
@@ -98,7 +100,8 @@ def estimate(
     """
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours)
     model = _spec(spec, recipe)
-    recorded = load(log, columns)
+    recorded = load(log, source, unit=unit[0] if unit else None)
+    recorded = _at(recorded, temperature)
     files = _files(output, unit or recorded.units)
     for path in files.values():
         writable(path, force)
@@ -127,6 +130,22 @@ def estimate(
 
         save_figure(draw_estimate(report), plot, quiet=json)
     return DONE if report.as_wished else NOT_AS_WISHED
+
+
+def _at(recorded: "Log", temperature: str | None) -> "Log":
+    """The log with the temperature that was said; one without any is refused, for a calibration holds at some."""
+    if (recorded.temperature_c is None) == (temperature is not None):
+        if temperature is None:
+            return recorded
+        from dataclasses import replace
+
+        import numpy as np
+
+        shape = recorded.rate_rad_per_s.shape[:2]
+        return replace(recorded, temperature_c=np.full(shape, quantity(temperature, "temperature", "--temperature")))
+    if temperature is not None:
+        raise ValueError("--temperature is for logs without one: this log has its own")
+    raise ValueError('the log has no temperature: say at which it was recorded, such as --temperature "23 degC"')
 
 
 def _options(

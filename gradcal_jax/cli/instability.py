@@ -1,5 +1,6 @@
 """`gradcal instability` and `gradcal allan`: what a record at rest says of a sensor's noise."""
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,7 +9,7 @@ from cyclopts import App, Parameter
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
-from gradcal_jax.cli.recordings import Axes, ColumnMapFile, described, load, quantity
+from gradcal_jax.cli.recordings import WHOLE, Axes, Recording, Without, described, load, quantity, span
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns
 
@@ -33,26 +34,27 @@ def instability(
     axis: Axes = (),
     unit: Unit = None,
     delta: str = "10 s",
-    shortest: Annotated[str, Parameter(name="--from")] = "1 s",
-    longest: Annotated[str, Parameter(name="--to")] = "20 min",
+    shortest: str = "1 s",
+    longest: str = "20 min",
     margin: float = 2.5,
     random_walk: str | None = None,
     bias_degree: BiasDegree = None,
     lag: str = "auto",
     temperature: Annotated[tuple[str, str] | None, Parameter(negative="")] = None,
     ranges: int = 1,
-    columns: ColumnMapFile = None,
+    without: Without = (),
+    source: Recording = WHOLE,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
     """Find the drift that bounds what a record at rest shows: the paper's Direct Bound, as a block for a spec.
 
-    The exit status is 1 where no drift shows above the angle random walk.
+    The exit status is 1 where no drift shows above the angle random walk, or that is more than any gyro has.
 
     Parameters
     ----------
     log
-        A log (.nc), or a recording of another program with --columns.
+        A log (.nc), a flight log, or another program's table with --columns.
     axis
         Which axis; may be repeated. All, without it.
     unit
@@ -76,8 +78,8 @@ def instability(
         Only rows between two temperatures: --temperature "20 degC" "40 degC".
     ranges
         Also in so many equal ranges of temperature.
-    columns
-        What the columns of a recording mean (gradcal-columns/1).
+    without
+        A span of the record's time to leave out, such as "123 s..130 s"; may be repeated.
     json
         Print all numbers as JSON.
     plot
@@ -85,7 +87,7 @@ def instability(
     """
     drawable(plot)
     delta_s = quantity(delta, "time", "--delta")
-    shortest_s, longest_s = quantity(shortest, "time", "--from"), quantity(longest, "time", "--to")
+    shortest_s, longest_s = quantity(shortest, "time", "--shortest"), quantity(longest, "time", "--longest")
     walk = None if random_walk is None else quantity(random_walk, "angle random walk", "--random-walk")
     between = None
     if temperature is not None:
@@ -95,8 +97,9 @@ def instability(
     if ranges < 1:
         raise ValueError(f"--ranges must be 1 or more, not {ranges}")
     if not (delta_s > 0 and 0 < shortest_s <= longest_s and margin > 0):
-        raise ValueError("--delta, --from, --to and --margin must be positive, and --from no longer than --to")
-    recorded = load(log, columns)
+        raise ValueError("--delta, --shortest and --margin must be positive, and --longest no shorter than --shortest")
+    left_out = [span(text, "--without") for text in without]
+    recorded = load(log, source, unit=unit)
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
@@ -108,7 +111,9 @@ def instability(
     found: list[Instability] = []
     parts: list[list[tuple[tuple[float, float], Instability | str]]] = []
     for name in work.axes_of(recorded, axis):
-        rest = work.at_rest(recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s)
+        rest = work.at_rest(
+            recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
+        )
         whole = look(rest, angle_random_walk=walk, temperature_c=between)
         found.append(whole)
         pieces: list[tuple[tuple[float, float], Instability | str]] = []
@@ -138,7 +143,8 @@ def instability(
         from gradcal_jax.plots.identification import draw_instability
 
         save_figure(draw_instability(found), plot, quiet=json)
-    return DONE if all(whole.bound.drift_shows for whole in found) else NOT_AS_WISHED
+    wished = all(whole.bound.drift_shows and work.plausible(whole.allan_fit) for whole in found)
+    return DONE if wished else NOT_AS_WISHED
 
 
 def _lag(text: str) -> float | str:
@@ -146,6 +152,7 @@ def _lag(text: str) -> float | str:
 
 
 def _instability_text(found: "Instability", parts) -> str:
+    from gradcal_jax.api import instability as work
     from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 
     bound = found.bound
@@ -158,7 +165,17 @@ def _instability_text(found: "Instability", parts) -> str:
     if bound.drift_shows:
         lines.append(
             f"bounded by {bound.drift_std * DEG_PER_H:.4g} deg/h with a correlation time of "
-            f"{bound.correlation_time_s:.4g} s, at {bound.margin:g} sigma; decided at {bound.deciding_time_s:.4g} s"
+            f"{bound.correlation_time_s:.4g} s, at {bound.margin:g} sigma"
+        )
+        if found.scatter is not None:
+            lines.append(
+                f"uncertainty from blocks of the record: {found.scatter[0] * DEG_PER_H:.2g} deg/h (1σ), correlation "
+                f"time within a factor of {math.exp(found.scatter[1]):.2g}"
+            )
+        first, last = found.deciding_span_s
+        lines.append(
+            f"decided over {bound.deciding_time_s:.4g} s, by the drift from {first:.6g} s to {last:.6g} s of the "
+            f'record; without it: --without "{first:.6g} s..{last:.6g} s"'
         )
     if found.rest.thermal is not None:
         thermal = found.rest.thermal
@@ -167,7 +184,9 @@ def _instability_text(found: "Instability", parts) -> str:
             + (f", {thermal.lag_time_s:.0f} s late" if thermal.lag_time_s > 0 else "")
             + f"; it leaves {thermal.residual_rms * DEG_PER_H:.4g} deg/h rms, noise included"
         )
-    lines += [f"note: {message}" for message in (*found.rest.messages, *bound.messages)]
+    lines += [
+        f"note: {message}" for message in (*found.rest.messages, *work.allan_notes(found.allan_fit), *bound.messages)
+    ]
     if parts:
         rows = [("temperature", "drift (1σ)", "correlation time")]
         for (low, high), one in parts:
@@ -194,16 +213,19 @@ def allan(
     delta: str = "10 s",
     bias_degree: BiasDegree = None,
     lag: str = "auto",
-    columns: ColumnMapFile = None,
+    without: Without = (),
+    source: Recording = WHOLE,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
-    """The overlapping Allan deviation with its confidence, and the coefficients that a weighted fit finds.
+    """The overlapping Allan deviation with its confidence, and the coefficients that generalised least squares finds.
+
+    The exit status is 1 where the angle random walk is more than any gyro has: a unit may be wrong.
 
     Parameters
     ----------
     log
-        A log (.nc), or a recording of another program with --columns.
+        A log (.nc), a flight log, or another program's table with --columns.
     axis
         Which axis; may be repeated. All, without it.
     unit
@@ -219,8 +241,8 @@ def allan(
         spans 5 K, otherwise the mean.
     lag
         Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.
-    columns
-        What the columns of a recording mean (gradcal-columns/1).
+    without
+        A span of the record's time to leave out, such as "123 s..130 s"; may be repeated.
     json
         Print all numbers as JSON.
     plot
@@ -229,7 +251,8 @@ def allan(
     drawable(plot)
     delta_s, lag_s = quantity(delta, "time", "--delta"), _lag(lag)
     chosen = _terms(terms)
-    recorded = load(log, columns)
+    left_out = [span(text, "--without") for text in without]
+    recorded = load(log, source, unit=unit)
     from gradcal_jax.cli.precision import use_float64
 
     use_float64()
@@ -238,7 +261,9 @@ def allan(
 
     drawn = []
     for name in work.axes_of(recorded, axis):
-        rest = work.at_rest(recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s)
+        rest = work.at_rest(
+            recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
+        )
         deviation = identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
         fit = identify.fit_allan(deviation, terms=chosen, confidence=confidence)
         drawn.append((rest, deviation, fit))
@@ -247,27 +272,24 @@ def allan(
         print(as_json({"simulated": recorded.simulated, "channels": rows}))
     else:
         print(described(recorded, str(log)))
-        for rest, deviation, fit in drawn:
+        for rest, _, fit in drawn:
             print("\n" + strong(f"axis {rest.axis}, unit {rest.unit}"))
             print(_allan_text(fit))
-            if (apart := work.allan_misfit(deviation, fit)) is not None:
-                print(f"note: {apart}")
-            for message in rest.messages:
+            for message in (*work.allan_notes(fit), *rest.messages):
                 print(f"note: {message}")
     if plot is not None:
         from gradcal_jax.plots.identification import draw_allan_and_bound
 
         bounds = []
-        for rest, _, fit in drawn:
+        for rest, _, _ in drawn:
             try:
-                walk = fit.angle_random_walk.value
-                bounds.append(work.instability(rest, averaging_time_s=delta_s, angle_random_walk=walk))
+                bounds.append(work.instability(rest, averaging_time_s=delta_s))
             except ValueError as error:
                 bounds.append(None)
                 if not json:
                     print(f"note: no Direct Bound of axis {rest.axis}: {error}")
         save_figure(draw_allan_and_bound(drawn, bounds), plot, quiet=json)
-    return DONE
+    return DONE if all(work.plausible(fit) for _, _, fit in drawn) else NOT_AS_WISHED
 
 
 _TERMS = {

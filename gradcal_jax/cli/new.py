@@ -1,14 +1,16 @@
-"""`gradcal new`: a commented spec to start from."""
+"""`gradcal new`: a commented spec or column map to start from."""
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from cyclopts import App, Parameter
 
 from gradcal_jax.cli.output import Flag, writable
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import columns
+
+_COLUMN_MAP: Final = "column-map"
 
 
 def register(app: App) -> None:
@@ -24,12 +26,12 @@ def new(
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
     force: Flag = False,
 ) -> int:
-    """Write a commented spec to start from.
+    """Write a commented spec, or a column map for a recording of another program, to start from.
 
     Parameters
     ----------
     preset
-        Its name; see --list.
+        Its name, see --list; or column-map.
     output
         The file to write; - prints it.
     listing
@@ -37,14 +39,15 @@ def new(
     force
         Overwrite an existing file.
     """
-    from gradcal_jax.files import presets
+    from gradcal_jax.files import column_guess, presets
 
     if listing:
-        print(columns([(name, presets.title(name)) for name in presets.names()], indent=""))
+        rows = [(name, presets.title(name)) for name in presets.names()]
+        print(columns([*rows, (_COLUMN_MAP, "What the columns of a recording mean, for --columns")], indent=""))
         return DONE
     if preset is None:
         raise ValueError("which preset? List them with: gradcal new --list")
-    text = presets.text(preset)
+    text = column_guess.EXAMPLE if preset == _COLUMN_MAP else presets.text(preset)
     if output is None or output == "-":
         if output is None:
             raise ValueError(f"where to? Write a file with: gradcal new {preset} -o my.toml (or -o - to print it)")
@@ -54,5 +57,6 @@ def new(
 
     writable(Path(output), force)
     write_whole(output, text)
-    print(f"wrote {output}; next: gradcal check {output}")
+    following = f"gradcal allan LOG --columns {output}" if preset == _COLUMN_MAP else f"gradcal check {output}"
+    print(f"wrote {output}; next: {following}")
     return DONE

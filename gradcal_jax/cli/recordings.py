@@ -1,7 +1,8 @@
 """What the commands that take a LOG share: reading it, whatever its kind, and saying what was found wrong with it."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
@@ -11,26 +12,82 @@ if TYPE_CHECKING:
     from gradcal_jax.files.log import Log
 
 Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
-ColumnMapFile = Annotated[Path | None, Parameter(name="--columns")]
+Without = Annotated[tuple[str, ...], Parameter(name="--without", negative="")]
 
-_NETCDF = (".nc", ".nc4", ".h5", ".hdf5")
+_NETCDF: Final = (".nc", ".nc4", ".h5", ".hdf5")
 
 
-def load(path: Path, column_map: Path | None) -> "Log":
-    """A log of this program (netCDF), or a recording of another with its column map. Raises `ValueError`s."""
-    from gradcal_jax.files.importers import import_log, read_column_map
-    from gradcal_jax.files.log import LogError, read_log
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Recording:
+    """How to read a log, and which part of it.
 
+    Parameters
+    ----------
+    columns
+        What the columns of another program's table mean (gradcal-columns/1); see gradcal new column-map.
+    begin
+        Only from this time of the record on, such as "90 s".
+    end
+        Only up to this time of the record.
+    rows
+        Only these rows of the source, counted from 0: "1000..250000", or open as in "1000..".
+    """
+
+    columns: Annotated[Path | None, Parameter(name="--columns")] = None
+    begin: Annotated[str | None, Parameter(name="--from")] = None
+    end: Annotated[str | None, Parameter(name="--to")] = None
+    rows: Annotated[str | None, Parameter(name="--rows")] = None
+
+
+WHOLE: Final = Recording()
+
+
+def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "Log":
+    """A log of this program (netCDF), a flight log, or a table with its column map: the part that was asked for.
+
+    `unit` is needed where several run at clocks of their own. Raises `ValueError`s.
+    """
+    from gradcal_jax.files.log import part_of, read_log
+    from gradcal_jax.files.vehicle import is_vehicle_log, read_vehicle_log
+
+    begin = None if source.begin is None else quantity(source.begin, "time", "--from")
+    end = None if source.end is None else quantity(source.end, "time", "--to")
+    rows = None if source.rows is None else _rows(source.rows)
     if path.suffix.lower() in _NETCDF:
-        if column_map is not None:
+        if source.columns is not None:
             raise ValueError(f"{path} is a log of this program, which needs no --columns: leave the option out")
-        return read_log(path)
-    if column_map is None:
-        raise LogError(
-            f"{path} is no netCDF log (.nc): say what its columns mean in a file and give it with --columns; "
-            "gradcal schema columns describes such a file"
-        )
-    return import_log(path, read_column_map(column_map))
+        return part_of(read_log(path), begin_s=begin, end_s=end, rows=rows)
+    from gradcal_jax.files.importers import import_log, read_column_map
+
+    if is_vehicle_log(path) and source.columns is None:
+        return part_of(read_vehicle_log(path, unit=unit, rows=rows), begin_s=begin, end_s=end)
+    if source.columns is None:
+        from gradcal_jax.files.column_guess import without_a_map
+
+        raise without_a_map(path)
+    return part_of(import_log(path, read_column_map(source.columns), rows=rows), begin_s=begin, end_s=end)
+
+
+def _rows(text: str) -> tuple[int, int | None]:
+    ends = text.replace(" ", "").split("..")
+    if len(ends) != 2 or not all(end.isascii() and (end.isdigit() or not end) for end in ends) or ends == ["", ""]:
+        raise ValueError(f'--rows {text!r}: expected rows counted from 0, such as "1000..250000" or "1000.."')
+    first, last = int(ends[0] or 0), int(ends[1]) if ends[1] else None
+    if last is not None and last <= first:
+        raise ValueError(f"--rows {text!r}: no row lies between them")
+    return first, last
+
+
+def span(text: str, option: str) -> tuple[float, float]:
+    """A span of time such as "123 s..130 s", in s. Raises `ValueError` that names the option."""
+    ends = text.split("..")
+    if len(ends) != 2:
+        raise ValueError(f'{option} {text!r}: expected a span such as "123 s..130 s"')
+    first, last = (quantity(end.strip(), "time", option) for end in ends)
+    if last < first:
+        raise ValueError(f"{option} {text!r}: ends before it begins")
+    return first, last
 
 
 def quantity(text: str, dimension: str, option: str) -> float:

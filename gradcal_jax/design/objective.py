@@ -63,7 +63,7 @@ class Objective(eqx.Module):
 
     def of_schedule(self, schedule: Schedule, sharpness=EXACT):
         """The value and the excess of a plan."""
-        values, excess = [], []
+        values, excess, xp = [], [], np
         for case in self.cases:
             minimised, limited = case.values(schedule, sharpness)
             xp = namespace(minimised)

@@ -19,6 +19,7 @@ What the columns mean is said in a small TOML file, with units:
     inner = { column = 4, unit = "deg" }      # text and .npy: also by number, counted from 0
     [csv]
     delimiter = ";"                           # ",", ";", "tab" or "whitespace"; header = false, comment = "#", skip = 0
+    decimal   = ","                           # 1,5 for one and a half; encoding = "latin-1" where it is not UTF-8
     [policy]
     gaps = "refuse"                           # see gradcal_jax.files.log_faults
 
@@ -28,8 +29,9 @@ at the top. Times count from the first row.
 
 import array
 import csv
+import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TextIO, TypeVar
 
@@ -55,6 +57,19 @@ Name = Annotated[Text, Field(max_length=100)]
 
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 _DELIMITERS: Final = {"tab": "\t", "whitespace": None}
+_APART: Final = {";": ";", "\t": "tab", ",": ",", "|": "|", " ": "whitespace"}
+_COMMA: Final = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+_HEXADECIMAL: Final = re.compile(r"0[xX][0-9a-fA-F]+")
+_CERTAIN: Final = (_COMMA, _HEXADECIMAL)
+"""What no damaged number looks like."""
+_WAYS: Final = {
+    _COMMA: 'a decimal comma; write decimal = "," under [csv]',
+    _HEXADECIMAL: "hexadecimal counts; write them as decimal numbers",
+    re.compile(r"(?=.*[A-Fa-f])[0-9A-Fa-f]{2,16}"): "hexadecimal counts, it seems; write them as decimal numbers",
+    re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}.*|\d{1,2}:\d\d(:\d\d.*)?"): (
+        "dates or times of day; write stamps as seconds, or leave time out and give sample_rate"
+    ),
+}
 
 
 class Source(Section):
@@ -89,6 +104,8 @@ class _Of:
         self.dimension = dimension
 
     def __call__(self, unit: str) -> str:
+        if self.dimension == "temperature" and unit.strip().lower() in ("k", "kelvin", "kelvins"):
+            raise ValueError('for a column in kelvins write unit = "degC" and zero = 273.15')
         units.parse(f"1 {unit}", self.dimension)
         return unit
 
@@ -139,6 +156,23 @@ class TextTable(Section):
     header: Flag = True
     comment: Annotated[str, Field(min_length=1, max_length=1)] = "#"
     skip: Whole = 0
+    decimal: Literal[".", ","] = "."
+    encoding: Text = "utf-8-sig"
+
+    @field_validator("encoding")
+    @classmethod
+    def _codec(cls, value: str) -> str:
+        try:
+            "".encode(value)
+        except (LookupError, ValueError):
+            raise ValueError('expected the name of an encoding, such as "utf-8", "latin-1" or "utf-16"') from None
+        return value
+
+    @model_validator(mode="after")
+    def _apart(self) -> "TextTable":
+        if self.decimal == self.delimiter:
+            refuse(Problem(("delimiter",), 'a decimal comma needs another delimiter, such as ";" or "tab"'))
+        return self
 
     @field_validator("delimiter")
     @classmethod
@@ -210,8 +244,8 @@ def read_column_map(path: str | Path) -> ColumnMap:
     return parse_column_map(read_text(path), str(path))
 
 
-def import_log(path: str | Path, columns: ColumnMap) -> Log:
-    """The log in a recording of another program, examined by the map's policy.
+def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | None] | None = None) -> Log:
+    """The log in a recording of another program, examined by the map's policy; of some rows only, if asked.
 
     The ending tells the kind: .csv, .txt, .tsv, .dat, .log, .asc (text), .npz, .npy, .mat (MATLAB up to version 7).
 
@@ -239,7 +273,8 @@ def import_log(path: str | Path, columns: ColumnMap) -> Log:
     if size == 0:
         raise LogError(f"{path} is empty")
     try:
-        return examine(_columns(readers[kind](path, columns), columns, path.name), columns.policy)
+        found = _columns(readers[kind](path, columns), columns, path.name)
+        return examine(found if rows is None else found.part(rows), columns.policy)
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
 
@@ -345,22 +380,29 @@ def _read_text_table(path: Path, columns: ColumnMap) -> _Table:
     layout = columns.csv
     delimiter = _DELIMITERS.get(layout.delimiter, layout.delimiter)
     try:
-        with path.open(encoding="utf-8-sig") as lines:
+        with path.open(encoding=layout.encoding) as lines:
             for _ in range(layout.skip):
                 lines.readline()
             header = _header(lines, layout, delimiter) if layout.header else []
             used = sorted({_place(source, header, layout.header) for source in _sources(columns)})
             start = lines.tell()
-            values = _quick(lines, delimiter, layout.comment, used)
+            values = _quick(_pointed(lines, layout), delimiter, layout.comment, used)
             if values is None:
                 lines.seek(start)
-                values = _patient(lines, delimiter, layout.comment, used)
-    except UnicodeDecodeError:
-        raise LogError("is not text in UTF-8: is it another kind of file?") from None
+                names = {place: f"'{header[place]}'" if place < len(header) else f"number {place}" for place in used}
+                values = _patient(_pointed(lines, layout), delimiter, layout.comment, names)
+    except UnicodeError:
+        name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
+        text = f'is not text in {name}: name its encoding under [csv], such as encoding = "latin-1" or "utf-16"'
+        raise LogError(f"{text}, or is it another kind of file?") from None
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}") from None
     by_place = {place: values[:, number] for number, place in enumerate(used)}
     return _Table(lambda source: by_place[_place(source, header, layout.header)])
+
+
+def _pointed(lines: TextIO, layout: TextTable) -> Iterable[str]:
+    return lines if layout.decimal == "." else (line.replace(",", ".") for line in lines)
 
 
 def _header(lines: TextIO, layout: TextTable, delimiter: str | None) -> list[str]:
@@ -404,11 +446,16 @@ def _place(source: Source, header: list[str], named: bool) -> int:
     if not named:
         raise LogError(f"{source.words()} needs a header; without one columns are numbered from 0")
     if source.column not in header:
-        raise LogError(f"there is no {source.words()}; {instead(source.column, header)}")
+        apart = next((name for mark, name in _APART.items() if len(header) == 1 and mark in header[0]), None)
+        hint = f'; or is it delimiter = "{apart}", under [csv]?' if apart else ""
+        raise LogError(f"there is no {source.words()}; {instead(source.column, header)}{hint}")
+    if header.count(source.column) > 1:
+        places = " or ".join(str(place) for place, name in enumerate(header) if name == source.column)
+        raise LogError(f"several columns are named '{source.column}': say which by its number, {places}, from 0")
     return header.index(source.column)
 
 
-def _quick(lines: TextIO, delimiter: str | None, comment: str, used: list[int]) -> Floats | None:
+def _quick(lines: Iterable[str], delimiter: str | None, comment: str, used: list[int]) -> Floats | None:
     """All rows at once, by NumPy's compiled reader, where every row is whole; otherwise None."""
     try:
         with warnings.catch_warnings():
@@ -418,17 +465,36 @@ def _quick(lines: TextIO, delimiter: str | None, comment: str, used: list[int]) 
         return None
 
 
-def _patient(lines: TextIO, delimiter: str | None, comment: str, used: list[int]) -> Floats:
-    """Row by row: what is missing or no number becomes NaN, and is counted and named later on."""
+def _patient(lines: Iterable[str], delimiter: str | None, comment: str, names: Mapping[int, str]) -> Floats:
+    """Row by row: what is missing or no number becomes NaN, and is counted and named later on.
+
+    A column of which nothing is a number, or that is written in another way than numbers are here, is an error.
+    """
     numbers = array.array("d")
+    odd: dict[int, str] = {}
+    readable: set[int] = set()
     for line in lines:
         plain = line.split(comment, 1)[0].strip()
-        if plain:
-            fields = _split(plain, delimiter)
-            numbers.extend(_number(fields[place]) if place < len(fields) else np.nan for place in used)
+        if not plain:
+            continue
+        fields = _split(plain, delimiter)
+        for place in names:
+            text = fields[place].strip() if place < len(fields) else ""
+            number = _number(text)
+            numbers.append(number)
+            if number == number:
+                readable.add(place)
+            elif text.lower() not in ("", "nan") and not any(way.fullmatch(odd.get(place, "")) for way in _CERTAIN):
+                odd[place] = text
     if not numbers:
         raise LogError("there are no rows below the header")
-    return np.frombuffer(numbers, np.float64).reshape(-1, len(used))
+    for place, text in odd.items():
+        for way, words in _WAYS.items():
+            if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
+                raise LogError(f"column {names[place]} holds {words}: '{text[:40]}'")
+        if place not in readable:
+            raise LogError(f"column {names[place]} holds no numbers, but such as '{text[:40]}'")
+    return np.frombuffer(numbers, np.float64).reshape(-1, len(names))
 
 
 def _number(text: str) -> float:

@@ -11,7 +11,7 @@ kept (by reason), and `status` says of every row that was kept whether it is usa
 import importlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import IntFlag
 from pathlib import Path
 from typing import Any, Final, cast
@@ -207,6 +207,53 @@ class Log:
         if self.temperature_c is not None:
             temperature = np.where(there, self.temperature_c[unit_number, row], np.nan)
         return EvenSeries(rate, valid, self.sample_interval_s, temperature, row)
+
+
+def part_of(
+    log: Log, *, begin_s: float | None = None, end_s: float | None = None, rows: tuple[int, int | None] | None = None
+) -> Log:
+    """The rows of a log between two times and two row numbers (the last not included); its clock stays as it is.
+
+    What is left out is counted as such. Errors: `LogError` where fewer than two rows are left.
+    """
+    first, last = (0, None) if rows is None else rows
+    last = len(log.time_s) if last is None else min(last, len(log.time_s))
+    if begin_s is not None:
+        first = max(first, int(np.searchsorted(log.time_s, begin_s)))
+    if end_s is not None:
+        last = min(last, int(np.searchsorted(log.time_s, end_s, side="right")))
+    if last - first < 2:
+        raise LogError(
+            f"fewer than two rows are left of the part that was asked for: the record has {len(log.time_s)} rows, from "
+            f"{log.time_s[0]:g} s to {log.time_s[-1]:g} s"
+        )
+    left_out = len(log.time_s) - (last - first)
+    if left_out == 0:
+        return log
+    kept = slice(first, last)
+
+    def of(values: Any) -> Any:
+        return None if values is None else values[kept]
+
+    def by_unit(values: Any) -> Any:
+        return None if values is None else values[:, kept]
+
+    starts = log.stretch_starts
+    inside = starts[(starts > first) & (starts < last)] - first
+    reason = Reason.LEFT_OUT.words
+    return replace(
+        log,
+        time_s=of(log.time_s),
+        rate_rad_per_s=by_unit(log.rate_rad_per_s),
+        temperature_c=by_unit(log.temperature_c),
+        table_angle_rad=of(log.table_angle_rad),
+        table_rate_rad_per_s=of(log.table_rate_rad_per_s),
+        standstill=of(log.standstill),
+        host_time_s=of(log.host_time_s),
+        status=by_unit(log.status),
+        stretch_starts=np.concatenate([[0], inside]).astype(np.int64),
+        rows_removed={**log.rows_removed, reason: log.rows_removed.get(reason, 0) + left_out},
+    )
 
 
 def write_log(log: Log, path: str | Path) -> None:

@@ -17,8 +17,8 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Final, Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,23 @@ _GAP: Final = 1.6
 _WINDOW: Final = 5
 """Rows on either side over which stamps make up for jitter."""
 _STUCK: Final = 3
+_COARSE: Final = 0.1
+"""Share of rows with the stamp of another, above which stamps do not tell rows apart."""
+_RESTART: Final = 10
+"""Rows on end behind an earlier stamp that are no stray ones."""
+_COUNTERS: Final[Mapping[str, float]] = {
+    "32 bits of µs": 2**32 * 1e-6,
+    "32 bits of ms": 2**32 * 1e-3,
+    "32 bits of ns": 2**32 * 1e-9,
+    "24 bits of µs": 2**24 * 1e-6,
+    "16 bits of ms": 2**16 * 1e-3,
+    "16 bits of µs": 2**16 * 1e-6,
+}
+_INTERVALS: Final = (2e-5, 1.5)
+_LONGEST_S: Final = 14 * 86400.0
+"""Stamps closer or farther apart, and records longer, are those of another unit: a gyro gives some samples a second."""
+_NOISIEST: Final = np.radians(300.0) / 60.0
+"""rad/√s, 300 deg/√h: a hundred times the angle random walk of the coarsest MEMS gyros on sale."""
 _FROZEN_S: Final = 30.0
 _DRIFT: Final = 50e-6
 """Clock errors smaller than this are those of any crystal."""
@@ -90,8 +107,26 @@ class Columns:
     """[unit, time]; true where the device says that its output is no good."""
     left_out: Bools | None = None
     """[time]; rows left out on request."""
+    rows_before: int = 0
+    """Rows of the source before those that are here."""
+    rows_after: int = 0
     simulated: bool = False
     provenance: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def part(self, rows: tuple[int, int | None]) -> "Columns":
+        """The rows between two numbers alone, the last not included. Raises `LogError` where there are none."""
+        count = self.rate_rad_per_s.shape[1]
+        first, last = rows[0], count if rows[1] is None else min(rows[1], count)
+        if last - first < 2:
+            raise LogError(f"of {count} rows fewer than two lie from row {first} on, as asked for")
+        kept = slice(first, last)
+        cut: dict[str, Any] = {}
+        for field_ in fields(self):
+            array: Any = getattr(self, field_.name)
+            if isinstance(array, np.ndarray):
+                by_unit = field_.name in ("rate_rad_per_s", "temperature_c", "marked")
+                cut[field_.name] = array[:, kept] if by_unit else array[kept]
+        return replace(self, **cut, rows_before=first, rows_after=count - last)
 
 
 def examine(columns: Columns, policy: Policy | None = None) -> Log:
@@ -112,12 +147,13 @@ class _Examination:
         self.raw = columns
         self.policy = policy
         self.findings: list[Finding] = []
-        self.removed: dict[str, int] = {}
+        outside = columns.rows_before + columns.rows_after
+        self.removed: dict[str, int] = {Reason.LEFT_OUT.words: outside} if outside else {}
 
     def log(self) -> Log:
         raw = self.raw
-        rows_read = raw.rate_rad_per_s.shape[1]
-        time, kept = self.ordered(rows_read)
+        rows = raw.rate_rad_per_s.shape[1]
+        time, kept = self.ordered(rows)
 
         def of(values: Floats | None) -> Floats | None:
             """The kept rows of an array over [time, …]."""
@@ -151,7 +187,7 @@ class _Examination:
             host_time_s=host,
             status=status,
             stretch_starts=starts,
-            rows_read=rows_read,
+            rows_read=rows + raw.rows_before + raw.rows_after,
             rows_removed=self.removed,
             findings=tuple(self.findings),
             simulated=raw.simulated,
@@ -161,7 +197,7 @@ class _Examination:
     def found(self, kind: str, action: str, count: int, message: str) -> None:
         """Note a fault, or raise where it is to be refused."""
         if action == "refuse":
-            raise LogError(f"{message}; the policy refuses that")
+            raise LogError(f"{message} (the policy refuses that: see [policy] of the column map)")
         self.findings.append(Finding(kind, action, count, message))
 
     def mask(self, status: NDArray[np.uint16], where: Bools, reason: Reason, action: str, words: str) -> None:
@@ -187,6 +223,12 @@ class _Examination:
         before = np.concatenate([[-np.inf], earlier[:-1]])[:rows]
         duplicate = readable & (time == before)
         unordered = readable & (time < before)
+        self.refuse_restart(time, before, unordered)
+        if np.count_nonzero(duplicate) > _COARSE * rows:
+            raise LogError(
+                f"of {rows} rows {np.count_nonzero(duplicate)} have the stamp of an earlier row: do the stamps count "
+                'too coarsely to tell rows apart? Then leave time out and give sample_rate = "100 Hz", or what it was'
+            )
         for kind, where, action, words in (
             ("unreadable row", ~readable, self.policy.unreadable_rows, "without a readable time"),
             ("duplicate stamp", duplicate, self.policy.duplicate_stamps, "with the stamp of an earlier row"),
@@ -199,10 +241,22 @@ class _Examination:
         kept = readable & ~duplicate & ~unordered
         if np.count_nonzero(kept) < 2:
             raise LogError(f"of {rows} rows only {np.count_nonzero(kept)} have a time later than the rows before them")
-        if np.count_nonzero(unordered) > rows / 2:
-            first = int(np.argmax(unordered))
-            raise LogError(f"the clock steps back at row {first}, and most rows follow: split the record there")
         return time[kept], kept
+
+    def refuse_restart(self, time: Floats, before: Floats, unordered: Bools) -> None:
+        """A clock that steps back and goes on from there: no order of the rows is to be had from it."""
+        for start, stop in formulas.runs(unordered).tolist():
+            usual = float(np.median(np.abs(np.diff(time[start:stop])))) if stop - start >= _RESTART else 0.0
+            # Rows that merely come late are followed by a leap to where the others were.
+            if usual > 0.0 and (stop == len(time) or time[stop] - time[stop - 1] < 3 * usual):
+                step = float(before[start] - time[start])
+                turns = [words for words, turn in _COUNTERS.items() if abs(step + usual - turn) < 0.01 * turn]
+                row = start + self.raw.rows_before
+                raise LogError(
+                    f"the clock steps back at row {row}, by {step:.6g} s, and goes on from there: "
+                    + (f"a counter of {turns[0]} that wrapped? " if turns else "did it restart? ")
+                    + f'Read the parts one by one, --rows "0..{row}" and --rows "{row}..", or mend the stamps'
+                )
 
     def stretches(self, time: Floats) -> NDArray[np.int64]:
         interval = np.diff(time)
@@ -299,8 +353,17 @@ class _Examination:
             if decimal != 0 and abs(ratio / 10.0**decimal - 1) < 0.1:
                 text = f"stamps are {ratio:.3g} times as far apart as at the stated rate: are they in another unit?"
                 self.found("wrong unit", action, 0, text)
-        elif not 1e-6 < interval < 3600.0:
-            self.found("wrong unit", action, 0, f"stamps are {interval:.3g} s apart: are they in another unit?")
+        elif not (_INTERVALS[0] < interval < _INTERVALS[1] and time[-1] - time[0] < _LONGEST_S):
+            text = f"stamps are {interval:.3g} s apart, {time[-1] - time[0]:.3g} s in all: are they in another unit?"
+            self.found("wrong unit", action, 0, text)
+        for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
+            walk = _least_walk(rate[unit, usable[unit], axis], interval)
+            if walk > _NOISIEST:
+                text = (
+                    f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} is noisier than {np.degrees(walk) * 60:.3g} "
+                    "deg/sqrt(h), which no gyro is: are deg/s stated as rad/s, or ms as s?"
+                )
+                self.found("wrong unit", action, 0, text)
         if table_rate is None and table_angle is not None:
             table_rate = np.gradient(table_angle, time, axis=0)
         if table_rate is not None:
@@ -351,6 +414,21 @@ class _Examination:
         if wander > _DRIFT:
             text = f"the sample interval wanders by {wander * 1e6:.0f} ppm (rms) in the course of the record"
             self.found("clock drift", action, 0, text)
+
+
+def _least_walk(values: Floats, interval: float) -> float:
+    """The least angle random walk (rad/√s) that neighbouring samples and neighbouring means of 8 and 64 allow.
+
+    From the median of their differences: it belongs to the quieter half of the record, be there motion in the other.
+    """
+    walks: list[float] = []
+    for size in (1, 8, 64):
+        means = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
+        if len(means) > 20:
+            steps = np.diff(means)
+            spread = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+            walks.append(spread * float(np.sqrt(size * interval / 2)))
+    return min(walks, default=0.0)
 
 
 def _stuck_at_extreme(values: Floats) -> Bools:

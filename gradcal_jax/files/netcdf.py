@@ -29,7 +29,11 @@ def load_netcdf(path: str | Path, trial_s: float = 30.0) -> Any:
     path = Path(path)
     with path.open("rb") as opened:
         if not _signed(opened):
-            raise NetcdfError("it is no netCDF 4 file")
+            opened.seek(0)
+            begin = opened.read(4096)
+            text = bool(begin) and all(byte >= 32 or byte in b"\t\r\n" for byte in begin)
+            hint = ", but text: name it .csv, and say with --columns what its columns mean" if text else ""
+            raise NetcdfError(f"it is no netCDF 4 file{hint}")
     trial = subprocess.Popen(
         # -P: the modules beside this one must not hide others of the same name.
         [sys.executable, "-P", __file__, str(path)],

@@ -1,6 +1,7 @@
 """Instability from records at rest: Direct Bound, Allan deviation, and the bias over temperature taken off before."""
 
 from gradcal_jax.identify.allan import (
+    MISFIT,
     AllanDeviation,
     AllanFit,
     averaging_times,
@@ -12,6 +13,7 @@ from gradcal_jax.identify.allan import (
 from gradcal_jax.identify.direct_bound import (
     DirectBound,
     fit_direct_bound,
+    scatter_of_bound,
     share_beyond,
     smallest_bounding_variance,
 )
@@ -30,6 +32,7 @@ from gradcal_jax.identify.limiting_function import (
 from gradcal_jax.identify.thermal import ThermalBias, fit_thermal_bias, lagged
 
 __all__ = [
+    "MISFIT",
     "AllanDeviation",
     "AllanFit",
     "DirectBound",
@@ -50,6 +53,7 @@ __all__ = [
     "model_variance",
     "overlapping_allan",
     "overlapping_allan_of_angle",
+    "scatter_of_bound",
     "share_beyond",
     "smallest_bounding_variance",
 ]

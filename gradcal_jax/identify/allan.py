@@ -18,13 +18,24 @@ u at two averaging times follows by summing over the 3 × 3 taps of both differe
 
     cov[V(τ), V(τ')] = 2/(n n' 4 τ² τ'²) Σ_(i, i') cov[u_i, u'_i']²
 
-No table of degrees of freedom by noise type is needed: the mixture that was fitted is the noise type. The fit weighs
-each V with its variance under the fitted mixture (iterated), the coefficients are kept from going negative, and their
-standard errors come from the full covariance, since overlapping estimates at neighbouring τ are far from independent.
+No table of degrees of freedom by noise type is needed: the mixture that was fitted is the noise type. The fit is
+generalised least squares (nothing negative) with this covariance under the fitted mixture, iterated, over averaging
+times an octave apart: those between tell next to nothing more. The standard errors are its own; the distance of the
+V from the fit, cube roots taken, is χ² with as many degrees as times less coefficients that are not zero, and says by
+its chance whether the model holds. Where it does not, the longest times are left out one by one
+until it does; where that helps nowhere, each V is taken to be as uncertain as it is far off.
+
+**Low-pass.** Nearly every sensor averages its output over some samples. That takes the white noise off the shortest τ,
+where a fit would look for N. A sum of the four powers of τ is nowhere bent downwards in logarithms, white noise behind
+a low-pass is: V rises or lingers below the low-pass's length and falls as N²/τ beyond. Where ln V is bent downwards at
+the shortest times by more than five standard deviations, the fit begins at twice the τ of the sharpest bend. What the
+low-pass takes off beyond its length is -c/τ², exactly so for a moving mean (for M samples c = N² τ₀ (M² - 1)/(2M)), and
+a column of the fit; quantisation, which has the same form, cannot be told then.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -36,9 +47,15 @@ TERMS = ("quantisation", "angle_random_walk", "bias_instability", "rate_random_w
 _FLICKER = 2.0 * np.log(2.0) / np.pi
 # Second differences are summed in pieces that stay in the cache.
 _PIECE = 1 << 15
-# Averaging times farther apart than this are taken for uncorrelated, and smooth sums take this many steps per τ.
-_UNCORRELATED_RATIO = 64
-_STEPS = 24
+_TAPS = (1.0, -2.0, 1.0)
+# Lags of a smooth sum, for each doubling of the distance from a kink.
+_PER_OCTAVE = 8
+# Standard deviations by which ln V must bend downwards to be a low-pass, and N², B², … exceed nothing to show.
+_BENT = 5.0
+_SHOWS = 3.0
+# A record whose distance from its fit has a smaller chance than this is not of the model.
+MISFIT = 0.01
+_SLOWEST_LOW_PASS_S = 1.0
 # How many τ the slowly falling correlation of 1/f noise is followed beyond the support of the others.
 _FLICKER_REACH = 6
 
@@ -66,7 +83,7 @@ class Coefficient:
     standard_error: float
     """One sigma, to first order; where the value is zero, the value that would be one sigma above it."""
     shows: bool
-    """Whether its part of the variance is more than two standard errors above nothing."""
+    """Whether its part of the variance is more than three standard errors above nothing."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +107,17 @@ class AllanFit:
     upper: Float[np.ndarray, " times"]
     """Confidence limits of the true deviation, from the measured one and χ² with those degrees of freedom."""
     confidence: float
+    fitted_time_s: Float[np.ndarray, " fitted"]
+    """The averaging times that the fit rests on."""
+    low_passed: bool
+    """Whether a low-pass shows at the shortest times, which the fit then leaves out."""
     chi_squared: float
-    """Σ (V - model)²/var V. The V are correlated: not χ², but many times their number says that the model is bad."""
+    """Distance of the V from the model, by their covariance, over all times but those below a low-pass's end."""
+    chi_squared_degrees: int
+    chance: float
+    """How often a record of this model is as far from its fit as this one."""
+    farthest_time_s: float
+    """The time at which the model is least like the record."""
 
 
 def averaging_times(samples: int, sample_interval_s: float, *, per_decade: int = 10) -> Float[np.ndarray, " times"]:
@@ -208,8 +234,9 @@ def model_variance(
 def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence: float = 0.683) -> AllanFit:
     """The coefficients whose model fits an Allan deviation best, with standard errors, and its confidence limits.
 
-    Weighted least squares on the variances, none negative. `terms` says which of `TERMS` the sensor may have; a term
-    left out is zero. Deterministic drift (a temperature ramp) passes for rate random walk: take it out first.
+    Generalised least squares on the variances, none negative, over times an octave apart and no shorter than where a
+    low-pass ends (see the module's head). `terms` says which of `TERMS` the sensor may have; a term left out is zero.
+    Deterministic drift (a temperature ramp) passes for rate random walk: take it out first.
 
     **Raises:** `ValueError` for unknown terms, fewer averaging times than terms, or a confidence outside (0, 1).
     """
@@ -219,151 +246,277 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     if not 0 < confidence < 1:
         raise ValueError(f"a confidence lies between 0 and 1, not {confidence}")
     chosen = np.array([term in terms for term in TERMS])
-    tau, variance = allan.averaging_time_s, allan.deviation**2
+    tau, variance, interval = allan.averaging_time_s, allan.deviation**2, allan.sample_interval_s
     if len(tau) < chosen.sum():
         raise ValueError(f"{len(tau)} averaging times do not determine {chosen.sum()} coefficients: record for longer")
-    if not np.any(variance > 0):
+    if not np.all(variance > 0):
         raise ValueError("the rate does not change: there is no noise to fit")
-    design = _design(tau) * chosen
-    steps = np.rint(tau / allan.sample_interval_s).astype(np.int64)
+    steps = np.rint(tau / interval).astype(np.int64)
     runs = _alike(allan.stretch_lengths)
 
-    # To begin with every V is as uncertain, relatively, as if its differences were independent over τ.
-    expected = np.maximum(variance, variance.max() * 1e-12)
-    spread = expected * np.sqrt(2 * steps / allan.difference_count)
-    squares = np.zeros(4)
-    for _ in range(30):
-        previous = squares
-        squares = _non_negative(design, variance, spread, chosen)
-        expected = design @ squares
-        spread = np.sqrt(np.diag(_covariance(steps, runs, allan.sample_interval_s, squares, neighbours=0)))
-        if np.allclose(squares, previous, rtol=1e-6, atol=0.0):
-            break
-    covariance = _covariance(steps, runs, allan.sample_interval_s, squares, neighbours=_UNCORRELATED_RATIO)
-    freedom = 2 * expected**2 / spread**2
-    tail = (1 - confidence) / 2
-    lower = allan.deviation * np.sqrt(freedom / special.chdtri(freedom, tail))
-    upper = allan.deviation * np.sqrt(freedom / special.chdtri(freedom, 1 - tail))
-
-    coefficients = []
-    for index in range(4):
-        # The standard error of a term at zero is what it would have if it were let in beside the others.
-        present = (squares > 0) | (np.arange(4) == index)
-        if not chosen[index]:
-            coefficients.append(Coefficient(0.0, 0.0, False))
-            continue
-        weighed = design[:, present] / spread[:, None]
-        scale = np.linalg.norm(weighed, axis=0)
-        gain = np.linalg.pinv(weighed / scale) / scale[:, None] / spread
-        place = int(np.count_nonzero(present[:index]))
-        error = float(np.sqrt(gain[place] @ covariance @ gain[place]))
-        value = float(np.sqrt(squares[index]))
-        coefficients.append(
-            Coefficient(
-                value, error / (2 * value) if value > 0 else float(np.sqrt(error)), bool(squares[index] > 2 * error)
+    rows = _octaves(steps, at_least=int(chosen.sum()) + 1)
+    end = _end_of_low_pass(steps[rows], variance[rows], runs, interval)
+    low_passed = end > 0
+    if low_passed:
+        rows = rows[steps[rows] >= end]
+        chosen[0] = False  # the low-pass's own term has the form of quantisation's
+        if len(rows) < chosen.sum() + 1:
+            raise ValueError(
+                f"samples are averaged over about {end / 2 * interval:.3g} s by a low-pass, and the record holds too "
+                f"few times longer than that for {chosen.sum()} coefficients: record for longer"
             )
-        )
+    fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
+    farthest = float(tau[rows[whole.farthest]])
+    # A trend or what temperature did shows at long times: the shorter ones may still be of the model.
+    least = int(chosen.sum()) + 2
+    shorter = [rows[:length] for length in range(len(rows) - 1, least - 1, -1)] if whole.chance < MISFIT else []
+    for band in shorter:
+        inside = _least_squares(steps[band], variance[band], runs, interval, chosen, low_passed)
+        if inside.chance >= MISFIT:
+            fit, rows = inside, band
+            break
+    freedom = _degrees_of_freedom(steps, runs, interval, fit.squares, fit.rounding)
+    expected = _design(tau) @ fit.squares
+    expected[rows] = fit.expected
+    tail = (1 - confidence) / 2
+    coefficients = [
+        _coefficient(float(square), float(error), seen)
+        for square, error, seen in zip(fit.squares, fit.errors, chosen.tolist(), strict=True)
+    ]
     return AllanFit(
         *coefficients,
         averaging_time_s=tau,
         model_deviation=np.sqrt(expected),
         degrees_of_freedom=freedom,
-        lower=lower,
-        upper=upper,
+        lower=allan.deviation * np.sqrt(freedom / special.chdtri(freedom, tail)),
+        upper=allan.deviation * np.sqrt(freedom / special.chdtri(freedom, 1 - tail)),
         confidence=confidence,
-        chi_squared=float(np.sum(((variance - expected) / spread) ** 2)),
+        fitted_time_s=tau[rows],
+        low_passed=low_passed,
+        chi_squared=whole.chi_squared,
+        chi_squared_degrees=whole.degrees,
+        chance=whole.chance,
+        farthest_time_s=farthest,
     )
+
+
+def _coefficient(square: float, error: float, chosen: bool) -> Coefficient:
+    if not chosen:
+        return Coefficient(0.0, 0.0, False)
+    value = float(np.sqrt(square))
+    one_sigma = error / (2 * value) if value > 0 else float(np.sqrt(error))
+    return Coefficient(value, one_sigma, bool(square > _SHOWS * error))
 
 
 def _design(tau: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times 4"]:
     return np.stack([3 / tau**2, 1 / tau, np.full_like(tau, _FLICKER), tau / 3], axis=1)
 
 
-def _non_negative(
-    design: Float[np.ndarray, "times 4"],
+def _octaves(steps: Int[np.ndarray, " times"], *, at_least: int) -> Int[np.ndarray, " rows"]:
+    """Rows of averaging times about an octave apart; all, where those would be too few."""
+    rows = [0]
+    for row in range(1, len(steps)):
+        if steps[row] > 1.9 * steps[rows[-1]]:
+            rows.append(row)
+    return np.array(rows) if len(rows) >= at_least else np.arange(len(steps))
+
+
+def _end_of_low_pass(
+    steps: Int[np.ndarray, " times"],
     variance: Float[np.ndarray, " times"],
-    spread: Float[np.ndarray, " times"],
+    runs: tuple[tuple[int, int], ...],
+    interval: float,
+) -> int:
+    """The samples from which on a low-pass leaves but its term in 1/τ²; 0 where there is none to be seen."""
+    if len(steps) < 3:
+        return 0
+    x, y = np.log(steps), np.log(variance)
+    white = np.array([0.0, 1.0, 0.0, 0.0])
+    covariance = _covariance(steps, runs, 1.0, white) * np.outer(steps, steps)  # of ln V, if the noise is white
+    bent, after_rounding = np.zeros(len(steps)), False
+    for k in range(1, len(steps) - 1):
+        weight = np.zeros(len(steps))
+        weight[k - 1], weight[k + 1] = -1 / (x[k] - x[k - 1]), -1 / (x[k + 1] - x[k])
+        weight[k] = -weight[k - 1] - weight[k + 1]
+        deviations = float(weight @ y) / float(np.sqrt(weight @ covariance @ weight))
+        falls = y[k] < y[k - 1]
+        if deviations < -_BENT and falls:
+            after_rounding = True
+        # From falling to rising and down again: rounded output of a low-pass, if within a second; otherwise a drift.
+        if after_rounding and steps[k] * interval > _SLOWEST_LOW_PASS_S:
+            break
+        bent[k] = float(weight @ y) if deviations > _BENT else 0.0
+    return 2 * int(steps[np.argmax(bent)]) if bent.any() else 0
+
+
+@dataclass(frozen=True)
+class _Fit:
+    squares: Float[np.ndarray, " 4"]
+    errors: Float[np.ndarray, " 4"]
+    expected: Float[np.ndarray, " times"]
+    rounding: float
+    chi_squared: float
+    degrees: int
+    chance: float
+    farthest: int
+
+
+def _least_squares(
+    steps: Int[np.ndarray, " times"],
+    variance: Float[np.ndarray, " times"],
+    runs: tuple[tuple[int, int], ...],
+    interval: float,
     chosen: Bool[np.ndarray, " 4"],
-) -> Float[np.ndarray, " 4"]:
-    weighed = design / spread[:, None]
-    scale = np.where(chosen, np.linalg.norm(weighed, axis=0), 1.0)
-    solution, _ = optimize.nnls((weighed / scale)[:, chosen], variance / spread)
-    squares = np.zeros(4)
-    squares[chosen] = solution / scale[chosen]
-    return squares
+    low_passed: bool,
+) -> _Fit:
+    """Generalised least squares on V, weights and coefficients in turn until they agree."""
+    tau = steps * interval
+    # What a low-pass takes off beyond its end is -c/τ²: a fifth column, of either sign by standing here twice.
+    design = np.column_stack([_design(tau), 1 / tau**2])
+    signs = np.array([[1.0, 1, 1, 1, 1], [0, 0, 0, 0, -1]])
+    used = np.append(chosen, low_passed)
+    columns, signs = np.nonzero(signs * used)[::-1][0], signs[np.nonzero(signs * used)]
+    counts = sum(np.maximum(n - 2 * steps + 1, 0) * times for n, times in runs)
+    # To begin with every V is as uncertain, relatively, as if its differences were independent over τ.
+    covariance = np.diag(variance**2 * 2 * steps / counts)
+    solution, rounding = np.zeros(5), 0.0
+    expected, left = variance, np.zeros(len(tau))
+    for turn in range(20):
+        previous = solution
+        root = np.linalg.cholesky(covariance)
+        weighed = np.linalg.solve(root, design)
+        scale = np.linalg.norm(weighed, axis=0)
+        found, _ = optimize.nnls((weighed / scale)[:, columns] * signs, np.linalg.solve(root, expected + left))
+        solution = np.bincount(columns, found * signs, minlength=5) / scale
+        if low_passed and solution[1] > 0 and turn < 4:
+            rounding = max(-solution[4], 0.0) / (1.5 * solution[1] * interval)
+        covariance = _covariance(steps, runs, interval, solution[:4], rounding)
+        expected = np.maximum(design @ solution, 1e-3 * variance)
+        left = _gaussian(variance, expected, np.diag(covariance))
+        if np.allclose(solution, previous, rtol=1e-4, atol=0.0):
+            break
+    root = np.linalg.cholesky(covariance)
+    weighed = np.linalg.solve(root, design)
+    chi_squared = float(np.sum(np.linalg.solve(root, left) ** 2))
+    degrees = len(steps) - int(np.count_nonzero(solution))
+    chance = float(special.chdtrc(degrees, chi_squared)) if degrees > 0 else 1.0
+    away = np.abs(left) / np.sqrt(np.diag(covariance))
+    # Where the model does not hold, each V is as uncertain as it is far off.
+    wider = np.maximum(away, 1.0) if chance < MISFIT else np.ones(len(tau))
+    errors = np.zeros(4)
+    for index in np.flatnonzero(chosen):
+        # The standard error of a term at zero is what it would have if it were let in beside the others.
+        present = np.append(solution[:4] > 0, low_passed) | (np.arange(5) == index)
+        scale = np.linalg.norm(weighed[:, present], axis=0)
+        gain = np.linalg.pinv(weighed[:, present] / scale) / scale[:, None]
+        row = np.linalg.solve(root.T, gain[int(np.count_nonzero(present[:index]))]) * wider
+        errors[index] = float(np.linalg.norm(row @ root))
+    return _Fit(solution[:4], errors, expected, rounding, chi_squared, degrees, chance, int(np.argmax(away)))
 
 
-def _alike(stretch_lengths: tuple[int, ...]) -> list[tuple[int, int]]:
+def _gaussian(
+    variance: Float[np.ndarray, " times"], expected: Float[np.ndarray, " times"], spread: Float[np.ndarray, " times"]
+) -> Float[np.ndarray, " times"]:
+    """V - E V with the skewness of χ² taken out: as its cube root is away from the mean of that, and as uncertain."""
+    half = expected**2 / spread
+    mean, square = (special.poch(half, power) / half**power for power in (1 / 3, 2 / 3))
+    return np.sqrt(spread / (square - mean**2)) * (np.cbrt(variance / expected) - mean)
+
+
+def _alike(stretch_lengths: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
     """(length, how many) of the unbroken stretches."""
     lengths, counts = np.unique(np.array(stretch_lengths), return_counts=True)
-    return list(zip(lengths.tolist(), counts.tolist(), strict=True))
+    return tuple(zip(lengths.tolist(), counts.tolist(), strict=True))
 
 
 def _covariance(
     steps: Int[np.ndarray, " times"],
-    runs: list[tuple[int, int]],
+    runs: tuple[tuple[int, int], ...],
     interval: float,
     squares: Float[np.ndarray, " 4"],
-    *,
-    neighbours: int,
+    rounding: float = 0.0,
 ) -> Float[np.ndarray, "times times"]:
-    """Covariance of the Allan variances under a mixture, for averaging times whose ratio is up to `neighbours`."""
-    size = len(steps)
-    matrix = np.zeros((size, size))
-    for row in range(size):
-        for column in range(row, size):
-            if row == column or steps[column] <= neighbours * steps[row]:
-                value = _covariance_of_two(int(steps[row]), int(steps[column]), runs, interval, squares)
-                matrix[row, column] = matrix[column, row] = value
+    """Covariance of the Allan variances under a mixture."""
+    row, column = np.triu_indices(len(steps))
+    pairs = tuple(zip(steps[row].tolist(), steps[column].tolist(), strict=True))
+    matrix = np.zeros((len(steps), len(steps)))
+    matrix[row, column] = matrix[column, row] = _covariances(pairs, runs, interval, squares, rounding)
     return matrix
 
 
-def _covariance_of_two(
-    short: int, long: int, runs: list[tuple[int, int]], interval: float, squares: Float[np.ndarray, " 4"]
-) -> float:
-    """cov[V(τ), V(τ')]; the smooth part of the sum over lags by steps, the jumps of white angle noise one by one."""
-    reach = max(length for length, _ in runs)
-    tail = _FLICKER_REACH * long if squares[2] > 0 else 0
-    first, last = -min(2 * short + tail, reach), min(2 * long + tail, reach)
-    stride = max(1, short // _STEPS)
-    # The grid holds lag zero, where a step would otherwise miss the crest.
-    lags = np.arange(first - first % stride, last + 1, stride)
-    smooth = _smooth_covariance(lags.astype(float), short, long, interval, squares)
-    total = stride * float(np.sum(_pairs(lags, short, long, runs) * smooth**2))
-    if squares[0] > 0:
-        jumps: dict[int, float] = {}
-        for a, tap in ((0, 1.0), (1, -2.0), (2, 1.0)):
-            for b, other in ((0, 1.0), (1, -2.0), (2, 1.0)):
-                lag = b * long - a * short
-                jumps[lag] = jumps.get(lag, 0.0) + tap * other * squares[0]
-        at = np.array(list(jumps))
-        height = np.array(list(jumps.values()))
-        beside = _smooth_covariance(at.astype(float), short, long, interval, squares)
-        total += float(np.sum(_pairs(at, short, long, runs) * (2 * beside * height + height**2)))
-    count, other_count = (sum(max(n - 2 * m + 1, 0) * times for n, times in runs) for m in (short, long))
-    return 2 * total / (count * other_count * 4 * (short * long * interval**2) ** 2)
+def _degrees_of_freedom(
+    steps: Int[np.ndarray, " times"],
+    runs: tuple[tuple[int, int], ...],
+    interval: float,
+    squares: Float[np.ndarray, " 4"],
+    rounding: float,
+) -> Float[np.ndarray, " times"]:
+    """2 E² / var of each V under a mixture."""
+    pairs = tuple((m, m) for m in steps.tolist())
+    expected = _design(steps * interval) @ squares
+    return 2 * expected**2 / _covariances(pairs, runs, interval, squares, rounding)
 
 
-def _smooth_covariance(
-    lags: Float[np.ndarray, " lags"], short: int, long: int, interval: float, squares: Float[np.ndarray, " 4"]
-) -> Float[np.ndarray, " lags"]:
-    """cov[u_i, u'_(i - lag)] of all noises but quantisation, rad²."""
+def _covariances(
+    pairs: tuple[tuple[int, int], ...],
+    runs: tuple[tuple[int, int], ...],
+    interval: float,
+    squares: Float[np.ndarray, " 4"],
+    rounding: float,
+) -> Float[np.ndarray, " pairs"]:
     # The scale of each generalised autocovariance follows from E u² = 2τ²·(its Allan variance) at any one m.
-    walk, flicker = squares[1] * interval / 2, squares[2] * interval**2 / (2 * np.pi)
-    rate_walk = squares[3] * interval**3 / 12
-    total = np.zeros_like(lags)
-    for a, tap in ((0, 1.0), (1, -2.0), (2, 1.0)):
-        for b, other in ((0, 1.0), (1, -2.0), (2, 1.0)):
+    each = squares * np.array([1.0, interval / 2, interval**2 / (2 * np.pi), interval**3 / 12])
+    return np.einsum("pkl,k,l->p", _products(pairs, runs, float(f"{rounding:.2g}")), each, each) / interval**4
+
+
+@lru_cache(maxsize=16)
+def _products(
+    pairs: tuple[tuple[int, int], ...], runs: tuple[tuple[int, int], ...], rounding: float
+) -> Float[np.ndarray, "pairs 4 4"]:
+    """2 Σ cov[u_i, u'_i']² / (n n' 4 m² m'²) of pairs of averaging times, as a form in the strengths of the noises.
+
+    The forms belong to the lengths of the record alone: one record's serve every mixture tried on it, and every record
+    of its lengths.
+    """
+    forms = np.zeros((len(pairs), 4, 4))
+    reach = max(length for length, _ in runs)
+    for form, (short, long) in zip(forms, pairs, strict=True):
+        kinks, which = np.unique([b * long - a * short for a in range(3) for b in range(3)], return_inverse=True)
+        jumps = np.bincount(which, np.outer(_TAPS, _TAPS).ravel())
+        # Between the kinks all is smooth: a step in proportion to the distance from the nearest one is enough.
+        far = _FLICKER_REACH * 2 * long
+        away = np.rint(np.geomspace(1, far, round(_PER_OCTAVE * np.log2(far)))).astype(np.int64)
+        lags = np.unique(np.concatenate([kinks, *(kink + side * away for kink in kinks for side in (-1, 1))]))
+        lags = lags[np.abs(lags) < reach]
+        weight = np.ones(len(lags))
+        if len(lags) > 1:
+            weight[[0, -1]] = (lags[[1, -1]] - lags[[0, -2]]) / 2 + 0.5
+            weight[1:-1] = (lags[2:] - lags[:-2]) / 2
+        smooth = _smooth(lags, short, long, rounding)
+        form[1:, 1:] = (smooth * (weight * _pairs(lags, short, long, runs))) @ smooth.T
+        inside = np.abs(kinks) < reach
+        weight = _pairs(kinks[inside], short, long, runs) * jumps[inside]
+        form[0, 0] = weight @ jumps[inside]
+        form[0, 1:] = form[1:, 0] = _smooth(kinks[inside], short, long, rounding) @ weight
+        count, other = (sum(max(n - 2 * m + 1, 0) * times for n, times in runs) for m in (short, long))
+        form *= 2 / (count * other * 4 * float(short * long) ** 2)
+    return forms
+
+
+def _smooth(lags: Int[np.ndarray, " lags"], short: int, long: int, rounding: float) -> Float[np.ndarray, "3 lags"]:
+    """cov[u_i, u'_(i - lag)] of unit generalised autocovariances: random walk, flicker, rate random walk."""
+    total = np.zeros((3, len(lags)))
+    for a, tap in enumerate(_TAPS):
+        for b, other in enumerate(_TAPS):
             j = np.abs(lags + float(a * short - b * long))
-            value = -walk * j + rate_walk * j**3
-            if flicker > 0:
-                value += flicker * j**2 * np.log(np.maximum(j, 1.0))
-            total += tap * other * value
+            square = j * j
+            each = (-np.hypot(j, rounding) if rounding > 0 else -j, square * np.log(np.maximum(j, 1.0)), square * j)
+            total += tap * other * np.stack(each)
     return total
 
 
 def _pairs(
-    lags: Int[np.ndarray, " lags"], short: int, long: int, runs: list[tuple[int, int]]
+    lags: Int[np.ndarray, " lags"], short: int, long: int, runs: tuple[tuple[int, int], ...]
 ) -> Float[np.ndarray, " lags"]:
     """How many pairs (i, i') of differences within one stretch have i - i' = lag."""
     total = np.zeros(len(lags))

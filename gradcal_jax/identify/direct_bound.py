@@ -29,6 +29,7 @@ out of 20. `raise_margin=False` gives the paper's κ = k.
 not: σ = 0 is the answer, with a sentence that says how large a drift could hide and from which Δ on it would show.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -36,10 +37,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from scipy import optimize, special
 
-from gradcal_jax.identify.largest_drift import LargestDrift, drifts
+from gradcal_jax.identify.largest_drift import LargestDrift, drifts, largest_drift, longest_integration_time
 from gradcal_jax.identify.limiting_function import (
     drift_shape_of_mean,
     limiting_function_of_mean,
@@ -80,6 +81,8 @@ class DirectBound:
     """Mean over ln t of ln(limit / D_θ*): how far above the data each pair of the boundary lies on average."""
     deciding_time_s: float
     """The t at which the chosen pair touches the data."""
+    deciding_start_index: int
+    """The sample with which the drift that decides begins, after its average over Δ."""
     drift_shows: bool
     """Whether some D_θ* is larger than random walk alone explains."""
     hidden_drift_std: float
@@ -232,6 +235,7 @@ def fit_direct_bound(
     chosen_std = float(boundary(np.array([chosen_tau]))[0][0])
     drift_part = chosen_std**2 * np.asarray(drift_shape_of_mean(t, delta, chosen_tau))
     limit = np.sqrt(walk_limit**2 + margin**2 * drift_part)
+    decides = int(np.argmax(largest / limit))
     return DirectBound(
         drift_std=chosen_std,
         correlation_time_s=chosen_tau,
@@ -246,12 +250,61 @@ def fit_direct_bound(
         boundary_correlation_time_s=tau,
         boundary_drift_std=std,
         boundary_excess=excess,
-        deciding_time_s=float(t[np.argmax(largest / limit)]),
+        deciding_time_s=float(t[decides]),
+        deciding_start_index=int(observed.start_index[decides, channel]),
         drift_shows=shows,
         hidden_drift_std=hidden,
         advised_averaging_time_s=advised,
         messages=tuple(messages),
     )
+
+
+def scatter_of_bound(
+    bound: DirectBound,
+    rate: Float[np.ndarray, " samples"],
+    sample_interval_s: float,
+    *,
+    valid: Bool[np.ndarray, " samples"] | None = None,
+    blocks: int = 8,
+) -> tuple[float, float] | None:
+    """Standard deviations of σ and of ln τ, from how the largest drift differs between blocks of the record.
+
+    The largest of K blocks lies higher than that of one but scatters as much, where the tails are exponential (Gumbel).
+    So D_θ* is displaced by each block's departure from the blocks' mean, all t together, and bounded again. Integration
+    times that no block holds are displaced in the proportion of the longest that fits. `None` where no drift shows, or
+    blocks of twice the shortest window are too few.
+    """
+    usable = np.ones(len(rate), bool) if valid is None else valid
+    t, delta = bound.integration_time_s, bound.averaging_time_s
+    blocks = min(blocks, int(len(rate) * sample_interval_s / (2 * (delta + t[0]))))
+    if not bound.drift_shows or blocks < 4:
+        return None
+    edges = np.linspace(0, len(rate), blocks + 1).astype(np.int64)
+    parts = [(rate[a:b], usable[a:b]) for a, b in itertools.pairwise(edges.tolist())]
+    room = [longest_integration_time(mask, sample_interval_s, delta) for _, mask in parts]
+    parts = [part for part, held in zip(parts, room, strict=True) if held >= np.median(room)]
+    fits = t <= float(np.median(room)) * (1 + 1e-12)
+    if len(parts) < 4 or not fits.any():
+        return None
+    found = [largest_drift(values, sample_interval_s, t[fits], delta, valid=mask) for values, mask in parts]
+    each = np.stack([one.largest_drift[:, 0] for one in found])
+    away = np.empty((len(parts), len(t)))
+    away[:, fits] = each - each.mean(axis=0)
+    last = int(np.flatnonzero(fits)[-1])
+    away[:, ~fits] = away[:, last, None] / bound.largest_drift[last] * bound.largest_drift[~fits]
+    walk_margin = bound.random_walk_limit / np.sqrt(
+        np.asarray(random_walk_variance_of_mean(t, delta, max(bound.angle_random_walk, np.finfo(float).tiny)))
+    )
+    stds, times = [], []
+    for displaced in np.maximum(bound.largest_drift + away, 0.1 * bound.largest_drift):
+        variance, excess = _boundary(
+            t, displaced, delta, bound.angle_random_walk, bound.boundary_correlation_time_s,
+            bound.margin, walk_margin, _log_weights(t),
+        )  # fmt: skip
+        best = int(np.argmin(np.asarray(excess)))
+        stds.append(float(np.sqrt(variance[best])))
+        times.append(float(np.log(bound.boundary_correlation_time_s[best])))
+    return float(np.std(stds, ddof=1)), float(np.std(times, ddof=1))
 
 
 def share_beyond(

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.files.log import Log, LogError, Reason, read_log, write_log
+from gradcal_jax.files.log import Log, LogError, Reason, part_of, read_log, write_log
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 
 
@@ -161,6 +161,74 @@ def test_a_clock_that_restarts_is_told_from_a_few_stray_stamps():
         examine(columns(quiet(400), time))
 
 
+def test_a_clock_that_restarts_or_wraps_late_in_the_record_is_refused_too():
+    """Fewer rows after the step than before it, which nobody may drop in silence."""
+    for time, words in (
+        (np.concatenate([np.arange(300), np.arange(100)]) * 0.01, "did it restart"),
+        ((np.arange(4000) * 0.02 + 10) % 65.536, "16 bits of ms"),
+        ((np.arange(400) * 0.01 + 4293.0) % (2**32 * 1e-6), "32 bits of µs"),
+    ):
+        with pytest.raises(LogError, match=words):
+            examine(columns(quiet(len(time)), time))
+    time = np.arange(400) * 0.01
+    time[200:230] -= 0.5  # a packet that came late: what follows is on time
+    assert examine(columns(quiet(400), time)).counts()["unordered stamp"] == 30
+
+
+def test_stamps_too_coarse_to_tell_rows_apart_are_refused():
+    time = np.floor(np.arange(5000) * 0.01)  # whole seconds at 100 Hz
+    with pytest.raises(LogError, match=r"4950 have the stamp of an earlier row.*sample_rate"):
+        examine(columns(quiet(5000), time))
+
+
+@pytest.mark.parametrize(
+    ("time", "factor"),
+    [
+        (np.arange(4000) * 10.0, 1.0),  # ms as s
+        (np.arange(4000) * 1e-5, 1.0),  # s as ms
+        (np.arange(2_000_000) * 1.0, 1.0),  # ms as s at 1 kHz: 23 days
+        (np.arange(4000) * 0.01, 3600.0),  # deg/h as deg/s
+    ],
+)
+def test_intervals_durations_and_noise_that_no_gyro_has_are_a_question(time, factor):
+    noise = np.random.default_rng(1).standard_normal(len(time)) * np.radians(0.05) * factor
+    with pytest.raises(LogError, match=r"another unit\?|which no gyro is"):
+        examine(columns(noise, time))
+    assert examine(columns(noise, time), Policy(wrong_units="keep")).counts() == {"used": len(time)}
+
+
+def test_a_part_of_a_log_keeps_its_clock_and_counts_what_is_left_out():
+    time = np.arange(1000) * 0.01
+    time[600:] += 1.0
+    log = examine(columns(quiet(1000), time, temperature_c=20 + np.arange(1000)[None] / 500))
+    part = part_of(log, begin_s=2.0, end_s=8.0)
+    assert part.time_s[0] == pytest.approx(2.0)
+    assert part.stretch_starts.tolist() == [0, 400]
+    assert part.counts() == {"used": 501, "left out": 499}
+    np.testing.assert_array_equal(part.rate_rad_per_s, log.rate_rad_per_s[:, 200:701])
+    np.testing.assert_array_equal(part_of(log, rows=(10, 20)).temperature_c, log.temperature_c[:, 10:20])
+    assert part_of(log) is log
+    with pytest.raises(LogError, match="fewer than two rows"):
+        part_of(log, begin_s=50.0)
+
+
+@given(first=st.integers(0, 60), length=st.integers(2, 60), gap=st.integers(1, 49))
+@settings(max_examples=60, deadline=None)
+def test_any_part_of_rows_accounts_for_every_row(first, length, gap):
+    time = np.arange(50) * 0.01
+    time[gap:] += 0.3
+    raw = columns(quiet(50), time, temperature_c=np.arange(50.0)[None], marked=np.zeros((1, 50), bool))
+    try:
+        log = examine(raw.part((first, first + length)))
+    except LogError:
+        assert min(first + length, 50) - first < 2
+        return
+    kept = min(length, 50 - first)
+    assert sum(log.counts().values()) == log.rows_read == 50
+    assert log.counts()["used"] == kept
+    assert log.temperature_c[0].tolist() == list(range(first, first + kept))
+
+
 def test_gaps_split_and_jitter_does_not():
     rng = np.random.default_rng(5)
     time = np.arange(2000) * 0.01 + 0.004 * rng.random(2000)
@@ -191,7 +259,7 @@ def test_missing_saturated_and_marked_rows_are_masked_by_unit():
     assert kinds(kept)["saturated"].done == "keep"
     stated = examine(columns(np.where(np.isnan(rate), 0.0, rate), full_scale_rad_per_s=4.36))
     assert stated.counts() == {"used": 990, "saturated": 10}
-    clean = examine(columns(np.rint(quiet(1000) * 3000)))  # few counts, whose extremes repeat
+    clean = examine(columns(np.rint(quiet(1000) * 3000) / 3000))  # few counts, whose extremes repeat
     assert clean.counts() == {"used": 1000}
 
 

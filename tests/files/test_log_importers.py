@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
+from gradcal_jax.files.column_guess import EXAMPLE, guess
 from gradcal_jax.files.importers import import_log, parse_column_map, read_column_map
 from gradcal_jax.files.log import LogError
 from gradcal_jax.files.matlab_file import read_matlab
@@ -44,6 +45,91 @@ def test_text_tables_in_their_many_layouts(tmp_path):
     by_number = HEAD + 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
     again = import_log(path, parse_column_map(by_number + '[csv]\ndelimiter = "whitespace"\nheader = false\n'))
     np.testing.assert_array_equal(again.rate_rad_per_s, log.rate_rad_per_s)
+
+
+def test_decimal_commas_and_other_encodings_are_read_where_they_are_told(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = "".join(f"{10 * i},0;{i % 3},5;{20 + i},25\n" for i in range(40))
+    path.write_text("Zeit;Drehrate °/s;T\n" + rows, encoding="latin-1")
+    text = (
+        HEAD
+        + """time = { column = "Zeit", unit = "ms" }
+rate.x = { column = "Drehrate °/s", unit = "deg/s" }
+temperature = { column = "T", unit = "degC" }
+[csv]
+delimiter = ";"
+encoding = "latin-1"
+"""
+    )
+    log = import_log(path, parse_column_map(text + 'decimal = ","\n'))
+    np.testing.assert_allclose(np.degrees(log.rate_rad_per_s[0, :, 0]), np.arange(40) % 3 + 0.5)
+    np.testing.assert_allclose(log.temperature_c[0], np.arange(40) + 20.25)
+    with pytest.raises(LogError, match='decimal comma; write decimal = ","'):
+        import_log(path, parse_column_map(text))
+    with pytest.raises(LogError, match='encoding = "latin-1" or "utf-16"'):
+        import_log(path, parse_column_map(text.replace("latin-1", "utf-8") + 'decimal = ","\n'))
+    assert "another delimiter" in refused(PLAIN + '[csv]\ndecimal = ","\n')
+    assert "encoding" in refused(PLAIN + '[csv]\nencoding = "utf-99"\n')
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("t,gx\n2024-05-01T12:00:00,1\n2024-05-01T12:00:01,2\n", "'t' holds dates or times of day"),
+        ("t,gx\n12:00:00.1,1\n12:00:00.2,2\n", "'t' holds dates or times of day"),
+        ("t,gx\n0,0x1F\n10,0x20\n", "'gx' holds hexadecimal counts"),
+        ("t,gx\n0,FF1F\n10,FE20\n", "'gx' holds hexadecimal counts"),
+        ("t,gx\n0,fast\n10,slow\n", "'gx' holds no numbers, but such as 'slow'"),
+        ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': say which by its number, 1 or 2, from 0"),
+        ("t;gx\n0;1\n10;3\n", 'or is it delimiter = ";", under'),
+    ],
+)
+def test_columns_that_are_no_numbers_are_told_by_what_they_are(tmp_path, content, sentence):
+    path = tmp_path / "a.csv"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(LogError) as caught:
+        import_log(path, plain())
+    assert sentence in str(caught.value)
+
+
+def test_kelvins_are_told_how_to_be_written():
+    assert "zero = 273.15" in refused(PLAIN + 'temperature = { column = "T", unit = "K" }')
+
+
+def test_rows_are_chosen_before_anything_is_judged(tmp_path):
+    """The part before a restart is read where the whole cannot be."""
+    path = tmp_path / "a.csv"
+    stamps = [*range(0, 600, 10), *range(0, 400, 10)]
+    path.write_text("t,gx\n" + "".join(f"{t},{i % 3}\n" for i, t in enumerate(stamps)), encoding="utf-8")
+    with pytest.raises(LogError, match=r'--rows "0\.\.60" and --rows "60\.\."'):
+        import_log(path, plain())
+    log = import_log(path, plain(), rows=(60, None))
+    assert log.counts() == {"used": 40, "left out": 60}
+
+
+def test_the_example_of_a_column_map_is_one_and_a_header_is_guessed(tmp_path):
+    assert list(parse_column_map(EXAMPLE).rate) == ["x", "y", "z"]
+    path = tmp_path / "a.csv"
+    path.write_text("timestamp [us];gyro_x (rad/s);gyro_y (rad/s);temperature_C\n0;1;2;20\n", encoding="utf-8")
+    found = parse_column_map(guess(path))
+    assert found.time.unit == "us"
+    assert {axis: column.unit for axis, column in found.rate.items()} == {"x": "rad/s", "y": "rad/s"}
+    assert found.temperature.unit == "degC"
+    assert found.csv.delimiter == ";"
+    path.write_text("t,gx,gy\n0,1,2\n", encoding="utf-8")
+    assert 'unit = "???"' in guess(path)  # a header without units: a person says them
+    path.write_text("when,voltage\n0,1\n", encoding="utf-8")
+    assert guess(path) is None
+
+
+@given(header=st.text(max_size=80))
+@settings(max_examples=150, deadline=None)
+def test_any_header_gives_a_map_or_none(tmp_path_factory, header):
+    path = tmp_path_factory.mktemp("guess") / "a.csv"
+    path.write_text(header + ",gx [deg/s],t [s]\n", encoding="utf-8", errors="replace")
+    found = guess(path)
+    if found is not None and "???" not in found:
+        parse_column_map(found)
 
 
 def test_torn_rows_are_counted_and_the_others_kept(tmp_path):
@@ -130,7 +216,7 @@ def test_several_sensors_on_one_table(tmp_path):
                 f'rate.z = {{ column = "{name}", index = 2, unit = "rad/s" }}\n'
                 for name, temperature in (("a", 'temperature = { column = "ta", unit = "degC" }\n'), ("b", ""))
             )
-            + '[policy]\nmissing_temperatures = "keep"\n'
+            + '[policy]\nmissing_temperatures = "keep"\nwrong_units = "keep"\n'
         ),
     )
     assert log.units == ("SN-a", "SN-b")

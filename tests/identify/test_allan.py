@@ -2,8 +2,10 @@ import allantools
 import numpy as np
 import pytest
 from allantools import ci
+from scipy.signal import lfilter
 
 from gradcal_jax.identify.allan import (
+    MISFIT,
     averaging_times,
     fit_allan,
     model_variance,
@@ -126,14 +128,8 @@ def test_coefficients_and_confidence_hold_what_they_say():
 
 
 def test_bias_instability_is_found_in_its_own_noise():
-    """1/f rates made in the frequency domain: the two-sided density of B²/(2π f) is the standard's."""
-    rng = np.random.default_rng(12)
     samples, interval, instability = 1 << 17, 1.0, 0.7
-    frequency = np.fft.rfftfreq(2 * samples, interval)[1:]
-    density = instability**2 / (2 * np.pi * frequency)
-    amplitude = np.sqrt(density * samples / interval)
-    spectrum = np.concatenate([[0.0], amplitude * (rng.standard_normal(samples) + 1j * rng.standard_normal(samples))])
-    rate = np.fft.irfft(spectrum)[:samples] + 0.3 * rng.standard_normal(samples)
+    rate = flicker(12, samples, interval, instability) + 0.3 * np.random.default_rng(13).standard_normal(samples)
     fit = fit_allan(overlapping_allan(rate, interval), terms=("angle_random_walk", "bias_instability"))
     assert fit.bias_instability.value == pytest.approx(instability, rel=0.05)
     assert fit.bias_instability.shows
@@ -146,6 +142,106 @@ def test_what_is_not_there_is_zero_or_does_not_show():
     for coefficient in (fit.quantisation, fit.rate_random_walk):
         assert not coefficient.shows
         assert np.isfinite(coefficient.standard_error)
+
+
+def low_passed(rate, length):
+    return np.convolve(rate, np.ones(length) / length, "valid")
+
+
+def flicker(seed, samples, interval, instability):
+    """1/f rates made in the frequency domain: the two-sided density of B²/(2π f) is the standard's."""
+    rng = np.random.default_rng(seed)
+    frequency = np.fft.rfftfreq(2 * samples, interval)[1:]
+    amplitude = np.sqrt(instability**2 / (2 * np.pi * frequency) * samples / interval)
+    noise = amplitude * (rng.standard_normal(samples) + 1j * rng.standard_normal(samples))
+    return np.fft.irfft(np.concatenate([[0.0], noise]))[:samples]
+
+
+@pytest.mark.parametrize("length", [2, 3, 4, 8, 16, 32])
+@pytest.mark.parametrize("instability", [0.0, 0.3])
+def test_a_low_pass_is_found_and_its_times_are_left_out(length, instability):
+    """Moving means of 2 to 32 samples over white noise of 0.5 and, where there is any, 1/f noise."""
+    samples, interval = 1 << 18, 0.01
+    rate = simulate(length, samples, interval, angle_random_walk=0.5) + flicker(length, samples, interval, instability)
+    fit = fit_allan(overlapping_allan(low_passed(rate, length), interval))
+    assert fit.low_passed
+    assert length * interval <= fit.fitted_time_s[0] <= 10 * length * interval
+    assert fit.chance > 1e-4
+    assert fit.angle_random_walk.value == pytest.approx(0.5, rel=0.1)
+    assert not fit.quantisation.shows
+    if instability:
+        assert fit.bias_instability.value == pytest.approx(instability, rel=0.2)
+        assert fit.bias_instability.shows
+    else:
+        assert not fit.bias_instability.shows
+    assert not fit.rate_random_walk.shows
+
+
+def test_a_low_pass_whose_output_is_rounded_is_found_too():
+    """Rounding whitens the shortest times: first the curve falls, then it rises to what the low-pass has left."""
+    rate = low_passed(simulate(3, 200_000, 0.01, angle_random_walk=0.5), 32)
+    step = np.std(rate)
+    fit = fit_allan(overlapping_allan(np.rint(rate / step) * step, 0.01))
+    assert fit.low_passed
+    assert fit.angle_random_walk.value == pytest.approx(0.5, rel=0.1)
+
+
+def test_without_a_low_pass_nothing_is_left_out():
+    """A drift of 200 s that rises above the white noise is none, nor is quantisation."""
+    rng = np.random.default_rng(4)
+    drift = lfilter([1.0], [1.0, -np.exp(-1 / 200.0)], 0.3 * rng.standard_normal(50_000))
+    for rate in (rng.standard_normal(50_000) + drift, simulate(5, 50_000, 0.1, 0.3, 0.5, 0.01)):
+        fit = fit_allan(overlapping_allan(rate, 1.0))
+        assert not fit.low_passed
+        assert fit.fitted_time_s[0] == 1.0
+
+
+def errors_and_alarms(records, samples, interval, **truth):
+    """Share of 95 % intervals that hold the truth, by term, and how often the misfit test fires."""
+    times = averaging_times(samples, interval)
+    held, alarms = dict.fromkeys(truth, 0), 0
+    for seed in range(records):
+        fit = fit_allan(overlapping_allan(simulate(seed, samples, interval, **truth), interval, times))
+        alarms += fit.chance < MISFIT
+        for term, value in truth.items():
+            found = getattr(fit, term)
+            held[term] += abs(found.value - value) < 1.96 * found.standard_error
+    return {term: count / records for term, count in held.items()}, alarms / records
+
+
+def test_the_misfit_test_and_the_standard_errors_keep_their_levels_in_short():
+    held, alarms = errors_and_alarms(250, 4000, 0.01, angle_random_walk=0.5)
+    assert alarms <= 0.03
+    assert 0.90 <= held["angle_random_walk"] <= 0.985
+    held, alarms = errors_and_alarms(150, 20_000, 0.1, angle_random_walk=0.5, rate_random_walk=0.02)
+    assert alarms <= 0.04
+    assert all(0.88 <= share <= 0.995 for share in held.values())
+
+
+@pytest.mark.evidence
+def test_the_misfit_test_fires_on_one_white_record_in_a_hundred():
+    _, alarms = errors_and_alarms(6000, 4000, 0.01, angle_random_walk=0.5)
+    assert 0.005 <= alarms <= 0.015
+
+
+@pytest.mark.evidence
+def test_intervals_of_95_percent_hold_the_truth_as_often():
+    for samples, interval, truth in (
+        (20_000, 0.01, {"angle_random_walk": 0.5}),
+        (20_000, 0.1, {"angle_random_walk": 0.5, "rate_random_walk": 0.02}),
+        (5_000, 0.1, {"quantisation": 0.1, "angle_random_walk": 0.5, "rate_random_walk": 0.05}),
+    ):
+        held, _ = errors_and_alarms(1000, samples, interval, **truth)
+        assert all(0.90 <= share <= 0.97 for share in held.values()), held
+
+
+def test_a_period_is_no_model_and_the_errors_are_widened():
+    time = np.arange(30_000) * 0.1
+    rate = simulate(2, 30_000, 0.1, angle_random_walk=0.5) + 0.5 * np.sin(2 * np.pi * time / 60.0)
+    fit = fit_allan(overlapping_allan(rate, 0.1))
+    assert fit.chance < MISFIT
+    assert 10.0 < fit.farthest_time_s < 100.0
+    assert fit.angle_random_walk.value == pytest.approx(0.5, abs=4 * fit.angle_random_walk.standard_error)
 
 
 def test_model_variance_is_the_standards():

@@ -7,6 +7,7 @@ from scipy.signal import lfilter
 from gradcal_jax.identify.direct_bound import (
     fit_direct_bound,
     largest_of_random_walk,
+    scatter_of_bound,
     share_beyond,
     smallest_bounding_variance,
 )
@@ -167,6 +168,30 @@ def test_the_boundary_is_differentiable():
     total = lambda walk: smallest_bounding_variance(t, data, 30.0, walk, jnp.array([100.0])).sum()  # noqa: E731
     central = (total(4.0001) - total(3.9999)) / 0.0002
     assert float(jax.grad(total)(4.0)) == pytest.approx(float(central), rel=1e-6)
+
+
+def test_the_drift_that_decides_is_placed():
+    rate = at_rest(4, 10, 3 * DEG_PER_H, 120.0)
+    rate[20_000:20_100] += 50 * DEG_PER_H
+    bound = fit_direct_bound(observe(rate, 60.0), WALK)
+    assert 19_000 < bound.deciding_start_index < 20_200
+    without = np.ones(len(rate), bool)
+    without[19_900:20_200] = False
+    observed = largest_drift(rate, 1.0, integration_times(1.0, 1200.0, 1.0), 60.0, valid=without)
+    assert fit_direct_bound(observed, WALK).drift_std < 0.5 * bound.drift_std
+
+
+def test_the_scatter_of_bounds_is_known_from_one_record():
+    """Between twelve records of ten hours σ and ln τ scatter as each of them says, within a factor of 2.5."""
+    found, said = [], []
+    for seed in range(12):
+        rate = at_rest(seed, 10, 3 * DEG_PER_H, 120.0)
+        bound = fit_direct_bound(observe(rate, 60.0), WALK)
+        found.append((bound.drift_std, np.log(bound.correlation_time_s)))
+        said.append(scatter_of_bound(bound, rate, 1.0))
+    ratio = np.median(said, axis=0) / np.std(found, axis=0)
+    assert np.all((ratio > 0.4) & (ratio < 2.5))
+    assert scatter_of_bound(bound, rate[:400], 1.0) is None
 
 
 def test_wrong_arguments_get_a_sentence():

@@ -1,0 +1,111 @@
+"""A column map for a recording that has none: by example, and guessed from a header that speaks for itself."""
+
+import re
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from gradcal_jax.files.log import LogError
+
+EXAMPLE: Final = """\
+format      = "gradcal-columns/1"
+name        = "SN-1"                          # of the sensor; its serial number
+# What each column means. (number - zero) × scale is the value in the unit.
+time        = { column = "t", unit = "ms" }   # or leave it out and give: sample_rate = "100 Hz"
+temperature = { column = "temp", unit = "degC" }          # leave it out where there is none
+# full_scale = "500 deg/s"                    # where rates saturate
+
+[rate]                                        # one line for each axis of the gyro
+x = { column = "gx", unit = "deg/s" }
+y = { column = "gy", unit = "deg/s" }
+z = { column = "gz", unit = "deg/s", scale = 0.0305 }     # counts: deg/s per count
+
+# [table_angle]                               # of a rate table, where it was recorded
+# inner = { column = "angle", unit = "deg" }
+
+[csv]                                         # only where it is not ",", ".", and a header
+delimiter = ","                               # ";", "tab" or "whitespace"; header = false: columns are numbered from 0
+# decimal  = ","
+# encoding = "latin-1"
+"""
+
+_TIME: Final = re.compile(r"(time|stamp|timestamp|t)(?:[ _\-(\[]*(ns|us|µs|ms|s|sec|seconds))?[)\]]*", re.IGNORECASE)
+_TEMPERATURE: Final = re.compile(r"(temp|temperature|t)(?:[ _\-(\[]*(?:deg|°)?[ _]?(c|f))?[)\]]*", re.IGNORECASE)
+_RATE: Final = re.compile(
+    r"(?:gyro?|gyr|rate|omega|w|g|angular[ _]?velocity|rot)[ _.\-]?([xyz])"
+    r"(?:[ _\-(\[]*(deg/s|dps|°/s|mdps|rad/s|rps|rad_s|deg_s|deg/h))?[)\]]*",
+    re.IGNORECASE,
+)
+_UNITS: Final = {
+    "sec": "s", "seconds": "s", "µs": "us", "dps": "deg/s", "°/s": "deg/s", "deg_s": "deg/s", "rps": "rad/s",
+    "rad_s": "rad/s", "c": "degC", "f": "degF",
+}  # fmt: skip
+
+
+def without_a_map(path: Path) -> LogError:
+    """The error for a recording that came without a column map: what to do, with a guess where its header allows."""
+    problem = f"{path} is no log of this program (.nc): say what its columns mean in a file and give it with --columns"
+    example = "gradcal new column-map -o columns.toml writes one to start from"
+    try:
+        found = guess(path)
+    except (OSError, ValueError):
+        found = None
+    if found is None:
+        return LogError(f"{problem}; {example}")
+    return LogError(f"{problem}; {example}. A guess from its header, to be completed where it says ???:\n\n{found}")
+
+
+def guess(path: Path) -> str | None:
+    """A column map in TOML for what the header of a text table (or the names in an .npz) tells; None if it tells too
+    little. Units that no name tells are ???, for a person to put in.
+    """
+    names, delimiter = _names(path)
+    rates: dict[str, tuple[str, str]] = {}
+    time = temperature = None
+    for name in names:
+        if (match := _RATE.fullmatch(name)) and match[1].lower() not in rates:
+            rates[match[1].lower()] = (name, _unit(match[2]))
+        elif time is None and (match := _TIME.fullmatch(name)):
+            time = (name, _unit(match[2]))
+        elif temperature is None and (match := _TEMPERATURE.fullmatch(name)):
+            temperature = (name, _unit(match[2]))
+    if not rates:
+        return None
+    lines = ['format = "gradcal-columns/1"']
+    lines += [_line("time", *time)] if time else ['sample_rate = "???"']
+    lines += [_line("temperature", *temperature)] if temperature else []
+    lines += [_line(f"rate.{axis}", *rates[axis]) for axis in sorted(rates)]
+    if delimiter not in (None, ","):
+        lines += ["[csv]", f'delimiter = "{delimiter}"']
+    return "\n".join(lines)
+
+
+def _unit(text: str | None) -> str:
+    return "???" if text is None else _UNITS.get(text.lower(), text.lower())
+
+
+def _line(key: str, column: str, unit: str) -> str:
+    escaped = column.replace("\\", "\\\\").replace('"', '\\"')
+    return f'{key} = {{ column = "{escaped}", unit = "{unit}" }}'
+
+
+def _names(path: Path) -> tuple[list[str], str | None]:
+    """The names of the columns, and what stands between them."""
+    if path.suffix.lower() == ".npz":
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
+            return list(opened.files), None
+    with path.open(encoding="utf-8-sig") as opened:
+        for line in _first_lines(opened):
+            for delimiter, mark in ((";", ";"), ("tab", "\t"), (",", ","), ("whitespace", None)):
+                names = [name.strip().strip('"') for name in line.split(mark)]
+                if len(names) > 1 and any(_RATE.fullmatch(name) for name in names):
+                    return names, delimiter
+    return [], None
+
+
+def _first_lines(opened: Iterator[str]) -> Iterator[str]:
+    for line in islice(opened, 20):
+        yield line[:2000].lstrip("# ").strip()

@@ -1,0 +1,9 @@
+"""Logs of vehicles and robots -> `Log`, without a column map: PX4's ULog, ArduPilot's DataFlash, ROS bags, MCAP.
+
+What is known of each source is in its module; what all need is in `streams`. The libraries that read the formats come
+with the extra `logs`, and are imported where a file of their kind is opened.
+"""
+
+from gradcal_jax.files.vehicle.streams import KINDS, is_vehicle_log, read_vehicle_log
+
+__all__ = ["KINDS", "is_vehicle_log", "read_vehicle_log"]

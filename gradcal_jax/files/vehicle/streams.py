@@ -1,0 +1,170 @@
+"""The gyros that a vehicle's log holds, each with its own stamps and thermometer, and the `Log` made of them.
+
+Gyros that share their stamps are units of one log. Others run at clocks of their own, which no row can share: the first
+is taken, or the one that was asked for, and the others are named. Temperatures of another topic are interpolated to the
+gyro's stamps.
+"""
+
+import contextlib
+import importlib
+import io
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax.files.log import Finding, Log, LogError
+from gradcal_jax.files.log_faults import Columns, Policy, examine
+
+Floats = NDArray[np.float64]
+
+KINDS: Final = {
+    ".ulg": "ulog",
+    ".ulog": "ulog",
+    ".bin": "dataflash",
+    ".bag": "ros",
+    ".db3": "ros",
+    ".mcap": "ros",
+    ".tlog": "mavlink",
+}
+"""Endings and the module of this folder that reads them; a folder with metadata.yaml is a rosbag 2."""
+_WORDS: Final = {"ulog": "ULog", "dataflash": "DataFlash", "ros": "a ROS bag or MCAP"}
+_FROM_MAVLINK: Final = (
+    "holds MAVLink messages: their HIGHRES_IMU (as PX4 sends it) is not the sensor's output, the estimator's gyro bias "
+    "is taken off and the temperature is the barometer's. A calibration needs the log of the flight controller: PX4's "
+    ".ulg with sensor_gyro, ArduPilot's .bin"
+)
+
+
+@dataclass(frozen=True)
+class GyroStream:
+    """One gyro: `rate_rad_per_s` `(samples, 3)` about x, y, z at `time_s`, which counts from the log's own zero."""
+
+    name: str
+    time_s: Floats
+    rate_rad_per_s: Floats
+    temperature_c: Floats | None
+    """At the same stamps."""
+    host_time_s: Floats | None = None
+    notes: tuple[str, ...] = ()
+    """What is known of this source that a calibration must know, in sentences."""
+
+
+def is_vehicle_log(path: Path) -> bool:
+    """Whether `read_vehicle_log` reads files of this ending."""
+    return path.suffix.lower() in KINDS or (path.is_dir() and (path / "metadata.yaml").exists())
+
+
+def read_vehicle_log(path: str | Path, *, unit: str | None = None, rows: tuple[int, int | None] | None = None) -> Log:
+    """The log of one or several gyros in a vehicle's log, axes x, y, z in rad/s, examined as any recording is.
+
+    `unit` names the gyro where several run at clocks of their own; `rows` cuts a part, the last row not included.
+
+    **Raises:** `LogError` with a sentence, for files that are not what their ending says, for logs without a raw gyro,
+    and where the library that reads them is not installed.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise LogError(f"{path} does not exist")
+    kind = KINDS.get(path.suffix.lower(), "ros")
+    if kind == "mavlink":
+        raise LogError(f"{path} {_FROM_MAVLINK}")
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        raise LogError(f"{path} is a directory")
+    reader = importlib.import_module(f"gradcal_jax.files.vehicle.{kind}")
+    try:
+        with quietly(_WORDS[kind]):
+            streams: Sequence[GyroStream] = reader.gyros(path)
+        chosen = _chosen([stream for stream in streams if len(stream.time_s) > 1], unit)
+        return _log(chosen, [stream for stream in streams if stream not in chosen], path.name, rows)
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from None
+
+
+def _chosen(streams: Sequence[GyroStream], unit: str | None) -> list[GyroStream]:
+    if not streams:
+        raise LogError("there are no samples of a gyro in it")
+    names = [stream.name for stream in streams]
+    if unit is not None and unit not in names:
+        raise LogError(f"there is no unit '{unit}' in this log; it has {', '.join(names)}")
+    first = streams[0 if unit is None else names.index(unit)]
+    return [stream for stream in streams if np.array_equal(stream.time_s, first.time_s)]
+
+
+def _log(
+    streams: Sequence[GyroStream], others: Sequence[GyroStream], source: str, rows: tuple[int, int | None] | None
+) -> Log:
+    first = streams[0]
+    known = [stream.temperature_c for stream in streams if stream.temperature_c is not None]
+    nothing = np.full(len(first.time_s), np.nan)
+    columns = Columns(
+        rate_rad_per_s=np.stack([stream.rate_rad_per_s for stream in streams]),
+        units=tuple(stream.name for stream in streams),
+        axes=("x", "y", "z"),
+        time_s=first.time_s,
+        temperature_c=np.stack([nothing if s.temperature_c is None else s.temperature_c for s in streams])
+        if known
+        else None,
+        host_time_s=first.host_time_s,
+        provenance={"source": source},
+    )
+    # A gyro without a thermometer is of use for its noise; whoever needs its temperature finds none.
+    policy = Policy(missing_temperatures="mask" if len(known) == len(streams) else "keep")
+    log = examine(columns if rows is None else columns.part(rows), policy)
+    notes = [Finding("source", "keep", 0, note) for stream in streams for note in stream.notes]
+    notes += [
+        Finding("coarse thermometer", "keep", 0, f"the thermometer of {stream.name} steps by {step:.3g} degC")
+        for stream in streams
+        if stream.temperature_c is not None and (step := _step(stream.temperature_c)) > 0.4
+    ]
+    if others:
+        names = ", ".join(stream.name for stream in others)
+        text = f"other gyros run at clocks of their own: {names}; choose one with --unit"
+        notes.append(Finding("other units", "keep", 0, text))
+    return replace(log, findings=(*notes, *log.findings))
+
+
+def _step(temperature: Floats) -> float:
+    """The smallest change of a thermometer, K; 0 where there is none."""
+    levels = np.unique(temperature[np.isfinite(temperature)])
+    return float(np.min(np.diff(levels))) if 1 < len(levels) < 500 else 0.0
+
+
+def interpolated(time_s: Floats, of_time_s: Floats, values: Floats) -> Floats:
+    """Readings of a slower thermometer at a gyro's stamps; NaN farther outside than two of its intervals."""
+    kept = np.isfinite(of_time_s) & np.isfinite(values)
+    order = np.argsort(of_time_s[kept], kind="stable")
+    x, y = of_time_s[kept][order], values[kept][order]
+    if len(x) == 0:
+        return np.full(len(time_s), np.nan)
+    beyond = 2 * float(np.median(np.diff(x))) if len(x) > 1 else 0.0
+    result = np.interp(time_s, x, y)
+    result[(time_s < x[0] - beyond) | (time_s > x[-1] + beyond)] = np.nan
+    return result
+
+
+def library(name: str, package: str) -> Any:
+    """A reader's library, or the sentence that says how to get it. Raises `LogError`."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise LogError(
+            f'reading it needs the package {package}, of the extra "logs": pip install "gradcal_jax[logs]"'
+        ) from None
+
+
+@contextlib.contextmanager
+def quietly(kind: str) -> Generator[None]:
+    """Runs a library on bytes that may be damaged: its prints are dropped, its exceptions are one sentence."""
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            yield
+    except LogError:
+        raise
+    except Exception as error:  # whatever a reader makes of bytes that are something else
+        raise LogError(
+            f"cannot be read as {kind} ({type(error).__name__}): is it damaged, or of another kind?"
+        ) from None

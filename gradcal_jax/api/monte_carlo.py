@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.build import assemble
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF, residual_map
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF, residual_map, unweighted_estimator
 from gradcal_jax.files import Spec
 from gradcal_jax.information import Twin, WishartTest, contrasts, monte_carlo_errors, statistic, wishart_test
 from gradcal_jax.model import SensorModel
@@ -34,7 +34,8 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
     rows: list[TwinRow] = []
     tests: dict[str, WishartTest] = {}
     for channel in built.channels:
-        result = monte_carlo_errors(built.trajectory(channel), built.model, runs, seed)
+        weighted = not unweighted_estimator(spec)
+        result = monte_carlo_errors(built.trajectory(channel), built.model, runs, seed, weighted=weighted)
         tests[channel] = wishart_test(result.errors, result.predicted)
         for requirement in spec.requirement:
             temperatures, rates, predicted = residual_map(built, result.predicted, requirement)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
-from gradcal_jax.information.posterior import Posterior, posterior, square_root
+from gradcal_jax.information.posterior import Posterior, least_squares, posterior, square_root, unweighted
 from gradcal_jax.information.regressors import at_readings
 from gradcal_jax.information.whitening import whiten
 from gradcal_jax.model import SensorModel
@@ -25,15 +25,22 @@ class Twin(NamedTuple):
     predicted: Posterior
 
 
-def monte_carlo_errors(line: Trajectory, model: SensorModel, runs: int, seed: int = 0, tile: int = 256) -> Twin:
+def monte_carlo_errors(
+    line: Trajectory, model: SensorModel, runs: int, seed: int = 0, tile: int = 256, *, weighted: bool = True
+) -> Twin:
     """Simulate `runs` calibrations. Parameters with a prior are drawn from it; flat ones are zero, which costs nothing.
+
+    Without `weighted` they are estimated, and predicted, by ordinary least squares (`posterior.unweighted`).
 
     Errors: `ValueError` where the plan leaves something unobservable, since its estimate would be arbitrary.
     """
     steps, columns = noise_steps(line, model), at_readings(line, model)
     rows = model.prior_rows()
     rng = np.random.default_rng(seed)
-    known = posterior(square_root(np.concatenate([whiten(steps, columns), rows])))
+    plain = None if weighted else least_squares(line, model)
+    known = (
+        posterior(square_root(np.concatenate([whiten(steps, columns), rows]))) if weighted else unweighted(line, model)
+    )
     if known.hidden.shape[1]:
         raise ValueError(
             "the plan leaves some parameters unobservable, so no estimate of them can be compared: give them a prior"
@@ -44,6 +51,9 @@ def monte_carlo_errors(line: Trajectory, model: SensorModel, runs: int, seed: in
         size = min(tile, runs - begin)
         truth = np.linalg.pinv(rows) @ rng.standard_normal((rows.shape[0], size)) if len(rows) else np.zeros((p, size))
         readings = simulate_noise(steps, size, rng) + columns @ truth
+        if plain is not None:
+            errors.append((plain.back @ (plain.weights.T @ readings) - truth).T)
+            continue
         both = whiten(steps, np.concatenate([columns, readings], axis=1))
         design = np.concatenate([both[:, :p], rows])
         data = np.concatenate([both[:, p:], np.zeros((len(rows), size))])

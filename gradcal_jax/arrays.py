@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-# An array of either library, for annotations: `Float[AnyArray, "n p"]`. What is done with it is the same for both, which
-# a type checker cannot follow; shapes and kinds are checked where the tests run.
+# An array of either library, for annotations: `Float[AnyArray, "n p"]`. What is done with it is the same for both,
+# which a type checker cannot follow; shapes and kinds are checked where the tests run.
 if TYPE_CHECKING:
     AnyArray = Any
 else:

@@ -2,10 +2,10 @@
 
 import jax.numpy as jnp
 import numpy as np
-
-from gradcal_jax.api.build import assemble
 from gradcal_jax.api.knowledge import timeline_of
 from gradcal_jax.errormodel import Polynomial
+
+from gradcal_jax.api.build import assemble
 from gradcal_jax.files import Spec
 from gradcal_jax.files.schedule import StandardSchedule
 

@@ -160,7 +160,7 @@ def _schedules(spec: Spec) -> tuple[dict[Axis, Schedule], tuple[Move, ...]]:
         after.append(trajectory.rest(cycle.other, cycle.other_read_every))
     if cycle.idle > 0.0:
         after.append(trajectory.rest(cycle.idle))
-    plans = {
+    plans: dict[Axis, Schedule] = {
         cast("Axis", channel): trajectory.gradient_plan(
             programme, moves, tuple(after), channel=channel, used=used, read_every=cycle.other_read_every
         )

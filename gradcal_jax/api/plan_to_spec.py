@@ -224,7 +224,8 @@ def _programme(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> dict[str, 
     else:
         items.append({"soak": "1 s", "at": _c(start), "used": False})
     rig = spec.rig.chamber
-    chamber = _Chamber(*(float(t) for t in rig.range), float(rig.max_heating), float(rig.max_cooling))
+    coldest, warmest = (float(t) for t in rig.range)
+    chamber = _Chamber(coldest, warmest, float(rig.max_heating), float(rig.max_cooling))
     items += _stretches(
         start, np.cumsum(coordinates.lasting()), start + np.cumsum(cycle.steps), chamber, steps_of(spec)
     )

@@ -362,7 +362,8 @@ class Coordinates(eqx.Module):
             spare = sum(durations[i] for i in members if not keep[i])
             if longest is not None:
                 durations[longest] += spare
-        left = Cycle(durations[keep], *(np.asarray(v)[keep] for v in cycle[1:3]), np.asarray(cycle.steps))
+        peaks, ramps = (np.asarray(v)[keep] for v in cycle[1:3])
+        left = Cycle(durations[keep], peaks, ramps, np.asarray(cycle.steps))
         return self.with_elements(tuple(e for e, k in zip(elements, keep, strict=True) if k), left), left
 
     def with_elements(self, elements: tuple[Element, ...], nominal: Cycle) -> "Coordinates":
@@ -385,7 +386,7 @@ class Coordinates(eqx.Module):
         steps = size_class(len(self.nominal.steps))
         longer = lambda values, filling=0.0: filled(values, count, filling)  # noqa: E731
         none = lambda places: filled(places, size_class(len(places)), count)  # noqa: E731
-        nominal = Cycle(*map(longer, self.nominal[:3]), filled(self.nominal.steps, steps, 0.0))
+        nominal = Cycle._make([*map(longer, self.nominal[:3]), filled(self.nominal.steps, steps, 0.0)])
         groups = size_class(self.groups)
         return replace(
             self,

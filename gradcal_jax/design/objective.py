@@ -7,6 +7,7 @@ program, whatever the numbers.
 from typing import Literal
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace

@@ -158,8 +158,9 @@ def dry_run(job: Sweep, *, runner: Runner | None = None, progress: Report = unwa
     failing = [found.failure for found in results if found.failure]
     rounds = -(-len(chunks) // runner.workers)
     seconds = times[0] + times[1] * (rounds - 1)
+    reason = failing[0] if failing else ""
     return Estimate(
-        len(points), len(failing), len(chunks), runner.workers, *times, seconds, failing[0] if failing else ""
+        len(points), len(failing), len(chunks), runner.workers, times[0], times[1], seconds, first_failure=reason
     )
 
 

@@ -58,14 +58,14 @@ def rule_of(model: SensorModel, trajectory: Trajectory) -> Rule:
     bases = [
         basis for term in model.terms if isinstance(term, Map | Discrepancy) for basis in (term.temperature, term.rate)
     ]
-    of_temperature, of_rate = bases[::2], [b for b in bases[1::2] if b is not None]
-    breaks = [tuple(sorted({b for basis in group for b in basis.breaks})) for group in (of_temperature, of_rate)]
+    of_temperature, of_rate = [[b for b in group if b is not None] for group in (bases[::2], bases[1::2])]
+    warm, fast = (tuple(sorted({b for basis in group for b in basis.breaks})) for group in (of_temperature, of_rate))
     degree = max((_degree(basis) for basis in of_rate), default=0)
     lagged = bool(np.any(np.asarray(trajectory.excess) != 0.0))
     decays = float(np.max(np.where(trajectory.gap, 0.0, trajectory.duration), initial=0.0) * trajectory.lag_rate)
     halves = int(np.ceil(np.log2(max(decays / _LAG_TIMES, 1.0)))) if lagged else 0
     standing = _LAGGED_NODES if lagged else max(_degree(basis) for basis in of_temperature) // 2 + 1
-    return Rule(_MOVING_NODES + 2 * max(0, degree - _CUBIC), standing, *breaks, halves)
+    return Rule(_MOVING_NODES + 2 * max(0, degree - _CUBIC), standing, warm, fast, halves)
 
 
 def _degree(basis) -> int:

@@ -7,6 +7,7 @@ is the one place where sizes are filled up: with pieces that last no time, are n
 Symbols: `M` moves, `P` pieces, `F` fillers (standing that fills what the moves of a stretch leave of it).
 """
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -151,29 +152,21 @@ class Schedule(eqx.Module):
         longer["segment"] = filled(p.segment, count, int(np.max(p.segment, initial=0)) + 1)
         none = lambda places: filled(places, size_class(len(places)), count)  # noqa: E731
         stretches = size_class(len(self.programme.durations)) if stretches is None else stretches
-        programme = Programme(
-            self.programme.start,
-            *(
-                filled(v, stretches, 0.0)
-                for v in (self.programme.durations, self.programme.slopes, self.programme.jumps)
-            ),
-        )
+        of = self.programme
+        changes = {name: filled(getattr(of, name), stretches, 0.0) for name in ("durations", "slopes", "jumps")}
         fillers = size_class(len(self.fill_move))
-        return Schedule(
-            *(filled(v, moves, 0.0) for v in (self.duration, self.peak_rate, self.ramp)),
-            self.spacing,
-            programme,
-            Pieces(**longer),
-            none(self.moving_pieces),
-            none(self.varying_pieces),
-            filled(self.fill_move, fillers, moves),
-            filled(self.fill_from, fillers, 0),
-            filled(self.fill_to, fillers, 0),
-            filled(filled(self.fill_counts, fillers, 0.0).T, moves, 0.0).T,
-            self.first_knot,
-            self.has_gaps,
-            self.rates,
-            self.points,
+        numbers = {name: filled(getattr(self, name), moves, 0.0) for name in ("duration", "peak_rate", "ramp")}
+        return replace(
+            self,
+            **numbers,
+            programme=replace(of, **changes),
+            pieces=Pieces(**longer),
+            moving_pieces=none(self.moving_pieces),
+            varying_pieces=none(self.varying_pieces),
+            fill_move=filled(self.fill_move, fillers, moves),
+            fill_from=filled(self.fill_from, fillers, 0),
+            fill_to=filled(self.fill_to, fillers, 0),
+            fill_counts=filled(filled(self.fill_counts, fillers, 0.0).T, moves, 0.0).T,
         )
 
 
@@ -212,11 +205,12 @@ def make_schedule(
     )
     duration, peak, ramp = (np.array(column, dtype=float) for column in zip(*moves, strict=True))
     fillers = fillers or []
-    fill = [np.array([f[i] for f in fillers], int) for i in range(3)]
+    fill_move, fill_from, fill_to = (np.array([f[i] for f in fillers], int) for i in range(3))
     counts = np.array([f[3] for f in fillers], float).reshape(len(fillers), len(moves))
+    moving, varying = _places(pieces)
     made = Schedule(
-        duration, peak, ramp, np.asarray(1.0 if spacing is None else float(spacing)), programme, pieces,
-        *_places(pieces), *fill, counts, np.asarray(first_knot), bool(gaps), rates, points,
+        duration, peak, ramp, np.asarray(1.0 if spacing is None else float(spacing)), programme, pieces, moving,
+        varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(gaps), rates, points,
     )  # fmt: skip
     return _cut_at_knots(made, inner_knots) if inner_knots else made
 
@@ -232,7 +226,7 @@ def _cut_at_knots(schedule: Schedule, knots: tuple[int, ...]) -> Schedule:
     begin, end = line.start, line.start + line.duration
     source, low, high = [], [], []
     inside = {
-        k: [j for j in knots if begin[k] < times[j] - _AT_KNOT and end[k] > times[j] + _AT_KNOT]
+        int(k): [j for j in knots if begin[k] < times[j] - _AT_KNOT and end[k] > times[j] + _AT_KNOT]
         for j0 in knots
         for k in np.flatnonzero((begin < times[j0]) & (end > times[j0]))
     }

@@ -19,11 +19,14 @@ from scipy.optimize import minimize, nnls
 SHARPNESS = (8.0, 40.0, 200.0, 1000.0)
 # What exceeding a limit by a factor e costs, in factors e of the value, squared.
 _PENALTY = 30.0
-# Of the starts of a stage, the share that goes on to the next; at least so many do.
+# So many begin at least, with a share of a stage's steps each: there are many local optima, and where a descent will
+# end hardly shows where it begins. The better half of a stage goes on to the next, and at least so many.
+_BEGIN, _BRIEF = 24, 0.5
 _SURVIVORS, _FEWEST = 0.5, 4
-# Standard deviation of a hop in coordinates of unit size; a round of hops that gains less than this share is the last.
-_HOP = 0.3
-_HOP_GAIN = 2e-3
+# Standard deviations of hops in coordinates of unit size, in turn; after a round of each that gains less than this
+# share it ends.
+_HOPS = (0.3, 1.0)
+_HOP_GAIN = 1e-3
 # The merit of a point at which nothing can be said.
 _NOWHERE = 1e3
 _LARGEST = 700.0
@@ -163,22 +166,21 @@ def search(
     starts: int,
     seed: int,
     steps: int = 240,
-    hops: int = 6,
+    hops: int = 8,
     state: State | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Progress]:
     """Yield `Progress` after every descent; the last one's state holds the best point.
 
-    A start makes up to `steps` steps in all, as the maximum hardens, the better half going on each time; then some
-    begin again near the best, as long as that gains something, `hops` times at most. `state`: go on from there. `stop`:
-    asked between steps; once true, descents end where they are. Errors: `ValueError` when no start gives a finite
-    objective.
+    Twice as many points as `starts` begin; a start makes up to `steps` steps in all, as the maximum hardens, the better
+    half going on each time; then some begin again near the best, as long as that gains something, `hops` times at most.
+    `state`: go on from there. `stop`: asked between steps; once true, descents end where they are. Errors:
+    `ValueError` when no start gives a finite objective.
     """
-    stage = max(1, round(steps / len(SHARPNESS)))
-    plan = _stages(starts, hops)
-    total = sum(count for _, count in plan)
+    plan = _levels(starts, steps, hops)
+    total = sum(level.count for level in plan)
     if state is None:
-        points = np.random.default_rng(seed).standard_normal((starts, compiled.size))
+        points = np.random.default_rng(seed).standard_normal((plan[0].count, compiled.size))
         merits = np.array([compiled(z).merit()[0] for z in points])
         values = np.exp(np.minimum(merits, _LARGEST))
         if not np.min(merits) < _NOWHERE:
@@ -188,24 +190,25 @@ def search(
         at = int(np.argmin(values))
         state = State(points, values, 0, float(values[at]), float(values[at]), points[at])
         yield Progress(state.first, state.best, 0, total, state)
-    done, hop_from = 0, np.inf
-    for level, (sharpness, count) in enumerate(plan):
-        first = done
+    done, without_gain, hop_from = 0, 0, np.inf
+    for number, level in enumerate(plan):
+        first, count = done, level.count
         done += count
-        if state.step >= done:
-            continue
-        if level >= len(SHARPNESS):
-            if state.best > hop_from * (1.0 - _HOP_GAIN):
+        if level.hop:
+            without_gain = without_gain + 1 if state.best > hop_from * (1.0 - _HOP_GAIN) else 0
+            if without_gain >= len(_HOPS):
                 return
             hop_from = state.best
             # The same numbers whether a search went on or began anew.
-            near = np.random.default_rng([seed, level]).standard_normal((count, compiled.size))
-            order, begins = np.arange(count), state.best_point + _HOP * near
+            near = np.random.default_rng([seed, number]).standard_normal((count, compiled.size))
+            order, begins = np.arange(count), state.best_point + level.hop * near
         else:
             order = np.argsort(state.values, kind="stable")[:count]
             begins = state.points[order]
+        if state.step >= done:
+            continue
         left = range(state.step - first, count)
-        for k, reached in _descents(compiled, [begins[i] for i in left], sharpness, stage, stop):
+        for k, reached in _descents(compiled, [begins[i] for i in left], level.sharpness, level.steps, stop):
             at = int(order[left[k]])
             value = float(np.exp(min(compiled(reached).merit()[0], _LARGEST)))
             best, best_point = state.best, state.best_point
@@ -219,12 +222,23 @@ def search(
                 return
 
 
-def _stages(starts: int, hops: int) -> list[tuple[float, int]]:
-    """Sharpness and number of descents of every stage."""
-    counts = [starts]
+class _Level(NamedTuple):
+    """So many descents of so many steps at a sharpness; from points about the best, for a hop."""
+
+    sharpness: float
+    count: int
+    steps: int
+    hop: float = 0.0
+
+
+def _levels(starts: int, steps: int, hops: int) -> list[_Level]:
+    stage = max(1, round(steps / len(SHARPNESS)))
+    counts = [max(2 * starts, _BEGIN)]
     for _ in SHARPNESS[1:]:
         counts.append(min(counts[-1], max(_FEWEST, round(_SURVIVORS * counts[-1]))))
-    return [*zip(SHARPNESS, counts, strict=True), *[(SHARPNESS[-1], min(starts, _FEWEST))] * hops]
+    levels = [_Level(k, count, stage) for k, count in zip(SHARPNESS, counts, strict=True)]
+    levels[0] = levels[0]._replace(steps=max(1, round(_BRIEF * stage)))
+    return levels + [_Level(SHARPNESS[-1], _FEWEST, stage, _HOPS[k % len(_HOPS)]) for k in range(hops)]
 
 
 def _descents(

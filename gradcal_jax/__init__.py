@@ -37,6 +37,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "limit": "api.flow",
     "frontier": "api.flow",
     "sensitivity": "api.flow",
+    "differentiable": "api.differentiable",
     "recipe": "api",
     "read_recipe": "files.recipe",
     "show": "pages.bench_sheet",

@@ -33,7 +33,8 @@ class Measure(NamedTuple):
 
     def compiled(self, coordinates: AnyCoordinates) -> Compiled:
         """The objective over coordinates, through the program of the class of their sizes."""
-        plan = coordinates.decode(np.zeros(coordinates.size))
+        # Any plan of theirs in which all moves says how finely to integrate.
+        plan = coordinates.decode(np.linspace(0.1, 0.9, coordinates.size))
         cases = tuple(_with_rule(case, plan) for case in self.cases)
         whole, places = coordinates, None
         if isinstance(coordinates, Coordinates):
@@ -44,7 +45,7 @@ class Measure(NamedTuple):
 
     def exact(self, schedule: Schedule) -> float:
         """The exact value of one plan, in the unit."""
-        made = Objective(cast("Any", None), self.cases, self.factors, self.targets, self.robust)
+        made = Objective(None, self.cases, self.factors, self.targets, self.robust)
         return float(made.of_schedule(schedule)[0])
 
 

@@ -41,10 +41,10 @@ class Objective(eqx.Module):
     """`(z, sharpness)` to the value, positive, and the logarithms by which `targets` (SI) are exceeded.
 
     `factors` bring what is minimised to its unit; of several the worst counts, and over the cases the "worst" or their
-    weighted "mean".
+    weighted "mean". Without `coordinates` it is one of schedules alone.
     """
 
-    coordinates: AnyCoordinates
+    coordinates: AnyCoordinates | None
     cases: tuple[Case, ...]
     factors: Float[AnyArray, " m"]
     targets: Float[AnyArray, " k"]
@@ -58,6 +58,7 @@ class Objective(eqx.Module):
     def value(self, z: Float[AnyArray, " n"], by: Float[AnyArray, " m"], sharpness):
         """The value and the excess of a vector's plan, with figures eased by so much (`Coordinates.eased`)."""
         coordinates = self.coordinates
+        assert coordinates is not None
         if isinstance(coordinates, Coordinates):
             coordinates = coordinates.eased(by)
         return self.of_schedule(coordinates.decode(z), sharpness)

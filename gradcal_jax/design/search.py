@@ -178,9 +178,9 @@ def search(
     `ValueError` when no start gives a finite objective.
     """
     plan = _levels(starts, steps, hops)
-    total = sum(level.count for level in plan)
+    total = sum(level.descents for level in plan)
     if state is None:
-        points = np.random.default_rng(seed).standard_normal((plan[0].count, compiled.size))
+        points = np.random.default_rng(seed).standard_normal((plan[0].descents, compiled.size))
         merits = np.array([compiled(z).merit()[0] for z in points])
         values = np.exp(np.minimum(merits, _LARGEST))
         if not np.min(merits) < _NOWHERE:
@@ -192,7 +192,7 @@ def search(
         yield Progress(state.first, state.best, 0, total, state)
     done, without_gain, hop_from = 0, 0, np.inf
     for number, level in enumerate(plan):
-        first, count = done, level.count
+        first, count = done, level.descents
         done += count
         if level.hop:
             without_gain = without_gain + 1 if state.best > hop_from * (1.0 - _HOP_GAIN) else 0
@@ -226,7 +226,7 @@ class _Level(NamedTuple):
     """So many descents of so many steps at a sharpness; from points about the best, for a hop."""
 
     sharpness: float
-    count: int
+    descents: int
     steps: int
     hop: float = 0.0
 

@@ -87,7 +87,8 @@ class GradientSensitivityRow(Section):
 
 
 class StartsRow(Section):
-    """How each slow error begins with the run: of each that the sensor has, null for the others.
+    """How each slow error begins with the first segment whose data are used: of each that the sensor has, null for the
+    others.
 
     "stationary": a Gauss–Markov process in its stationary state; "zero": a walk from 0; "constant": one draw that
     stays; "prior": no noise, but a part of B's prior, where B has one: its variance is added to that of the

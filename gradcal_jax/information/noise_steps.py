@@ -73,6 +73,10 @@ def noise_steps(line: Trajectory, model: SensorModel) -> NoiseSteps:
     decayed = xp.exp(-p.decay[None, :] * line.duration[:, None])
     walk = model.angle_random_walk**2 * line.duration + xp.sum(q_angle, axis=1)
     start = (p.initial_std**2)[None]
+    if line.has_gaps:
+        # Every process begins with the data: a walk's start belongs to the bias that the data see first.
+        before = (xp.cumsum(xp.where(line.gap, 0, 1)) == 0)[:, None]
+        decayed, q_self = xp.where(before, 1.0, decayed), xp.where(before, 0.0, q_self)
     if line.rates and line.points == "independent":
         # The processes of a point start afresh, and drive its angle over the piece as over any other.
         walk = walk + xp.sum(to_angle**2 * start, axis=1)

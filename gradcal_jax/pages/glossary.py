@@ -27,6 +27,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
     "drift": "A first-order Gauss–Markov process in the bias, given by standard deviation and correlation time.",
     "Earth rate": "The Earth turns by 15.04 deg/h; the part along a sensor's axis is known and taken off.",
     "efficiency": "The proven limit over what a plan leaves: at 70 % no plan leaves less than 0.7 of it.",
+    "generalised least squares": "Least squares that weighs errors by their covariance: the best linear estimate.",
     "gradient descent": "Changing numbers step by step along the slope of what they are to make small.",
     "gradient method": "The temperature ramps all the time; the reference is the angle at which the table stands.",
     "hidden truth": "The errors that a simulated sensor was given, for the calibration to find.",

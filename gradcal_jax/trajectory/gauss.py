@@ -83,7 +83,8 @@ def gauss_nodes(trajectory: Trajectory, model: SensorModel, rule: Rule | None = 
         standing = [(np.arange(count), rule)]
     else:
         where = np.asarray(~line.moving & ~line.gap)
-        long = where & (np.asarray(line.duration * line.lag_rate) > _LAG_TIMES)
+        # Traced times may become long: all are divided alike.
+        long = where & (np.asarray(line.duration * line.lag_rate) > _LAG_TIMES if xp is np else rule.lag_halves > 0)
         brief = np.flatnonzero(where & ~long), rule._replace(lag_halves=0)
         standing = [brief, (np.flatnonzero(long), rule)]
     kinds = [(pieces, its, False) for pieces, its in standing] + [(line.moving_pieces, rule, True)]

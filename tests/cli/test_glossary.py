@@ -38,7 +38,9 @@ def forms(word: str) -> set[str]:
     return found
 
 
-HEADS = {word for term in TERMS for word in [term.lower(), *re.split(r"[ -]", term.lower())]}
+HEADS = {
+    word for term in TERMS for word in [term.lower(), term.lower().replace(" ", "-"), *re.split(r"[ -]", term.lower())]
+}
 EXPLAINED = {form for head in HEADS for form in forms(head)} | {"axes"}
 
 

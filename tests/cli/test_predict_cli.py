@@ -180,7 +180,7 @@ def test_compare_puts_plans_side_by_side(specs, tmp_path):
     head, standard, reduced, gradient, wrote = answer.out.splitlines()
     assert head.split() == ["plan", "in", "all", "soak", "motion", "requirement", "residual", "(1σ)", "limited", "by"]
     assert standard.startswith(f"{STANDARD}  9 h ")
-    assert "rate reference" in standard
+    assert "rate accuracy" in standard
     assert reduced.strip().startswith("reduced range (mean of max)")
     assert gradient.startswith(f"{BIAS} ")
     assert "0.4016 deg/h" in gradient
@@ -194,7 +194,7 @@ def test_compare_as_json_is_one_prediction_each(specs):
     standard, gradient = checked(answer.out, "prediction")
     assert standard["duration_s"] == pytest.approx(9 * 3600.0)
     assert gradient["duration_s"] == pytest.approx(160 * 60.0)
-    assert standard["requirements"][0]["limited_by"].startswith("rate reference")
+    assert standard["requirements"][0]["limited_by"].startswith("rate accuracy")
 
 
 @pytest.mark.parametrize("name", [TURNS, STANDARD])

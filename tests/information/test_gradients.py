@@ -94,7 +94,7 @@ def test_every_continuous_quantity():
     gradient = check(replace(everything, noises=tuple(two)))
     for part in ("duration", "peak_rate", "ramp", "slopes", "decay", "diffusion", "[2]"):
         assert any(part in name and np.any(g != 0.0) for name, g in gradient.items()), part
-    for part in ("angle_random_walk", "reading_noise", "offset", "timing", "harmonic", "prior_std", "initial_std"):
+    for part in ("angle_random_walk", "reading_noise", "offset", "timing", "amplitudes", "prior_std", "initial_std"):
         assert any(part in name and np.any(g != 0.0) for name, g in gradient.items()), part
 
 

@@ -53,7 +53,8 @@ def test_predictions_are_as_recorded(name):
         for r in answer.requirements
     }
     _close(rows, recorded["requirements"], 1e-12)
-    _close({f"{p.name} / {p.axis}": p.std for p in answer.parameters}, recorded["parameters"], 1e-12)
+    # Coefficients of functions that are almost dependent carry rounding that what they predict together does not.
+    _close({f"{p.name} / {p.axis}": p.std for p in answer.parameters}, recorded["parameters"], 1e-11)
 
 
 @pytest.mark.parametrize("name", _cases(ELASTICITIES, ALWAYS_DERIVED))

@@ -1,0 +1,131 @@
+"""A spec as a pure function of its figures: what the designs of others are made with, in JAX's own terms."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.error_budget import FIGURES
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
+from gradcal_jax.arrays import AnyArray, namespace, put
+from gradcal_jax.design import Criterion, criterion
+from gradcal_jax.files import Spec
+from gradcal_jax.files.moves import Axis
+from gradcal_jax.information import information
+from gradcal_jax.model import SensorModel
+from gradcal_jax.trajectory import Rule, Schedule, rule_of
+
+_LAG = "thermal lag"
+# Of the plan's moves and of the programme's stretches: their fields, and whether they are the moves' own.
+_PLAN = {
+    "move durations": (lambda s: s.duration, True),
+    "peak rates": (lambda s: s.peak_rate, True),
+    "speed-up times": (lambda s: s.ramp, True),
+    "chamber durations": (lambda s: s.programme.durations, False),
+    "chamber slopes": (lambda s: s.programme.slopes, False),
+    "chamber steps": (lambda s: s.programme.jumps, False),
+    "first temperature": (lambda s: s.programme.start, False),
+}
+
+
+class Differentiable(eqx.Module):
+    """Every requirement's residual, a pure function of `quantities`: for `jax.grad`, `vmap`, `jit` and what stands on
+    them. A pytree.
+
+    `quantities`: the spec's own figures by name, SI (°C, K/s for the chamber): numbers of the sensor and the rig, `()`
+    or one for each such error, `(k,)`; of each move of the plan's cycle, `(m,)`; of each stretch of the chamber's
+    programme, `(s,)`, with the step (K) at its beginning. Whoever changes times keeps them such that the moves fit;
+    rests that fill what is left follow.
+    """
+
+    quantities: dict[str, np.ndarray]
+    _model: SensorModel
+    _schedule: Schedule
+    _criteria: dict[str, Criterion]
+    _factors: dict[str, float]
+    _sources: dict[str, tuple[int, ...]] = eqx.field(static=True)
+    _moves: tuple[int, ...] = eqx.field(static=True)
+    _rule: Rule = eqx.field(static=True)
+
+    def __call__(self, quantities: Mapping[str, Any]) -> dict[str, Float[AnyArray, ""]]:
+        """Residuals in ppm or deg/h, by the names of the requirements; what is not among `quantities` is the spec's.
+
+        Errors: `ValueError` for a name that the spec has not.
+        """
+        if unknown := set(quantities) - set(self.quantities):
+            raise ValueError(f"the spec has no {sorted(unknown)[0]!r}: it has {', '.join(self.quantities)}")
+        given: dict[str, Any] = {**self.quantities, **quantities}
+        schedule, model = self._planned(given), self._sensed(given)
+        xp = namespace(*given.values())
+        if xp is jnp:
+            # NumPy's arrays take no traced numbers of JAX; which pieces there are stays known.
+            traced = lambda x: jnp.asarray(x) if eqx.is_inexact_array(x) else x  # noqa: E731
+            schedule, model = jax.tree.map(traced, (schedule, model))
+        info = information(schedule.trajectory(given.get(_LAG)), model, self._rule)
+        return {name: xp.asarray(c(info) * self._factors[name]) for name, c in self._criteria.items()}
+
+    def _planned(self, given: Mapping[str, Any]) -> Schedule:
+        schedule, moves = self._schedule, np.array(self._moves)
+        for name, (field, of_moves) in _PLAN.items():
+            if name in given:
+                whole = put(field(schedule), moves, given[name]) if of_moves else given[name]
+                schedule = eqx.tree_at(field, schedule, whole)
+        return schedule
+
+    def _sensed(self, given: Mapping[str, Any]) -> SensorModel:
+        model = self._model
+        for name, field in FIGURES.items():
+            if name in given:
+                model = eqx.tree_at(field, model, given[name])
+        for name, members in self._sources.items():
+            initial, driving = model.processes.initial_std, model.processes.diffusion
+            at = np.array(members)
+            share = given[name] / self.quantities[name]
+            changed = put(initial, at, initial[at] * share), put(driving, at, driving[at] * share)
+            model = eqx.tree_at(lambda m: (m.processes.initial_std, m.processes.diffusion), model, changed)
+        return model
+
+
+def differentiable(spec: Spec, axis: Axis | None = None) -> Differentiable:
+    """A spec's requirements as a pure function of the sensor's, the rig's and the plan's figures, for one `axis` (the
+    first). What it gives for the spec's own `quantities` is what `predict` says, in ppm or deg/h.
+
+    Wants float64 (`jax_enable_x64`). Integrals are divided as the spec's own plan needs it. Errors: `ValueError` where
+    nothing is required, or of an axis that the plan does not turn.
+    """
+    built = assemble(spec)
+    channel = built.channels[0] if axis is None else axis
+    if channel not in built.channels:
+        raise ValueError(f"the plan does not turn axis {channel!r}: it turns {', '.join(built.channels)}")
+    if not spec.requirement:
+        raise ValueError("the spec has no [[requirement]], so there is nothing to compute: add one")
+    schedule = built.schedules[channel]
+    moves = np.setdiff1d(np.arange(len(schedule.duration)), schedule.fill_move)
+    return Differentiable(
+        _figures(built, schedule, moves),
+        built.model,
+        schedule,
+        {r.name: criterion(built.model, r.quantity, *box(r), r.statistic) for r in spec.requirement},
+        {r.name: UNIT_OF[r.quantity][1] for r in spec.requirement},
+        built.sources,
+        tuple(int(k) for k in moves),
+        rule_of(built.model, schedule.trajectory(built.thermal_lag)),
+    )
+
+
+def _figures(built: Assembled, schedule: Schedule, moves: np.ndarray) -> dict[str, np.ndarray]:
+    model, processes = built.model, built.model.processes
+    found: dict[str, AnyArray] = {n: of(model) for n, of in FIGURES.items() if np.asarray(of(model)).any()}
+    for name, members in built.sources.items():
+        at = np.array(members)
+        walks = processes.initial_std[at] == 0.0
+        found[name] = np.where(walks, processes.diffusion[at], processes.initial_std[at])
+    if built.thermal_lag is not None:
+        found[_LAG] = np.asarray(built.thermal_lag)
+    found |= {name: field(schedule)[moves] if own else field(schedule) for name, (field, own) in _PLAN.items()}
+    return {name: np.array(value, dtype=float) for name, value in found.items()}

@@ -1,0 +1,101 @@
+"""A spec as a pure function of its figures: the numbers of `predict`, and their derivatives, under JAX's transforms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from search_problem import SPEC
+
+import gradcal_jax as gj
+from gradcal_jax.api import predict
+from gradcal_jax.files import changed, parse_spec
+
+# Everything that has a figure of its own: walk, lag, offset, clock.
+MORE = {
+    "sensor.rate_random_walk": "2 deg/h/sqrt(h)",
+    "sensor.thermal_lag": "90 s",
+    "sensor.sample_clock_error": "20 ppm",
+    "rig.table.angle.standstill_offset": "20 arcsec",
+    "rig.table.angle.timing_error": "1 ms",
+}
+
+
+@pytest.fixture(scope="module")
+def spec():
+    return changed(parse_spec(SPEC), MORE)
+
+
+@pytest.fixture(scope="module")
+def residual(spec):
+    return gj.differentiable(spec)
+
+
+@pytest.fixture(scope="module")
+def slopes(residual):
+    return jax.jit(jax.grad(lambda q: residual(q)["full range"]))(residual.quantities)
+
+
+def said(spec) -> float:
+    (row,) = predict(spec).requirements
+    assert row.mean_of_max is not None
+    return row.mean_of_max
+
+
+def test_its_value_is_what_predict_says_and_jit_changes_nothing(spec, residual):
+    assert residual({})["full range"] == pytest.approx(said(spec), rel=1e-13)
+    compiled = jax.jit(lambda q: residual(q)["full range"])(residual.quantities)
+    assert float(compiled) == pytest.approx(said(spec), rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "nominal", "unit"),
+    [
+        ("angle random walk", "sensor.angle_random_walk", 0.1, "deg/sqrt(h)"),
+        ("bias instability", "sensor.drift[0].standard_deviation", 1.0, "deg/h"),
+        ("rate random walk", "sensor.rate_random_walk", 2.0, "deg/h/sqrt(h)"),
+        ("thermal lag", "sensor.thermal_lag", 90.0, "s"),
+        ("sample clock", "sensor.sample_clock_error", 20.0, "ppm"),
+        ("standstill offset", "rig.table.angle.standstill_offset", 20.0, "arcsec"),
+        ("timing error", "rig.table.angle.timing_error", 1.0, "ms"),
+    ],
+)
+def test_slopes_are_differences_of_predictions_of_changed_files(spec, residual, slopes, name, key, nominal, unit):
+    step = 1e-3
+    more, less = (said(changed(spec, {key: f"{nominal * (1 + s)!r} {unit}"})) for s in (step, -step))
+    elasticity = float(np.sum(slopes[name] * residual.quantities[name]))
+    assert elasticity == pytest.approx((more - less) / (2 * step), rel=1e-4, abs=1e-7)
+
+
+def test_a_plan_is_moved_as_its_file_would(spec, residual, slopes):
+    """The second move's rate; and the ramp, whose time the file derives from its gradient."""
+    moves = [
+        {"rest": "10 s", "read_every": "5 s"},
+        {"duration": "50 s", "peak_rate": "190 deg/s", "shape": "cosine ramps"},
+    ]
+    moves += [moves[0], {"duration": "50 s", "peak_rate": "-150 deg/s", "shape": "cosine ramps"}]
+    slower = residual.quantities["peak rates"].copy()
+    slower[1] *= 0.95
+    ramp = residual({"peak rates": slower})["full range"]
+    made = changed(spec, {"plan.cycle.moves": moves})
+    assert ramp == pytest.approx(said(made), rel=1e-3)
+    direction = {n: np.random.default_rng(1).standard_normal(v.shape) * v for n, v in residual.quantities.items()}
+    at = lambda h: residual({n: v + h * direction[n] for n, v in residual.quantities.items()})["full range"]  # noqa: E731
+    along = sum(float(np.sum(slopes[n] * direction[n])) for n in direction)
+    assert along == pytest.approx((at(1e-6) - at(-1e-6)) / 2e-6, rel=1e-4)
+
+
+def test_many_at_once_are_one_after_the_other(residual):
+    rates = residual.quantities["peak rates"] * np.linspace(0.7, 1.0, 5)[:, None]
+    together = jax.vmap(lambda r: residual({"peak rates": r})["full range"])(jnp.asarray(rates))
+    alone = [float(residual({"peak rates": r})["full range"]) for r in rates]
+    assert np.ptp(alone) > 0.01
+    np.testing.assert_allclose(together, alone, rtol=1e-10)
+
+
+def test_what_the_spec_has_not_is_said(spec, residual):
+    with pytest.raises(ValueError, match="has no 'angle random wlak': it has angle random walk"):
+        residual({"angle random wlak": 1.0})
+    with pytest.raises(ValueError, match="does not turn axis 'z': it turns x"):
+        gj.differentiable(spec, "z")
+    with pytest.raises(ValueError, match="no \\[\\[requirement\\]\\]"):
+        gj.differentiable(changed(spec, {"requirement": [], "design": None}))

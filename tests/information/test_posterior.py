@@ -115,7 +115,8 @@ def test_what_is_common_to_a_run_stays_common_among_its_points():
         own = 2 * sigma**2 * tau * (lasts - tau * (1 - np.exp(-lasts / tau)))
         return np.where(np.eye(len(start), dtype=bool), own, between)
 
-    first = np.minimum(start[:, None], start[None])
+    # A walk is zero where the first data begin, after the first soak.
+    first = np.minimum(start[:, None], start[None]) - soak
     walk = 1e-14 * lasts**2 * np.where(apart < 0.0, first + lasts / 3, first + lasts / 2)
     variance = markov(2e-5, 100.0) + np.outer(w, w) * (markov(1e-4, 500.0) + (1e-3 * lasts) ** 2) + walk
     variance += np.diag(3e-5**2 * lasts + (1e-4 * w * lasts) ** 2)

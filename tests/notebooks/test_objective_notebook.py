@@ -12,7 +12,7 @@ def test_it_is_committed_as_executed():
 
 
 def test_its_cells_run_with_few_sensors_and_steps(monkeypatch):
-    names, said = run_cells(NAME, monkeypatch, STEPS=6, DRAWS=20)
+    names, said = run_cells(NAME, monkeypatch, STEPS=30, DRAWS=20)
     assert "84.931" in said
     left = np.asarray(names["left"])
     assert left.shape == (20,)

@@ -106,7 +106,8 @@ class Schedule(eqx.Module):
         begins = sensor.times[self.first_knot] + xp.concatenate([xp.zeros(1), counted[:-1]])
 
         def fraction(knot):
-            return (sensor.times[xp.maximum(knot, 0)] - begins) / xp.where(whole > 0.0, whole, 1.0)
+            # A piece of 1e-100 s is none: its inverse, and that of its square in a slope, would overflow.
+            return (sensor.times[xp.maximum(knot, 0)] - begins) / xp.where(whole > 1e-100, whole, 1.0)
 
         v0 = xp.where(p.low < 0, 0.0, fraction(p.low))
         v1 = xp.where(last, 1.0, fraction(p.high))

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -41,6 +41,7 @@ def test_any_vector_is_executed_by_the_rig(limited):
 
     @settings(max_examples=100, deadline=None)
     @given(z=arrays(float, UNLIMITED.size, elements=st.floats(-1e6, 1e6)))
+    @example(z=np.where(np.arange(UNLIMITED.size) == 6, 2.3e-308, -38.0))
     def executed(z):
         check(coordinates_.cycle(z), limited)
 

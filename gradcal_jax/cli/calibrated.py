@@ -187,13 +187,13 @@ def export(
         rows = [loss._asdict() for loss in done.losses]
         print(as_json({"text": done.text, "losses": rows, "notes": done.notes}))
     elif output is not None:
-        print(_export_text(done))
+        print(export_text(done))
         print(f"wrote {output}")
     else:
         import sys
 
         print(done.text, end="")
-        print(_export_text(done), file=sys.stderr)
+        print(export_text(done), file=sys.stderr)
     return DONE
 
 
@@ -228,7 +228,8 @@ def _validation_text(row: "AxisValidation") -> str:
     return "\n".join([*lines, *(f"note: {message}" for message in row.messages)])
 
 
-def _export_text(done: "Export") -> str:
+def export_text(done: "Export") -> str:
+    """What an export loses, and its notes."""
     lines: list[str] = []
     if done.losses:
         shown = [("axis", "what is lost", "at most", "")]

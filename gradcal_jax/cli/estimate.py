@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import App, Parameter
 
+from gradcal_jax.cli.calibrated import export_text
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
-from gradcal_jax.cli.recordings import WHOLE, Axes, Recording, described, load, quantity
+from gradcal_jax.cli.recordings import WHOLE, Axes, Recording, described, load, load_all, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
@@ -48,12 +49,16 @@ def estimate(
     read_every: str = "1 s",
     neighbours: str | None = None,
     temperature: str | None = None,
+    parameters: Path | None = None,
     source: Recording = WHOLE,
     force: Flag = False,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
     """Estimate a calibration from a log by the model of a spec, and say whether the data agree with that model.
+
+    Without a spec: the bias over temperature of a vehicle at rest that warms by itself, with the noise that its log
+    shows.
 
     The exit status is 1 where a target is missed, something cannot be observed, or the data contradict the model.
 
@@ -91,6 +96,9 @@ def estimate(
         Also without a structure: moves of one rate within, say, "5 K" taken together, beside what the map says of them.
     temperature
         At which a log without a thermometer was recorded, such as "23 degC".
+    parameters
+        Write the bias over temperature here too, as parameters of the flight controller (PX4, ArduPilot) whose log
+        this is.
     force
         Overwrite the output.
     json
@@ -99,10 +107,24 @@ def estimate(
         Draw the fit into this file (.png, .svg, .pdf).
     """
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours)
-    model = _spec(spec, recipe)
-    recorded = load(log, source, unit=unit[0] if unit else None)
-    recorded = _at(recorded, temperature)
-    files = _files(output, unit or recorded.units)
+    model = None if spec is None and recipe is None else _spec(spec, recipe)
+    if model is None:
+        logs = load_all(log, source)
+        if any(one.table_axes for one in logs) or temperature is not None:
+            raise ValueError("give the spec with --spec, or the recipe that was run with --recipe: one of them")
+        recorded = logs[0]
+        names = unit or [name for one in logs for name in one.units]
+    else:
+        recorded = _at(load(log, source, unit=unit[0] if unit else None), temperature)
+        logs, names = [recorded], unit or recorded.units
+    firmware = recorded.provenance.get("firmware")
+    if parameters is not None:
+        if firmware is None:
+            raise ValueError(
+                "--parameters is for logs of PX4 (.ulg) and ArduPilot (.bin): see gradcal export for others"
+            )
+        writable(parameters, force)
+    files = _files(output, names)
     for path in files.values():
         writable(path, force)
     drawable(plot)
@@ -111,20 +133,32 @@ def estimate(
     use_float64()
     from gradcal_jax.api import calibration as work
     from gradcal_jax.api.estimate_options import Options
+    from gradcal_jax.api.warm_up import estimate_warm_up
     from gradcal_jax.files.calibration import write_calibration
 
     sources = {"log": log.name, "spec": (spec or recipe or Path()).name}
     asked = Options(**options, table_axis=table_axis, robust=robust)
-    report = work.estimate_calibration(model, recorded, axes=axis, units=unit, options=asked, sources=sources)
+    if model is None:
+        report = estimate_warm_up(logs, axes=axis, units=unit, options=asked, sources=sources)
+    else:
+        report = work.estimate_calibration(model, recorded, axes=axis, units=unit, options=asked, sources=sources)
     if json:
         print(as_json(work.estimate_rows(report)))
     else:
-        print(described(recorded, str(log)))
+        print("\n".join(described(one, str(log)) for one in logs))
         print(_text(report))
     for name, path in files.items():
         write_calibration(next(c for c in report.calibrations if c.serial_number == name), path)
         if not json:
             print(f"wrote {path}")
+    if parameters is not None and firmware is not None:
+        from gradcal_jax.files.exports import export_units
+        from gradcal_jax.files.writing import write_whole
+
+        done = export_units(report.calibrations, firmware)
+        write_whole(parameters, done.text)
+        if not json:
+            print(f"{export_text(done)}\nwrote {parameters}")
     if plot is not None:
         from gradcal_jax.plots.calibration import draw_estimate
 

@@ -69,6 +69,19 @@ def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "
     return part_of(import_log(path, read_column_map(source.columns), rows=rows), begin_s=begin, end_s=end)
 
 
+def load_all(path: Path, source: Recording = WHOLE) -> "list[Log]":
+    """As `load`, of a vehicle's log with every gyro: a log for each clock."""
+    from gradcal_jax.files.log import part_of
+    from gradcal_jax.files.vehicle import is_vehicle_log, read_vehicle_logs
+
+    if not is_vehicle_log(path) or source.columns is not None:
+        return [load(path, source)]
+    begin = None if source.begin is None else quantity(source.begin, "time", "--from")
+    end = None if source.end is None else quantity(source.end, "time", "--to")
+    rows = None if source.rows is None else _rows(source.rows)
+    return [part_of(log, begin_s=begin, end_s=end) for log in read_vehicle_logs(path, rows=rows)]
+
+
 def _rows(text: str) -> tuple[int, int | None]:
     ends = text.replace(" ", "").split("..")
     if len(ends) != 2 or not all(end.isascii() and (end.isdigit() or not end) for end in ends) or ends == ["", ""]:

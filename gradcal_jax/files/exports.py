@@ -75,6 +75,26 @@ def export(
     return done._replace(notes=tuple(notes))
 
 
+def export_units(calibrations: Sequence[Calibration], firmware: str) -> Export:
+    """Several sensors of one flight controller ("px4", "ardupilot"), in one file.
+
+    Their numbers are those of their order for PX4, which knows them by device id (their serial numbers), and those of
+    their names for ArduPilot (IMU0 is its first). Errors: `ValueError` as `export`, and for more sensors than it has.
+    """
+    lines: dict[str, None] = {}
+    losses: list[Loss] = []
+    notes: dict[str, None] = {}
+    for order, calibration in enumerate(calibrations):
+        name = calibration.serial_number
+        digits = "".join(c for c in name if c.isdigit())
+        number = order if firmware == "px4" else int(digits or order) + 1
+        done = export(calibration, firmware, instance=number, device_id=int(digits) if digits else None)
+        lines |= dict.fromkeys(done.text.splitlines())
+        losses += [loss._replace(axis=f"{name} {loss.axis}") for loss in done.losses]
+        notes |= dict.fromkeys(done.notes)
+    return Export("".join(f"{line}\n" for line in lines), tuple(losses), tuple(notes))
+
+
 def without(calibration: Calibration, zeroed: Sequence[str]) -> tuple[Calibration, tuple[str, ...]]:
     """The calibration with some coefficients at zero, and which they are. Raises `ValueError` for unknown names."""
     wanted = dict.fromkeys(zeroed, False)

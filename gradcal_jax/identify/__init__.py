@@ -29,6 +29,7 @@ from gradcal_jax.identify.limiting_function import (
     limiting_function,
     limiting_function_of_mean,
 )
+from gradcal_jax.identify.slow_noise import SlowNoise, slow_noise
 from gradcal_jax.identify.thermal import ThermalBias, fit_thermal_bias, lagged
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "AllanFit",
     "DirectBound",
     "LargestDrift",
+    "SlowNoise",
     "ThermalBias",
     "averaging_times",
     "drifts",
@@ -55,5 +57,6 @@ __all__ = [
     "overlapping_allan_of_angle",
     "scatter_of_bound",
     "share_beyond",
+    "slow_noise",
     "smallest_bounding_variance",
 ]

@@ -4,6 +4,6 @@ What is known of each source is in its module; what all need is in `streams`. Th
 with the extra `logs`, and are imported where a file of their kind is opened.
 """
 
-from gradcal_jax.files.vehicle.streams import KINDS, is_vehicle_log, read_vehicle_log
+from gradcal_jax.files.vehicle.streams import KINDS, is_vehicle_log, read_vehicle_log, read_vehicle_logs
 
-__all__ = ["KINDS", "is_vehicle_log", "read_vehicle_log"]
+__all__ = ["KINDS", "is_vehicle_log", "read_vehicle_log", "read_vehicle_logs"]

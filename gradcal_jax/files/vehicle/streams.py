@@ -32,6 +32,7 @@ KINDS: Final = {
 }
 """Endings and the module of this folder that reads them; a folder with metadata.yaml is a rosbag 2."""
 _WORDS: Final = {"ulog": "ULog", "dataflash": "DataFlash", "ros": "a ROS bag or MCAP"}
+_FIRMWARE: Final = {"ulog": {"firmware": "px4"}, "dataflash": {"firmware": "ardupilot"}}
 _FROM_MAVLINK: Final = (
     "holds MAVLink messages: their HIGHRES_IMU (as PX4 sends it) is not the sensor's output, the estimator's gyro bias "
     "is taken off and the temperature is the barometer's. A calibration needs the log of the flight controller: PX4's "
@@ -67,6 +68,25 @@ def read_vehicle_log(path: str | Path, *, unit: str | None = None, rows: tuple[i
     and where the library that reads them is not installed.
     """
     path = Path(path)
+    streams = _streams(path)
+    names = [stream.name for stream in streams]
+    with _named(path):
+        if unit is not None and unit not in names:
+            raise LogError(f"there is no unit '{unit}' in this log; it has {', '.join(names)}")
+        chosen = _of_one_clock(streams, streams[0 if unit is None else names.index(unit)])
+        return _log(chosen, [stream for stream in streams if stream not in chosen], path, rows)
+
+
+def read_vehicle_logs(path: str | Path, *, rows: tuple[int, int | None] | None = None) -> list[Log]:
+    """All gyros of a vehicle's log: a log for each clock, otherwise as `read_vehicle_log`."""
+    path = Path(path)
+    streams = _streams(path)
+    with _named(path):
+        clocks = [_of_one_clock(streams, stream) for stream in streams]
+        return [_log(of, (), path, rows) for of, first in zip(clocks, streams, strict=True) if of[0] is first]
+
+
+def _streams(path: Path) -> list[GyroStream]:
     if not path.exists():
         raise LogError(f"{path} does not exist")
     kind = KINDS.get(path.suffix.lower(), "ros")
@@ -75,27 +95,29 @@ def read_vehicle_log(path: str | Path, *, unit: str | None = None, rows: tuple[i
     if path.is_dir() and not (path / "metadata.yaml").exists():
         raise LogError(f"{path} is a directory")
     reader = importlib.import_module(f"gradcal_jax.files.vehicle.{kind}")
-    try:
+    with _named(path):
         with quietly(_WORDS[kind]):
-            streams: Sequence[GyroStream] = reader.gyros(path)
-        chosen = _chosen([stream for stream in streams if len(stream.time_s) > 1], unit)
-        return _log(chosen, [stream for stream in streams if stream not in chosen], path.name, rows)
+            found: Sequence[GyroStream] = reader.gyros(path)
+        if not (streams := [stream for stream in found if len(stream.time_s) > 1]):
+            raise LogError("there are no samples of a gyro in it")
+        return streams
+
+
+@contextlib.contextmanager
+def _named(path: Path) -> Generator[None]:
+    """Errors say of which file they are."""
+    try:
+        yield
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
 
 
-def _chosen(streams: Sequence[GyroStream], unit: str | None) -> list[GyroStream]:
-    if not streams:
-        raise LogError("there are no samples of a gyro in it")
-    names = [stream.name for stream in streams]
-    if unit is not None and unit not in names:
-        raise LogError(f"there is no unit '{unit}' in this log; it has {', '.join(names)}")
-    first = streams[0 if unit is None else names.index(unit)]
+def _of_one_clock(streams: Sequence[GyroStream], first: GyroStream) -> list[GyroStream]:
     return [stream for stream in streams if np.array_equal(stream.time_s, first.time_s)]
 
 
 def _log(
-    streams: Sequence[GyroStream], others: Sequence[GyroStream], source: str, rows: tuple[int, int | None] | None
+    streams: Sequence[GyroStream], others: Sequence[GyroStream], path: Path, rows: tuple[int, int | None] | None
 ) -> Log:
     first = streams[0]
     known = [stream.temperature_c for stream in streams if stream.temperature_c is not None]
@@ -109,7 +131,7 @@ def _log(
         if known
         else None,
         host_time_s=first.host_time_s,
-        provenance={"source": source},
+        provenance={"source": path.name, **_FIRMWARE.get(KINDS.get(path.suffix.lower(), ""), {})},
     )
     # A gyro without a thermometer is of use for its noise; whoever needs its temperature finds none.
     policy = Policy(missing_temperatures="mask" if len(known) == len(streams) else "keep")

@@ -1,0 +1,243 @@
+"""A record at rest that warms by itself -> B(T) with covariance, without a spec: vehicles' static gradient method.
+
+A flight controller heats up after it is switched on; PX4 and ArduPilot fit a cubic to that and take it off. Here the
+same cubic comes from the one measurement model, with a spec made from the record: angle random walk from the Allan
+deviation of what a first fit leaves, bias instability and drift from `identify.slow_noise`, beside the map.
+
+A reading is the sensor's own integrated rate at rest: whatever rate the vehicle has passes for bias, the Earth's too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gradcal_jax import estimation, identify
+from gradcal_jax.api.calibration import EstimateReport, estimate_calibration
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.instability import Rest, at_rest, number
+from gradcal_jax.files import Spec, parse_spec
+from gradcal_jax.files.calibration import Noise
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.sensor import Sensor
+from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
+
+DEGREE = 3
+# K; over less the parts of a cubic are not told apart.
+_LEAST_SPAN = 10.0
+_BINS = 300
+# The steps of a thermometer that are larger than this, K, are drawn through.
+_COARSE_K = 0.2
+_EARTH = 15.04
+
+
+def estimate_warm_up(
+    logs: Sequence[Log],
+    *,
+    axes: Sequence[str] = (),
+    units: Sequence[str] = (),
+    options: Options | None = None,
+    sources: dict[str, str] | None = None,
+) -> EstimateReport:
+    """The bias over temperature of every unit, a cubic, from records at rest; each log is of units of one clock.
+
+    Its covariance counts the noise that the record itself shows, slow noise included. `options`, `sources` as of
+    `estimate_calibration`. **Raises:** `LogError` without a temperature that spans 10 K, without a rest, and where the
+    record shows no angle random walk.
+    """
+    options = options or Options()
+    parts = [
+        _unit(log, unit, axes, options, sources) for log in logs for unit in log.units if not units or unit in units
+    ]
+    if missing := [unit for unit in units if not any(unit in log.units for log in logs)]:
+        known = ", ".join(unit for log in logs for unit in log.units)
+        raise LogError(f"there is no unit '{missing[0]}' in this log; it has {known}")
+    return EstimateReport(
+        tuple(c for part in parts for c in part.calibrations),
+        tuple(c for part in parts for c in part.channels),
+        {unit: rows for part in parts for unit, rows in part.verdicts.items()},
+        {unit: rows for part in parts for unit, rows in part.messages.items()},
+    )
+
+
+def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: dict[str, str] | None) -> EstimateReport:
+    log = _marked(log, unit)
+    parts: list[EstimateReport] = []
+    sensors: list[Sensor] = []
+    said = [
+        f"the rate of the vehicle is taken as zero: of the Earth's up to {_EARTH:.0f} deg/h is in the bias, unless "
+        "--earth-rate takes it off"
+    ] * (options.earth_rate == 0.0)
+    for axis in axes or log.axes:
+        spec, words = warm_up_spec(log, axis, unit)
+        parts.append(estimate_calibration(spec, log, axes=(axis,), units=(unit,), options=options, sources=sources))
+        sensors.append(spec.sensor)
+        said += [words, *(f"axis {axis}: {m}" for m in parts[-1].messages[unit] if "no table angle" not in m)]
+    calibrations = [part.calibrations[0] for part in parts]
+    # Not the 1/f noise as a random walk, which it is over seconds alone.
+    walk = max(s.angle_random_walk for s in sensors)
+    slow = max(
+        float(s.drift[-1].standard_deviation) / np.sqrt(float(s.drift[-1].correlation_time) / 2) for s in sensors
+    )
+    noise = Noise(
+        angle_random_walk=walk,
+        rate_random_walk=Quantity.of(slow, "rad/s/sqrt(s)"),
+        sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
+    )
+    named = ", ".join(axis.name for c in calibrations for axis in c.axis)
+    first = calibrations[0]
+    whole = first.model_copy(
+        update={
+            "axis": tuple(axis for c in calibrations for axis in c.axis),
+            "result": tuple(row for c in calibrations for row in c.result),
+            "noise": noise,
+            "frame": f"the axes {named} of the log, not orthogonalised",
+            "provenance": {
+                **first.provenance,
+                "readings": ", ".join(c.provenance["readings"] for c in calibrations),
+            },
+        }
+    )
+    return EstimateReport(
+        (whole,),
+        tuple(channel for part in parts for channel in part.channels),
+        {unit: tuple(row for part in parts for row in part.verdicts[unit])},
+        {unit: tuple(dict.fromkeys(said))},
+    )
+
+
+def _marked(log: Log, unit: str) -> Log:
+    """With the standstills marked, and a coarse thermometer's steps drawn through."""
+    index = log.unit_index(unit)
+    if log.table_angle_rad is not None or log.table_rate_rad_per_s is not None:
+        raise LogError("the log has a table's motion: its calibration needs a spec (--spec), which says what it is")
+    if log.temperature_c is None or not np.isfinite(temperature := log.temperature_c[index]).any():
+        raise LogError(f"the log has no temperature of unit {unit}, and a bias over temperature needs one")
+    usable = log.usable(unit)
+    standing = log.standstill
+    if standing is None:
+        standing = estimation.find_standstills(log.rate_rad_per_s[index], log.sample_interval_s, valid=usable)
+        log = replace(log, standstill=standing)
+    known = np.isfinite(temperature)
+    there = temperature[known & usable & (standing >= 0)]
+    span = float(np.ptp(there)) if len(there) else 0.0
+    if span < _LEAST_SPAN:
+        raise LogError(
+            f"the temperature of unit {unit} changes by {span:.2g} K while it stands still: a bias over temperature "
+            f"needs {_LEAST_SPAN:g} K or more, so cool the vehicle before it is switched on, and let it warm for longer"
+        )
+    levels = np.unique(temperature[known])
+    if len(levels) > 1 and float(np.min(np.diff(levels))) > _COARSE_K:
+        through = np.interp(log.time_s, *_crossings(log.time_s[known], temperature[known]))
+        everyone = np.array(log.temperature_c)
+        everyone[index] = through
+        log = replace(log, temperature_c=everyone)
+    return log
+
+
+def _crossings(time: np.ndarray, temperature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(times, °C) at which a thermometer that rounds went from level to level: there it is off by nothing.
+
+    Levels between which it went to and fro count once. The ends are continued straight, as far as the level allows.
+    """
+    at = np.flatnonzero(np.diff(temperature))
+    value, when = 0.5 * (temperature[at] + temperature[at + 1]), 0.5 * (time[at] + time[at + 1])
+    group = np.cumsum(np.diff(value, prepend=value[0]) != 0.0)
+    counts = np.bincount(group)
+    when, value = np.bincount(group, when) / counts, np.bincount(group, value) / counts
+    ends: list[float] = []
+    for near, far, row in ((0, 1, 0), (-1, -2, -1)):
+        slope = (value[near] - value[far]) / (when[near] - when[far]) if len(when) > 1 else 0.0
+        half = abs(temperature[row] - value[near])
+        ends.append(
+            float(
+                np.clip(
+                    value[near] + slope * (time[row] - when[near]), temperature[row] - half, temperature[row] + half
+                )
+            )
+        )
+    return np.concatenate([time[:1], when, time[-1:]]), np.array([ends[0], *value, ends[1]])
+
+
+def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
+    """What the record says of one channel's noise, as a spec, and in a sentence. `log`: standstills marked."""
+    rest = at_rest(log, axis, unit, bias_degree=DEGREE, lag="none")
+    fit = identify.fit_allan(identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid))
+    walk = fit.angle_random_walk
+    if not walk.value > walk.standard_error:
+        raise LogError(
+            f"the Allan deviation of axis {axis} of unit {unit} shows no angle random walk, which the estimate stands "
+            "on: record for longer, or give a spec with --spec"
+        )
+    assert rest.temperature_c is not None
+    known = rest.temperature_c[rest.valid]
+    low, high = float(np.floor(known.min() * 10) / 10), float(np.ceil(known.max() * 10) / 10)
+    centre, scale = round(0.5 * (low + high), 1), round(0.5 * (high - low), 1)
+    slow = _slow_noise(rest, walk.value, centre, scale)
+    processes = ", ".join(
+        f'{{ standard_deviation = "{number(std * DEG_PER_H)} deg/h", correlation_time = "{number(tau)} s" }}'
+        for std, tau in slow.processes
+    )
+    text = f"""
+format = "gradcal-spec/1"
+title  = "warm-up at rest"
+[sensor]
+quantity          = "gyro"
+angle_random_walk = "{number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h)"
+drift             = [{processes}]
+[sensor.bias]
+temperature = {{ basis = "polynomial", degree = {DEGREE}, centre = "{centre} degC", scale = "{scale} K" }}
+[rig.table]
+max_rate         = "1 deg/s"
+max_acceleration = "1 deg/s^2"
+[rig.chamber]
+range       = ["{low - 1:.1f} degC", "{high + 1:.1f} degC"]
+max_heating = "10 K/min"
+max_cooling = "10 K/min"
+[[requirement]]
+name        = "bias, on average"
+quantity    = "bias"
+temperature = ["{low:.1f} degC", "{high:.1f} degC"]
+[[requirement]]
+name        = "bias, at worst"
+quantity    = "bias"
+temperature = ["{low:.1f} degC", "{high:.1f} degC"]
+statistic   = "max"
+[plan]
+method      = "gradient"
+temperature = ["{low:.1f} degC", "{high:.1f} degC"]
+gradient    = "1 K/min"
+read_every  = "1 s"
+"""
+    words = (
+        f"axis {axis}: noise by the record: angle random walk {number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h), "
+        f"bias instability {number(slow.bias_instability * DEG_PER_H)} deg/h, and a drift of "
+        f"{number(slow.drift_std * DEG_PER_H)} deg/h that lasts as long as it: the mean of what it leaves possible"
+    )
+    return parse_spec(text), words
+
+
+def _slow_noise(rest: Rest, walk: float, centre: float, scale: float) -> identify.SlowNoise:
+    """From means over some hundred stretches of the record, as far as they hold data for half their length."""
+    assert rest.temperature_c is not None
+    assert rest.thermal is not None
+    width = max(len(rest.rate) // _BINS, 1)
+    begins = np.arange(0, len(rest.rate) - width + 1, width)
+    held = np.add.reduceat(rest.valid.astype(float), begins)[: len(begins)]
+    held[-1] = np.count_nonzero(rest.valid[begins[-1] : begins[-1] + width])
+    kept = held > 0.5 * width
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.array([values[b : b + width][rest.valid[b : b + width]].mean() for b in begins[kept].tolist()])
+
+    z = (mean(rest.temperature_c) - centre) / scale
+    interval = rest.sample_interval_s
+    return identify.slow_noise(
+        (begins[kept] + 0.5 * width) * interval,
+        held[kept] * interval,
+        mean(rest.rate),
+        np.polynomial.legendre.legvander(z, DEGREE),
+        walk,
+        width_s=width * interval,
+    )

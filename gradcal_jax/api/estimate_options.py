@@ -22,3 +22,5 @@ class Options:
     table_axis: str | None = None
     neighbours_k: float | None = None
     """Beside the map: moves of one rate within so many kelvins taken together, without a structure."""
+    temperature_c: float | None = None
+    """At which a log without a thermometer was recorded."""

@@ -176,6 +176,7 @@ def estimate(
     read_every: float = 1.0,
     table_axis: str | None = None,
     neighbours_k: float | None = None,
+    temperature_c: float | None = None,
 ) -> EstimateReport:
     """The calibration of every unit in a log by a spec's model, with covariance, tests of the model and verdicts.
 
@@ -184,7 +185,7 @@ def estimate(
     less (Huber). `lag` s of the maps behind the measured temperature, or "fit". `smoothness` "auto": of bins and
     B-splines, as strong as the data make most probable. `clock`: whose time is integrated over. `read_every` s: spacing
     of readings at rest. `table_axis`: which turns the sensor's. `neighbours_k`: also without a structure, moves within
-    so many kelvins together.
+    so many kelvins together. `temperature_c`: at which a log without a thermometer was recorded.
 
     Returns `calibrations` (SI, one a unit; `write_calibration` keeps them), `verdicts` (ppm or deg/h) and `messages` by
     unit, every channel's fit, and `as_wished`. Generalised least squares of the whitened readings: the covariance that
@@ -201,5 +202,6 @@ def estimate(
         read_every=read_every,
         table_axis=table_axis,
         neighbours_k=neighbours_k,
+        temperature_c=temperature_c,
     )
     return estimate_calibration(spec, log, axes=axes, units=units, options=options)

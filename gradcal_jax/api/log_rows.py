@@ -10,7 +10,6 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.files import correction
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.model import TEMPERATURE_GRADIENT
 
 
 class Rows(NamedTuple):
@@ -41,7 +40,7 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
     raw = log.rate_rad_per_s[unit, :, log.axis_index(axis)]
     rate = np.where(np.isfinite(raw), raw, 0.0)
     usable &= np.isfinite(raw)
-    temperature = estimation.smoothed_temperature(time, _temperature(built, log, unit))
+    temperature = estimation.smoothed_temperature(time, _temperature(log, unit, options.temperature_c))
     table = table_axis_of(log, axis, options.table_axis)
     angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
     table_rate = None if table is None or log.table_rate_rad_per_s is None else log.table_rate_rad_per_s[:, table]
@@ -124,17 +123,16 @@ def _centred(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
     return above - np.repeat(np.add.reduceat(above, starts) / counts, counts)
 
 
-def _temperature(built: Assembled, log: Log, unit: int) -> np.ndarray:
-    maps = [m for m in (built.model.bias, built.model.scale) if m is not None]
-    if log.temperature_c is not None and np.isfinite(log.temperature_c[unit]).any():
-        values = log.temperature_c[unit]
-        known = np.isfinite(values)
-        return values if known.all() else np.interp(log.time_s, log.time_s[known], values[known])
-    if any(m.temperature.size > 1 for m in maps) or built.model.term(TEMPERATURE_GRADIENT) is not None:
-        raise LogError(
-            "the log has no temperature, and the spec's maps depend on it: give them a temperature basis of degree 0"
-        )
-    return np.full(len(log.time_s), 20.0)
+def _temperature(log: Log, unit: int, said: float | None) -> np.ndarray:
+    """The thermometer's, bridged by straight lines, or the one that was said: a calibration holds at some."""
+    values = None if log.temperature_c is None else log.temperature_c[unit]
+    if values is None or not (known := np.isfinite(values)).any():
+        if said is None:
+            raise LogError('the log has no temperature: say at which it was recorded, such as --temperature "23 degC"')
+        return np.full(len(log.time_s), said)
+    if said is not None:
+        raise LogError("--temperature is for logs without one: this log has its own")
+    return values if known.all() else np.interp(log.time_s, log.time_s[known], values[known])
 
 
 def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:

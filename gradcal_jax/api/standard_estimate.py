@@ -51,6 +51,11 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
             f"{len(found_points.missing)} of the plan's points are not in the log, the first at {t:g} degC and "
             f"{np.degrees(w):.4g} deg/s"
         )
+    if found_points.unplanned:
+        messages.append(
+            f"{found_points.unplanned} points that the plan does not have are in the log, at held rates and stable "
+            "temperatures: they are used"
+        )
     model, line = built.model, found_points.line
     edges, broken = found_points.rows, found_points.broken
     lag = 0.0 if options.lag == "fit" else float(options.lag)

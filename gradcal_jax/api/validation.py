@@ -19,9 +19,10 @@ from gradcal_jax.files.log import Log, LogError
 
 
 class Cell(NamedTuple):
-    """Moves (or stretches of rest) of one range of temperature and rate: mean error, its scatter, before and after."""
+    """Moves (or stretches of rest) of one range of temperature (None: not known) and rate: mean error before and after,
+    and its scatter."""
 
-    temperature_c: tuple[float, float]
+    temperature_c: tuple[float, float] | None
     rate_dps: tuple[float, float] | None
     how_many: int
     before: float
@@ -98,7 +99,7 @@ def _axis(
     temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(raw), np.nan)
     done = estimation.executed(
         log.time_s,
-        np.nan_to_num(temperature, nan=20.0),
+        np.zeros_like(raw),  # of what was done the times alone are asked for here
         np.where(usable, raw, 0.0),
         angle,
         standing,
@@ -153,7 +154,7 @@ def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:
 def _cells(temperature, speed, before, after, parts: int, unit: str) -> list[Cell]:
     """By equal parts of the temperature, and by what rates were turned at."""
     known = np.isfinite(temperature)
-    values = np.where(known, temperature, 0.0)
+    values = np.where(known, temperature, np.nanmean(temperature) if known.any() else 0.0)
     low, high = float(values.min()), float(values.max())
     edges = np.linspace(low, high, parts + 1) if high - low > 1.0 else np.array([low, high])
     warm = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
@@ -167,7 +168,7 @@ def _cells(temperature, speed, before, after, parts: int, unit: str) -> list[Cel
             rates = None if speed is None else (float(speed[inside].min()), float(speed[inside].max()))
             rows.append(
                 Cell(
-                    (float(edges[i]), float(edges[i + 1])),
+                    (float(edges[i]), float(edges[i + 1])) if known.any() else None,
                     rates,
                     int(inside.sum()),
                     float(np.mean(before[inside])),

@@ -220,7 +220,8 @@ def _validation_text(row: "AxisValidation") -> str:
         lines.append(f"rate at rest: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
     shown = [("temperature", "mean rate", "how many", "without", "with", "scatter", "")]
     for cell in row.cells:
-        where = f"{cell.temperature_c[0]:.1f} … {cell.temperature_c[1]:.1f} °C"
+        warm = cell.temperature_c
+        where = "not known" if warm is None else f"{warm[0]:.1f} … {warm[1]:.1f} °C"
         rate = "at rest" if cell.rate_dps is None else f"{cell.rate_dps[0]:.4g} … {cell.rate_dps[1]:.4g} deg/s"
         numbers = (f"{cell.before:.5g}", f"{cell.after:.4g}", f"{cell.scatter:.3g}")
         shown.append((where, rate, str(cell.how_many), *numbers, cell.unit))

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from gradcal_jax.api.calibration import EstimateReport
     from gradcal_jax.api.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
-    from gradcal_jax.files.log import Log
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
@@ -106,7 +105,7 @@ def estimate(
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
-    options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours)
+    options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if model is None:
         logs = load_all(log, source)
@@ -115,7 +114,7 @@ def estimate(
         recorded = logs[0]
         names = unit or [name for one in logs for name in one.units]
     else:
-        recorded = _at(load(log, source, unit=unit[0] if unit else None), temperature)
+        recorded = load(log, source, unit=unit[0] if unit else None)
         logs, names = [recorded], unit or recorded.units
     firmware = recorded.provenance.get("firmware")
     if parameters is not None:
@@ -166,22 +165,6 @@ def estimate(
     return DONE if report.as_wished else NOT_AS_WISHED
 
 
-def _at(recorded: "Log", temperature: str | None) -> "Log":
-    """The log with the temperature that was said; one without any is refused, for a calibration holds at some."""
-    if (recorded.temperature_c is None) == (temperature is not None):
-        if temperature is None:
-            return recorded
-        from dataclasses import replace
-
-        import numpy as np
-
-        shape = recorded.rate_rad_per_s.shape[:2]
-        return replace(recorded, temperature_c=np.full(shape, quantity(temperature, "temperature", "--temperature")))
-    if temperature is not None:
-        raise ValueError("--temperature is for logs without one: this log has its own")
-    raise ValueError('the log has no temperature: say at which it was recorded, such as --temperature "23 degC"')
-
-
 def _options(
     earth_rate: str | None,
     latitude: str | None,
@@ -190,6 +173,7 @@ def _options(
     clock: str,
     read_every: str,
     neighbours: str | None,
+    temperature: str | None,
 ) -> dict[str, Any]:
     """Texts as the fields of `api.estimate_options.Options`, in SI. Raises `ValueError`s that name the option."""
     earth = 0.0
@@ -213,7 +197,8 @@ def _options(
     if width is not None and width <= 0.0:
         raise ValueError(f"--neighbours {neighbours!r}: must be some kelvins")
     told = {"earth_rate": earth, "lag": lag_s, "smoothness": smoothness, "clock": clock}
-    return told | {"read_every": every, "neighbours_k": width}
+    at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
+    return told | {"read_every": every, "neighbours_k": width, "temperature_c": at}
 
 
 def _spec(spec: Path | None, recipe: Path | None) -> "Spec":

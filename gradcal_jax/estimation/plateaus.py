@@ -1,7 +1,9 @@
 """The standard method's log: stable temperatures, a held rate at each, and what the sensor says there.
 
 A plateau is an unbroken run of rows at which the table turns at a planned rate and the sensor stands at a planned
-temperature. Of each run the last `integration` seconds count: what comes before is the soak and the table's settling.
+temperature; where the log has others, an unbroken run at a rate that is held and a temperature that is stable, whatever
+the plan says (a soak between two of its temperatures is not stable). Of each run the last `integration` seconds count:
+what comes before is the soak and the table's settling.
 Every plateau has a reference rate whose error is common to all of it; drifts, clock and turn-on bias go on through the
 run, unless the plan takes its points as independent.
 """
@@ -10,13 +12,17 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
+from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import Trajectory, held
 from gradcal_jax.trajectory.schedule import Points
 
 # A table at a set point is within this of it: relative, and rad/s.
 _RATE_TOLERANCE = (0.02, np.radians(0.5))
 _LEAST_SHARE = 0.5
+# Rates are held where they stay within the tolerance for so long (s); at a stable temperature it changes by less, K.
+_HELD_OVER_S, _STABLE_K = 1.0, 1.0
 
 
 class Plateaus(NamedTuple):
@@ -29,6 +35,8 @@ class Plateaus(NamedTuple):
     broken: np.ndarray
     missing: tuple[tuple[float, float], ...]
     """Planned points (°C, rad/s) that the log does not hold."""
+    unplanned: int
+    """How many points the log holds that the plan does not."""
 
 
 def plateaus(
@@ -42,8 +50,8 @@ def plateaus(
     *,
     points: Points = "one run",
 ) -> Plateaus:
-    """Find the planned points in a log's rows, arrays `(n,)`. `points`: whether they share the run's noise. Errors:
-    `ValueError` where not one of them is there.
+    """Find the points of a log's rows, arrays `(n,)`: the planned ones, and others at held rates and stable
+    temperatures. `points`: whether they share the run's noise. Errors: `ValueError` where there is none.
     """
     warm = _nearest(temperature_c, planned_c, _temperature_tolerance(planned_c))
     fast = _nearest(
@@ -52,6 +60,10 @@ def plateaus(
         np.maximum(_RATE_TOLERANCE[0] * np.abs(planned_rad_per_s), _RATE_TOLERANCE[1]),
     )
     label = np.where((warm >= 0) & (fast >= 0), warm * len(planned_rad_per_s) + fast, -1)
+    # Where the plan never stands, a table that stands is soaking.
+    soaking = (np.abs(table_rate_rad_per_s) < _RATE_TOLERANCE[1]) & bool(np.all(planned_rad_per_s != 0.0))
+    others = _held_elsewhere(time_s, table_rate_rad_per_s, (label < 0) & ~soaking)
+    label = np.where(others >= 0, others + len(planned_c) * len(planned_rad_per_s), label)
     begins = np.flatnonzero(np.concatenate([[True], (np.diff(label) != 0) | ~usable[1:]]))
     ends = np.append(begins[1:], len(label)) - 1
     first, last = [], []
@@ -59,12 +71,14 @@ def plateaus(
         if label[a] < 0 or time_s[b] - time_s[a] < _LEAST_SHARE * integration_s:
             continue
         start = int(np.searchsorted(time_s[a : b + 1], time_s[b] - integration_s * (1 + 1e-9))) + int(a)
+        if others[b] >= 0 and np.ptp(temperature_c[start : b + 1]) > _STABLE_K:
+            continue
         first.append(start)
         last.append(int(b))
     if not first:
         raise ValueError(
-            f"the log holds none of the plan's points for {_LEAST_SHARE * integration_s:g} s or longer: are its "
-            "temperatures and table rates those of this spec?"
+            f"the log holds no rate at a stable temperature for {_LEAST_SHARE * integration_s:g} s or longer, none of "
+            "the plan's points among them: give the spec's integration as it was"
         )
     found = {int(label[b]) for b in last}
     missing = tuple(
@@ -90,7 +104,19 @@ def plateaus(
         time_s[at[:-1]], np.diff(time_s[at]), np.where(between, 0.0, mean(table_rate_rad_per_s)), temperature,
         temperature, read=~between, at_rest=between, moving=~between, gap=between, rates=True, points=points,
     )  # fmt: skip
-    return Plateaus(line, at, between, missing)
+    return Plateaus(line, at, between, missing, int(np.count_nonzero(others[last] >= 0)))
+
+
+def _held_elsewhere(time: np.ndarray, rate: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """`(n,)`: the number of the run of rows at one rate among the free ones, or −1."""
+    width = max(round(_HELD_OVER_S * (len(time) - 1) / (time[-1] - time[0])), 2)
+    smooth = uniform_filter1d(rate, width)
+    high, low = maximum_filter1d(smooth, width), minimum_filter1d(smooth, width)
+    tolerance = np.maximum(_RATE_TOLERANCE[0] * np.abs(smooth), _RATE_TOLERANCE[1])
+    result = np.full(len(time), -1)
+    for number, (start, end) in enumerate(runs(free & (high - low < tolerance))):
+        result[start:end] = number
+    return result
 
 
 def _temperature_tolerance(planned: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Raw samples through the whole door: simulated logs of both methods whose truth is known, and what can go wrong."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.gradient_estimate import _fitted_lag
 from gradcal_jax.api.log_rows import Rows, _host_time, followed
 from gradcal_jax.estimation import nees_band
+from gradcal_jax.files import parse_spec
 from gradcal_jax.files.correction import bias, scale_factor
 from gradcal_jax.files.log import Log, LogError, Reason
 from gradcal_jax.information import information
@@ -304,11 +306,35 @@ def test_how_well_a_runs_clock_is_known_comes_from_the_run():
     assert "(1σ 0.25 ppm from when its samples arrived)" in said
 
 
+def test_points_are_found_in_the_log_whatever_the_plan_says():
+    """Of a run at 5 temperatures and 7 rates the spec names 2 and 2: all 35 points are used, and soaks are not."""
+    many = STANDARD.replace(
+        '["0 degC", "20 degC", "40 degC"]', '["0 degC", "10 degC", "20 degC", "30 degC", "40 degC"]'
+    )
+    rates = ", ".join(f'"{r} deg/s"' for r in (-300, -160, -80, 40, 80, 160, 300))
+    many = re.sub(r"rates *= *\[.*?\]", f"rates = [{rates}]", many, flags=re.S)
+    made = simulate_log(parse_spec(many), sample_rate_hz=10.0, seed=5)
+    few = re.sub(r"rates *= *\[.*?\]", 'rates = ["-300 deg/s", "80 deg/s"]', many, flags=re.S)
+    few = few.replace('"10 degC", "20 degC", "30 degC", ', "")
+    (channel,) = estimate_channels(parse_spec(few), made.log)
+    assert len(channel.weights) == 35
+    assert any("31 points that the plan does not have are in the log" in m for m in channel.messages)
+    (all_planned,) = estimate_channels(parse_spec(many), made.log)
+    np.testing.assert_allclose(channel.found.parameters, all_planned.found.parameters, rtol=1e-2)
+
+
 def test_what_a_log_lacks_is_a_sentence():
     spec = spec_of()
     log = simulate_log(spec, sample_rate_hz=10.0, noiseless=True).log
     with pytest.raises(LogError, match="no temperature"):
         estimate_channels(spec, replace(log, temperature_c=None))
+    constant = parse_spec(GRADIENT.replace("degree = 1, centre", "degree = 0, centre"))
+    with pytest.raises(LogError, match="say at which it was recorded"):
+        estimate_channels(constant, replace(log, temperature_c=None))
+    (at,) = estimate_channels(constant, replace(log, temperature_c=None), options=Options(temperature_c=23.4))
+    assert at.valid_temperature_c == pytest.approx((23.4, 23.4))
+    with pytest.raises(LogError, match="this log has its own"):
+        estimate_channels(spec, log, options=Options(temperature_c=23.4))
     with pytest.raises(LogError, match="no table axis 'q'"):
         estimate_channels(spec, log, options=Options(table_axis="q"))
     with pytest.raises(ValueError, match="never stands still"):

@@ -48,6 +48,7 @@ rates = ["60 deg/s", "120 deg/s", "180 deg/s", "240 deg/s", "360 deg/s", "540 de
 integration = "5 s"
 """
 )
+AT = Options(temperature_c=22.0)
 RUNS = ("rate_nofilt1", "rate_nofilt2", "rate_filt1", "rate_filt2")
 
 
@@ -110,7 +111,7 @@ def test_steps_of_the_jig_give_the_scale_factor(run, axis, told, scale):
     microstep and its vibration leave about one part in a thousand, not in ten thousand."""
     log, done = steps(run, axis)
     assert done == told
-    report = estimate_calibration(STEPS, log, axes=["xyz"[axis]])
+    report = estimate_calibration(STEPS, log, axes=["xyz"[axis]], options=AT)
     (channel,) = report.channels
     value, std = scale_factor(channel)
     assert 5e-4 < std < 1.5e-3
@@ -133,7 +134,7 @@ def test_rate_runs_agree_with_one_another_and_hardly_with_the_steps():
     of the steps. What is left is the drive: a rate is told to it as a count of clock ticks between microsteps, which
     nobody measured.
     """
-    found = [estimate_channels(RATES, rates(run), axes=["y"])[0] for run in RUNS]
+    found = [estimate_channels(RATES, rates(run), axes=["y"], options=AT)[0] for run in RUNS]
     values, deviations = np.array([scale_factor(channel) for channel in found]).T
     assert np.all((values > 1.0033) & (values < 1.0041))
     assert np.all(deviations < 5e-4)
@@ -143,7 +144,7 @@ def test_rate_runs_agree_with_one_another_and_hardly_with_the_steps():
         assert channel.consistency.noise_scale < 2.0
     of_steps = np.array(
         [
-            scale_factor(estimate_channels(STEPS, steps(*run)[0], axes=["xyz"[run[1]]])[0])
+            scale_factor(estimate_channels(STEPS, steps(*run)[0], axes=["xyz"[run[1]]], options=AT)[0])
             for run in (("steps_pitch", 1), ("steps_yaw", 2))
         ]
     )
@@ -163,7 +164,7 @@ def test_xsens_stands_still_between_hand_motions():
     assert number.max() + 1 == 38  # as many as motions are told of; the record ends in the last one
     first = np.flatnonzero(number == 0)
     assert (first[-1] - first[0]) * log.sample_interval_s > 40.0  # the first 50 s are at rest
-    report = estimate_calibration(STEPS, log, options=Options(read_every=0.5))
+    report = estimate_calibration(STEPS, log, options=Options(read_every=0.5, temperature_c=22.0))
     for channel in report.channels:
         names = channel.model.names()
         std = channel.found.known[0].deviations(channel.model.to_reported)
@@ -186,7 +187,7 @@ def test_mpu9150_stands_still_between_hand_rotations(number):
     assert found.max() + 1 == 22  # of 28 or 29 rotations told of, some follow one another without a rest
     if number:
         return
-    channels = estimate_channels(STEPS, log, axes=["x"])
+    channels = estimate_channels(STEPS, log, axes=["x"], options=AT)
     names = channels[0].model.names()
     still = found >= 0
     mean = np.mean([log.rate_rad_per_s[0, found == k, 0].mean() for k in range(found.max() + 1)])

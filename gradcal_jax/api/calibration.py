@@ -10,6 +10,7 @@ from gradcal_jax.api.build import assemble
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF, residual_map, target_of, verdict
+from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
@@ -27,6 +28,7 @@ from gradcal_jax.files.calibration import (
     scale_factor_names,
 )
 from gradcal_jax.files.log import Log
+from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import STATISTICS, statistic, unobservable_combinations
@@ -81,7 +83,30 @@ def estimate_calibration(
     log does not hold what the estimate needs.
     """
     options = options or Options()
-    channels = estimate_channels(spec, log, axes=axes, units=units, options=options)
+    return _report(spec, log, estimate_channels(spec, log, axes=axes, units=units, options=options), options, sources)
+
+
+def estimate_points(
+    spec: Spec, points: RatePoints, *, options: Options | None = None, sources: dict[str, str] | None = None
+) -> EstimateReport:
+    """The calibration of one axis from a table of points (temperature, reference rate, output, σ), by the spec's model.
+
+    **Raises:** `LogError` for a spec without a standard plan, and for too few points.
+    """
+    options = options or Options()
+    channel = point_channel(assemble(spec), points, options)
+    # As long as the points together, at their interval: what a calibration says of its log.
+    time = np.arange(len(points.output_rad_per_s), dtype=np.float64) * float(getattr(spec.schedule, "integration", 1.0))
+    log = Log(
+        time, points.output_rad_per_s[None, :, None], (points.unit,), (points.axis,), points.temperature_c[None],
+        simulated=points.simulated, provenance={"source": points.source},
+    )  # fmt: skip
+    return _report(spec, log, [channel], options, sources)
+
+
+def _report(
+    spec: Spec, log: Log, channels: list[UnitChannel], options: Options, sources: dict[str, str] | None
+) -> EstimateReport:
     by_unit: dict[str, list[UnitChannel]] = {}
     for channel in channels:
         by_unit.setdefault(channel.unit, []).append(channel)

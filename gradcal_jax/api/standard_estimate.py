@@ -1,4 +1,4 @@
-"""The standard method: a rate's error at each stable temperature, in the places where the log has the plan's points."""
+"""The standard method: a rate's error at each stable temperature, where a log has points or a table lists them."""
 
 import numpy as np
 
@@ -16,9 +16,10 @@ from gradcal_jax.api.unit_channel import (
 from gradcal_jax.estimation import Estimate, Observations
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
+from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.information import least_squares, noise_steps, unweighted
-from gradcal_jax.trajectory import Trajectory
+from gradcal_jax.trajectory import Trajectory, held
 
 
 def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Rows, options: Options) -> UnitChannel:
@@ -56,6 +57,59 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
             f"{found_points.unplanned} points that the plan does not have are in the log, at held rates and stable "
             "temperatures: they are used"
         )
+    done = estimation.Executed(found_points.line, found_points.rows, found_points.broken)
+    counts = count_rows(log, unit, integrated_rows(done, len(log.time_s)))
+    return _of_points(built, axis, log.units[unit], rows, table_rate, found_points, options, counts, messages)
+
+
+def point_channel(built: Assembled, points: RatePoints, options: Options) -> UnitChannel:
+    """A table of points, each as long as the plan integrates: as one row. Raises `LogError` for other plans.
+
+    With σ of their own they are independent, but for the reference's error; without it each has the spec's noise anew.
+    """
+    schedule = built.spec.schedule
+    if not isinstance(schedule, StandardSchedule):
+        raise LogError('a table of points is of the standard method: give a spec with method = "standard"')
+    count = len(points.output_rad_per_s)
+    if count < 2:
+        raise LogError(f"{points.source}: {count} points are too few")
+    before = lambda x: np.concatenate([x[:1], x])  # noqa: E731
+    time = float(schedule.integration) * np.arange(count + 1)
+    reference, temperature = before(points.reference_rad_per_s), before(points.temperature_c)
+    nothing, usable = np.zeros(count + 1, bool), np.arange(count + 1) > 0
+    rows = Rows(
+        time, np.diff(time, prepend=0.0), before(points.output_rad_per_s), temperature, None, reference, nothing,
+        usable, np.zeros(1, np.int64), (),
+    )  # fmt: skip
+    every, none = np.ones(count, bool), np.zeros(count, bool)
+    line = held(
+        time[:-1], np.diff(time), points.reference_rad_per_s, points.temperature_c, points.temperature_c, read=every,
+        at_rest=none, moving=every, gap=none, rates=True, points="independent",
+    )  # fmt: skip
+    where = estimation.Plateaus(line, np.arange(count + 1), none, (), 0)
+    said = [
+        "the points' order and times are not known: each has the spec's noise anew, and what they have in common (the "
+        "clock, the turn-on bias) is not in the covariance"
+    ]
+    if points.sigma_rad_per_s is not None:
+        said = ["the points' own sigma counts, in the place of the spec's noise; what they have in common is not in it"]
+    return _of_points(
+        built, points.axis, points.unit, rows, reference, where, options, {"used": count}, said, points.sigma_rad_per_s
+    )
+
+
+def _of_points(
+    built: Assembled,
+    axis: str,
+    unit: str,
+    rows: Rows,
+    table_rate: np.ndarray,
+    found_points: estimation.Plateaus,
+    options: Options,
+    counts: dict[str, int],
+    messages: list[str],
+    sigma: np.ndarray | None = None,
+) -> UnitChannel:
     model, line = built.model, found_points.line
     edges, broken = found_points.rows, found_points.broken
     lag = 0.0 if options.lag == "fit" else float(options.lag)
@@ -70,11 +124,21 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
     readings = np.where(broken, 0.0, np.diff(sums[edges + 1]))[:, None]
     mean_rate, time = line.terms[:, 0], rows.time[edges[1:]]
     observations = Observations(noise_steps(line, model), model.columns(nodes), readings, time, line.level, mean_rate)
+    if sigma is not None:
+        own = observations.steps
+        observations = observations._replace(
+            steps=own._replace(
+                transition=np.zeros_like(own.transition),
+                covariance=np.zeros_like(own.covariance),
+                initial=np.zeros_like(own.initial),
+                reading_variance=own.reading_variance + (sigma * line.duration) ** 2,
+            )
+        )
     white = estimation.whitened(observations, model)
     done = estimation.Executed(line, edges, broken)
     channel = finished(
         axis,
-        log.units[unit],
+        unit,
         model,
         observations,
         white,
@@ -83,11 +147,11 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
         done=done,
         lag=lag,
         lag_std=None,
-        counts=count_rows(log, unit, integrated_rows(done, len(log.time_s))),
+        counts=counts,
         messages=messages,
     )
     section = built.spec.plan
-    if isinstance(section, StandardPlanSection) and section.estimator == "least squares":
+    if sigma is None and isinstance(section, StandardPlanSection) and section.estimator == "least squares":
         channel = channel._replace(found=_unweighted(channel, line))
     return channel._replace(
         valid_temperature_c=covered_temperatures(line.level[~broken]),

@@ -49,6 +49,7 @@ def estimate(
     neighbours: str | None = None,
     temperature: str | None = None,
     parameters: Path | None = None,
+    points: Path | None = None,
     source: Recording = WHOLE,
     force: Flag = False,
     json: Json = False,
@@ -98,6 +99,9 @@ def estimate(
     parameters
         Write the bias over temperature here too, as parameters of the flight controller (PX4, ArduPilot) whose log
         this is.
+    points
+        What the columns mean of a table of points (gradcal-points/1): temperature, reference rate, output and its
+        sigma, a row a point, in the place of a log; see gradcal new point-map.
     force
         Overwrite the output.
     json
@@ -107,7 +111,15 @@ def estimate(
     """
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
     model = None if spec is None and recipe is None else _spec(spec, recipe)
-    if model is None:
+    table_of_points = None
+    if points is not None:
+        from gradcal_jax.files.points import read_points
+
+        if model is None or source != WHOLE or axis or unit or temperature is not None:
+            raise ValueError("--points needs the spec (--spec), and no option that chooses a part of a log")
+        table_of_points = read_points(log, points)
+        logs, names = [], [table_of_points.unit]
+    elif model is None:
         logs = load_all(log, source)
         if any(one.table_axes for one in logs) or temperature is not None:
             raise ValueError("give the spec with --spec, or the recipe that was run with --recipe: one of them")
@@ -116,7 +128,7 @@ def estimate(
     else:
         recorded = load(log, source, unit=unit[0] if unit else None)
         logs, names = [recorded], unit or recorded.units
-    firmware = recorded.provenance.get("firmware")
+    firmware = logs[0].provenance.get("firmware") if logs else None
     if parameters is not None:
         if firmware is None:
             raise ValueError(
@@ -137,14 +149,17 @@ def estimate(
 
     sources = {"log": log.name, "spec": (spec or recipe or Path()).name}
     asked = Options(**options, table_axis=table_axis, robust=robust)
-    if model is None:
+    if table_of_points is not None:
+        assert model is not None
+        report = work.estimate_points(model, table_of_points, options=asked, sources=sources)
+    elif model is None:
         report = estimate_warm_up(logs, axes=axis, units=unit, options=asked, sources=sources)
     else:
-        report = work.estimate_calibration(model, recorded, axes=axis, units=unit, options=asked, sources=sources)
+        report = work.estimate_calibration(model, logs[0], axes=axis, units=unit, options=asked, sources=sources)
     if json:
         print(as_json(work.estimate_rows(report)))
     else:
-        print("\n".join(described(one, str(log)) for one in logs))
+        print("\n".join(described(one, str(log)) for one in logs) or f"{log}: a table of points")
         print(_text(report))
     for name, path in files.items():
         write_calibration(next(c for c in report.calibrations if c.serial_number == name), path)

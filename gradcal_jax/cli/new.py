@@ -11,6 +11,7 @@ from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import columns
 
 _COLUMN_MAP: Final = "column-map"
+_POINT_MAP: Final = "point-map"
 
 
 def register(app: App) -> None:
@@ -31,7 +32,7 @@ def new(
     Parameters
     ----------
     preset
-        Its name, see --list; or column-map.
+        Its name, see --list; or column-map or point-map.
     output
         The file to write; - prints it.
     listing
@@ -39,15 +40,17 @@ def new(
     force
         Overwrite an existing file.
     """
-    from gradcal_jax.files import column_guess, presets
+    from gradcal_jax.files import column_guess, points, presets
 
     if listing:
         rows = [(name, presets.title(name)) for name in presets.names()]
-        print(columns([*rows, (_COLUMN_MAP, "What the columns of a recording mean, for --columns")], indent=""))
+        rows += [(_COLUMN_MAP, "What the columns of a recording mean, for --columns")]
+        print(columns([*rows, (_POINT_MAP, "What the columns of a table of points mean, for --points")], indent=""))
         return DONE
     if preset is None:
         raise ValueError("which preset? List them with: gradcal new --list")
-    text = column_guess.EXAMPLE if preset == _COLUMN_MAP else presets.text(preset)
+    examples = {_COLUMN_MAP: column_guess.EXAMPLE, _POINT_MAP: points.EXAMPLE}
+    text = examples[preset] if preset in examples else presets.text(preset)
     if output is None or output == "-":
         if output is None:
             raise ValueError(f"where to? Write a file with: gradcal new {preset} -o my.toml (or -o - to print it)")
@@ -57,6 +60,9 @@ def new(
 
     writable(Path(output), force)
     write_whole(output, text)
-    following = f"gradcal allan LOG --columns {output}" if preset == _COLUMN_MAP else f"gradcal check {output}"
+    following = {
+        _COLUMN_MAP: f"gradcal allan LOG --columns {output}",
+        _POINT_MAP: f"gradcal estimate TABLE --points {output} --spec SPEC",
+    }.get(preset, f"gradcal check {output}")
     print(f"wrote {output}; next: {following}")
     return DONE

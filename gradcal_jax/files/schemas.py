@@ -17,6 +17,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "timeline": ("contracts", "Timeline"),
     "prediction": ("contracts", "Prediction"),
     "columns": ("importers", "ColumnMap"),
+    "points": ("points", "PointMap"),
     "log": ("log_contents", "LogContents"),
     "calibration": ("calibration", "Calibration"),
     "recipe": ("recipe", "Recipe"),

@@ -1,0 +1,113 @@
+"""Tables of points: what a sensor said at a temperature and a reference rate. The standard method's data, as they are.
+
+    format         = "gradcal-points/1"
+    name           = "SN-7"                   # of the sensor; axis = "x"
+    temperature    = { column = "T", unit = "degC" }
+    reference_rate = { column = "table", unit = "deg/s" }
+    output         = { column = "gyro", unit = "deg/s", scale = 0.0305, zero = 12 }    # (number - zero) × scale
+    sigma          = { column = "std of mean", unit = "deg/s" }     # of the output; without it the spec's noise counts
+    [csv]
+    delimiter = ";"                           # as of a column map (importers)
+
+A row a point; text, .npz, .npy, .mat or netCDF (.nc), where columns are variables.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.log import LogError
+from gradcal_jax.files.quantity import Flag, Text
+from gradcal_jax.files.section import Section
+from gradcal_jax.files.tables import RateColumn, Source, TemperatureColumn, TextTable, read_table
+
+FORMAT: Final = "gradcal-points/1"
+Floats = NDArray[np.float64]
+Name = Annotated[Text, Field(max_length=100)]
+
+EXAMPLE: Final = """\
+format         = "gradcal-points/1"
+name           = "SN-1"                       # of the sensor; its serial number
+axis           = "x"
+# What each column means, a row a point. (number - zero) × scale is the value in the unit.
+temperature    = { column = "temp", unit = "degC" }
+reference_rate = { column = "table", unit = "deg/s" }
+output         = { column = "gyro", unit = "deg/s" }      # counts: scale = 0.0305, in deg/s per count
+# sigma        = { column = "std", unit = "deg/s" }       # of the output (a mean's); without it the spec's noise counts
+
+[csv]                                         # only where it is not ",", ".", and a header
+delimiter = ","                               # ";", "tab" or "whitespace"
+"""
+
+
+class PointMap(Section):
+    """What the columns of a table of points mean; see the module's head."""
+
+    format: Literal["gradcal-points/1"]
+    name: Name = "sensor"
+    axis: Name = "x"
+    simulated: Flag = False
+    temperature: TemperatureColumn
+    reference_rate: RateColumn
+    output: RateColumn
+    sigma: RateColumn | None = None
+    csv: TextTable = TextTable()
+
+    def sources(self) -> Iterator[Source]:
+        """Every column that the map names."""
+        yield from (self.temperature, self.reference_rate, self.output)
+        if self.sigma is not None:
+            yield self.sigma
+
+
+@dataclass(frozen=True)
+class RatePoints:
+    """Points of one axis, `(n,)` each: °C, rad/s; `sigma` of the output, or None where it is not known."""
+
+    unit: str
+    axis: str
+    temperature_c: Floats
+    reference_rad_per_s: Floats
+    output_rad_per_s: Floats
+    sigma_rad_per_s: Floats | None
+    source: str
+    simulated: bool
+
+
+def parse_point_map(text: str, source: str = "") -> PointMap:
+    """The map (gradcal-points/1) in a TOML text. Errors: `SpecError` with every fault."""
+    return model_of(PointMap, read_toml(text, source), FORMAT, source)
+
+
+def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
+    """A table of points by its map, or by the map in a file. Errors: `LogError` and `SpecError` with sentences."""
+    path = Path(path)
+    if not isinstance(columns, PointMap):
+        columns = parse_point_map(read_text(columns), str(columns))
+    table = read_table(path, columns.csv, list(columns.sources()), netcdf=True)
+    try:
+        temperature = table.measured(columns.temperature, "temperature")
+        reference, output = (table.measured(c, "angular rate") for c in (columns.reference_rate, columns.output))
+        sigma = None
+        if columns.sigma is not None:
+            sigma = table.measured(columns.sigma.model_copy(update={"zero": 0.0}), "angular rate")
+            if not np.all(sigma > 0.0):
+                raise LogError(f"sigma of row {int(np.argmin(sigma > 0.0))} is not above zero")
+        for words, values in (("temperature", temperature), ("reference rate", reference), ("output", output)):
+            if not np.isfinite(values).all():
+                raise LogError(f"the {words} of row {int(np.argmin(np.isfinite(values)))} is no number: leave it out")
+        # A sensor follows its table, but for its bias: a hundredfold more is a unit.
+        slope = float(output @ reference / (reference @ reference)) if reference.any() else 1.0
+        if not 0.5 < abs(slope) < 2.0:
+            raise LogError(f"the output is {slope:.3g} times the reference: is one of them in another unit or scale?")
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from None
+    return RatePoints(
+        columns.name, columns.axis, temperature, reference, output, sigma, path.name, columns.simulated
+    )  # fmt: skip

@@ -100,8 +100,8 @@ def estimate(
         Write the bias over temperature here too, as parameters of the flight controller (PX4, ArduPilot) whose log
         this is.
     points
-        What the columns mean of a table of points (gradcal-points/1): temperature, reference rate, output and its
-        sigma, a row a point, in the place of a log; see gradcal new point-map.
+        What the columns mean of a table of points (gradcal-points/1): temperature, rate of the table, output and how
+        far it may be off, in the place of a log; see gradcal new point-map.
     force
         Overwrite the output.
     json

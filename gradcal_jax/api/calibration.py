@@ -27,13 +27,15 @@ from gradcal_jax.files.calibration import (
     bias_names,
     scale_factor_names,
 )
-from gradcal_jax.files.log import Log
+from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import STATISTICS, statistic, unobservable_combinations
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
+# A scale-factor error beyond this is of no sensor.
+_ABSURD = 0.5
 # A disagreement between halves of the data that chance leaves once in a thousand.
 _APART = 3.3
 
@@ -107,6 +109,8 @@ def estimate_points(
 def _report(
     spec: Spec, log: Log, channels: list[UnitChannel], options: Options, sources: dict[str, str] | None
 ) -> EstimateReport:
+    for channel in channels:
+        _refuse_the_absurd(channel)
     by_unit: dict[str, list[UnitChannel]] = {}
     for channel in channels:
         by_unit.setdefault(channel.unit, []).append(channel)
@@ -116,6 +120,25 @@ def _report(
         _calibration(spec, log, unit, own, verdicts[unit], options, sources or {}) for unit, own in by_unit.items()
     )
     return EstimateReport(calibrations, tuple(channels), verdicts, messages)
+
+
+def _refuse_the_absurd(channel: UnitChannel) -> None:
+    """A scale factor that no gyro has is of a wrong reference, and no calibration. Raises `LogError`."""
+    scale = channel.model.scale
+    if scale is None or scale.rate is None:
+        return
+    where = channel.model.where(SCALE_FACTOR)
+    temperature = np.linspace(*channel.valid_temperature_c, 5)
+    rate = np.linspace(*channel.valid_rate_rad_per_s, 7)
+    if not rate.any() or not np.all(np.isfinite(channel.found.known[0].deviations(channel.model.to_reported[where]))):
+        return
+    table = channel.found.parameters[0][where].reshape(scale.temperature.size, scale.rate.size)
+    values = scale.temperature(temperature) @ table @ np.asarray(scale.rate(rate)).T
+    if (largest := float(np.max(np.abs(values)))) > _ABSURD:
+        raise LogError(
+            f"axis {channel.axis} of {channel.unit}: a scale-factor error of {largest * PPM:.4g} ppm is no gyro's: is "
+            "the reference of another axis, unit or sign, or are turns not as they were said?"
+        )
 
 
 def consistent(channel: UnitChannel) -> bool:

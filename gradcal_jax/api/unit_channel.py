@@ -79,7 +79,8 @@ def finished(
         messages.append(f"the lag stands at the longest looked at, {lag:.0f} s: the data do not tell it")
     if lag_std is not None and lag < 2.0 * lag_std:
         messages.append(f"no lag of the maps shows: the one found is {lag:.2g} s, and uncertain by {lag_std:.2g} s")
-    inside = rows.temperature[integrated_rows(done, len(rows.time))]
+    integrated = integrated_rows(done, len(rows.time))
+    inside = rows.temperature[integrated]
     groups: tuple[estimation.Group, ...] = ()
     if options.neighbours_k is not None:
         groups, said = _neighbours(model, observations, found, rows, done, options.neighbours_k)
@@ -97,7 +98,7 @@ def finished(
         lag_std,
         smoothness,
         covered_temperatures(inside),
-        _fastest(model, found, rows, lag),
+        _fastest(model, found, rows, lag, integrated),
         counts,
         tuple(dict.fromkeys(messages)),
         groups,
@@ -130,9 +131,11 @@ def _neighbours(
     return groups, said
 
 
-def _fastest(model: SensorModel, found: Estimate, rows: Rows, lag: float) -> tuple[float, float]:
-    """Slowest and fastest true rate of the rows that turn, rad/s; zero where none has a reference."""
-    turning = ~rows.standing & rows.usable
+def _fastest(
+    model: SensorModel, found: Estimate, rows: Rows, lag: float, integrated: np.ndarray
+) -> tuple[float, float]:
+    """Slowest and fastest true rate of the rows that turn and were integrated, rad/s; zero where none was."""
+    turning = ~rows.standing & rows.usable & integrated
     if rows.angle is None or not turning.any():
         return 0.0, 0.0
     rates = estimation.true_rate(model, found.parameters[0], rows.rate[turning], followed(rows, lag)[turning])

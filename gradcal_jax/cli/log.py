@@ -1,17 +1,94 @@
-"""`gradcal log`: the log of a run, from the journal's raw bytes; it can be made again at any time."""
+"""`gradcal log`: the log of a run, from the journal's raw bytes; and `log turns`: of turns that were made by hand."""
 
 from pathlib import Path
+from typing import Annotated
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
-from gradcal_jax.cli.output import Json, OptionalOutput, as_json
+from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, as_json, writable
+from gradcal_jax.cli.recordings import WHOLE, Recording, load, quantity
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.units import time_text
 
 
 def register(app: App) -> None:
     """Add the commands of this family."""
-    app.command(log)
+    made = App(name="log", help="The log of a run, or of turns made by hand.")
+    made.default(log)
+    made.command(turns)
+    app.command(made)
+
+
+def turns(
+    log: Path,
+    /,
+    *,
+    turns: Annotated[str, Parameter(name="--turns")],
+    output: Output,
+    axis: str | None = None,
+    unit: str | None = None,
+    source: Recording = WHOLE,
+    force: Flag = False,
+    json: Json = False,
+) -> int:
+    """Find turns made by hand in a recording, and write it with angle and rests, for estimate.
+
+    Parameters
+    ----------
+    log
+        A log (.nc), a flight log, or another program's table with --columns.
+    turns
+        The turns in their order, such as "360 deg, 360 deg, -720 deg"; a sign for each direction.
+    output
+        The log to write (.nc).
+    axis
+        About which axis of the sensor; the first one, without it.
+    unit
+        Which unit; the first one, without it.
+    force
+        Overwrite the output.
+    json
+        Print the turns as JSON.
+    """
+    import numpy as np
+
+    said = [quantity(text.strip(), "angle", "--turns") for text in turns.split(",")]
+    writable(output, force)
+    recorded = load(log, source, unit=unit)
+    from gradcal_jax.cli.precision import use_float64
+
+    use_float64()
+    from gradcal_jax.api.turns import with_turns
+    from gradcal_jax.files.log import write_log
+    from gradcal_jax.pages.plain_text import columns
+
+    marked, found = with_turns(recorded, said, axis=axis or 0, unit=unit or 0)
+    write_log(marked, output)
+    if json:
+        rows = [
+            {
+                "begin_s": t.begin_s,
+                "end_s": t.end_s,
+                "said_deg": np.degrees(t.said_rad),
+                "sensed_deg": np.degrees(t.sensed_rad),
+            }
+            for t in found
+        ]
+        print(as_json({"log": str(output), "axis": marked.table_axes[0], "turns": rows}))
+        return DONE
+    shown = [("from", "to", "said", "by the sensor")]
+    shown += [
+        (
+            f"{t.begin_s:.5g} s",
+            f"{t.end_s:.5g} s",
+            f"{np.degrees(t.said_rad):.6g} deg",
+            f"{np.degrees(t.sensed_rad):.6g} deg",
+        )
+        for t in found
+    ]
+    print(columns(shown, indent="", right=(0, 1, 2, 3)))
+    print(f"wrote {output}; next: gradcal estimate {output} --spec SPEC --axis {marked.table_axes[0]}")
+    return DONE
 
 
 def log(run: Path, /, *, output: OptionalOutput = None, unit: str | None = None, json: Json = False) -> int:

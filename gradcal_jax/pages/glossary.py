@@ -97,7 +97,7 @@ OF_THE_PROGRAM: Final[dict[str, str]] = {
     "chunk": "Points of a sweep that are computed together, and kept together when it is killed.",
     "clock": "Of the sensor or of the computer; the sensor's own rate error looks like a scale factor.",
     "column map": "A file that says what the columns of another program's recording mean, and in which units.",
-    "point map": "A file that says what the columns of a table of points mean (temperature, reference rate, output), and in which units.",
+    "point map": "A file that says what the columns of a table of points mean, and in which units.",
     "confidence": "The share of cases in which the true value lies within an interval.",
     "contract": "A form of JSON that other programs may rely on: gradcal-timeline/2 and gradcal-prediction/1.",
     "Dask": "A program that spreads work over the machines of a cluster.",

@@ -78,19 +78,22 @@ def describe(log, axis, lag_time_s):
 def test_allan_and_direct_bound_side_by_side(log, axis, pays):
     _, allan_at_once, at_once = describe(log, axis, 0.0)
     thermal, allan_lagging, lagging = describe(log, axis, None)
-    for allan in (allan_at_once, allan_lagging):
+    for lags, allan in enumerate((allan_at_once, allan_lagging)):
         # 0.1 to 1 deg/√h, as consumer MEMS gyros have: what speaks for rad/s.
         assert 4e-5 < allan.angle_random_walk.value < 3e-4
-        # Of x no band follows the model, its standard error says so.
-        widest = 0.5 if allan.chance < MISFIT and axis == "x" else 0.2
-        assert allan.angle_random_walk.standard_error < widest * allan.angle_random_walk.value
+        # Of x with its lag no band follows the model, which the standard error says (0.34 of N); of the rest 0.12.
+        if lags and axis == "x":
+            assert allan.chance < MISFIT
+            assert 0.2 < allan.angle_random_walk.standard_error / allan.angle_random_walk.value < 0.5
+        else:
+            assert allan.angle_random_walk.standard_error < 0.15 * allan.angle_random_walk.value
     assert at_once.drift_shows
     assert lagging.drift_shows
     # Both look at one record: the drift over ten minutes is of the Allan model's size times a maximum's few sigmas.
     for allan, bound in ((allan_at_once, at_once), (allan_lagging, lagging)):
         slow = np.sqrt(allan.rate_random_walk.value**2 * 600.0 / 3 * 2)
-        # (The fit believes its short times, and of x the loop in temperature is no rate random walk.)
-        assert 0.3 < bound.largest_drift[-1] / slow < 8.0
+        # (6.7 of x at once, whose loop in temperature is no rate random walk; of the others 2.3 to 5.7.)
+        assert 0.3 < bound.largest_drift[-1] / slow < (8.0 if axis == "x" and allan is allan_at_once else 6.0)
     if pays:
         assert thermal.lag_time_s > 60.0
         assert lagging.limit[-1] < 0.8 * at_once.limit[-1]

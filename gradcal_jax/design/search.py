@@ -23,6 +23,8 @@ _PENALTY = 30.0
 # end hardly shows where it begins. The better half of a stage goes on to the next, and at least so many.
 _BEGIN, _BRIEF = 24, 0.5
 _SURVIVORS, _FEWEST = 0.5, 4
+# What makes small kernels run a little quicker in some programs costs a third of the time to compile each.
+_COMPILER = {"xla_cpu_use_fusion_emitters": False}
 # Standard deviations of hops in coordinates of unit size, in turn; after a round of each that gains less than this
 # share it ends.
 _HOPS = (0.3, 1.0)
@@ -87,7 +89,7 @@ def _program(structure):
         of_z, of_eased = jax.lax.map(pull, jnp.eye(values.shape[0]))
         return values, of_z, of_eased
 
-    return jax.jit(slopes)
+    return jax.jit(slopes, compiler_options=_COMPILER)
 
 
 class Compiled:

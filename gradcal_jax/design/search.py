@@ -106,11 +106,12 @@ class Compiled:
 
     def __init__(self, objective: Minimised, whole: int, places: np.ndarray | None = None) -> None:
         leaves, structure = jax.tree.flatten(objective)
-        self._leaves = [jnp.asarray(leaf) for leaf in leaves]
+        # (`jnp.asarray` would compile a program for every shape.)
+        self._leaves = jax.device_put([np.asarray(leaf) for leaf in leaves])
         self._program = _program(structure)
         self._whole = whole
         self._places = np.arange(whole) if places is None else places
-        self._by = jnp.zeros(objective.eased)
+        self._by = jax.device_put(np.zeros(objective.eased))
         self.cost = objective.cost
         self.size = len(self._places)
 

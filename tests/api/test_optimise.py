@@ -20,6 +20,7 @@ from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.sensitivity import sensitivities
 from gradcal_jax.api.structures import structures
 from gradcal_jax.design import ProgrammeCoordinates, polish
+from gradcal_jax.design.search import _program
 from gradcal_jax.files import SpecError, changed
 from gradcal_jax.files.rounding import rounded
 
@@ -161,6 +162,32 @@ def test_the_recipe_of_limited_travel_is_worth_what_was_found(spec, travel, cycl
     check_executable(given, best.spec)
     assert best.now < 1.05 * best.found, best.sentence
     assert best.now == pytest.approx(residual(best.spec), rel=1e-12)
+
+
+def test_rests_read_otherwise_than_one_another_are_refused_where_their_times_stay(spec):
+    moves = [
+        {"rest": "10 s", "read_every": "5 s"},
+        {"duration": "50 s", "peak_rate": "200 deg/s", "shape": "cosine ramps"},
+        {"rest": "10 s", "read_every": "1 s"},
+        {"duration": "50 s", "peak_rate": "-150 deg/s", "shape": "cosine ramps"},
+    ]
+    uneven = changed(spec, {"plan.cycle.moves": moves, "design.free": ["peak_rate"], "design.moves": None})
+    with pytest.raises(ValueError, match="every 1 s and every 5 s: give them one read_every"):
+        structures(uneven, [])
+
+
+def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, best):
+    before = _program.cache_info().currsize
+    *steps, quick = optimise(spec, quick=True)
+    assert isinstance(quick, Optimised)
+    assert quick.now < 1.03 * best.now
+    assert len(steps) < 30
+    # The program of the whole search serves it; another spec of the class needs none either.
+    assert _program.cache_info().currsize == before
+    other = changed(spec, {"plan.cycle.other_axes.duration": "700 s", "sensor.angle_random_walk": "0.2 deg/sqrt(h)"})
+    *_, again = optimise(other, quick=True)
+    assert isinstance(again, Optimised)
+    assert _program.cache_info().currsize == before
 
 
 def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):

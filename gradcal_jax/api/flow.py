@@ -48,21 +48,25 @@ def compare(*specs: Spec) -> list[Prediction]:
 
 
 def optimise(
-    spec: Spec, *, steps: int = search.STEPS, watch: Callable[[search.Step], None] = _unwatched
+    spec: Spec,
+    *,
+    steps: int = search.STEPS,
+    quick: bool = False,
+    watch: Callable[[search.Step], None] = _unwatched,
 ) -> search.Optimised:
     """The best plan that gradient descent finds for a spec with a [design], rounded to the controllers' steps.
 
-    `steps`: iterations of each start. `watch` is told of progress (`api.optimise.Step`: `best` in `unit`, `share`
-    of the work). Returns `api.optimise.Optimised`: the rounded `spec`, `now` its residual and `before` the first
-    plan's, in `unit` (ppm or deg/h; minutes, where time is minimised), `converged` and a `sentence` that says why or
-    why not, the limits that bind and what easing them is worth. The best of several local optima: `limit` says how
-    much another plan could still gain.
+    `steps`: iterations of each start. `quick`: few starts, within some per cent of the best in seconds. `watch` is told
+    of progress (`api.optimise.Step`: `best` in `unit`, `share` of the work). Returns `api.optimise.Optimised`: the
+    rounded `spec`, `now` its residual and `before` the first plan's, in `unit` (ppm or deg/h; minutes, where time is
+    minimised), `converged` and a `sentence` that says why or why not, the limits that bind and what easing them is
+    worth. The best of several local optima: `limit` says how much another plan could still gain.
 
     Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, and for
     targets that are not met in the time allowed.
     """
     shortest = spec.design is not None and spec.design.minimise in TIMES
-    events = (minimise_time if shortest else search.optimise)(spec, steps=steps)
+    events = (minimise_time if shortest else search.optimise)(spec, steps=steps, quick=quick)
     for event in events:
         if isinstance(event, search.Optimised):
             return event

@@ -19,7 +19,7 @@ _SHORTEST = 1.0 / 20.0
 
 
 def minimise_time(
-    spec: Spec, *, steps: int = STEPS, stop: Callable[[], bool] = lambda: False
+    spec: Spec, *, steps: int = STEPS, quick: bool = False, stop: Callable[[], bool] = lambda: False
 ) -> Iterator[Step | Optimised]:
     """As `optimise`, for [design] that minimises "motion time" or "total time" under the requirements' targets.
 
@@ -45,7 +45,7 @@ def minimise_time(
             time = _between(short, long, too_much, best.now)
         found = None
         try:
-            for event in optimise(spec, steps=steps, motion=time, stop=stop):
+            for event in optimise(spec, steps=steps, quick=quick, motion=time, stop=stop):
                 if isinstance(event, Optimised):
                     found = event
                 else:

@@ -20,12 +20,16 @@ from gradcal_jax.design import (
     polish,
     search,
 )
-from gradcal_jax.files import Spec, changed
+from gradcal_jax.files import Spec, SpecError, changed
 from gradcal_jax.files.rounding import rounded, steps_of
 
 STEPS: Final = 240
 # A turn within this share of its cap is said to be at its limit.
 _AT_LIMIT: Final = 1e-3
+_POLISH: Final = 300
+_BRIEF_POLISH: Final = 40
+# Rounding that costs more than this share is said.
+_DEAR: Final = 0.05
 # From the best programme so many steps of these sizes (shares of the time, of the chamber's range) are tried.
 _HOPS: Final = 80
 _HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
@@ -100,7 +104,9 @@ def record_of(best: Optimised) -> dict[str, object]:
         "active_limits": list(best.active),
         "shadow_prices": [{"limit": p.limit, "per": p.per, "change": p.change} for p in best.prices],
     }
-    return record if best.before is None else {"before": best.before, **record}
+    absent = {"before"} if best.before is None else set[str]()
+    absent |= set() if np.isfinite(best.now) else {"now"}
+    return {name: value for name, value in {"before": best.before, **record}.items() if name not in absent}
 
 
 def scenario_specs(spec: Spec) -> list[Spec]:
@@ -125,15 +131,16 @@ def optimise(
     spec: Spec,
     *,
     steps: int = STEPS,
+    quick: bool = False,
     motion: float | None = None,
     checkpoint: Checkpoint | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Step | Optimised]:
     """Yield a `Step` every few iterations and the `Optimised` plan at the end.
 
-    `motion` s: time without soaks, in the place of [design]'s. `checkpoint`: go on from a step's. `stop`: asked after
-    every step; once true, the best so far is finished. Errors: `ValueError` when limits exclude each other or nothing
-    can be observed.
+    `quick`: few starts, and a brief polish by the same program. `motion` s: time without soaks, in the place of
+    [design]'s. `checkpoint`: go on from a step's. `stop`: asked after every step; once true, the best so far is
+    finished. Errors: `ValueError` when limits exclude each other or nothing can be observed.
     """
     design = design_of(spec)
     of = measure(spec)
@@ -148,6 +155,7 @@ def optimise(
             starts=design.starts,
             seed=design.seed,
             steps=steps,
+            quick=quick,
             state=state,
             stop=stop,
         ):
@@ -162,7 +170,7 @@ def optimise(
         if stop():
             break
     assert best is not None
-    yield finished(spec, of, known, choices[best[0]], best[1], motion, stop)
+    yield finished(spec, of, known, choices[best[0]], best[1], motion, stop, quick)
 
 
 def finished(
@@ -173,25 +181,40 @@ def finished(
     state: State,
     motion: float | None,
     stop: Callable[[], bool],
+    quick: bool,
 ) -> Optimised:
     """Prune, polish and round the best point of a search; the plan as it was where that is no better."""
     point = state.best_point
     coordinates = structure.coordinates
-    if isinstance(coordinates, Coordinates) and "duration" in coordinates.free:
-        coordinates, cycle = coordinates.pruned(coordinates.cycle(np.asarray(point)))
-        point = coordinates.vector(cycle)
+    # Fewer turns would be another class of sizes, for which to compile.
+    if not quick:
+        coordinates, point = _without_vanished(coordinates, point)
     if isinstance(coordinates, ProgrammeCoordinates):
         coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed, stop)
     else:
-        found = polish(of.compiled(coordinates), point)
-    # As a recipe will have it, so that the number is of what is executed.
-    plan = rounded(plan_to_spec(spec, *_without_vanished(coordinates, found.point)), steps_of(spec)).spec
-    now, sentence, converged = exact(plan, of), found.sentence, found.converged
-    if before is not None and now >= before and not of.limits and motion is None:
+        found = polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH if quick else _POLISH)
+    # As a recipe will have it, so that the number is of what is executed. Whatever comes of it, a plan is written.
+    sentence, converged = found.sentence, found.converged
+    try:
+        plan = rounded(plan_to_spec(spec, *_without_vanished(coordinates, found.point)), steps_of(spec)).spec
+        now = exact(plan, of)
+    except SpecError as error:
+        plan, now = spec, np.inf
+        sentence = f"the optimum cannot be rounded to the controllers' steps: {error}"
+    if not np.isfinite(now):
+        converged = False
+        sentence = f"rounded to the controllers' steps the plan observes too little, give finer ones; {sentence}"
+    elif now > (1.0 + _DEAR) * found.value:
+        more = 100.0 * (now / found.value - 1.0)
+        sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
+    kept = before is not None and now >= before and not of.limits and motion is None
+    if kept or not np.isfinite(now):
         plan = rounded(spec, steps_of(spec)).spec
         now, converged = exact(plan, of), False
+    if kept:
         sentence = (
             f"nothing better than the plan as it was ({now:.4g} {of.unit}): that is kept; try more moves or starts"
+            + (f" ({sentence})" if not np.isfinite(now) or found.value < 0.9 * now else "")
         )
     return Optimised(
         plan,
@@ -230,8 +253,12 @@ def best_programme(
 
 
 def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
-    """Turns that shrank to nothing in the polish are not for a technician to make."""
-    if not isinstance(coordinates, Coordinates) or "duration" not in coordinates.free:
+    """Turns that shrank to nothing are not for a technician to make.
+
+    Where travel is limited all turns may be brief, and more time would only make them slower: those that round to
+    nothing are written as rests.
+    """
+    if not isinstance(coordinates, Coordinates) or "duration" not in coordinates.free or coordinates.travels:
         return coordinates, point
     fewer, cycle = coordinates.pruned(coordinates.cycle(np.asarray(point)))
     return fewer, fewer.vector(cycle)

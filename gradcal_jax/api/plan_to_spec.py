@@ -5,24 +5,32 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gradcal_jax import formulas
 from gradcal_jax.api.structures import axes_of
 from gradcal_jax.design import (
+    STEEPNESS,
     AnyCoordinates,
     Coordinates,
     Cycle,
+    Element,
+    Limits,
     ProgrammeCoordinates,
     ProgrammeKnots,
     StandardCoordinates,
 )
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.rounding import ControllerSteps, steps_of
+from gradcal_jax.formulas import RAMPED_SHAPES
 
 DEG = math.pi / 180.0
 # A stretch of fewer steps of slope is held level: its time would not survive the rounding.
 _LEVEL = 5
 # To which what is left at the end of a programme is written; s.
 _TIME = 0.1
-_STEEP = math.pi / 2.0  # peak acceleration over rate / ramp time, of cosine ramps
+# So many steps longer a turn may become than it was, to fit; what is left of a visit that does not count, s.
+_LONGER = 100
+_LEFT = 1e-6
+_HAIR = 1.0 + 1e-9
 
 
 def plan_to_spec(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> Spec:
@@ -105,36 +113,20 @@ def _stretches(
 
 
 def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
-    """Rests become whole numbers of readings."""
+    """Rests become whole numbers of readings; turns are written by angle, rate and duration, each on its grid."""
     frame = coordinates.frame
     every = float(frame.read_every)
-    steps = steps_of(spec)
-    time, rate = float(steps.time), float(steps.rate)
-    whole = spec.design is not None and spec.design.whole_turns
     reading = {"read_every": _s(every)} if coordinates.others_read else {"read": "none"}
-    durations = _rounded(coordinates, np.asarray(cycle.durations), every, time)
-    visits: list[list[dict[str, object]]] = [[] for _ in range(coordinates.groups)]
-    # Where travel is limited the angle is kept, not the rate; what rounding leaves of it is the next turn's.
-    owed = 0.0
+    visits: list[list[_Move]] = [[] for _ in range(coordinates.groups)]
     given = spec.gradient_schedule.cycle
     axes = ["x"] if given is None else axes_of(given)
-    angles = coordinates.angles(cycle)
-    for i, element in enumerate(coordinates.elements()):
-        moves = visits[element.group]
-        if element.shape == "rest":
-            moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
-            continue
-        peak, ramp, angle = float(cycle.peak_rates[i]), float(cycle.ramps[i]), 0.0
-        if coordinates.travels:
-            owed += float(angles[i])
-            peak = owed / (durations[i] - ramp)
-        move = _turn(coordinates, durations[i], peak, ramp, rate, whole)
-        if move is not None:
-            moves.append({"shape": element.shape, "axis": axes[0], **move.keys})
-            angle = move.angle
+    for move in _moves(spec, coordinates, cycle):
+        moves = visits[move.element.group]
+        if not move.angle and moves and not moves[-1].angle:
+            # A turn that rounded to nothing belongs to the rest beside it.
+            moves[-1] = moves[-1]._replace(duration=moves[-1].duration + move.duration)
         else:
-            moves.append({"rest": _s(durations[i]), "read_every": _s(every)})
-        owed -= angle
+            moves.append(move)
     # What the plan's axes leave of the time between turns at the table is for axes that are not in the plan.
     idle = float(frame.other_time) - (len(axes) - 1) * float(frame.own_time)
     idle = idle if idle > 1e-6 else 0.0
@@ -143,7 +135,9 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
         if group and idle:
             every_move.append({"rest": _s(idle), "other_axes": True, **reading})
         for axis in axes:
-            every_move += [move | {"axis": axis} if "axis" in move else move for move in moves]
+            for move in moves:
+                rest: dict[str, object] = {"rest": _s(move.duration), "read_every": _s(every)}
+                every_move.append({"axis": axis, **move.keys()} if move.angle else rest)
     cycle_tables: dict[str, object] = {"moves": every_move}
     if idle:
         other: dict[str, object] = {"duration": _s(idle), "read": coordinates.others_read}
@@ -151,6 +145,114 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
             other["read_every"] = _s(every)
         cycle_tables["other_axes"] = other
     return changed(spec, {"plan.cycle": cycle_tables, **_programme(spec, coordinates, cycle)})
+
+
+class _Move(NamedTuple):
+    """A move on the controllers' grids: a turn by `angle`, whose ramps take about `ramp`; a rest where it is zero.
+
+    `peak`: of a ramped turn, at which that angle takes just that duration.
+    """
+
+    element: Element
+    duration: float
+    ramp: float = 0.0
+    angle: float = 0.0
+    peak: float = 0.0
+
+    def keys(self) -> dict[str, object]:
+        """Of a turn: what stands in a spec."""
+        turns = self.angle / (2.0 * math.pi)
+        whole = abs(turns - round(turns)) < 1e-12 * abs(turns)
+        angle = {"turns": round(turns)} if whole else {"turn": f"{self.angle / DEG:.12g} deg"}
+        peak = {"peak_rate": f"{self.peak / DEG:.9g} deg/s"} if self.peak else {}
+        return {"shape": self.element.shape, **angle, **peak, "duration": _s(self.duration)}
+
+    def lasting(self, duration: float, limits: Limits, step: float) -> "_Move | None":
+        """The same turn in another time, its rate a multiple of `step`; None where it does not fit.
+
+        With ramps r a turn of θ in D has the rate θ/(D − r), at least θ/D without ramps and 2θ/D with nothing else; and
+        the table's acceleration allows those between the roots of `steep ω² − D ω + θ`.
+        """
+        size, steep = abs(self.angle), STEEPNESS[self.element.shape] / float(limits.max_acceleration)
+        if self.element.shape not in RAMPED_SHAPES:
+            peak = size / formulas.turned_angle(self.element.shape, 1.0, duration)
+            fits = peak <= float(limits.max_rate) * _HAIR and steep * peak <= duration * _HAIR
+            return self._replace(duration=duration) if fits else None
+        if (square := duration**2 - 4.0 * steep * size) < 0.0:
+            return None
+        root = math.sqrt(square)
+        least = max(size / (duration - min(self.ramp, 0.5 * duration)), 2.0 * size / (duration + root))
+        most = min(float(limits.max_rate), 2.0 * size / duration, 0.5 * (duration + root) / steep)
+        peak = math.ceil(least / step - 1e-6) * step
+        return self._replace(duration=duration, peak=peak) if 0.0 < peak <= most * _HAIR else None
+
+
+def _moves(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> list[_Move]:
+    """The moves on the controllers' grids.
+
+    Rates are kept as they are, or, where travel is limited, the places at which turns end: nothing then adds up over
+    the cycles, and a cycle that is made again ends where it began. A turn that does not fit into its time gets more of
+    it, from the longest turn of its visit or else from its longest rests, reading by reading.
+    """
+    steps, limits = steps_of(spec), coordinates.limits
+    every, quick, brief, fine = (float(v) for v in (coordinates.frame.read_every, steps.rate, steps.time, steps.angle))
+    if spec.design is not None and spec.design.whole_turns:
+        fine = 2.0 * math.pi
+    durations = _rounded(coordinates, np.asarray(cycle.durations), every, brief)
+    places, here = np.cumsum(coordinates.angles(cycle)), 0
+    furthest = math.floor(float(limits.travel) / fine + 1e-6) if coordinates.travels else 0
+    moves: list[_Move] = []
+    for i, element in enumerate(coordinates.elements()):
+        rest = _Move(element, float(durations[i]), float(cycle.ramps[i]))
+        if element.shape == "rest":
+            moves.append(rest)
+            continue
+        if coordinates.travels:
+            count = max(-furthest, min(furthest, round(places[i] / fine))) - here
+        else:
+            count = _most(rest, float(cycle.peak_rates[i]), limits, fine)
+        times = rest.duration + brief * np.arange(_LONGER)
+        turns = (rest._replace(angle=count * fine).lasting(float(d), limits, quick) for d in times) if count else ()
+        move = next((turn for turn in turns if turn is not None), rest)
+        here += count if move.angle else 0
+        moves.append(move)
+    for group in range(coordinates.groups):
+        _fill([i for i, m in enumerate(moves) if m.element.group == group], moves, coordinates, every, quick)
+    return moves
+
+
+def _most(rest: _Move, peak: float, limits: Limits, fine: float) -> int:
+    """How many times `fine` (rad) a turn of about that rate makes in its time, as far as its acceleration lets it."""
+    steep, duration, shape = STEEPNESS[rest.element.shape], rest.duration, rest.element.shape
+    if shape in RAMPED_SHAPES:
+        steepest = float(limits.max_acceleration) / steep
+        size = abs(peak) * (duration - min(max(rest.ramp, abs(peak) / steepest), 0.5 * duration))
+        size = min(size, 0.25 * duration**2 * steepest)
+    else:
+        fastest = min(abs(peak), float(limits.max_acceleration) * duration / steep)
+        size = float(formulas.turned_angle(shape, fastest, duration))
+    # Angles in thousandths of a degree are cut off, whole turns as near as they may be.
+    count = math.floor(size / fine + (0.5 if fine > 1.0 else 1e-6))
+    while count and rest._replace(angle=count * fine).lasting(duration, limits, 1e-9) is None:
+        count -= 1
+    return int(math.copysign(count, peak))
+
+
+def _fill(members: list[int], moves: list[_Move], coordinates: Coordinates, every: float, step: float) -> None:
+    """Make the moves of a visit last as long as it does, where they can."""
+    turns = sorted((i for i in members if moves[i].angle), key=lambda i: -moves[i].duration)
+    left = float(coordinates.frame.own_time) - sum(moves[i].duration for i in members)
+    while abs(left) > _LEFT:
+        for i in turns:
+            other = moves[i].lasting(moves[i].duration + left, coordinates.limits, step)
+            if other is not None and other.duration > 0.0:
+                moves[i] = other
+                return
+        longest = max((i for i in members if not moves[i].angle), key=lambda i: moves[i].duration, default=None)
+        if left > 0.0 or longest is None or moves[longest].duration < 1.5 * every:
+            return
+        moves[longest] = moves[longest]._replace(duration=moves[longest].duration - every)
+        left += every
 
 
 def _rounded(coordinates: Coordinates, durations: np.ndarray, every: float, step: float) -> np.ndarray:
@@ -166,42 +268,8 @@ def _rounded(coordinates: Coordinates, durations: np.ndarray, every: float, step
             unit = every if is_rest else step
             found[i] = max(1, round(durations[i] / unit)) * unit
         last = max(turns or members, key=lambda i: durations[i])
-        found[last] = own - sum(found[i] for i in members if i != last)
+        found[last] = max(step, own - sum(found[i] for i in members if i != last))
     return found
-
-
-class _Turn(NamedTuple):
-    """A turn as it is written, and its angle (rad)."""
-
-    keys: dict[str, object]
-    angle: float
-
-
-def _turn(
-    coordinates: Coordinates, duration: float, peak: float, ramp: float, step: float, whole: bool
-) -> _Turn | None:
-    """A turn that the table executes; None where it rounds to nothing."""
-    limits = coordinates.limits
-    fastest, steepest = float(limits.max_rate), float(limits.max_acceleration)
-    size = min(abs(peak), fastest)
-    # Ramps in the resolution of time, long enough for the acceleration.
-    ramp = min(math.ceil(max(ramp, _STEEP * size / steepest) / 0.01 - 1e-9) * 0.01, duration / 2.0)
-    fastest = min(fastest, steepest * ramp / _STEEP)
-    size = min(size, fastest)
-    if whole:
-        turns = round(size * (duration - ramp) / (2.0 * math.pi))
-        while turns * 2.0 * math.pi / (duration - ramp) > fastest:
-            turns -= 1
-        if not turns:
-            return None
-        turns = int(math.copysign(turns, peak))
-        return _Turn({"turns": turns, "duration": _s(duration), "ramp": _s(ramp)}, turns * 2.0 * math.pi)
-    size = min(round(size / step), math.floor(fastest / step + 1e-9)) * step
-    if size <= 0.0:
-        return None
-    size = math.copysign(size, peak)
-    keys: dict[str, object] = {"peak_rate": f"{size / DEG:.9g} deg/s", "duration": _s(duration), "ramp": _s(ramp)}
-    return _Turn(keys, size * (duration - ramp))
 
 
 def _programme(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> dict[str, object]:

@@ -34,8 +34,6 @@ _MOVES: Final = 36
 _LEAST_MOVES: Final = 4
 # With the cycle's length free: so many turns at the table.
 _FREE_VISITS: Final = (3, 4, 6)
-# What rounding adds to an angle must fit into the travel, too.
-_ROOM_TO_ROUND: Final = 1.0 - 1e-3
 _FREE: Final = {"duration": "duration", "rest": "duration", "turn": "duration", "peak_rate": "peak_rate"}
 
 
@@ -58,7 +56,7 @@ def limits_of(spec: Spec, scenarios: list[Spec]) -> Limits:
     return Limits(
         largest_rate(spec, scenarios),
         min(float(s.rig.table.max_acceleration) for s in every),
-        _ROOM_TO_ROUND * min(float(s.rig.table.travel) for s in every),
+        min(float(s.rig.table.travel) for s in every),
         min(float(s.rig.chamber.max_heating if up else s.rig.chamber.max_cooling) for s in every),
     )
 
@@ -294,6 +292,13 @@ def _given(spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozen
     unsuited = {m.shape for m in moves} - {"rest", "cosine ramps", "linear ramps", "half sine", "raised cosine"}
     if unsuited:
         raise ValueError(f"optimise cannot change a move of shape {sorted(unsuited)[0]!r}: add duration to design.free")
+    spacings = sorted(
+        {"at the end" if m.read_every is None else f"every {m.read_every:g} s" for m in moves if m.is_rest}
+    )
+    if len(spacings) > 1:
+        raise ValueError(
+            f"optimise reads all rests alike, and these are read {' and '.join(spacings)}: give them one read_every"
+        )
     own, other = cycle.moving, cycle.other + cycle.idle
     visits = repetitions(time, own, own + other)[0]
     numbers = lambda name: np.array([float(getattr(m, name)) for m in cast("list[ResolvedMove]", moves)])  # noqa: E731

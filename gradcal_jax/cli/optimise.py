@@ -31,6 +31,7 @@ def optimise(
     json: Json = False,
     plot: Plot = None,
     steps: int = 240,
+    quick: Flag = False,
     resume: Flag = False,
     force: Flag = False,
 ) -> int:
@@ -51,6 +52,8 @@ def optimise(
         Draw the residual before and after into this file (.png, .svg, .pdf).
     steps
         Iterations of each start.
+    quick
+        Few starts: a plan within some per cent of the best, in seconds.
     resume
         Go on from where an interrupted search of the same spec stopped; it is kept beside the output.
     force
@@ -80,7 +83,7 @@ def optimise(
     checkpoint = checkpoints.read(kept, found) if resume else None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         best: Optimised | None = None
-        options = {"steps": steps, "stop": lambda: interrupt.asked}
+        options = {"steps": steps, "quick": quick, "stop": lambda: interrupt.asked}
         events = minimise_time(found, **options) if shortest else room.optimise(found, **options, checkpoint=checkpoint)
         for event in events:
             if isinstance(event, Optimised):

@@ -1,6 +1,15 @@
 """Plans by gradient descent: free coordinates, criteria, the search, and a proven limit."""
 
-from gradcal_jax.design.coordinates import EASED, Coordinates, Cycle, Element, Frame, Limits, make_coordinates
+from gradcal_jax.design.coordinates import (
+    EASED,
+    STEEPNESS,
+    Coordinates,
+    Cycle,
+    Element,
+    Frame,
+    Limits,
+    make_coordinates,
+)
 from gradcal_jax.design.criteria import EXACT, Criterion, Optimality, criterion
 from gradcal_jax.design.limit import Limit, limit
 from gradcal_jax.design.noise_floor import (
@@ -17,6 +26,7 @@ __all__ = [
     "EASED",
     "EXACT",
     "PRIOR_OF_WALK",
+    "STEEPNESS",
     "AnyCoordinates",
     "Case",
     "Compiled",

@@ -34,7 +34,7 @@ from gradcal_jax.trajectory.schedule import make_schedule
 Scalar = Any
 
 # Peak acceleration over (peak rate / time), the time being the ramp's, or the whole move's for shapes without ramps.
-_STEEPNESS = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0, "half sine": np.pi, "raised cosine": np.pi}
+STEEPNESS = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0, "half sine": np.pi, "raised cosine": np.pi}
 
 # A rest, and the standing while others turn, are searched with this many pieces; each one's reading stands for all that
 # fall into it.
@@ -95,7 +95,7 @@ class Frame(NamedTuple):
     read_every: Scalar
 
 
-SHAPES = ("rest", *_STEEPNESS)
+SHAPES = ("rest", *STEEPNESS)
 
 
 class Coordinates(eqx.Module):
@@ -426,7 +426,7 @@ class Coordinates(eqx.Module):
 EASED = 5
 """How many figures `Coordinates.eased` takes."""
 
-_STEEP = np.array([0.0, *_STEEPNESS.values()])
+_STEEP = np.array([0.0, *STEEPNESS.values()])
 _HAS_RAMPS = np.array([shape in RAMPED_SHAPES for shape in SHAPES])
 # Of unit peak rate: angle = first·duration + second·ramp, from `formulas.turned_angle`, which is linear in both.
 _ANGLE = np.array(
@@ -436,7 +436,7 @@ _ANGLE = np.array(
             formulas.turned_angle(s, 1.0, 1.0, 0.0),
             formulas.turned_angle(s, 1.0, 0.0, 1.0) if s in RAMPED_SHAPES else 0.0,
         )
-        for s in _STEEPNESS
+        for s in STEEPNESS
     ]
 ).T
 

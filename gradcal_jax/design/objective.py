@@ -55,6 +55,12 @@ class Objective(eqx.Module):
         """How many figures of rig and time may be eased."""
         return EASED if isinstance(self.coordinates, Coordinates) else 0
 
+    @property
+    def cost(self) -> int:
+        """Noise steps of all cases, about."""
+        template = getattr(self.coordinates, "template", None)
+        return len(self.cases) * (0 if template is None else template.piece_count)
+
     def value(self, z: Float[AnyArray, " n"], by: Float[AnyArray, " m"], sharpness):
         """The value and the excess of a vector's plan, with figures eased by so much (`Coordinates.eased`)."""
         coordinates = self.coordinates

@@ -23,6 +23,11 @@ _PENALTY = 30.0
 # end hardly shows where it begins. The better half of a stage goes on to the next, and at least so many.
 _BEGIN, _BRIEF = 24, 0.5
 _SURVIVORS, _FEWEST = 0.5, 4
+_QUICK_STEPS = 200
+# For an objective of more noise steps than this fewer begin, in proportion, and fewer hop.
+_CHEAP, _FEWEST_DEAR = 1024, 2
+# What makes small kernels run a little quicker in some programs costs a third of the time to compile each.
+_COMPILER = {"xla_cpu_use_fusion_emitters": False}
 # Standard deviations of hops in coordinates of unit size, in turn; after a round of each that gains less than this
 # share it ends.
 _HOPS = (0.3, 1.0)
@@ -44,11 +49,14 @@ class Minimised(Protocol):
     """What is minimised: a pytree, so that its numbers are arguments of the compiled program.
 
     `value(z, by, sharpness)`: the value, positive, and the logarithms by which limits are exceeded (k,), with figures
-    eased `by` so much, `eased` of them.
+    eased `by` so much, `eased` of them. `cost`: the noise steps that a value takes.
     """
 
     @property
     def eased(self) -> int: ...
+
+    @property
+    def cost(self) -> int: ...
 
     def value(self, z, by, sharpness) -> tuple[Any, Any]: ...
 
@@ -87,7 +95,7 @@ def _program(structure):
         of_z, of_eased = jax.lax.map(pull, jnp.eye(values.shape[0]))
         return values, of_z, of_eased
 
-    return jax.jit(slopes)
+    return jax.jit(slopes, compiler_options=_COMPILER)
 
 
 class Compiled:
@@ -98,11 +106,13 @@ class Compiled:
 
     def __init__(self, objective: Minimised, whole: int, places: np.ndarray | None = None) -> None:
         leaves, structure = jax.tree.flatten(objective)
-        self._leaves = [jnp.asarray(leaf) for leaf in leaves]
+        # (`jnp.asarray` would compile a program for every shape.)
+        self._leaves = jax.device_put([np.asarray(leaf) for leaf in leaves])
         self._program = _program(structure)
         self._whole = whole
         self._places = np.arange(whole) if places is None else places
-        self._by = jnp.zeros(objective.eased)
+        self._by = jax.device_put(np.zeros(objective.eased))
+        self.cost = objective.cost
         self.size = len(self._places)
 
     def __call__(self, z: Float[np.ndarray, " n"], sharpness: float = np.inf) -> Slopes:
@@ -167,6 +177,7 @@ def search(
     seed: int,
     steps: int = 240,
     hops: int = 8,
+    quick: bool = False,
     state: State | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Progress]:
@@ -174,10 +185,11 @@ def search(
 
     Twice as many points as `starts` begin; a start makes up to `steps` steps in all, as the maximum hardens, the better
     half going on each time; then some begin again near the best, as long as that gains something, `hops` times at most.
-    `state`: go on from there. `stop`: asked between steps; once true, descents end where they are. Errors:
-    `ValueError` when no start gives a finite objective.
+    `quick`: half as many begin, once each, and none hops. `state`: go on from there. `stop`: asked between steps; once
+    true, descents end where they are. Errors: `ValueError` when no start gives a finite objective.
     """
-    plan = _levels(starts, steps, hops)
+    share = min(1.0, _CHEAP / max(1, compiled.cost))
+    plan = _levels(1, min(steps, _QUICK_STEPS), 0, 0.5 * share) if quick else _levels(starts, steps, hops, share)
     total = sum(level.descents for level in plan)
     if state is None:
         points = np.random.default_rng(seed).standard_normal((plan[0].descents, compiled.size))
@@ -231,14 +243,16 @@ class _Level(NamedTuple):
     hop: float = 0.0
 
 
-def _levels(starts: int, steps: int, hops: int) -> list[_Level]:
+def _levels(starts: int, steps: int, hops: int, share: float) -> list[_Level]:
+    """`share`: how many of the starts and hops that nobody asked for are affordable."""
     stage = max(1, round(steps / len(SHARPNESS)))
-    counts = [max(2 * starts, _BEGIN)]
+    fewest = max(_FEWEST_DEAR, round(_FEWEST * share))
+    counts = [max(2 * starts, round(_BEGIN * share))]
     for _ in SHARPNESS[1:]:
-        counts.append(min(counts[-1], max(_FEWEST, round(_SURVIVORS * counts[-1]))))
+        counts.append(min(counts[-1], max(fewest, round(_SURVIVORS * counts[-1]))))
     levels = [_Level(k, count, stage) for k, count in zip(SHARPNESS, counts, strict=True)]
     levels[0] = levels[0]._replace(steps=max(1, round(_BRIEF * stage)))
-    return levels + [_Level(SHARPNESS[-1], _FEWEST, stage, _HOPS[k % len(_HOPS)]) for k in range(hops)]
+    return levels + [_Level(SHARPNESS[-1], fewest, stage, _HOPS[k % len(_HOPS)]) for k in range(hops)]
 
 
 def _descents(

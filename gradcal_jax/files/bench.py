@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.bases import increasing
+from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     Count,
     PositiveAcceleration,
@@ -37,6 +38,14 @@ class AngleReference(Section):
     standstill_offset: SizeOfAngle = Quantity(0.0, "0 deg", "angle")
     timing_error: SizeOfTime = Quantity(0.0, "0 s", "time")
     harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
+
+    @model_validator(mode="after")
+    def _once_each(self) -> "AngleReference":
+        orders = [harmonic.order for harmonic in self.harmonics]
+        again = [i for i, order in enumerate(orders) if order in orders[:i]]
+        message = "this order stands above already: give one amplitude for each order"
+        refuse(*(Problem(("harmonics", i, "order"), message, str(orders[i])) for i in again))
+        return self
 
 
 class Table(Section):

@@ -103,17 +103,22 @@ class GradientSchedule:
 
     @property
     def readings(self) -> int:
-        """Angle readings of the plan, the first of each stretch not counted."""
+        """Angle readings of the plan, of all axes that turn, the first of each stretch not counted."""
         if self.cycle is None:
             every = self.read_every
             return 0 if every is None else sum(reading_count(stretch.duration, every) for stretch in self.stretches)
         cycle, total = self.cycle, 0
-        own = sum(move.repeat * move.readings for move in cycle.moves)
-        for stretch in self.stretches:
-            total += stretch.cycles * own
-            if cycle.other_read_every is not None:
-                whole = max(0, stretch.cycles - 1) * reading_count(cycle.other, cycle.other_read_every)
-                total += whole + reading_count(stretch.leftover, cycle.other_read_every)
+        while_standing = lambda t: 0 if cycle.other_read_every is None else reading_count(t, cycle.other_read_every)  # noqa: E731
+        axes = {move.axis for move in cycle.moves if not move.is_rest} or {"x"}
+        for axis in axes:
+            stands = [not move.is_rest and move.axis != axis for move in cycle.moves]
+            own = sum(
+                move.repeat * (while_standing(move.duration) if still else move.readings)
+                for move, still in zip(cycle.moves, stands, strict=True)
+            )
+            for stretch in self.stretches:
+                between = max(0, stretch.cycles - 1) * while_standing(cycle.other)
+                total += stretch.cycles * own + between + while_standing(stretch.leftover)
         return total
 
 

@@ -10,9 +10,8 @@
 #include <memory>
 #include <type_traits>
 
-#include "xla/ffi/api/ffi.h"
-
-namespace ffi = xla::ffi;
+// XLA's plain C interface: its C++ headers take the compiler four times as long as everything here.
+#include "xla/ffi/api/c_api.h"
 
 namespace {
 
@@ -218,25 +217,24 @@ void pull(int64_t count, int64_t p, Steps steps, const Real* initial, const Real
 // --- how JAX calls it: arguments and results in the order of `native.py`, with any number of leading axes -----------
 
 struct Call {
-  ffi::RemainingArgs arguments;
-  ffi::RemainingRets results;
+  const XLA_FFI_Args& arguments;
+  const XLA_FFI_Rets& results;
   int64_t problems = 1, count, p;
 
-  Call(ffi::RemainingArgs arguments, ffi::RemainingRets results, size_t columns)
-      : arguments(arguments), results(results) {
-    const auto shape = arguments.get<ffi::AnyBuffer>(columns)->dimensions();
-    count = shape[shape.size() - 2];
-    p = shape[shape.size() - 1];
-    for (size_t i = 0; i + 2 < shape.size(); ++i) problems *= shape[i];
+  Call(XLA_FFI_CallFrame* frame, size_t columns) : arguments(frame->args), results(frame->rets) {
+    const auto* shape = static_cast<const XLA_FFI_Buffer*>(arguments.args[columns]);
+    count = shape->dims[shape->rank - 2];
+    p = shape->dims[shape->rank - 1];
+    for (int64_t i = 0; i + 2 < shape->rank; ++i) problems *= shape->dims[i];
   }
 
   // Argument or result `index` of problem `which`, each problem's of `size` numbers.
   template <typename T = Real>
   const T* in(size_t index, int64_t which, int64_t size) const {
-    return static_cast<const T*>(arguments.get<ffi::AnyBuffer>(index)->untyped_data()) + which * size;
+    return static_cast<const T*>(static_cast<const XLA_FFI_Buffer*>(arguments.args[index])->data) + which * size;
   }
   Real* out(size_t index, int64_t which, int64_t size) const {
-    return static_cast<Real*>((*results.get<ffi::AnyBuffer>(index))->untyped_data()) + which * size;
+    return static_cast<Real*>(static_cast<const XLA_FFI_Buffer*>(results.rets[index])->data) + which * size;
   }
   Steps steps(int64_t b) const {
     return {in(0, b, count * n * n), in(1, b, count * n * n), in(2, b, count * n), in(3, b, count),
@@ -244,36 +242,48 @@ struct Call {
   }
 };
 
-ffi::Error filter_all(ffi::RemainingArgs arguments, ffi::RemainingRets results) {
-  const Call call(arguments, results, 7);
+void filter_all(XLA_FFI_CallFrame* frame) {
+  const Call call(frame, 7);
   const int64_t count = call.count, p = call.p;
   for (int64_t b = 0; b < call.problems; ++b) {
     Kept<Real> kept;
-    const bool keep = results.size() > 3;
+    const bool keep = call.results.size > 3;
     if (keep)
       kept = {call.out(3, b, count * n * p), call.out(4, b, count * n * n), call.out(5, b, count * n),
               call.out(6, b, count)};
     filter(count, p, call.steps(b), call.in(5, b, n * p), call.in(6, b, n * n), call.in(7, b, count * p),
            call.out(0, b, count * p), call.out(1, b, n * p), call.out(2, b, n * n), keep ? &kept : nullptr);
   }
-  return ffi::Error::Success();
 }
 
-ffi::Error pull_all(ffi::RemainingArgs arguments, ffi::RemainingRets results) {
-  const Call call(arguments, results, 6);
+void pull_all(XLA_FFI_CallFrame* frame) {
+  const Call call(frame, 6);
   const int64_t count = call.count, p = call.p;
   for (int64_t b = 0; b < call.problems; ++b)
     pull(count, p, call.steps(b), call.in(5, b, n * n), call.in(6, b, count * p), call.in(7, b, count * p),
          {call.in(8, b, count * n * p), call.in(9, b, count * n * n), call.in(10, b, count * n), call.in(11, b, count)},
          {call.out(0, b, count * n * n), call.out(1, b, count * n * n), call.out(2, b, count * n),
           call.out(3, b, count), call.out(4, b, n * n), call.out(5, b, count * p)});
-  return ffi::Error::Success();
+}
+
+// Before it calls, XLA asks which version of its interface this was compiled for.
+XLA_FFI_Error* answered(XLA_FFI_CallFrame* frame, void (*compute)(XLA_FFI_CallFrame*)) {
+  for (auto* extension = frame->extension_start; extension; extension = extension->next)
+    if (extension->type == XLA_FFI_Extension_Metadata) {
+      auto* metadata = reinterpret_cast<XLA_FFI_Metadata_Extension*>(extension)->metadata;
+      metadata->api_version.major_version = XLA_FFI_API_MAJOR;
+      metadata->api_version.minor_version = XLA_FFI_API_MINOR;
+      metadata->traits = 0;
+      return nullptr;
+    }
+  if (frame->stage == XLA_FFI_ExecutionStage_EXECUTE) compute(frame);
+  return nullptr;
 }
 
 }  // namespace
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(gradcal_filter, filter_all, ffi::Ffi::Bind().RemainingArgs().RemainingRets());
-XLA_FFI_DEFINE_HANDLER_SYMBOL(gradcal_pull, pull_all, ffi::Ffi::Bind().RemainingArgs().RemainingRets());
+extern "C" XLA_FFI_Error* gradcal_filter(XLA_FFI_CallFrame* frame) { return answered(frame, filter_all); }
+extern "C" XLA_FFI_Error* gradcal_pull(XLA_FFI_CallFrame* frame) { return answered(frame, pull_all); }
 
 // --- how NumPy's arrays come, one problem at a time -------------------------------------------------------------------
 

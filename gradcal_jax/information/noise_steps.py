@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.model import Processes, SensorModel
-from gradcal_jax.trajectory import Trajectory, quadrature
+from gradcal_jax.trajectory import Rule, Trajectory, quadrature
 
 _NODES = 16
 
@@ -48,8 +48,8 @@ class NoiseSteps(NamedTuple):
         return NoiseSteps._make([*longer, np.asarray(self.initial)])
 
 
-def noise_steps(line: Trajectory, model: SensorModel) -> NoiseSteps:
-    """Steps of the noise alone, the parameters kept out of the state.
+def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> NoiseSteps:
+    """Steps of the noise alone, the parameters kept out of the state. `rule`: as of `regressors.at_readings`.
 
     The first reading is the angle's origin: its white noise and its standstill's offset are the angle state's initial
     error, which is the exact treatment of an unknown initial angle. At the end of a gap the origin is read anew. With a
@@ -62,7 +62,8 @@ def noise_steps(line: Trajectory, model: SensorModel) -> NoiseSteps:
 
     to_angle, q_angle, q_cross, q_self = _constant_drive(p, line.duration, line.end_rate())
     varying = line.varying_pieces
-    if m and varying.shape[0] and (xp is not np or np.any(p.rate_gain)):
+    driven_by_rate = (xp is not np or np.any(p.rate_gain)) if rule is None else rule.driven
+    if m and varying.shape[0] and driven_by_rate:
         by_rate = (p.rate_gain != 0.0)[None, :]
         driven = _varying_drive(p, line, varying)
         # A process that the rate does not drive has a constant c, whose closed form holds for any correlation time.
@@ -101,10 +102,10 @@ def noise_steps(line: Trajectory, model: SensorModel) -> NoiseSteps:
     extra = [stands] * offset
     diagonal = xp.concatenate([xp.zeros((count, 1)), decayed, *extra], axis=1)
     noise = xp.concatenate([xp.zeros((count, 1)), q_self, *((1.0 - x) * spread for x in extra)], axis=1)
-    states, everything = np.arange(n), slice(None)
-    transition = put(put(xp.zeros((count, n, n)), (everything, states, states), diagonal), (everything, 0), first_row)
-    covariance = put(xp.zeros((count, n, n)), (everything, states, states), noise)
-    covariance = put(put(covariance, (everything, 0), first_noise), (everything, everything, 0), first_noise)
+    states, below = np.arange(n), np.eye(n)[None, 1:]
+    transition = xp.concatenate([first_row[:, None], below * diagonal[:, 1:, None]], axis=1)
+    covariance = xp.concatenate([first_noise[:, 1:, None], (below * noise[:, 1:, None])[:, :, 1:]], axis=2)
+    covariance = xp.concatenate([first_noise[:, None], covariance], axis=1)
     at_rest = xp.where(line.at_rest, 1.0, 0.0)[:, None]
     observation = xp.concatenate([xp.ones((count, 1)), xp.zeros((count, m)), *([at_rest] * offset)], axis=1)
     if line.rates:

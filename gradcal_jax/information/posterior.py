@@ -49,7 +49,7 @@ def information(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     single precision, which cannot carry a covariance that is reported; for a search that needs only a direction, call
     `whitened_factor` yourself.
     """
-    steps, columns = noise_steps(line, model), at_readings(line, model, rule)
+    steps, columns = noise_steps(line, model, rule), at_readings(line, model, rule)
     if columns.dtype != np.float64:
         raise ValueError(SINGLE_PRECISION)
     if namespace(steps, columns) is np:

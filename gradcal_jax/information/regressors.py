@@ -7,7 +7,7 @@ pieces since its origin, one of a held rate that of its own piece.
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, namespace, running_sum
 from gradcal_jax.model import SensorModel
 from gradcal_jax.trajectory import Rule, Trajectory, gauss_nodes
 
@@ -29,7 +29,7 @@ def since_origin(
 ) -> Float[AnyArray, " P *c"]:
     """Running sums over pieces, counted from the end of the latest piece whose data are not used."""
     xp = namespace(increments)
-    rows = xp.cumsum(increments, axis=0)
+    rows = running_sum(increments)
     if not has_gaps:
         return rows
     latest = xp.maximum.accumulate(xp.where(gap, np.arange(len(rows)), -1))

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, fixed, namespace, repeated
+from gradcal_jax.arrays import AnyArray, fixed, namespace, repeated, running_sum
 from gradcal_jax.model import (
     BSpline,
     Discrepancy,
@@ -29,6 +29,8 @@ from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 # degree in rate adds a period to it, and needs two more.
 _MOVING_NODES = 16
 _CUBIC = 3
+# The first members of the motion family (`formulas.MOTION_TERMS`) are so many powers of the time.
+_POWERS = 4
 # A lagging sensor's exponentials are no polynomials.
 _LAGGED_NODES = 16
 # A piece is divided in halves of halves from its start until the lag's exponential falls by less than e^(this) or so.
@@ -43,7 +45,8 @@ _HAIR = 1e2
 
 class Rule(NamedTuple):
     """How a model's terms are integrated: nodes of a piece (or of a part of it) that moves, and of one that stands;
-    where the bases have breaks; and in how many halves of halves a lagging piece is divided. Structure, not numbers.
+    where the bases have breaks; in how many halves of halves a lagging piece is divided; and whether the rate drives
+    any of the noise (`driven`). Structure, not numbers.
     """
 
     moving: int
@@ -51,6 +54,7 @@ class Rule(NamedTuple):
     temperature_breaks: tuple[float, ...]
     rate_breaks: tuple[float, ...]
     lag_halves: int
+    driven: bool
 
 
 def rule_of(model: SensorModel, trajectory: Trajectory) -> Rule:
@@ -64,8 +68,16 @@ def rule_of(model: SensorModel, trajectory: Trajectory) -> Rule:
     lagged = bool(np.any(np.asarray(trajectory.excess) != 0.0))
     decays = float(np.max(np.where(trajectory.gap, 0.0, trajectory.duration), initial=0.0) * trajectory.lag_rate)
     halves = int(np.ceil(np.log2(max(decays / _LAG_TIMES, 1.0)))) if lagged else 0
-    standing = _LAGGED_NODES if lagged else max(_degree(basis) for basis in of_temperature) // 2 + 1
-    return Rule(_MOVING_NODES + 2 * max(0, degree - _CUBIC), standing, warm, fast, halves)
+    of_time = max(_degree(basis) for basis in of_temperature)
+    standing = _LAGGED_NODES if lagged else of_time // 2 + 1
+    moving = _MOVING_NODES + 2 * max(0, degree - _CUBIC)
+    # Ramps and free forms are polynomials in time, which few nodes integrate exactly.
+    powers = np.flatnonzero(np.any(np.asarray(trajectory.terms) != 0.0, axis=0))
+    if not lagged and np.all(powers < _POWERS):
+        exact = ((degree + 1) * int(np.max(powers, initial=0)) + of_time) // 2 + 1
+        moving = min(moving, exact)
+    driven = bool(np.any(np.asarray(model.processes.rate_gain) != 0.0))
+    return Rule(moving, standing, warm, fast, halves, driven)
 
 
 def _degree(basis) -> int:
@@ -89,7 +101,7 @@ def gauss_nodes(trajectory: Trajectory, model: SensorModel, rule: Rule | None = 
         standing = [brief, (np.flatnonzero(long), rule)]
     kinds = [(pieces, its, False) for pieces, its in standing] + [(line.moving_pieces, rule, True)]
     groups = [_group(line, pieces, its, moving=moving) for pieces, its, moving in kinds if pieces.shape[0]]
-    angle = xp.cumsum(line.turned())
+    angle = running_sum(line.turned())
     begin, end = line.ends()
     return Nodes(tuple(groups), end - begin, xp.concatenate([xp.zeros(1), angle[:-1]]), angle)
 

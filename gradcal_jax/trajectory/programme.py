@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, namespace, running_sum
 
 
 class RampTemperature(NamedTuple):
@@ -44,12 +44,11 @@ class Programme(eqx.Module):
     def times(self) -> Float[AnyArray, " knots"]:
         """Times (s) at which stretches begin and the last one ends."""
         xp = namespace(self.durations)
-        return xp.concatenate([xp.zeros(1), xp.cumsum(self.durations)])
+        return xp.concatenate([xp.zeros(1), running_sum(self.durations)])
 
     def chamber(self) -> tuple[Float[AnyArray, " S"], Float[AnyArray, " S"]]:
         """The chamber's temperature (°C) as each stretch begins and as it ends."""
-        xp = namespace(self.start, self.durations, self.slopes)
-        end = self.start + xp.cumsum(self.durations * self.slopes) + xp.cumsum(self.jumps)
+        end = self.start + running_sum(self.durations * self.slopes) + running_sum(self.jumps)
         return end - self.durations * self.slopes, end
 
     def sensor(self, thermal_lag: Float[AnyArray, ""] | float | None = None) -> RampTemperature:

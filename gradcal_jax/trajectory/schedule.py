@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, filled, namespace, put, size_class
+from gradcal_jax.arrays import AnyArray, filled, namespace, put, running_sum, size_class
 from gradcal_jax.formulas import reading_times, repetitions
 from gradcal_jax.trajectory.motion import Move, PieceTable, divide, joined, standing
 from gradcal_jax.trajectory.programme import Programme
@@ -60,10 +60,10 @@ class Schedule(eqx.Module):
     is left between the knots `fill_from` and `fill_to` of the programme after all moves, `fill_counts` times each.
 
     `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list pieces; entries of P (in a padded
-    schedule) are none. `has_gaps`: whether there are pieces whose data are not used. The first piece begins at the knot
-    `first_knot`. `spacing` s: true spacing of the readings of relaxed pieces. `rates`: the reference is a held rate at
-    set points (standard method) and not an angle; `points`: whether these share the run's noise, or are independent of
-    one another.
+    schedule) are none. `has_gaps`: whether there are pieces whose data are not used; `cut`: whether knots of the
+    programme may divide pieces. The first piece begins at the knot `first_knot`. `spacing` s: true spacing of the
+    readings of relaxed pieces. `rates`: the reference is a held rate at set points (standard method) and not an angle;
+    `points`: whether these share the run's noise, or are independent of one another.
     """
 
     duration: Float[AnyArray, " M"]
@@ -80,6 +80,7 @@ class Schedule(eqx.Module):
     fill_counts: Float[AnyArray, "F M"]
     first_knot: Int[AnyArray, ""]
     has_gaps: bool = eqx.field(static=True, default=False)
+    cut: bool = eqx.field(static=True, default=False)
     rates: bool = eqx.field(static=True, default=False)
     points: Points = eqx.field(static=True, default="one run")
 
@@ -102,17 +103,20 @@ class Schedule(eqx.Module):
         sensor = self.programme.sensor(thermal_lag)
         # A piece that knots divide counts its whole time once, where its last share ends.
         last = p.high < 0
-        counted = xp.cumsum(xp.where(last, whole, 0.0))
+        counted = running_sum(xp.where(last, whole, 0.0))
         begins = sensor.times[self.first_knot] + xp.concatenate([xp.zeros(1), counted[:-1]])
 
         def fraction(knot):
             # A piece of 1e-100 s is none: its inverse, and that of its square in a slope, would overflow.
             return (sensor.times[xp.maximum(knot, 0)] - begins) / xp.where(whole > 1e-100, whole, 1.0)
 
-        v0 = xp.where(p.low < 0, 0.0, fraction(p.low))
-        v1 = xp.where(last, 1.0, fraction(p.high))
-        duration, start = whole * (v1 - v0), begins + whole * v0
-        width = p.u_end - p.u_start
+        duration, start, u_start, u_end = whole, begins, p.u_start, p.u_end
+        if self.cut:
+            v0 = xp.where(p.low < 0, 0.0, fraction(p.low))
+            v1 = xp.where(last, 1.0, fraction(p.high))
+            duration, start = whole * (v1 - v0), begins + whole * v0
+            width = p.u_end - p.u_start
+            u_start, u_end = p.u_start + width * v0, p.u_start + width * v1
         # The middle says which stretch a piece belongs to: at its start, rounding would.
         middle = start + 0.5 * duration
         within = xp.clip(xp.searchsorted(sensor.times, middle, side="right") - 1, 0, sensor.slope.shape[0] - 1)
@@ -120,13 +124,13 @@ class Schedule(eqx.Module):
         return Trajectory(
             start=start,
             duration=duration,
-            u_start=p.u_start + width * v0,
-            u_end=p.u_start + width * v1,
+            u_start=u_start,
+            u_end=u_end,
             terms=p.terms * self.peak_rate[p.move][:, None],
             share=xp.where(p.relaxed, duration / self.spacing, 1.0),
             level=sensor.level[within] + sensor.slope[within] * since,
             slope=sensor.slope[within],
-            excess=sensor.excess[within] * xp.exp(-sensor.lag_rate * since),
+            excess=sensor.excess[within] * (1.0 if thermal_lag is None else xp.exp(-sensor.lag_rate * since)),
             lag_rate=sensor.lag_rate,
             read=p.read & last,
             at_rest=p.at_rest & (last | ~p.moving),
@@ -138,6 +142,7 @@ class Schedule(eqx.Module):
             has_gaps=self.has_gaps,
             rates=self.rates,
             points=self.points,
+            lagged=thermal_lag is not None,
         )
 
     def padded(self, moves: int | None = None, stretches: int | None = None) -> "Schedule":
@@ -211,7 +216,8 @@ def make_schedule(
     moving, varying = _places(pieces)
     made = Schedule(
         duration, peak, ramp, np.asarray(1.0 if spacing is None else float(spacing)), programme, pieces, moving,
-        varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(gaps), rates, points,
+        varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(gaps), bool(inner_knots), rates,
+        points,
     )  # fmt: skip
     return _cut_at_knots(made, inner_knots) if inner_knots else made
 

@@ -27,7 +27,7 @@ class Trajectory(eqx.Module):
     `read`: a reading at the end of the piece, which stands for `share` of them; `at_rest`: the axis stands then;
     `moving`: the rate is not zero throughout; `gap`: its data are not used, and the origin is read anew at its end;
     `segment` counts the moves. `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list
-    pieces. `has_gaps`, `rates`, `points`: see `schedule.Schedule`.
+    pieces. `has_gaps`, `rates`, `points`: see `schedule.Schedule`; `lagged`: whether `excess` may be other than zero.
     """
 
     start: Float[AnyArray, " P"]
@@ -50,6 +50,7 @@ class Trajectory(eqx.Module):
     has_gaps: bool = eqx.field(static=True, default=False)
     rates: bool = eqx.field(static=True, default=False)
     points: Literal["one run", "independent"] = eqx.field(static=True, default="one run")
+    lagged: bool = eqx.field(static=True, default=False)
 
     @property
     def piece_count(self) -> int:
@@ -64,6 +65,8 @@ class Trajectory(eqx.Module):
     def temperature(self, v: Float[AnyArray, "k q"], pieces=Everything) -> Float[AnyArray, "k q"]:
         """Sensor temperature (°C) at fractions `v` of each piece, or of each of the `k` given ones."""
         since, level, slope, excess = (f[pieces][:, None] for f in (self.duration, self.level, self.slope, self.excess))
+        if not self.lagged:
+            return level + slope * (v * since)
         return formulas.lagged_temperature(v * since, level, slope, excess, self.lag_rate)
 
     def ends(self) -> tuple[Float[AnyArray, " P"], Float[AnyArray, " P"]]:

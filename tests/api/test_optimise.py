@@ -4,6 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given as given_any
+from hypothesis import settings
+from hypothesis import strategies as st
 from search_problem import SPEC
 
 from gradcal_jax import files
@@ -17,7 +20,9 @@ from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.sensitivity import sensitivities
 from gradcal_jax.api.structures import structures
 from gradcal_jax.design import ProgrammeCoordinates, polish
+from gradcal_jax.design.search import _program
 from gradcal_jax.files import SpecError, changed
+from gradcal_jax.files.rounding import rounded
 
 DEG = math.pi / 180.0
 
@@ -105,6 +110,93 @@ def test_any_point_is_written_feasible_with_whole_turns_and_distinct_rates(spec,
     assert len(set(np.floor((peaks + 300 * DEG) / (150 * DEG)))) == 4
     assert plan.gradient_schedule.motion == pytest.approx(spec.gradient_schedule.motion, rel=1e-9)
     assert sum(m.repeat * m.duration for m in moves if m.other_axes) == pytest.approx(3 * 780.0)
+
+
+def limited(spec: files.Spec, travel: float, shape: str, cycles: str, **design) -> files.Spec:
+    moves = [
+        {"rest": "5 s", "read_every": "1 s"},
+        {"turn": "20 deg", "duration": "12 s", "shape": shape},
+        {"rest": "5 s", "read_every": "1 s"},
+        {"turn": "-20 deg", "duration": "12 s", "shape": shape},
+    ]
+    keys = {"rig.table.travel": f"{travel:.6g} deg", "plan.cycle.moves": moves, "design.cycles": cycles}
+    return changed(spec, keys | {f"design.{key}": value for key, value in design.items()})
+
+
+def check_executable(spec: files.Spec, plan: files.Spec) -> None:
+    """Nothing is left to round, and the cable is where it was after every cycle, within the travel in between."""
+    changes = [change for change in rounded(plan).changes if not change.endswith("cosine ramps -> linear ramps")]
+    assert not changes
+    moves = plan.gradient_schedule.cycle.moves
+    places = np.cumsum([m.angle for m in moves]) / DEG
+    assert np.max(np.abs(places)) <= float(spec.rig.table.travel) / DEG * (1 + 1e-9)
+    if plan.gradient_schedule.cycles > 1:
+        assert abs(places[-1]) < 1e-9
+    assert plan.gradient_schedule.cycles == spec.gradient_schedule.cycles or spec.design.cycles == "own"
+
+
+@pytest.mark.parametrize("shape", ["linear ramps", "cosine ramps"])
+@pytest.mark.parametrize("cycles", ["alike", "own"])
+def test_any_point_of_limited_travel_is_executed_as_it_is_written(spec, shape, cycles):
+    @settings(max_examples=15, deadline=None)
+    @given_any(travel=st.floats(20.0, 5000.0), seed=st.integers(0, 1000), whole=st.booleans())
+    def executed(travel: float, seed: int, whole: bool) -> None:
+        given = limited(spec, travel, shape, cycles, whole_turns=whole, moves=3)
+        coordinates = structures(given, [])[0].coordinates
+        point = 1.5 * np.random.default_rng(seed).standard_normal(coordinates.size)
+        plan = plan_to_spec(given, coordinates, point)
+        check_executable(given, plan)
+        if not whole:
+            wanted = coordinates.angles(coordinates.cycle(point))
+            made = sum(abs(m.angle) for m in plan.gradient_schedule.cycle.moves)
+            assert made == pytest.approx(np.sum(np.abs(wanted)), rel=0.02, abs=DEG)
+
+    executed()
+
+
+@pytest.mark.parametrize(("travel", "cycles"), [(90.0, "alike"), (360.0, "alike"), (2000.0, "own")])
+def test_the_recipe_of_limited_travel_is_worth_what_was_found(spec, travel, cycles):
+    given = limited(spec, travel, "linear ramps", cycles, starts=1)
+    *_, best = optimise(given, steps=20)
+    assert isinstance(best, Optimised)
+    check_executable(given, best.spec)
+    assert best.now < 1.05 * best.found, best.sentence
+    assert best.now == pytest.approx(residual(best.spec), rel=1e-12)
+
+
+def test_rests_read_otherwise_than_one_another_are_refused_where_their_times_stay(spec):
+    moves = [
+        {"rest": "10 s", "read_every": "5 s"},
+        {"duration": "50 s", "peak_rate": "200 deg/s", "shape": "cosine ramps"},
+        {"rest": "10 s", "read_every": "1 s"},
+        {"duration": "50 s", "peak_rate": "-150 deg/s", "shape": "cosine ramps"},
+    ]
+    uneven = changed(spec, {"plan.cycle.moves": moves, "design.free": ["peak_rate"], "design.moves": None})
+    with pytest.raises(ValueError, match="every 1 s and every 5 s: give them one read_every"):
+        structures(uneven, [])
+
+
+def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, best):
+    before = _program.cache_info().currsize
+    *steps, quick = optimise(spec, quick=True)
+    assert isinstance(quick, Optimised)
+    assert quick.now < 1.03 * best.now
+    assert len(steps) < 30
+    # The program of the whole search serves it; another spec of the class needs none either.
+    assert _program.cache_info().currsize == before
+    other = changed(spec, {"plan.cycle.other_axes.duration": "700 s", "sensor.angle_random_walk": "0.2 deg/sqrt(h)"})
+    *_, again = optimise(other, quick=True)
+    assert isinstance(again, Optimised)
+    assert _program.cache_info().currsize == before
+
+
+def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):
+    """Steps of an hour leave no turn: the plan as it was is kept, and it is said why."""
+    coarse = changed(spec, {"rig.resolution": {"angle": "3000 turn"}, "design.starts": 1, "rig.table.travel": "9 turn"})
+    *_, best = optimise(coarse, steps=20)
+    assert isinstance(best, Optimised)
+    assert not best.converged
+    assert "observes too little" in best.sentence or "cannot be rounded" in best.sentence
 
 
 def a_point(structure) -> np.ndarray:

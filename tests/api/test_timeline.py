@@ -8,7 +8,7 @@ import pytest
 
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.timeline import timeline
-from gradcal_jax.files import presets, spec_of
+from gradcal_jax.files import changed, presets, spec_of
 
 TABLES = tomllib.loads(presets.text("paper-dynamic-gradient"))
 TABLES["requirement"][0]["grid"] = [5, 5]
@@ -48,6 +48,18 @@ def test_every_reading_that_is_counted_is_in_the_timeline(rests, turns):
     for segment in written.segments:
         end = segment.start + segment.duration
         assert segment.read == any(segment.start + 1e-9 < r.time <= end + 1e-9 for r in written.readings)
+
+
+@pytest.mark.parametrize("read", [True, False])
+def test_of_several_axes_every_one_is_counted(read):
+    """Each reads at rest, at the end of its own turns and, where others are read, while the other one turns."""
+    base = spec_with(({},))
+    moves = [{"rest": "6 s", "read_every": "2 s"}, {**TURN, "axis": "x"}, {**TURN, "turn": "-360 deg", "axis": "z"}]
+    other = {"duration": "5 s", "read": read, **({"read_every": "1 s"} if read else {})}
+    spec = changed(base, {"plan.cycle": {"moves": moves, "other_axes": other}})
+    written = timeline(spec)
+    assert {r.axis for r in written.readings} == {"x", "z"}
+    assert sum(not r.origin for r in written.readings) == spec.schedule.readings
 
 
 def test_a_rest_read_at_its_end_is_one_read_so_often_that_this_is_its_only_reading():

@@ -306,6 +306,10 @@ class UnderALimit(eqx.Module):
     def eased(self) -> int:
         return 0
 
+    @property
+    def cost(self) -> int:
+        return 0
+
     def value(self, z, by, sharpness):
         del by, sharpness
         return self.offset + z @ z, jnp.log(2.0 / jnp.maximum(jnp.sum(z) + 10.0, 0.1) * 6.0)[None]

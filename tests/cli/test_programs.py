@@ -1,0 +1,38 @@
+"""How much a first `optimise` compiles, from the command line in a process of its own."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from search_problem import SPEC
+
+_RUN = """
+import jax, sys
+from gradcal_jax.cli import main
+jax.config.update("jax_log_compiles", True)
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def compiled(folder: Path, name: str, spec: str) -> list[str]:
+    """The names of the programs that `optimise` compiles, JAX's own cache of them being in `folder`."""
+    path = folder / f"{name}.toml"
+    path.write_text(spec, encoding="utf-8")
+    arguments = ["optimise", str(path), "-o", str(folder / f"{name}.recipe.toml"), "--quick", "--steps", "20"]
+    done = subprocess.run(
+        [sys.executable, "-c", _RUN, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"XDG_CACHE_HOME": str(folder)},
+        timeout=300,
+    )
+    assert done.returncode in (0, 1), done.stderr[-2000:]
+    return re.findall(r"Finished XLA compilation of (\S+)", done.stderr)
+
+
+def test_a_first_search_compiles_its_objective_and_nothing_else(tmp_path):
+    programs = compiled(tmp_path, "first", SPEC)
+    assert programs == ["jit(slopes)"]

@@ -6,9 +6,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.build import assemble
-from gradcal_jax.api.measure import Measure, design_of, measure, overrides
+from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.structures import Structure, structures
 from gradcal_jax.design import (
     AnyCoordinates,
@@ -20,7 +21,7 @@ from gradcal_jax.design import (
     polish,
     search,
 )
-from gradcal_jax.files import Spec, changed
+from gradcal_jax.files import Spec
 from gradcal_jax.files.rounding import rounded, steps_of
 
 STEPS: Final = 240
@@ -103,16 +104,11 @@ def record_of(best: Optimised) -> dict[str, object]:
     return record if best.before is None else {"before": best.before, **record}
 
 
-def scenario_specs(spec: Spec) -> list[Spec]:
-    """The spec with the overrides of each [[design.scenario]]."""
-    return [changed(spec, overrides(s)) for s in design_of(spec).scenario]
-
-
 def exact(spec: Spec, of: Measure) -> float:
     """The exact value of a spec's own plan, on the requirement's own grid; `inf` where it observes too little."""
     design = design_of(spec)
     rows = [row for row in spec.requirement if row.name == design.minimise]
-    if rows and not design.scenario:
+    if rows and len(of.cases) == 1:
         # Of several axes the worst.
         found = [row.decisive for row in predict(spec).requirements if row.name == rows[0].name]
         return max(np.inf if value is None else value for value in found)
@@ -139,7 +135,7 @@ def optimise(
     of = measure(spec)
     before = exact(spec, of)
     known = before if np.isfinite(before) else None
-    choices = structures(spec, scenario_specs(spec), motion=motion)
+    choices = structures(spec, [s for s, _ in scenario_specs(spec)], motion=motion)
     best = None if checkpoint is None else (checkpoint.best_structure, checkpoint.best)
     first, state = (0, None) if checkpoint is None else (checkpoint.structure, checkpoint.state)
     for k in range(first, len(choices)):

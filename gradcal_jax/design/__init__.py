@@ -1,7 +1,7 @@
 """Plans by gradient descent: free coordinates, criteria, the search, and a proven limit."""
 
 from gradcal_jax.design.coordinates import EASED, Coordinates, Cycle, Element, Frame, Limits, make_coordinates
-from gradcal_jax.design.criteria import EXACT, Criterion, Optimality, criterion
+from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, criterion
 from gradcal_jax.design.limit import Limit, limit
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
@@ -28,6 +28,7 @@ __all__ = [
     "Limit",
     "Limits",
     "Linear",
+    "Missed",
     "Objective",
     "Optimality",
     "Optimum",

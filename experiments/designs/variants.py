@@ -19,6 +19,7 @@ from gradcal_jax.files import Spec, changed, read_spec, to_toml
 HERE = Path(__file__).parent
 RECIPES = HERE.parent / "recipes"
 
+
 def hidden(each: str) -> dict[str, object]:
     """The polynomials after the cubics, up to degree 5 x 5, with a standard deviation each."""
     return {"standard_deviation": each, "temperature_degree": 5, "rate_degree": 5}

@@ -86,6 +86,18 @@ class Optimised(NamedTuple):
     point: np.ndarray
 
 
+def belief_of(spec: Spec) -> str:
+    """What a design without a discrepancy believes, as a sentence; empty where every polynomial map has one."""
+    sections = {"bias": spec.sensor.bias, "scale factor": spec.sensor.scale_factor}
+    sure = [name for name, s in sections.items() if s is not None and s.discrepancy is None and s.smoothness is None]
+    if not sure:
+        return ""
+    return (
+        f"believed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure of the "
+        "spec; a discrepancy there says how far from it they may be, and gives a plan that survives it"
+    )
+
+
 def record_of(best: Optimised) -> dict[str, object]:
     """What a recipe and --json keep of an optimisation."""
     record: dict[str, object] = {

@@ -19,9 +19,9 @@ def predict(spec: Spec, *, limits: bool = False, notices: bool = False) -> Predi
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also say of each requirement what it is limited by, and between what it lies where noise figures are
-    `uncertain`. `notices`: also say which hidden structure of the maps the plan would notice. The exact covariance of generalised least squares
-    under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with a warning. Errors:
-    none; whatever is wrong with a file, `read_spec` has refused already.
+    `uncertain`. `notices`: also say which hidden structure of the maps the plan would notice. The exact covariance of
+    generalised least squares under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with
+    a warning. Errors: none; whatever is wrong with a file, `read_spec` has refused already.
     """
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}

@@ -6,12 +6,14 @@ from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, count_rows, followed
+from gradcal_jax.api.tested_maps import hidden_maps
 from gradcal_jax.api.unit_channel import (
     UnitChannel,
     covered_rates,
     covered_temperatures,
     finished,
     integrated_rows,
+    whitened_columns,
 )
 from gradcal_jax.estimation import Estimate, Observations
 from gradcal_jax.files.log import Log, LogError
@@ -67,6 +69,10 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
     observations = Observations(noise_steps(line, model), model.columns(nodes), readings, time, line.level, mean_rate)
     white = estimation.whitened(observations, model)
     done = estimation.Executed(line, edges, broken)
+    hidden = [
+        (term, level, whitened_columns(observations._replace(columns=term.columns(nodes)))[0])
+        for term, level in hidden_maps(built.spec, model)
+    ]
     channel = finished(
         axis,
         log.units[unit],
@@ -80,6 +86,7 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
         lag_std=None,
         counts=count_rows(log, unit, integrated_rows(done, len(log.time_s))),
         messages=messages,
+        hidden=hidden,
     )
     section = built.spec.plan
     if isinstance(section, StandardPlanSection) and section.estimator == "least squares":

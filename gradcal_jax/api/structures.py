@@ -228,9 +228,7 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
         moves = design.moves or min(wanted, fitting)
         ends_moving = abs(cycles * groups * (each + between) - between - time) < 1e-6
         shape = next((m.shape for m in cycle.moves if m.shape in RAMPED_SHAPES), "cosine ramps")
-        elements = _elements(
-            shape, groups, moves, rest, not_shared=other <= 0.0, ends=ends_moving
-        )
+        elements = _elements(shape, groups, moves, rest, not_shared=other <= 0.0, ends=ends_moving)
         coordinates = make_coordinates(
             elements,
             limits_of(spec, scenarios),
@@ -256,9 +254,7 @@ def _read_every(cycle: ResolvedCycle) -> float:
     return spacings[0] if spacings else (cycle.other_read_every or 1.0)
 
 
-def _elements(
-    shape: str, groups: int, moves: int, rest: float, *, not_shared: bool, ends: bool
-) -> tuple[Element, ...]:
+def _elements(shape: str, groups: int, moves: int, rest: float, *, not_shared: bool, ends: bool) -> tuple[Element, ...]:
     """Turns with rests between; a rest first, before which the axis has not stood, and last where none follows."""
     found = [Element("rest", rest, 0)]
     for group in range(groups):

@@ -22,15 +22,15 @@ from gradcal_jax.information import (
     square_root,
     where_hidden,
 )
-from gradcal_jax.model import BIAS, SCALE_FACTOR, SensorModel, make_map
+from gradcal_jax.model import BIAS, DISCREPANCY, SCALE_FACTOR, Discrepancy, SensorModel, make_map
 
 FALSE_ALARM = 0.01
 """Level of the test where the spec has no design that says another."""
 _POWER = 0.9
 # So many degrees beyond the structure are tested where the spec does not say.
 _MORE = 2
-# A standard deviation for maps that have none of their own: any does, what the plan sees of the map is worked out of it.
-NOTIONAL = {BIAS: 1.0 / UNIT_OF["bias"][1], SCALE_FACTOR: 10.0 / UNIT_OF["scale_factor"][1]}
+# A standard deviation for maps that have none of their own: any does, for what the plan sees does not depend on it.
+NOTIONAL = {BIAS: 10.0 / UNIT_OF["bias"][1], SCALE_FACTOR: 100.0 / UNIT_OF["scale_factor"][1]}
 
 
 class TestedMap(NamedTuple):
@@ -93,6 +93,12 @@ def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     return eqx.tree_at(lambda m: m.terms, model, (*model.terms, beyond))
 
 
+def hidden_maps(spec: Spec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
+    """The hidden maps that a log of the spec's sensor is tested for, and the level of false alarms of each test."""
+    found = [(where_hidden(with_hidden(spec, model, name), name), of) for name, of in tested_maps(spec).items()]
+    return [(hidden[0], of.false_alarm) for hidden, of in found if hidden is not None]
+
+
 def noticing(built: Assembled) -> tuple[NoticeRow, ...]:
     """What the plan notices of hidden maps: for each axis and each map that is a polynomial."""
     tested = tested_maps(built.spec)
@@ -101,13 +107,16 @@ def noticing(built: Assembled) -> tuple[NoticeRow, ...]:
     model = built.model
     for quantity in tested:
         model = with_hidden(built.spec, model, quantity)
+    std = lambda name: lambda m: next(t for t in m.terms if t.name == DISCREPANCY.format(name)).std  # noqa: E731
     rows: list[NoticeRow] = []
     for channel in built.channels:
-        info = information(built.trajectory(channel), model)
         for quantity, of in tested.items():
+            # What is seen of the map does not depend on the size of its prior; a small one would hide it in rounding.
+            asked = eqx.tree_at(std(quantity), model, np.asarray(NOTIONAL[quantity]))
+            info = information(built.trajectory(channel), asked)
             # The other map counts as the spec has it: a hidden one that was only added to be tested is not there.
             others = [q for q in tested if q != quantity and where_hidden(built.model, q) is None]
-            term, where, believed = _without(info, model, others, quantity)
+            term, where, believed = _without(info, asked, others, quantity)
             rows.append(_row(quantity, channel, of, gains(kept(believed, where, term.std), float(term.std))))
     return tuple(rows)
 

@@ -40,7 +40,7 @@ from scipy.optimize import minimize
 
 from gradcal_jax.design.criteria import Criterion, Optimality
 from gradcal_jax.design.noise_floor import root_of
-from gradcal_jax.model import SCALE_FACTOR, Polynomial, SensorModel
+from gradcal_jax.model import Polynomial, SensorModel
 
 # The maximum hardens; between the stages the rates that would help most join the grid.
 _SHARPNESS = (8.0, 30.0, 100.0, 400.0, 2000.0, 10000.0)

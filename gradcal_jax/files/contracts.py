@@ -273,10 +273,11 @@ class NoticeRow(Section):
         if self.sure_from is None:
             words = "goes unnoticed, whatever its size"
         else:
-            words = f"is noticed with a probability of {self.sure_power:.0%} from {self.sure_from:.3g} {self.unit} each on"
+            words = f"with a probability of {self.sure_power:.0%} from {self.sure_from:.3g} {self.unit} each on"
             if self.power is not None:
                 size = f"{self.standard_deviation:.4g} {self.unit}"
-                words = f"is noticed with a probability of {self.power:.0%} where each has {size}, and {words[11:]}"
+                words = f"with a probability of {self.power:.0%} where each has {size}, and {words}"
+            words = f"is noticed {words}"
         return f"{hidden} {words}; false alarms: {self.false_alarm:.2g}"
 
 

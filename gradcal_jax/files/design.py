@@ -7,7 +7,17 @@ from pydantic import Field, model_validator
 
 from gradcal_jax.files.bases import Degree
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.quantity import Count, Flag, Number, PositiveScaleFactor, Probability, Quantity, Text, Time, Whole
+from gradcal_jax.files.quantity import (
+    Count,
+    Flag,
+    Number,
+    PositiveScaleFactor,
+    Probability,
+    Quantity,
+    Text,
+    Time,
+    Whole,
+)
 from gradcal_jax.files.section import Section, refuse
 
 TIMES = ("motion time", "total time")

@@ -1,9 +1,9 @@
 """`uncertain`: how far a noise figure may be from what is written, and what a table of such figures may hold.
 
-    standard_deviation = "1 deg/h"
-    correlation_time   = "120 s"
-    uncertain          = "factor 2"                                              # of all figures beside it
-    uncertain          = { correlation_time = ["1 min", "20 min"] }              # or of each by name
+standard_deviation = "1 deg/h"
+correlation_time   = "120 s"
+uncertain          = "factor 2"                                              # of all figures beside it
+uncertain          = { correlation_time = ["1 min", "20 min"] }              # or of each by name
 """
 
 import math

@@ -80,8 +80,9 @@ def quantiles(count: int, false_alarm: float) -> np.ndarray:
 def missed(share: Float[AnyArray, " k"], below: Float[AnyArray, " j"]):
     """The probability that the test does not notice: `P(Σ y²/share ≤ q)`; `below` are `quantiles`. Differentiable."""
     xp, count = namespace(share), len(below)
-    powers = (1.0 - share)[None, :] ** np.arange(count)[:, None]
-    sums = xp.sum(powers, axis=1)
+    # No powers: their derivative divides by what may be zero.
+    steps = xp.concatenate([xp.ones((1, len(share))), xp.tile((1.0 - share)[None, :], (count - 1, 1))])
+    sums = xp.sum(xp.cumprod(steps, axis=0), axis=1)
     place = np.arange(count)[:, None] - np.arange(count)[None, :]
     # 2j a_j − Σ b_(j−r) a_r = 0 is a triangular system; its first row says a_0.
     lower = xp.where(place > 0, -sums[np.maximum(place, 0)], 0.0) + np.diag(np.append(1.0, 2.0 * np.arange(1, count)))

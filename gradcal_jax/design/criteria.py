@@ -41,10 +41,14 @@ class Criterion(eqx.Module):
 
     def map(self, info: SquareRootInformation) -> Float[AnyArray, "n_T n_w"]:
         """The residual on the box; differentiable, for a plan that observes everything."""
-        variance = info.deviations(self.rows) ** 2 + self.beyond
-        if self.alone is not None:
-            variance = variance - info.deviations(self.alone) ** 2
-        xp = namespace(variance)
+        xp = namespace(info.factor, self.rows)
+        if self.alone is None:
+            variance = info.deviations(self.rows) ** 2 + self.beyond
+        else:
+            # cᵀCc − αᵀCα = (c − α)ᵀC(c + α): one product, where solves would take each of many rows by itself, twice.
+            half = solve_transposed(info.factor, xp.diag(1.0 / info.scale))
+            covariance = half.T @ half
+            variance = xp.sum(((self.rows - self.alone) @ covariance) * (self.rows + self.alone), axis=1) + self.beyond
         return xp.reshape(xp.sqrt(variance), self.shape)
 
     def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):

@@ -124,7 +124,7 @@ def size_of(every: list[Components]) -> Size | None:
         elif pivot(top) > quantile:
             ends.append(None)
         else:
-            ends.append(float(optimize.brentq(lambda v, q=quantile: pivot(v) - q, 0.0, top, xtol=1e-12, rtol=1e-10)))
+            ends.append(float(optimize.brentq(lambda v, q=quantile: pivot(v) - q, 0.0, top, xtol=1e-12)))
     low, high = ends
     root = lambda v: float(np.sqrt(v / scale))  # noqa: E731
     return Size(root(estimate), root(0.0 if low is None else low), None if high is None else root(high))

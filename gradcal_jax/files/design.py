@@ -81,10 +81,11 @@ class Design(Section):
     @model_validator(mode="before")
     @classmethod
     def _gone(cls, value: object) -> object:
-        if isinstance(value, Mapping) and "min_distinct_rates" in value:
+        table = cast("Mapping[str, object]", value) if isinstance(value, Mapping) else {}
+        if "min_distinct_rates" in table:
             message = (
                 "is gone: distinct rates do not make a plan notice a wrong model; say what it must notice, such as "
                 'notice = { standard_deviation = "10 ppm", power = "90 %" }'
             )
-            refuse(Problem(("min_distinct_rates",), message, cast("Mapping[str, object]", value)["min_distinct_rates"]))
-        return value
+            refuse(Problem(("min_distinct_rates",), message, table["min_distinct_rates"]))
+        return cast("object", value)

@@ -8,8 +8,8 @@ uncertain          = { correlation_time = ["1 min", "20 min"] }              # o
 
 import math
 import re
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Final
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar, Final, cast
 
 from pydantic import BeforeValidator, model_validator
 
@@ -28,16 +28,13 @@ def _understood(value: object) -> object:
     """One message for whatever is neither of the two."""
 
     def known(entry: object) -> bool:
-        ends = isinstance(entry, list | tuple) and len(entry) == 2 and all(isinstance(e, str) for e in entry)
-        return isinstance(entry, str) or ends
+        ends = cast("Sequence[object]", entry) if isinstance(entry, list | tuple) else ()
+        return isinstance(entry, str) or (len(ends) == 2 and all(isinstance(end, str) for end in ends))
 
-    if isinstance(value, Mapping):
-        wrong = [name for name, entry in value.items() if not known(entry)]
-    else:
-        wrong = [] if isinstance(value, str) else [""]
-    if wrong:
+    entries = cast("Mapping[str, object]", value).values() if isinstance(value, Mapping) else [None]
+    if not (isinstance(value, str) or all(known(entry) for entry in entries)):
         raise ValueError('expected "factor 2", or a table of figures, each "factor 2" or [least, largest]')
-    return value
+    return cast("object", value)
 
 
 Uncertain = Annotated[Text | dict[str, Text | Ends], BeforeValidator(_understood)]
@@ -80,7 +77,7 @@ class UncertainSection(Section):
                 refuse(Problem(key, 'expected "factor 2" (more than 1), or [least, largest]', value))
             ends = [Quantity.of(nominal * by, unit_of(nominal.text)) for by in (1.0 / factor, factor)]
             return ends[0], ends[1]
-        ends = []
+        ends: list[Quantity] = []
         for i, text in enumerate(value):
             try:
                 ends.append(Quantity.read(text, nominal.dimension))

@@ -18,6 +18,7 @@ test and are left out; which ones, the plan alone decides.
 """
 
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -116,7 +117,7 @@ def noticed_from(gain: Float[np.ndarray, " s"], probability: float, false_alarm:
             return None
     while short(low) > 0.0:
         low -= 2.0
-    found = brentq(short, low, high, xtol=1e-10)
+    found = float(cast("float", brentq(short, low, high, xtol=1e-10)))
     return scale * float(np.exp(found))
 
 

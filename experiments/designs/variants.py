@@ -18,6 +18,13 @@ from gradcal_jax.files import Spec, changed, read_spec, to_toml
 
 HERE = Path(__file__).parent
 RECIPES = HERE.parent / "recipes"
+
+
+def hidden(each: str) -> dict[str, object]:
+    """The polynomials after the cubics, up to degree 5 x 5, with a standard deviation each."""
+    return {"standard_deviation": each, "temperature_degree": 5, "rate_degree": 5}
+
+
 FREE = ["duration", "peak_rate", "ramp"]
 BIAS = {"temperature": {"basis": "polynomial", "degree": 3, "centre": "20 degC", "scale": "50 K"}}
 REALISTIC = {
@@ -37,9 +44,11 @@ MOVING: dict[str, dict[str, object]] = {
     "headline": {},
     "cycle-length-free": {"design.free": [*FREE, "cycle"]},
     "bias-unknown": {"sensor.bias": BIAS},
-    "six-distinct-rates": {"design.min_distinct_rates": 6},
+    "notices-5ppm": {"design.notice": hidden("5 ppm") | {"power": "99 %"}},
     "whole-turns": {"design.whole_turns": True, "rig.table.angle.harmonics": HARMONICS},
     "realistic-budget": REALISTIC,
+    "headline_discrepancy": {"sensor.scale_factor.discrepancy": hidden("5 ppm")},
+    "headline_discrepancy_10ppm": {"sensor.scale_factor.discrepancy": hidden("10 ppm")},
     "shortest-for-77ppm": {
         "requirement[0].target": "77 ppm",
         "design.minimise": "motion time",
@@ -78,7 +87,7 @@ def run(name: str) -> dict[str, object]:
 
 def path_of(name: str) -> Path:
     """Where a variant's recipe is kept."""
-    return (RECIPES if name == "headline" else RECIPES / "headline") / f"{name}.toml"
+    return (RECIPES if name.partition("_")[0] == "headline" else RECIPES / "headline") / f"{name}.toml"
 
 
 def compared(name: str) -> dict[str, object]:

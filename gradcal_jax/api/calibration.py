@@ -11,7 +11,9 @@ from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF, residual_map, target_of, verdict
 from gradcal_jax.api.standard_estimate import point_channel
+from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
+from gradcal_jax.estimation import StructureTest, size_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (
@@ -51,6 +53,20 @@ class Verdict(NamedTuple):
     verdict: str | None
 
 
+class MeasuredDiscrepancy(NamedTuple):
+    """Of one map and axis, in `unit`: standard deviation of the coefficients beyond the structure, with its 95 %
+    interval (`high` None: no end), of so many units together; `block` is what a spec says of it."""
+
+    quantity: str
+    axis: str
+    units: int
+    unit: str
+    standard_deviation: float
+    low: float
+    high: float | None
+    block: str
+
+
 class EstimateReport(NamedTuple):
     """What `estimate_calibration` gives: a calibration for each unit, and behind it every channel's estimate."""
 
@@ -60,6 +76,8 @@ class EstimateReport(NamedTuple):
     """By unit."""
     messages: dict[str, tuple[str, ...]]
     """By unit: what the calibration should not be used without having read."""
+    discrepancies: tuple[MeasuredDiscrepancy, ...]
+    """By axis and map, of all units together."""
 
     @property
     def as_wished(self) -> bool:
@@ -119,7 +137,8 @@ def _report(
     calibrations = tuple(
         _calibration(spec, log, unit, own, verdicts[unit], options, sources or {}) for unit, own in by_unit.items()
     )
-    return EstimateReport(calibrations, tuple(channels), verdicts, messages)
+    measured = tuple(discrepancies(spec, channels))
+    return EstimateReport(calibrations, tuple(channels), verdicts, messages, measured)
 
 
 def _refuse_the_absurd(channel: UnitChannel) -> None:
@@ -144,7 +163,8 @@ def _refuse_the_absurd(channel: UnitChannel) -> None:
 def consistent(channel: UnitChannel) -> bool:
     """Whether every test of the fit is passed."""
     tests = channel.consistency
-    return tests.fit.passed and tests.whiteness.passed and all(s.agreement.passed for s in tests.splits)
+    structure = not any(test.noticed for test in channel.structure)
+    return structure and tests.fit.passed and tests.whiteness.passed and all(s.agreement.passed for s in tests.splits)
 
 
 def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
@@ -186,6 +206,7 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
         )
     if not tests.whiteness.passed:
         found.append(f"{where}the residuals are not white: something lasts from reading to reading that the spec lacks")
+    found += [where + structure_in_words(test) for test in channel.structure if test.noticed]
     for split in tests.splits:
         if split.agreement.passed:
             continue
@@ -195,6 +216,37 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
             f"{where}{split.name}: they do not say the same (chance {split.agreement.probability:.1g}){culprits}"
         )
     return found
+
+
+def structure_in_words(test: StructureTest) -> str:
+    """What the data ask of the structure of a map."""
+    assert test.asked is not None
+    of_temperature, of_rate = test.asked
+    degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
+    return (
+        f"the {test.quantity.replace('_', ' ')} has more structure than the model (chance "
+        f"{test.test.probability:.1g}): the data ask for {degree}"
+    )
+
+
+def discrepancies(spec: Spec, channels: Sequence[UnitChannel]) -> list[MeasuredDiscrepancy]:
+    """What the channels of all units together say of each map's discrepancy. Errors: none."""
+    rows: list[MeasuredDiscrepancy] = []
+    for axis in dict.fromkeys(c.axis for c in channels):
+        for quantity, of in tested_maps(spec).items():
+            tests = [t for c in channels if c.axis == axis for t in c.structure if t.quantity == quantity]
+            size = size_of([t.components for t in tests]) if tests else None
+            if size is None:
+                continue
+            unit, factor = UNIT_OF[quantity]
+            high = None if size.high is None else size.high * factor
+            degrees = f"temperature_degree = {of.temperature_degree}"
+            degrees += "" if quantity == BIAS else f", rate_degree = {of.rate_degree}"
+            std = f'standard_deviation = "{size.std * factor:.3g} {unit}"'
+            block = f"[sensor.{quantity}]\ndiscrepancy = {{ {std}, {degrees} }}"
+            stated = (size.std * factor, size.low * factor, high)
+            rows.append(MeasuredDiscrepancy(quantity, axis, len(tests), unit, *stated, block if size.std else ""))
+    return rows
 
 
 def _calibration(
@@ -326,6 +378,7 @@ def estimate_rows(report: EstimateReport) -> dict[str, Any]:
     return {
         "simulated": any(c.simulated for c in report.calibrations),
         "as_wished": report.as_wished,
+        "discrepancies": [row._asdict() for row in report.discrepancies],
         "units": [
             {
                 "serial_number": c.serial_number,
@@ -376,6 +429,16 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
                 "map_ppm": g.of_map * PPM,
             }
             for g in channel.neighbours
+        ],
+        "structure": [
+            {
+                "quantity": t.quantity,
+                "test": _test_row(t.test),
+                "false_alarm": t.false_alarm,
+                "noticed": t.noticed,
+                "degrees_asked": None if t.asked is None else list(t.asked),
+            }
+            for t in channel.structure
         ],
         "down_weighted": int(np.count_nonzero(channel.weights < 1.0)),
         "consistency": {

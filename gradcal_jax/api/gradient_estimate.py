@@ -9,11 +9,19 @@ from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, count_rows, followed
-from gradcal_jax.api.unit_channel import LONGEST_LAG_S, UnitChannel, finished, integrated_rows, within
+from gradcal_jax.api.tested_maps import hidden_maps
+from gradcal_jax.api.unit_channel import (
+    LONGEST_LAG_S,
+    UnitChannel,
+    finished,
+    integrated_rows,
+    whitened_columns,
+    within,
+)
 from gradcal_jax.estimation import Estimate, Observations, Whitened
 from gradcal_jax.files.log import Log
 from gradcal_jax.information import noise_steps, since_origin
-from gradcal_jax.model import SensorModel
+from gradcal_jax.model import Discrepancy, SensorModel
 
 _ROUNDS = 8
 # A change of the parameters, in standard deviations, that no longer matters.
@@ -58,7 +66,7 @@ def gradient_channels(
     time = first.time[done.rows[1:]]
     turning = within(done.rows, moving & ~done.broken, len(first.time))
 
-    def observe(lag: float, parameters: np.ndarray | None) -> Observations:
+    def observe(lag: float, parameters: np.ndarray | None, term: SensorModel | Discrepancy = model) -> Observations:
         columns = []
         for k, unit in enumerate(members):
             one = rows[unit]
@@ -73,7 +81,7 @@ def gradient_channels(
             nodes = estimation.sample_nodes(
                 rates, temperature_of_maps, one.step, done.rows, moving, done.broken, turned, rate_noise=noise
             )
-            columns.append(since_origin(model.columns(nodes), line.gap))
+            columns.append(since_origin(term.columns(nodes), line.gap))
         return Observations(steps, np.stack(columns), readings, time, temperature, mean_rate)
 
     def settle(lag: float, parameters: np.ndarray | None = None) -> tuple[Observations, Whitened, Estimate, float]:
@@ -93,12 +101,16 @@ def gradient_channels(
         return observations, white, found, moved  # pyright: ignore[reportPossiblyUnboundVariable]
 
     lag, lag_std = _fitted_lag(settle) if options.lag == "fit" else (float(options.lag), None)
-    observations, white, _, moved = settle(lag)
+    observations, white, settled, moved = settle(lag)
     if moved >= _SETTLED:
         messages.append(
             "the maps have not settled: taken at the rates that they themselves make of the sensor's, they still "
             f"change by {moved:.2g} standard deviations; the maps are wild, or the noise figures far too small"
         )
+    hidden = [
+        (term, level, whitened_columns(observe(lag, settled.parameters, term)))
+        for term, level in hidden_maps(built.spec, model)
+    ]
     used = integrated_rows(done, len(log.time_s))
     result: dict[int, UnitChannel] = {}
     for k, unit in enumerate(members):
@@ -117,6 +129,7 @@ def gradient_channels(
             lag_std=lag_std,
             counts=count_rows(log, unit, used),
             messages=messages,
+            hidden=[(term, level, columns[k]) for term, level, columns in hidden],
         )
     return result
 

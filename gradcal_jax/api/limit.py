@@ -63,11 +63,6 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     if not wanted:
         raise ValueError("a limit is proven for the scale factor; the spec has no requirement on it")
     built = assemble(spec)
-    if any(term.name.endswith("discrepancy") for term in built.model.terms):
-        raise ValueError(
-            "there is no proof of a limit with a model discrepancy: leave it out, and read the limit as that of the "
-            "structure believed"
-        )
     predicted = {row.name: row for row in predict(spec).requirements if row.axis == built.channels[0]}
     window = _window(spec, built, motion)
     return [window.limit(r, predicted[r.name]) for r in wanted]
@@ -95,15 +90,19 @@ class _Window(NamedTuple):
         asked = criterion(model, requirement.quantity, temperature, rate, requirement.statistic)
         sure = scale_factor_floor(model, self.windows, self.temperature, temperature)
         found = limit(
-            eqx.tree_at(lambda c: c.beyond, asked, asked.beyond + np.repeat(sure, len(rate))),
+            asked,
             model,
             motion_time=self.time,
             temperatures=self.temperatures,
             fixed_programme=self.fixed,
             max_rate=largest_rate(self.spec, []),
             noise_density=self.density,
+            floor=np.repeat(sure, len(rate)),
             prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
         )
+        relaxed = self.relaxed
+        if asked.alone is not None:
+            relaxed = (*relaxed, "what the data say of the discrepancy is part of the calibration")
         unit, factor = UNIT_OF[requirement.quantity]
         left, certified = row.decisive, found.certified * factor
         efficiency = None if left is None else certified / left
@@ -115,7 +114,7 @@ class _Window(NamedTuple):
             found.reached * factor,
             left,
             efficiency,
-            self.relaxed,
+            relaxed,
         )
 
 

@@ -6,10 +6,23 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
-from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Objective, Optimality, criterion
+from gradcal_jax.api.scenarios import scenario_specs
+from gradcal_jax.api.tested_maps import tested_maps, with_hidden
+from gradcal_jax.design import (
+    AnyCoordinates,
+    Case,
+    Compiled,
+    Coordinates,
+    Criterion,
+    Missed,
+    Objective,
+    Optimality,
+    criterion,
+)
 from gradcal_jax.files import Spec, changed
-from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Scenario
+from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.information import quantiles, where_hidden
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Schedule, rule_of
 
@@ -51,7 +64,7 @@ class Measure(NamedTuple):
 
 def _with_rule(case: Case, plan: Schedule) -> Case:
     rule = rule_of(case.model, plan.trajectory(case.thermal_lag))
-    return Case(case.model, case.thermal_lag, case.minimised, case.limited, case.weight, rule)
+    return Case(case.model, case.thermal_lag, case.minimised, case.limited, case.weight, rule, case.believed)
 
 
 def design_of(spec: Spec) -> Design:
@@ -67,60 +80,66 @@ def measure(spec: Spec) -> Measure:
     if design.whole_turns:
         # Whole turns cancel what repeats with the angle; before the turns are whole, it only hides the way.
         spec = changed(spec, {"rig.table.angle.harmonics": None})
-    scenarios = _scenarios(spec, design)
+    scenarios = [(s, assemble(s), weight) for s, weight in scenario_specs(spec)]
     limiting = [r for r in spec.requirement if r.target is not None and r.name != design.minimise]
     if design.minimise in TIMES:
         if not limiting:
             raise ValueError(f'"{design.minimise}" is minimised under targets: give a requirement a target')
         name, unit = "residual over target", "of the target"
-        mains = [[_criterion(built, r) for r in limiting] for built, _ in scenarios]
+        mains = [[_criterion(built, r) for r in limiting] for _, built, _ in scenarios]
         factors = [1.0 / float(r.target) for r in limiting if r.target is not None]
         limiting = []
     elif design.minimise in OPTIMALITIES:
         name, unit = design.minimise, "ppm" if spec.sensor.scale_factor is not None else "deg/h"
-        mains = [[_optimality(built, design.minimise)] for built, _ in scenarios]
+        mains = [[_optimality(built, design.minimise)] for _, built, _ in scenarios]
         factors = [UNIT_OF["scale_factor" if unit == "ppm" else "bias"][1]]
     else:
         main = next(r for r in spec.requirement if r.name == design.minimise)
         unit, factor = UNIT_OF[main.quantity]
         name = f"{main.name} ({main.statistic})"
-        mains, factors = [[_criterion(built, main)] for built, _ in scenarios], [factor]
-    limits = [[_criterion(built, r) for r in limiting] for built, _ in scenarios]
+        mains, factors = [[_criterion(built, main)] for _, built, _ in scenarios], [factor]
+    limits = [[_criterion(built, r) for r in limiting] for _, built, _ in scenarios]
     targets = np.array([float(cast("float", r.target)) for r in limiting])
+    names = tuple(r.name for r in limiting)
+    models = [built.model for _, built, _ in scenarios]
+    believed = None
+    if design.notice is not None:
+        models, noticing, believed = _noticing(scenarios, design.notice)
+        limits = [[*limit, one] for limit, one in zip(limits, noticing, strict=True)]
+        # What is missed of a hidden map has a target like any residual.
+        targets = np.append(targets, 1.0 - float(design.notice.power))
+        names += ("the power to notice a hidden map",)
     cases = tuple(
         Case(
-            built.model,
+            model,
             None if built.thermal_lag is None else np.asarray(built.thermal_lag),
             tuple(main),
             tuple(limit),
             np.asarray(weight),
+            believed=believed,
         )
-        for (built, weight), main, limit in zip(scenarios, mains, limits, strict=True)
+        for model, (_, built, weight), main, limit in zip(models, scenarios, mains, limits, strict=True)
     )
-    names = tuple(r.name for r in limiting)
     robust = design.robust if len(cases) > 1 else "mean"
     return Measure(name, unit, names, cases, np.array(factors, dtype=float), targets, robust)
 
 
-def _scenarios(spec: Spec, design: Design) -> list[tuple[Assembled, float]]:
-    """Sensors and rigs that the plan must serve, with their weights; the spec's own where there are none."""
-    if not design.scenario:
-        return [(assemble(spec), 1.0)]
-    return [(assemble(changed(spec, overrides(s))), float(s.weight)) for s in design.scenario]
-
-
-def overrides(scenario: Scenario) -> dict[str, Any]:
-    """A scenario's values by their dotted keys."""
-    return dict(_leaves({"sensor": scenario.sensor, "rig": scenario.rig}, ""))
-
-
-def _leaves(tables: dict[str, Any], before: str):
-    for name, value in tables.items():
-        key = f"{before}.{name}" if before else name
-        if isinstance(value, dict):
-            yield from _leaves(value, key)
-        else:
-            yield key, value
+def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
+    """Models with the hidden map among their parameters, what each misses of it, and how many parameters are believed
+    (None: all, where the sensor has a discrepancy of its own)."""
+    models, missing, believed = [], [], None
+    for spec, built, _ in scenarios:
+        tested = tested_maps(spec)[SCALE_FACTOR]
+        model = built.model
+        if where_hidden(model, SCALE_FACTOR) is None:
+            believed = model.size
+            model = with_hidden(spec, model, SCALE_FACTOR)
+        term, where = cast("Any", where_hidden(model, SCALE_FACTOR))
+        below = quantiles(term.size, float(notice.false_alarm))
+        assert tested.std is not None
+        missing.append(Missed(term.std, np.asarray(tested.std), below, (where.start, where.stop)))
+        models.append(model)
+    return models, missing, believed
 
 
 def _criterion(built: Assembled, requirement: Requirement) -> Criterion:

@@ -65,5 +65,5 @@ def _simulated_map(
     """Root mean square error of the simulated maps at each point."""
     grid_t, grid_w = np.meshgrid(temperatures, rates, indexing="ij")
     rows = contrasts(model, quantity, grid_t.ravel(), grid_w.ravel())[0]
-    mean_square = result.errors.T @ result.errors / len(result.errors)
+    mean_square = result.left.T @ result.left / len(result.left)
     return np.sqrt(np.einsum("gi,ij,gj->g", rows, mean_square, rows)).reshape(grid_t.shape)

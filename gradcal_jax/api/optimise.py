@@ -6,9 +6,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.build import assemble
-from gradcal_jax.api.measure import Measure, design_of, measure, overrides
+from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.structures import Structure, structures
 from gradcal_jax.design import (
     AnyCoordinates,
@@ -20,7 +21,7 @@ from gradcal_jax.design import (
     polish,
     search,
 )
-from gradcal_jax.files import Spec, SpecError, changed
+from gradcal_jax.files import Spec, SpecError
 from gradcal_jax.files.rounding import rounded, steps_of
 
 STEPS: Final = 240
@@ -89,6 +90,18 @@ class Optimised(NamedTuple):
     point: np.ndarray
 
 
+def belief_of(spec: Spec) -> str:
+    """What a design without a discrepancy believes, as a sentence; empty where every polynomial map has one."""
+    sections = {"bias": spec.sensor.bias, "scale factor": spec.sensor.scale_factor}
+    sure = [name for name, s in sections.items() if s is not None and s.discrepancy is None and s.smoothness is None]
+    if not sure:
+        return ""
+    return (
+        f"believed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure of the "
+        "spec; a discrepancy there says how far from it they may be, and gives a plan that survives it"
+    )
+
+
 def record_of(best: Optimised) -> dict[str, object]:
     """What a recipe and --json keep of an optimisation."""
     record: dict[str, object] = {
@@ -109,16 +122,11 @@ def record_of(best: Optimised) -> dict[str, object]:
     return {name: value for name, value in {"before": best.before, **record}.items() if name not in absent}
 
 
-def scenario_specs(spec: Spec) -> list[Spec]:
-    """The spec with the overrides of each [[design.scenario]]."""
-    return [changed(spec, overrides(s)) for s in design_of(spec).scenario]
-
-
 def exact(spec: Spec, of: Measure) -> float:
     """The exact value of a spec's own plan, on the requirement's own grid; `inf` where it observes too little."""
     design = design_of(spec)
     rows = [row for row in spec.requirement if row.name == design.minimise]
-    if rows and not design.scenario:
+    if rows and len(of.cases) == 1:
         # Of several axes the worst.
         found = [row.decisive for row in predict(spec).requirements if row.name == rows[0].name]
         return max(np.inf if value is None else value for value in found)
@@ -146,7 +154,7 @@ def optimise(
     of = measure(spec)
     before = exact(spec, of)
     known = before if np.isfinite(before) else None
-    choices = structures(spec, scenario_specs(spec), motion=motion)
+    choices = structures(spec, [s for s, _ in scenario_specs(spec)], motion=motion)
     best = None if checkpoint is None else (checkpoint.best_structure, checkpoint.best)
     first, state = (0, None) if checkpoint is None else (checkpoint.structure, checkpoint.state)
     for k in range(first, len(choices)):

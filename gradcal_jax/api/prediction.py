@@ -5,6 +5,8 @@ import numpy as np
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import error_budget, limited_by
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, posterior_of_plan, residual_map, target_of, verdict
+from gradcal_jax.api.scenarios import extremes
+from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.contracts import ParameterRow, RequirementRow
@@ -13,12 +15,13 @@ from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import STATISTICS, Posterior, statistic
 
 
-def predict(spec: Spec, *, limits: bool = False) -> Prediction:
+def predict(spec: Spec, *, limits: bool = False, notices: bool = False) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
-    `limits`: also say of each requirement what it is limited by. The exact covariance of generalised least squares
-    under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with a warning. Errors:
-    none; whatever is wrong with a file, `read_spec` has refused already.
+    `limits`: also say of each requirement what it is limited by, and between what it lies where noise figures are
+    `uncertain`. `notices`: also say which hidden structure of the maps the plan would notice. The exact covariance of
+    generalised least squares under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with
+    a warning. Errors: none; whatever is wrong with a file, `read_spec` has refused already.
     """
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}
@@ -32,6 +35,7 @@ def predict(spec: Spec, *, limits: bool = False) -> Prediction:
         requirements = [
             row.model_copy(update={"limited_by": limited_by(shares[row.axis].get(row.name))}) for row in requirements
         ]
+        requirements = _between(requirements, [predict(one) for one in extremes(spec)])
     schedule = spec.schedule
     parameters, covariance = _parameters(built, known)
     return Prediction(
@@ -42,8 +46,21 @@ def predict(spec: Spec, *, limits: bool = False) -> Prediction:
         requirements=tuple(requirements),
         parameters=parameters,
         covariance=covariance,
+        notices=noticing(built) if notices else (),
         warnings=tuple(warnings(built, known)),
     )
+
+
+def _between(rows: list[RequirementRow], others: list[Prediction]) -> list[RequirementRow]:
+    """The rows with the least and the largest of what they are in the other predictions, which have the same rows."""
+    if not others:
+        return rows
+    found = []
+    for k, row in enumerate(rows):
+        values = [one.requirements[k].decisive for one in others]
+        known = [v for v in (row.decisive, *values) if v is not None]
+        found.append(row.model_copy(update={"uncertain": (min(known), max(known)) if known else None}))
+    return found
 
 
 def _requirement_row(built: Assembled, known: Posterior, requirement: Requirement, channel: Axis) -> RequirementRow:

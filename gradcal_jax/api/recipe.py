@@ -47,7 +47,7 @@ def recipe(
     steps = resolution or steps_of(spec)
     made = rounded(spec, steps, keep_shapes=keep_shapes)
     chamber, motion = tracks_of(made.spec)
-    rows = Predicted.of(predict(made.spec, limits=True))
+    rows = Predicted.of(predict(made.spec, limits=True, notices=True))
     said: dict[str, Any] = {
         "format": FORMAT,
         "title": spec.title,

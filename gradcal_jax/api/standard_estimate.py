@@ -6,12 +6,14 @@ from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, count_rows, followed
+from gradcal_jax.api.tested_maps import hidden_maps
 from gradcal_jax.api.unit_channel import (
     UnitChannel,
     covered_rates,
     covered_temperatures,
     finished,
     integrated_rows,
+    whitened_columns,
 )
 from gradcal_jax.estimation import Estimate, Observations
 from gradcal_jax.files.log import Log, LogError
@@ -136,6 +138,10 @@ def _of_points(
         )
     white = estimation.whitened(observations, model)
     done = estimation.Executed(line, edges, broken)
+    hidden = [
+        (term, level, whitened_columns(observations._replace(columns=term.columns(nodes)))[0])
+        for term, level in hidden_maps(built.spec, model)
+    ]
     channel = finished(
         axis,
         unit,
@@ -149,6 +155,7 @@ def _of_points(
         lag_std=None,
         counts=counts,
         messages=messages,
+        hidden=hidden,
     )
     section = built.spec.plan
     if sigma is None and isinstance(section, StandardPlanSection) and section.estimator == "least squares":

@@ -226,9 +226,7 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
         moves = design.moves or min(wanted, fitting)
         ends_moving = abs(cycles * groups * (each + between) - between - time) < 1e-6
         shape = next((m.shape for m in cycle.moves if m.shape in RAMPED_SHAPES), "cosine ramps")
-        elements = _elements(
-            shape, groups, moves, rest, not_shared=other <= 0.0, ends=ends_moving, bands=_bands(design, groups)
-        )
+        elements = _elements(shape, groups, moves, rest, not_shared=other <= 0.0, ends=ends_moving)
         coordinates = make_coordinates(
             elements,
             limits_of(spec, scenarios),
@@ -254,36 +252,15 @@ def _read_every(cycle: ResolvedCycle) -> float:
     return spacings[0] if spacings else (cycle.other_read_every or 1.0)
 
 
-def _elements(
-    shape: str, groups: int, moves: int, rest: float, *, not_shared: bool, ends: bool, bands
-) -> tuple[Element, ...]:
+def _elements(shape: str, groups: int, moves: int, rest: float, *, not_shared: bool, ends: bool) -> tuple[Element, ...]:
     """Turns with rests between; a rest first, before which the axis has not stood, and last where none follows."""
     found = [Element("rest", rest, 0)]
     for group in range(groups):
         for i in range(moves):
-            band, least = bands(group, i)
-            found.append(Element(shape, least, group, band))
+            found.append(Element(shape, LEAST_TURN, group))
             if i < moves - 1 or not_shared or (ends and group == groups - 1):
                 found.append(Element("rest", rest, group))
     return tuple(found)
-
-
-def _bands(design: Design, groups: int):
-    """Band and least time of each move: with a least number of distinct rates, one move in each of so many bands."""
-    count = design.min_distinct_rates or 0
-    edges = np.linspace(-1.0, 1.0, count + 1)
-    # A tenth of the rates between neighbouring bands keeps what lies in them apart.
-    gap = 0.1 / max(count, 1)
-    # Which visit gets which band: spread over the ramp.
-    home = {(round(k * (groups - 1) / max(count - 1, 1)), k // groups): k for k in range(count)}
-
-    def of(group: int, i: int) -> tuple[tuple[float, float], float]:
-        band = home.get((group, i))
-        if band is None:
-            return (-1.0, 1.0), LEAST_TURN
-        return (float(edges[band] + gap), float(edges[band + 1] - gap)), 10.0
-
-    return of
 
 
 def _given(spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozenset[str], time: float) -> Structure:

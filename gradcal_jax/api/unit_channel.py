@@ -8,8 +8,9 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, followed
-from gradcal_jax.estimation import Estimate, Observations, Smoothness, Whitened
-from gradcal_jax.model import SCALE_FACTOR, SensorModel
+from gradcal_jax.estimation import Estimate, Observations, Smoothness, StructureTest, Whitened
+from gradcal_jax.information import whiten
+from gradcal_jax.model import SCALE_FACTOR, Discrepancy, SensorModel
 
 LONGEST_LAG_S = 1800.0
 # To which the ranges of a calibration are rounded, outwards.
@@ -37,6 +38,8 @@ class UnitChannel(NamedTuple):
     """Rows of the log by what became of them; they add up to the rows read."""
     messages: tuple[str, ...]
     neighbours: tuple[estimation.Group, ...] = ()
+    structure: tuple[StructureTest, ...] = ()
+    """Of every map that is a polynomial."""
 
 
 def finished(
@@ -53,8 +56,13 @@ def finished(
     lag_std: float | None,
     counts: dict[str, int],
     messages: Sequence[str],
+    hidden: Sequence[tuple[Discrepancy, float, np.ndarray]] = (),
 ) -> UnitChannel:
-    """One unit: smoothness, robustness and the tests, on columns that have settled."""
+    """One unit: smoothness, robustness and the tests, on columns that have settled.
+
+    `hidden`: functions beyond a map's structure that are tested for, the level of false alarms, and the functions'
+    whitened columns `(n, k)`.
+    """
     messages, smoothness = list(messages), None
     if options.smoothness == "auto":
         smoothness = estimation.choose_smoothness(white, model)
@@ -62,6 +70,10 @@ def finished(
         white = white._replace(prior=model.prior_rows())
         if smoothness.at_edge:
             messages.append("the data do not tell how smooth the maps are: the strength stands at the edge looked at")
+    structure = [
+        estimation.structure_test(_without(white, model, term.name), columns, term, level)
+        for term, level, columns in hidden
+    ]
     found = estimation.solve(white)
     weights = np.ones(white.data.shape[1])
     if options.robust:
@@ -102,7 +114,24 @@ def finished(
         counts,
         tuple(dict.fromkeys(messages)),
         groups,
+        tuple(test for test in structure if test is not None),
     )
+
+
+def whitened_columns(observations: Observations) -> np.ndarray:
+    """The columns `(U, N, k)` or `(N, k)` of observations as whitened rows of the readings used: `(U or 1, n, k)`."""
+    every = observations.columns if observations.columns.ndim == 3 else observations.columns[None]
+    side = np.concatenate(list(every), axis=1)
+    rows = whiten(observations.steps, side)[observations.used]
+    return np.moveaxis(rows.reshape(len(rows), len(every), -1), 1, 0)
+
+
+def _without(white: Whitened, model: SensorModel, name: str) -> Whitened:
+    """The rows without a term's columns and priors, as if it were not there."""
+    own = np.zeros(model.size, bool)
+    own[model.where(name)] = True
+    kept = ~np.any(white.prior[:, own] != 0.0, axis=1)
+    return Whitened(white.rows[:, :, ~own], white.data, white.prior[kept][:, ~own])
 
 
 def _neighbours(

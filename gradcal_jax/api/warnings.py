@@ -4,8 +4,6 @@ from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, posterior_of_plan, survey
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.schedule import GradientSchedule
-from gradcal_jax.formulas import RAMPED_SHAPES
 from gradcal_jax.information import Posterior, unobservable_combinations
 
 # Of a rate: what rounding to a controller's steps takes off is not worth a word.
@@ -55,14 +53,4 @@ def warnings(built: Assembled, known: dict[Axis, Posterior]) -> list[str]:
             "within one run the turn-on bias cannot be told from a0: the bias map is this run's, and another "
             f"run's differs by {float(sensor.turn_on_bias) * DEG_PER_H:.4g} deg/h (standard deviation)"
         )
-    if isinstance(spec.schedule, GradientSchedule) and sensor.scale_factor is not None:
-        cycle = spec.schedule.cycle
-        turns = [m for m in (cycle.moves if cycle else ()) if not m.is_rest]
-        plateaus = {round(m.peak_rate * DEG_PER_S, 6) for m in turns}
-        needed = sensor.scale_factor.rate.size
-        if all(m.shape in RAMPED_SHAPES for m in turns) and 0 < len(plateaus) <= needed:
-            found.append(
-                f"{len(plateaus)} distinct rates for {needed} coefficients in rate leave no freedom to notice a "
-                "wrong model"
-            )
     return found

@@ -16,7 +16,7 @@ from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.calibration import EstimateReport
+    from gradcal_jax.api.calibration import EstimateReport, MeasuredDiscrepancy
     from gradcal_jax.api.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
 
@@ -255,7 +255,19 @@ def _text(report: "EstimateReport") -> str:
                 shown.append((name, row.requirement.statistic, value, target, row.verdict or ""))
             lines += ["", table(shown, indent="")]
         lines += [f"note: {message}" for message in report.messages[one.serial_number]]
+    lines += [line for row in report.discrepancies for line in _discrepancy(row)]
     return "\n".join(lines)
+
+
+def _discrepancy(row: "MeasuredDiscrepancy") -> list[str]:
+    """How large the structure is that the model lacks, and the block for a spec."""
+    several = f", {row.units} units together" if row.units > 1 else ""
+    high = "no end" if row.high is None else f"{row.high:.3g}"
+    said = (
+        f"discrepancy of the {row.quantity.replace('_', ' ')}, axis {row.axis}{several}: {row.standard_deviation:.3g} "
+        f"{row.unit} (95 % interval {row.low:.3g} … {high})"
+    )
+    return ["", said, *([f"  {line}" for line in row.block.splitlines()] if row.low > 0.0 else [])]
 
 
 def _channel(channel: "UnitChannel") -> str:
@@ -302,6 +314,7 @@ def _channel(channel: "UnitChannel") -> str:
     for name, test in [
         ("χ² of the fit", tests.fit),
         ("whiteness of the residuals", tests.whiteness),
+        *((f"structure beyond the model, {t.quantity.replace('_', ' ')}", t.test) for t in channel.structure),
         *((split.name, split.agreement) for split in tests.splits),
     ]:
         shown.append((name, f"{test.statistic:.1f}", str(test.degrees), f"{test.probability:.2g}"))

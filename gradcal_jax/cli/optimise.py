@@ -115,6 +115,8 @@ def optimise(
 
 def text(best: "Optimised") -> str:
     """An optimised plan as people read it."""
+    from gradcal_jax.api.optimise import belief_of
+
     before = "the plan of the spec observes too little" if best.before is None else amount(best.before, best.unit)
     lines = [
         strong(f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"),
@@ -125,6 +127,8 @@ def text(best: "Optimised") -> str:
         lines.append(
             f"{len(best.starts)} starts ended between {best.starts[0]:.4g} and {best.starts[-1]:.4g} {best.unit}"
         )
+    if belief := belief_of(best.spec):
+        lines.append(belief)
     if best.active:
         lines.append("limits that bind: " + "; ".join(best.active))
     if best.prices:

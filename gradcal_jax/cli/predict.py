@@ -57,7 +57,7 @@ def predict(
     use_float64()
     from gradcal_jax import api
 
-    prediction = api.predict(found, limits=not json)
+    prediction = api.predict(found, limits=not json or bool(found.sensor.uncertain_figures()), notices=True)
     rows, tests = ((), {}) if monte_carlo is None else api.monte_carlo(found, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
@@ -125,6 +125,8 @@ def text(prediction: "Prediction", name: str) -> str:
     else:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
     lines += ["", columns(_parameters(prediction), indent="", right=(1,))]
+    several = len({row.axis for row in prediction.notices}) > 1
+    lines += [(f"axis {row.axis}: " if several else "") + row.sentence for row in prediction.notices]
     lines += [f"note: {warning}" for warning in prediction.warnings]
     return "\n".join(lines)
 
@@ -153,6 +155,8 @@ def _times(prediction: "Prediction") -> str:
 def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
     name = f"{row.name}, axis {row.axis}" if several else row.name
     left, target = amount(row.decisive, row.unit), "" if row.target is None else amount(row.target, row.unit)
+    if row.uncertain is not None:
+        left += f" ({row.uncertain[0]:.4g} … {row.uncertain[1]:.4g})"
     verdict, limited_by = row.verdict or "", row.limited_by or ""
     return (name, row.quantity.replace("_", " "), row.statistic, left, target, verdict, limited_by)
 

@@ -10,7 +10,7 @@ from gradcal_jax.design.coordinates import (
     Limits,
     make_coordinates,
 )
-from gradcal_jax.design.criteria import EXACT, Criterion, Optimality, criterion
+from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, criterion
 from gradcal_jax.design.limit import Limit, limit
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
@@ -38,6 +38,7 @@ __all__ = [
     "Limit",
     "Limits",
     "Linear",
+    "Missed",
     "Objective",
     "Optimality",
     "Optimum",

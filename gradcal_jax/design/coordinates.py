@@ -3,7 +3,7 @@
 | what | from free numbers | why it is feasible |
 |---|---|---|
 | durations of the moves of a turn at the table | least times + what is left · softmax | they fill that time exactly |
-| peak rate of a turn | cap · tanh, in its band if it has one | cap: table, sensor, and acceleration in that time |
+| peak rate of a turn | cap · tanh | cap: table, sensor, and acceleration in that time |
 | ramp time | least + (half the turn − least) · sigmoid | least: what the acceleration needs at that rate |
 | temperature steps, visit by visit | even steps mixed with a softmax | mixed as far as the chamber's slope allows |
 
@@ -50,13 +50,12 @@ _VANISHED = 3.0
 class Element(NamedTuple):
     """One move of the cycle, as structure: a rest (`shape="rest"`) or a turn, and the least time it may take (s).
 
-    `group` counts the cycle's turns at the table. `band`: where a turn's peak rate must lie, in shares of the largest.
+    `group` counts the cycle's turns at the table.
     """
 
     shape: str
     least: float
     group: int = 0
-    band: tuple[float, float] = (-1.0, 1.0)
 
 
 class Limits(NamedTuple):
@@ -102,7 +101,7 @@ class Coordinates(eqx.Module):
     """The plans that one structure of cycle allows, over an unbounded vector of `size` numbers.
 
     Arrays `(k,)` of the cycle's moves: `shape` (place in `SHAPES`), the `least` time each may take, its turn at the
-    table (`group`), `low` and `high` of its band; `turns` and `ramped` list moves. `visits`: turns at the table in the
+    table (`group`); `turns` and `ramped` list moves. `visits`: turns at the table in the
     whole ramp. Free: which of "duration" (of turns and rests), "peak_rate", "ramp", "gradient" may change; what may not
     stays as in `nominal`. `travels`: the travel is limited; `repeats`: the cycle is made more than once; `others_read`:
     readings go on while others turn; `parts`: pieces of each smooth part of a turn. `template`: the schedule, whose
@@ -118,8 +117,6 @@ class Coordinates(eqx.Module):
     shape: Int[AnyArray, " k"]
     least: Float[AnyArray, " k"]
     group: Int[AnyArray, " k"]
-    low: Float[AnyArray, " k"]
-    high: Float[AnyArray, " k"]
     turns: Int[AnyArray, " t"]
     ramped: Int[AnyArray, " r"]
     visits: Float[AnyArray, ""]
@@ -147,11 +144,8 @@ class Coordinates(eqx.Module):
 
     def elements(self) -> tuple[Element, ...]:
         """The moves of the cycle."""
-        columns = (self.shape, self.least, self.group, self.low, self.high)
-        return tuple(
-            Element(SHAPES[s], float(least), int(g), (float(a), float(b)))
-            for s, least, g, a, b in zip(*columns, strict=True)
-        )
+        columns = (self.shape, self.least, self.group)
+        return tuple(Element(SHAPES[s], float(least), int(g)) for s, least, g in zip(*columns, strict=True))
 
     def cycle(self, z: Float[AnyArray, " size"]) -> Cycle:
         """Decode: see the table at the module's head."""
@@ -201,9 +195,7 @@ class Coordinates(eqx.Module):
         cap = self._cap(durations)
         xp = namespace(cap, z_rates)
         if z_rates.shape[0]:
-            low, high = self.low[self.turns], self.high[self.turns]
-            wanted = 0.5 * (low + high) + 0.5 * (high - low) * xp.tanh(z_rates)
-            peak = put(self.nominal.peak_rates, self.turns, cap[self.turns] * wanted)
+            peak = put(self.nominal.peak_rates, self.turns, cap[self.turns] * xp.tanh(z_rates))
         else:
             peak = xp.clip(self.nominal.peak_rates, -cap, cap)
         cycle = self._ramps(durations, peak, z_ramps)
@@ -305,8 +297,7 @@ class Coordinates(eqx.Module):
         share = (ramps[self.ramped] - least) / np.maximum(0.5 * durations[self.ramped] - least, 1e-12)
         share = np.clip(share, 1e-3, 1.0 - 1e-3)
         z_ramps = np.log(share / (1.0 - share))
-        low, high = self.low[self.turns], self.high[self.turns]
-        rates = (self._shares(cycle, z_ramps) - 0.5 * (low + high)) / (0.5 * (high - low))
+        rates = self._shares(cycle, z_ramps)
         span = float(self.frame.temperature_end - self.frame.temperature_start)
         steps = np.maximum(np.asarray(cycle.steps) / span, 1e-4)
         parts = (np.log(spare), np.arctanh(np.clip(rates, -1 + 1e-4, 1 - 1e-4)), z_ramps, np.log(steps))
@@ -344,8 +335,7 @@ class Coordinates(eqx.Module):
             turns = [i for i in members if elements[i].shape != "rest"]
             longest = max(turns, key=lambda i: durations[i], default=None)
             for i in turns:
-                banded = elements[i].band != (-1.0, 1.0)
-                if i != longest and durations[i] < _VANISHED * elements[i].least and not banded:
+                if i != longest and durations[i] < _VANISHED * elements[i].least:
                     keep[i] = False
             # Between neighbouring turns that are kept stands one rest, with the time of all that were there; one more
             # at the ends, where the structure has one: there the axis has not stood before, or will not stand after.
@@ -395,8 +385,6 @@ class Coordinates(eqx.Module):
             shape=longer(self.shape, 0),
             least=longer(self.least),
             group=longer(self.group, groups),
-            low=longer(self.low, -1.0),
-            high=longer(self.high, 1.0),
             turns=none(self.turns),
             ramped=none(self.ramped),
             groups=groups,
@@ -524,7 +512,6 @@ def _coordinates(
     template = make_schedule(
         programme, [(0.0, 0.0, 0.0)] * (2 + count), placed, first_knot=0, fillers=fillers, spacing=1.0
     )
-    low, high = np.array([e.band for e in elements]).T
     return Coordinates(
         as_arrays(limits),
         as_arrays(frame),
@@ -533,8 +520,6 @@ def _coordinates(
         np.array([SHAPES.index(kind) for kind in kinds]),
         np.array([e.least for e in elements], dtype=float),
         np.array([e.group for e in elements]),
-        low,
-        high,
         np.array([i for i, kind in enumerate(kinds) if kind != "rest"], dtype=int),
         np.array([i for i, kind in enumerate(kinds) if kind in RAMPED_SHAPES], dtype=int),
         np.asarray(float(visits)),

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, fixed, namespace
-from gradcal_jax.information import SquareRootInformation
+from gradcal_jax.information import SquareRootInformation, kept, missed
 from gradcal_jax.information.residual import Quantity, Statistic, contrasts
 from gradcal_jax.linalg import solve_transposed
 from gradcal_jax.model import SensorModel
@@ -41,10 +41,14 @@ class Criterion(eqx.Module):
 
     def map(self, info: SquareRootInformation) -> Float[AnyArray, "n_T n_w"]:
         """The residual on the box; differentiable, for a plan that observes everything."""
-        variance = info.deviations(self.rows) ** 2 + self.beyond
-        if self.alone is not None:
-            variance = variance - info.deviations(self.alone) ** 2
-        xp = namespace(variance)
+        xp = namespace(info.factor, self.rows)
+        if self.alone is None:
+            variance = info.deviations(self.rows) ** 2 + self.beyond
+        else:
+            # cᵀCc − αᵀCα = (c − α)ᵀC(c + α): one product, where solves would take each of many rows by itself, twice.
+            half = solve_transposed(info.factor, xp.diag(1.0 / info.scale))
+            covariance = half.T @ half
+            variance = xp.sum(((self.rows - self.alone) @ covariance) * (self.rows + self.alone), axis=1) + self.beyond
         return xp.reshape(xp.sqrt(variance), self.shape)
 
     def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
@@ -77,6 +81,26 @@ class Optimality(eqx.Module):
         if self.kind == "E":
             return xp.sqrt(xp.linalg.eigvalsh(covariance)[-1])
         return xp.exp(xp.linalg.slogdet(covariance)[1] / (2 * count))
+
+
+class Missed(eqx.Module):
+    """The probability that the χ² test does not notice a hidden map, its `std` that of each coefficient.
+
+    `prior_std`: of the same coefficients in the model, where they are the parameters `where`. All of them take part in
+    the test: the reported power, of the directions that the plan sees, is no smaller. `below`: `information.quantiles`.
+    """
+
+    prior_std: Float[AnyArray, ""]
+    std: Float[AnyArray, ""]
+    below: Float[AnyArray, " j"]
+    where: tuple[int, int] = eqx.field(static=True)
+
+    def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
+        """In (0, 1)."""
+        del sharpness
+        share = kept(info, slice(*self.where), self.prior_std)
+        ratio = (self.std / self.prior_std) ** 2
+        return missed(share / (share + ratio * (1.0 - share)), self.below)
 
 
 def criterion(

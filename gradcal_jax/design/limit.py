@@ -19,6 +19,9 @@ in ω, whose largest value is found from its derivative's roots. The root mean s
 weights `w = s/(nΨ)` of its own gradient (Cauchy–Schwarz). For D-optimality, `Ψ = det(I)^(−1/2p)`: log det is concave,
 and `Ψ* ≥ Ψ·√(p/d)` with `d` the largest `tr(I⁻¹I(m))` (Kiefer and Wolfowitz, 1960).
 
+A **discrepancy** γ joins the parameters with its prior. A calibration that does not carry γ̂ leaves
+`cᵀCc + (χᵀΓχ − αᵀCα)`, α being χ's part of c, of which the bracket is not negative: the proof leaves it out.
+
 N² may be replaced by a larger density, and a variance that no plan removes added to every residual: see
 `gradcal_jax.design.noise_floor`. Then Ψ_w is not homogeneous any more, and convexity alone gives
 `Ψ_w(I') ≥ Ψ_w + tr(G I) − d`.
@@ -37,7 +40,7 @@ from scipy.optimize import minimize
 
 from gradcal_jax.design.criteria import Criterion, Optimality
 from gradcal_jax.design.noise_floor import root_of
-from gradcal_jax.model import SCALE_FACTOR, Polynomial, SensorModel
+from gradcal_jax.model import Polynomial, SensorModel
 
 # The maximum hardens; between the stages the rates that would help most join the grid.
 _SHARPNESS = (8.0, 30.0, 100.0, 400.0, 2000.0, 10000.0)
@@ -68,6 +71,7 @@ def limit(
     fixed_programme: bool,
     max_rate: float,
     noise_density: float,
+    floor: Float[np.ndarray, " g"] | None = None,
     prior_share: float = 1.0,
     tolerance: float = 2e-3,
 ) -> Limit:
@@ -75,10 +79,15 @@ def limit(
 
     `motion_time` s: of the axis; `temperatures` °C: points over which the motion time is spread evenly
     (`fixed_programme`) or as it likes. `noise_density` rad²/s: N², `least_noise_density` or `gated_noise_density`.
-    `prior_share`: of the prior's variance, where the rest went into what the criterion adds to every residual.
+    `floor`: a variance that no plan removes, of each of the criterion's rows. `prior_share`: of the prior's variance,
+    where the rest went into that.
     `tolerance`: how far apart, relatively, what is certified and what is reached may stay.
     Errors: `ValueError` for a criterion or a map that the proof does not cover.
     """
+    if isinstance(criterion, Criterion):
+        # What the calibration does not carry of a discrepancy is at least nothing: see the module's head.
+        added = np.zeros(len(criterion.rows)) if floor is None else floor
+        criterion = Criterion(criterion.rows, None, added, criterion.shape, criterion.statistic)
     if model.scale is None or not isinstance(model.scale.rate, Polynomial):
         raise ValueError("the limit is for a scale factor that is polynomial in rate: give the model such a map")
     if isinstance(criterion, Optimality) and criterion.kind == "E":
@@ -118,8 +127,10 @@ class _Problem:
     ):
         self.criterion, self.model, self.gain = criterion, model, gain
         self.temperatures, self.fixed_programme = temperatures, fixed_programme
-        where = model.where(SCALE_FACTOR)
-        self.columns = where
+        assert model.scale is not None
+        of_map = [model.scale] if model.scale.beyond is None else [model.scale, model.scale.beyond]
+        self.functions = of_map
+        where = np.concatenate([np.arange(model.size)[model.where(term.name)] for term in of_map])
         # Columns other than M's are taken as known: that is information added, never taken away.
         self.rows = np.asarray(criterion.rows)[:, where]
         prior = model.prior_rows()[:, where]
@@ -128,8 +139,8 @@ class _Problem:
 
     def moments(self, temperature: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Rows whose squares are the information of the whole motion time at a point."""
-        assert self.model.scale is not None
-        return self.model.scale.values(temperature, rate) * rate[:, None] * np.sqrt(self.gain)
+        values = np.concatenate([term.values(temperature, rate) for term in self.functions], axis=1)
+        return values * rate[:, None] * np.sqrt(self.gain)
 
     def solve(self, rates: np.ndarray, logs: np.ndarray, sharpness: float) -> np.ndarray:
         """Logarithms of better weights `(n_T, m)` on given rates, by L-BFGS."""
@@ -197,9 +208,11 @@ class _Problem:
 
     def _largest(self, useful: np.ndarray, share: np.ndarray, max_rate: float) -> tuple[np.ndarray, np.ndarray]:
         """At each temperature the largest of `Σ share·(useful·m)²` over the rates, and where it is."""
-        assert self.model.scale is not None
-        assert self.model.scale.rate is not None
-        degree = 2 * self.model.scale.rate.size
+        scale = self.model.scale
+        assert scale is not None
+        assert scale.rate is not None
+        beyond = None if scale.beyond is None else scale.beyond.rate
+        degree = 2 * max(scale.rate.size, 0 if beyond is None else beyond.lowest + beyond.size)
         nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
         largest, where = [], []
         for temperature in self.temperatures:

@@ -4,15 +4,17 @@ Everything in an `Objective` but structure is an array, so that search, polish, 
 program, whatever the numbers.
 """
 
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.design.coordinates import EASED, Coordinates
-from gradcal_jax.design.criteria import EXACT, Criterion, Optimality, largest
+from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, largest
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
@@ -22,19 +24,29 @@ AnyCoordinates = Coordinates | ProgrammeCoordinates | ProgrammeKnots | StandardC
 
 
 class Case(eqx.Module):
-    """A sensor and rig that the plan must serve: what is minimised there, and what has a limit; its weight."""
+    """A sensor and rig that the plan must serve: what is minimised there, and what has a limit; its weight.
+
+    `believed`: the criteria count so many of the model's parameters, the first, and take the others to be zero; they
+    are there to be noticed. None: all.
+    """
 
     model: SensorModel
     thermal_lag: Float[AnyArray, ""] | None
     minimised: tuple[Criterion | Optimality, ...]
-    limited: tuple[Criterion, ...]
+    limited: tuple[Criterion | Missed, ...]
     weight: Float[AnyArray, ""]
     rule: Rule | None = eqx.field(static=True, default=None)
+    believed: int | None = eqx.field(static=True, default=None)
 
     def values(self, schedule: Schedule, sharpness):
         """Of all criteria, in SI."""
         info = information(schedule.trajectory(self.thermal_lag), self.model, self.rule)
-        return [c(info, sharpness) for c in self.minimised], [c(info, sharpness) for c in self.limited]
+        sure = info if self.believed is None else info.leading(self.believed)
+
+        def of(every: tuple[Criterion | Optimality | Missed, ...]) -> list[Any]:
+            return [c(info if isinstance(c, Missed) else sure, sharpness) for c in every]
+
+        return of(self.minimised), of(self.limited)
 
 
 class Objective(eqx.Module):
@@ -72,8 +84,7 @@ class Objective(eqx.Module):
     def of_schedule(self, schedule: Schedule, sharpness=EXACT):
         """The value and the excess of a plan."""
         values, excess, xp = [], [], np
-        for case in self.cases:
-            minimised, limited = case.values(schedule, sharpness)
+        for minimised, limited in _of_each(self.cases, schedule, sharpness):
             xp = namespace(minimised)
             values.append(_worst(xp.stack(minimised) * self.factors, sharpness))
             excess += [c / t for c, t in zip(limited, self.targets, strict=True)]
@@ -84,6 +95,17 @@ class Objective(eqx.Module):
             weights = xp.stack([xp.asarray(case.weight) for case in self.cases])
             value = xp.sum(together * weights) / xp.sum(weights)
         return value, xp.log(xp.stack(excess)) if excess else xp.zeros(0)
+
+
+def _of_each(cases: tuple[Case, ...], schedule: Schedule, sharpness) -> list[tuple[list[Any], list[Any]]]:
+    """The criteria of every case. Cases alike in structure are traced once, and the program loops over them."""
+    leaves, structures = zip(*(jax.tree.flatten(case) for case in cases), strict=True)
+    shapes = {tuple(np.shape(leaf) for leaf in one) for one in leaves}
+    if namespace(schedule) is np or len(cases) == 1 or len(set(structures)) > 1 or len(shapes) > 1:
+        return [case.values(schedule, sharpness) for case in cases]
+    stacked = [jnp.stack([jnp.asarray(leaf) for leaf in group]) for group in zip(*leaves, strict=True)]
+    found = jax.lax.map(lambda one: jax.tree.unflatten(structures[0], one).values(schedule, sharpness), stacked)
+    return [jax.tree.map(lambda v, k=k: v[k], found) for k in range(len(cases))]
 
 
 def _worst(values, sharpness):

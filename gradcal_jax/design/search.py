@@ -308,7 +308,9 @@ def polish(compiled: Compiled, point: np.ndarray, *, steps: int = 300, linear: L
             options=options,
         ).x
         after = _exact(compiled, reached)
-        worse = after[0] > value and bool(np.all(excess <= 1e-6))
+        before_it = float(np.max(excess, initial=0.0))
+        worse = after[0] > value and before_it <= 1e-6
+        worse |= float(np.max(after[1], initial=0.0)) > max(before_it, 1e-6)
         worse |= not np.all(np.isfinite(reached)) or _beyond(linear, reached) > max(_beyond(linear, point), _HELD)
         if not worse:
             point, (value, excess) = reached, after

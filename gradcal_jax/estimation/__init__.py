@@ -19,11 +19,21 @@ from gradcal_jax.estimation.samples import integrated_error, sample_nodes, true_
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimation.solve import Estimate, Whitened, estimate, solve, whitened
 from gradcal_jax.estimation.standstill import find_standstills
+from gradcal_jax.estimation.structure import (
+    Components,
+    Size,
+    StructureTest,
+    chi_squared,
+    components,
+    size_of,
+    structure_test,
+)
 from gradcal_jax.estimation.temperature import SMOOTHED_OVER_S, smoothed_temperature
 
 __all__ = [
     "HUBER",
     "SMOOTHED_OVER_S",
+    "Components",
     "Consistency",
     "Estimate",
     "Executed",
@@ -32,12 +42,16 @@ __all__ = [
     "Observations",
     "Plateaus",
     "RobustEstimate",
+    "Size",
     "Smoothness",
     "Split",
+    "StructureTest",
     "Test",
     "Whitened",
+    "chi_squared",
     "choose_smoothness",
     "closest_neighbours",
+    "components",
     "consistency",
     "distinct_readings",
     "estimate",
@@ -52,9 +66,11 @@ __all__ = [
     "on_trajectory",
     "plateaus",
     "sample_nodes",
+    "size_of",
     "smoothed_temperature",
     "solve",
     "split",
+    "structure_test",
     "true_rate",
     "whitened",
     "whiteness",

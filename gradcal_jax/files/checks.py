@@ -7,15 +7,16 @@ says all that can be known.
 import math
 from collections.abc import Iterator, Sequence
 
+from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.bench import Rig
-from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design
+from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.moves import AXES, ResolvedMove
 from gradcal_jax.files.plan import GradientPlan, RampItem, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import BiasRequirement, ScaleFactorRequirement
 from gradcal_jax.files.schedule import GradientSchedule, gradient_schedule, resolve_cycle
-from gradcal_jax.files.sensor import Sensor
+from gradcal_jax.files.sensor import ScaleFactor, Sensor
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
 _SLACK = 1e-6
@@ -34,11 +35,31 @@ def between_sections(
         problems += _requirements(requirements, sensor)
         if design is not None:
             problems += _design(design, [requirement.name for requirement in requirements])
+    if design is not None and design.notice is not None and sensor is not None:
+        problems += [p.under("design", "notice") for p in _notice(design.notice, sensor.scale_factor)]
     if isinstance(plan, StandardPlan):
         problems += [p.under("plan") for p in _standard(plan, rig, sensor)]
     elif plan is not None and rig is not None:
         problems += [p.under("plan") for p in _gradient(plan, rig, sensor)]
     return problems
+
+
+def _notice(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
+    if scale is None or not isinstance(scale.temperature, TemperaturePolynomial):
+        yield Problem((), "is of a scale factor that is a polynomial; the sensor has none")
+        return
+    if not isinstance(scale.rate, RatePolynomial):
+        yield Problem((), "is of a scale factor that is a polynomial in rate; the sensor's is not")
+        return
+    own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
+    for name, degree in own.items():
+        asked = getattr(notice, name)
+        if asked is None:
+            continue
+        if scale.discrepancy is not None and asked != getattr(scale.discrepancy, name):
+            yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", asked)
+        elif asked <= degree:
+            yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", asked)
 
 
 def _requirements(

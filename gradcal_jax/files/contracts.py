@@ -206,7 +206,10 @@ class Timeline(Section):
 
 
 class RequirementRow(Section):
-    """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan."""
+    """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan.
+
+    `uncertain`: the least and the largest of the deciding statistic, where noise figures are uncertain.
+    """
 
     name: str
     quantity: Literal["scale_factor", "bias"]
@@ -223,6 +226,7 @@ class RequirementRow(Section):
     target: Size | None = None
     verdict: Literal["met", "missed", "unobservable"] | None = None
     limited_by: str | None = None
+    uncertain: tuple[Size, Size] | None = None
 
     @property
     def decisive(self) -> float | None:
@@ -239,6 +243,44 @@ class ParameterRow(Section):
     unit: str
 
 
+class NoticeRow(Section):
+    """What a test of the log, whose level is `false_alarm`, notices of structure that a map has and the model lacks:
+    the polynomials after the map's, up to these degrees.
+
+    `power`: the probability where the coefficient of each has the `standard_deviation` (`unit`; both null where the
+    spec has no size for it); `sure_from`: the size from which on it is `sure_power`; null: never. `components`: how
+    many combinations of the coefficients the plan sees, the test's degrees of freedom.
+    """
+
+    quantity: Literal["scale_factor", "bias"]
+    axis: Axis = "x"
+    unit: Literal["ppm", "deg/h"]
+    temperature_degree: int
+    rate_degree: int | None = None
+    components: int
+    false_alarm: Size
+    standard_deviation: Size | None = None
+    power: Size | None = None
+    sure_power: Size
+    sure_from: Size | None = None
+
+    @property
+    def sentence(self) -> str:
+        """As people read it."""
+        shape = f"up to degree {self.temperature_degree}"
+        shape += " in temperature" if self.rate_degree is None else f" in temperature by {self.rate_degree} in rate"
+        hidden = f"structure of the {self.quantity.replace('_', ' ')} that the model lacks (polynomials {shape})"
+        if self.sure_from is None:
+            words = "goes unnoticed, whatever its size"
+        else:
+            words = f"with a probability of {self.sure_power:.0%} from {self.sure_from:.3g} {self.unit} each on"
+            if self.power is not None:
+                size = f"{self.standard_deviation:.4g} {self.unit}"
+                words = f"with a probability of {self.power:.0%} where each has {size}, and {words}"
+            words = f"is noticed {words}"
+        return f"{hidden} {words}; false alarms: {self.false_alarm:.2g}"
+
+
 class Prediction(Section):
     """gradcal-prediction/1: the residual that a plan leaves. `covariance` is in the units of the parameters."""
 
@@ -250,4 +292,5 @@ class Prediction(Section):
     requirements: tuple[RequirementRow, ...]
     parameters: tuple[ParameterRow, ...]
     covariance: tuple[tuple[Finite | None, ...], ...] | None
+    notices: tuple[NoticeRow, ...] = ()
     warnings: tuple[str, ...] = ()

@@ -128,6 +128,7 @@ RateRandomWalk = Annotated[Quantity, Of("rate random walk", at_least="0 deg/h/sq
 PositiveScaleFactor = Annotated[Quantity, Of("scale factor", above="0 ppm")]
 SizeOfScaleFactor = Annotated[Quantity, Of("scale factor", at_least="0 ppm")]
 Margin = Annotated[Quantity, Of("scale factor", at_least="0 %", below="100 %")]
+Probability = Annotated[Quantity, Of("scale factor", above="0 %", below="100 %")]
 ScaleFactorSlope = Annotated[Quantity, Of("scale factor slope")]
 BiasSlope = Annotated[Quantity, Of("bias slope")]
 PositiveGradientSensitivity = Annotated[Quantity, Of("bias temperature-gradient sensitivity", above="0 deg/h/(K/min)")]

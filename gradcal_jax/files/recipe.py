@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, cast
 
 from pydantic import Field, model_validator
 
-from gradcal_jax.files.contracts import ParameterRow, Prediction, RequirementRow, Size
+from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
@@ -39,6 +39,7 @@ class Predicted(Section):
     motion_s: Size
     requirements: tuple[RequirementRow, ...] = ()
     parameters: tuple[PredictedParameter, ...] = ()
+    notices: tuple[NoticeRow, ...] = ()
     warnings: tuple[Text, ...] = ()
 
     @classmethod

@@ -1,6 +1,6 @@
 """`[sensor]`: what is calibrated, its noise, and the error functions to be found."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -23,27 +23,36 @@ from gradcal_jax.files.quantity import (
     Time,
 )
 from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.uncertain import UncertainSection
+
+_PROCESS = ("standard_deviation", "correlation_time")
 
 
-class Drift(Section):
+class Drift(UncertainSection):
     """In-run bias instability: a first-order Gauss–Markov process (stationary standard deviation, correlation time)."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = _PROCESS
 
     standard_deviation: PositiveRate
     correlation_time: Time
 
 
-class ScaleFactorInstability(Section):
+class ScaleFactorInstability(UncertainSection):
     """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = _PROCESS
 
     standard_deviation: PositiveScaleFactor
     correlation_time: Time
 
 
-class TemperatureError(Section):
+class TemperatureError(UncertainSection):
     """Error of the temperature measurement; the maps' slopes in temperature turn it into rate error.
 
     Without `correlation_time` the error is one draw for the whole run.
     """
+
+    FIGURES: ClassVar[tuple[str, ...]] = _PROCESS
 
     standard_deviation: PositiveTemperatureDifference
     correlation_time: Time | None = None
@@ -132,8 +141,15 @@ def _gyro(value: object) -> object:
     return value
 
 
-class Sensor(Section):
+class Sensor(UncertainSection):
     """A gyro axis: every term of the error model (paper, eq. 1). Absent terms are absent from the model."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = (
+        "angle_random_walk",
+        "rate_random_walk",
+        "turn_on_bias",
+        "sample_clock_error",
+    )
 
     name: Text | None = None
     quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
@@ -159,6 +175,16 @@ class Sensor(Section):
             problems.append(Problem((), message))
         refuse(*problems)
         return self
+
+    def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
+        """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
+        tables: list[tuple[str, UncertainSection | None]] = [("sensor", self)]
+        tables += [(f"sensor.drift[{i}]", d) for i, d in enumerate(self.drift)]
+        tables += [(f"sensor.scale_factor_instability[{i}]", d) for i, d in enumerate(self.scale_factor_instability)]
+        tables.append(("sensor.temperature_error", self.temperature_error))
+        return {
+            f"{key}.{name}": ends for key, table in tables if table is not None for name, ends in table.ranges().items()
+        }
 
     @property
     def usable_rate(self) -> float | None:

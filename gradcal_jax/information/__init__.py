@@ -3,6 +3,7 @@
 from gradcal_jax.information.adjoint import gram, whitened_factor
 from gradcal_jax.information.montecarlo import Twin, WishartTest, monte_carlo_errors, simulate_noise, wishart_test
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
+from gradcal_jax.information.noticing import gains, kept, missed, noticed_from, power, quantiles, seen, where_hidden
 from gradcal_jax.information.observability import unobservable_combinations
 from gradcal_jax.information.posterior import (
     LeastSquares,
@@ -30,21 +31,29 @@ __all__ = [
     "WishartTest",
     "at_readings",
     "contrasts",
+    "gains",
     "gram",
     "information",
+    "kept",
     "least_squares",
     "map_of",
+    "missed",
     "monte_carlo_errors",
     "noise_of_sums",
     "noise_steps",
+    "noticed_from",
     "posterior",
+    "power",
+    "quantiles",
     "residual",
+    "seen",
     "simulate_noise",
     "since_origin",
     "square_root",
     "statistic",
     "unobservable_combinations",
     "unweighted",
+    "where_hidden",
     "whiten",
     "whiten_from",
     "whitened_factor",

@@ -12,17 +12,18 @@ from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
 from gradcal_jax.information.posterior import Posterior, least_squares, posterior, square_root, unweighted
 from gradcal_jax.information.regressors import at_readings
 from gradcal_jax.information.whitening import whiten
-from gradcal_jax.model import SensorModel
+from gradcal_jax.model import Discrepancy, SensorModel
 from gradcal_jax.trajectory import Trajectory
 
 
 class Twin(NamedTuple):
-    """`errors` `(runs, p)`: estimate minus truth, in the engine's parameters; `predicted`:
-    the posterior they should follow.
+    """`errors` `(runs, p)`: estimate minus truth, in the engine's parameters; `predicted`: the posterior that they
+    should follow. `left`: errors of what a calibration carries, which is nothing of a discrepancy.
     """
 
     errors: np.ndarray
     predicted: Posterior
+    left: np.ndarray
 
 
 def monte_carlo_errors(
@@ -46,13 +47,16 @@ def monte_carlo_errors(
             "the plan leaves some parameters unobservable, so no estimate of them can be compared: give them a prior"
         )
     p = model.size
-    errors = []
+    errors, left = [], []
+    carried = np.concatenate([np.full(t.size, 0.0 if isinstance(t, Discrepancy) else 1.0) for t in model.terms])
     for begin in range(0, runs, tile):
         size = min(tile, runs - begin)
         truth = np.linalg.pinv(rows) @ rng.standard_normal((rows.shape[0], size)) if len(rows) else np.zeros((p, size))
         readings = simulate_noise(steps, size, rng) + columns @ truth
         if plain is not None:
-            errors.append((plain.back @ (plain.weights.T @ readings) - truth).T)
+            estimate = plain.back @ (plain.weights.T @ readings)
+            errors.append((estimate - truth).T)
+            left.append((carried[:, None] * estimate - truth).T)
             continue
         both = whiten(steps, np.concatenate([columns, readings], axis=1))
         design = np.concatenate([both[:, :p], rows])
@@ -60,7 +64,8 @@ def monte_carlo_errors(
         scale = np.linalg.norm(design, axis=0)
         estimate = np.linalg.lstsq(design / scale, data, rcond=None)[0] / scale[:, None]
         errors.append((estimate - truth).T)
-    return Twin(np.concatenate(errors), known)
+        left.append((carried[:, None] * estimate - truth).T)
+    return Twin(np.concatenate(errors), known, np.concatenate(left))
 
 
 def simulate_noise(steps: NoiseSteps, runs: int, rng: np.random.Generator) -> np.ndarray:

@@ -35,6 +35,10 @@ class SquareRootInformation(NamedTuple):
     factor: Float[AnyArray, "p p"]
     scale: Float[AnyArray, " p"]
 
+    def leading(self, count: int) -> "SquareRootInformation":
+        """What is known of the first parameters where all after them are known to be zero."""
+        return SquareRootInformation(self.factor[:count, :count], self.scale[:count])
+
     def deviations(self, contrasts: Float[AnyArray, "g p"]) -> Float[AnyArray, " g"]:
         """Standard deviation of each linear combination of the parameters; differentiable, for observable ones."""
         solved = solve_transposed(self.factor, (contrasts / self.scale[None, :]).T)

@@ -85,6 +85,15 @@ class Discrepancy(Term):
     def names(self) -> list[str]:
         return [f"{self.name}{k}" for k in range(self.size)]
 
+    def degrees(self) -> list[tuple[int, int]]:
+        """Of each function in temperature and in rate, in the order of `values`; 0 in rate for a map without one."""
+        low, high = self.temperature.lowest, self.temperature.lowest + self.temperature.size
+        if self.rate is None:
+            return [(i, 0) for i in range(low, high)]
+        beyond, every = self.rate.lowest, self.rate.lowest + self.rate.size
+        first = [(i, j) for i in range(low, high) for j in range(every)]
+        return first + [(i, j) for i in range(low) for j in range(beyond, every)]
+
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         return namespace(self.std).eye(self.size) / self.std
 

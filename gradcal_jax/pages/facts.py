@@ -58,7 +58,7 @@ def facts_of(sources: Sources) -> Facts:
     axes = () if calibration is None else tuple(_axis(axis, sources.hidden_truth) for axis in calibration.axis)
     notes = [*sources.notes]
     if recipe is not None:
-        notes += [*recipe.notes, *recipe.prediction.warnings]
+        notes += [*recipe.notes, *(row.sentence for row in recipe.prediction.notices), *recipe.prediction.warnings]
     notes += [
         f"axis {axis.axis}: the data say nothing of {', '.join(axis.unobservable)}"
         for axis in axes

@@ -90,9 +90,8 @@ def test_elasticities_are_differences_of_predictions(spec):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_any_point_is_written_feasible_with_whole_turns_and_distinct_rates(spec, seed):
-    wanted = {"design.whole_turns": True, "design.min_distinct_rates": 4}
-    changed_ = changed(spec, wanted)
+def test_any_point_is_written_feasible_with_whole_turns(spec, seed):
+    changed_ = changed(spec, {"design.whole_turns": True})
     (structure,) = structures(changed_, [])
     point = 2.0 * np.random.default_rng(seed).standard_normal(structure.coordinates.size)
     plan = plan_to_spec(changed_, structure.coordinates, point)
@@ -103,11 +102,6 @@ def test_any_point_is_written_feasible_with_whole_turns_and_distinct_rates(spec,
         assert abs(move.angle) / (2 * math.pi) == pytest.approx(round(abs(move.angle) / (2 * math.pi)), abs=1e-9)
         assert move.fastest <= 300 * DEG * (1 + 1e-9)
         assert move.peak_acceleration <= 300 * DEG * (1 + 1e-9)
-    rates = np.asarray(structure.coordinates.cycle(point).peak_rates)
-    shapes = [e.shape for e in structure.coordinates.elements()]
-    peaks = np.sort([r for r, s in zip(rates, shapes, strict=True) if s != "rest"])
-    # Four bands of 150 deg/s, with gaps between them.
-    assert len(set(np.floor((peaks + 300 * DEG) / (150 * DEG)))) == 4
     assert plan.gradient_schedule.motion == pytest.approx(spec.gradient_schedule.motion, rel=1e-9)
     assert sum(m.repeat * m.duration for m in moves if m.other_axes) == pytest.approx(3 * 780.0)
 

@@ -244,7 +244,6 @@ def test_a_prior_leaves_of_what_stays_as_much_as_one_reading_of_it_would():
 
 def test_a_floor_under_the_residual_raises_the_limit_and_stays_below_what_is_reached():
     floor = (1e-6 * np.linspace(1.0, 2.0, len(TEMPERATURES))) ** 2
-    raised = eqx.tree_at(lambda c: c.beyond, CRITERION, np.repeat(floor, len(RATES)))
     options = {
         "motion_time": 480.0,
         "temperatures": np.linspace(-30, 70, 9),
@@ -252,7 +251,8 @@ def test_a_floor_under_the_residual_raises_the_limit_and_stays_below_what_is_rea
         "max_rate": MAX,
         "noise_density": WALK**2,
     }
-    alone, together = limit(CRITERION, LINEAR, **options), limit(raised, LINEAR, **options)
+    alone = limit(CRITERION, LINEAR, **options)
+    together = limit(CRITERION, LINEAR, **options, floor=np.repeat(floor, len(RATES)))
     assert together.certified <= together.reached * (1 + 1e-12)
     assert together.certified == pytest.approx(together.reached, rel=5e-3)
     assert max(alone.certified, 2e-6) < together.certified

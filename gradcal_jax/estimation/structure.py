@@ -1,0 +1,157 @@
+"""What a log says of structure that a map has and its model lacks: the χ² test that a plan's power is of, the degrees
+that the data ask for, and how large the discrepancy is.
+
+The whitened columns G of the polynomials beyond the map and the data d have everything else that is estimated, priors
+included, taken off by an orthogonal projection. With `G = U S Vᵀ` then, `y = Uᵀd` is `N(0, 1 + σ²m)` component by
+component, `m = S²` being the gains (see `information.noticing`), where the coefficients are `N(0, σ²)`; without a
+hidden map `Σ y²` is χ². Of σ²:
+
+* the estimate is where the marginal likelihood `−½ Σ [ln(1 + σ²m) + y²/(1 + σ²m)]` of all units together is largest
+  (restricted maximum likelihood, Patterson and Thompson, 1971: what is estimated beside has been projected out);
+* `Q(σ²) = Σ y²/(1 + σ²m)` falls with σ² and is χ²_k at the true one, so where Q meets the 97.5 and 2.5 % points lie the
+  ends of an interval that covers 95 % exactly, whatever k and σ are.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize, stats
+
+from gradcal_jax.estimation.consistency import Test
+from gradcal_jax.estimation.solve import Whitened
+from gradcal_jax.information import seen
+from gradcal_jax.information.posterior import OBSERVABLE
+from gradcal_jax.model import Discrepancy
+
+_TAILS = (0.975, 0.025)
+# The largest σ²·m that is looked at: no log tells larger ones apart.
+_LARGEST = 1e12
+
+
+class Components(NamedTuple):
+    """`y` `(k, U)` of U units with the same gains `(k,)` (per squared unit of a coefficient)."""
+
+    y: np.ndarray
+    gains: np.ndarray
+
+
+class Size(NamedTuple):
+    """Standard deviation of a discrepancy's coefficients (1 or rad/s), and the 95 % interval; `high` None: no end."""
+
+    std: float
+    low: float
+    high: float | None
+
+
+class StructureTest(NamedTuple):
+    """Of one map and unit. `asked`: the degrees (in temperature, in rate) that the data ask for; None where the model
+    suffices. `components`: what `size_of` takes, of several units together.
+    """
+
+    quantity: str
+    test: Test
+    false_alarm: float
+    asked: tuple[int, int] | None
+    size: Size
+    components: Components
+
+    @property
+    def noticed(self) -> bool:
+        return self.test.degrees > 0 and self.test.probability < self.false_alarm
+
+
+def components(white: Whitened, extra: np.ndarray, keep: np.ndarray | None = None) -> Components:
+    """Of the units in `white`, which share rows, and the whitened columns `extra` `(n, k)` of hidden functions.
+
+    `keep` `(k,)`: which of them are tested; the others are estimated beside, without a prior.
+    """
+    n, rows = len(extra), white.rows[0]
+    keep = np.ones(extra.shape[1], bool) if keep is None else keep
+    beside = np.concatenate([np.concatenate([rows, extra[:, ~keep]], axis=1), _padded(white.prior, int((~keep).sum()))])
+    both = np.concatenate([extra[:, keep], white.data.T], axis=1)
+    both = np.concatenate([both, np.zeros((len(beside) - n, both.shape[1]))])
+    length = np.linalg.norm(beside, axis=0)
+    left, singular, _ = np.linalg.svd(beside / np.where(length > 0.0, length, 1.0), full_matrices=False)
+    known = left[:, singular > OBSERVABLE * np.max(singular, initial=0.0)]
+    both = both - known @ (known.T @ both)
+    # Once more: what is left is small beside what was taken off.
+    both = both - known @ (known.T @ both)
+    hidden, data = both[:, : int(keep.sum())], both[:, int(keep.sum()) :]
+    directions, sizes, _ = np.linalg.svd(hidden, full_matrices=False)
+    used = seen(sizes**2)
+    return Components(directions[:, used].T @ data, sizes[used] ** 2)
+
+
+def _padded(prior: np.ndarray, count: int) -> np.ndarray:
+    return np.concatenate([prior, np.zeros((len(prior), count))], axis=1)
+
+
+def chi_squared(of: Components, unit: int = 0) -> Test:
+    """The test of one unit."""
+    statistic, degrees = float(np.sum(of.y[:, unit] ** 2)), len(of.gains)
+    return Test(statistic, degrees, float(stats.chi2.sf(statistic, degrees)) if degrees else 1.0)
+
+
+def size_of(every: list[Components]) -> Size | None:
+    """How large the discrepancy is, of all units together; None where none of them sees anything of it."""
+    squares = np.concatenate([c.y.T.ravel() ** 2 for c in every])
+    gains = np.concatenate([np.tile(c.gains, c.y.shape[1]) for c in every])
+    if not len(gains):
+        return None
+    scale = float(np.max(gains))
+    m = gains / scale
+    top = _LARGEST
+
+    def short(log: float) -> float:
+        v = 1.0 + np.exp(log) * m
+        return float(np.sum(np.log(v) + squares / v))
+
+    grid = np.linspace(-12.0, np.log(top), 400)
+    values = [short(x) for x in grid]
+    best = int(np.argmin(values))
+    at = optimize.minimize_scalar(short, bounds=(grid[max(best - 1, 0)], grid[min(best + 1, 399)]), method="bounded").x
+    none = float(np.sum(squares))
+    estimate = 0.0 if none <= short(float(at)) else float(np.exp(at))
+
+    def pivot(variance: float) -> float:
+        return float(np.sum(squares / (1.0 + variance * m)))
+
+    ends: list[float | None] = []
+    for tail in _TAILS:
+        quantile = float(stats.chi2.ppf(tail, len(m)))
+        if none <= quantile:
+            ends.append(0.0)
+        elif pivot(top) > quantile:
+            ends.append(None)
+        else:
+            ends.append(float(optimize.brentq(lambda v, q=quantile: pivot(v) - q, 0.0, top, xtol=1e-12)))
+    low, high = ends
+    root = lambda v: float(np.sqrt(v / scale))  # noqa: E731
+    return Size(root(estimate), root(0.0 if low is None else low), None if high is None else root(high))
+
+
+def structure_test(white: Whitened, extra: np.ndarray, hidden: Discrepancy, false_alarm: float) -> StructureTest | None:
+    """Of one unit: `extra` `(n, k)` are the whitened columns of the hidden functions. None where nothing is seen."""
+    of = components(white, extra)
+    size = size_of([of])
+    if size is None:
+        return None
+    test = chi_squared(of)
+    asked = _asked(white, extra, hidden, false_alarm) if test.probability < false_alarm else None
+    return StructureTest(hidden.name.removesuffix("_discrepancy"), test, false_alarm, asked, size, of)
+
+
+def _asked(white: Whitened, extra: np.ndarray, hidden: Discrepancy, false_alarm: float) -> tuple[int, int]:
+    """The structure with the fewest coefficients after which the same test finds nothing more."""
+    degrees = np.array(hidden.degrees())
+    lowest = hidden.temperature.lowest - 1, 0 if hidden.rate is None else hidden.rate.lowest - 1
+    most = np.max(degrees, axis=0)
+    every = [(i, j) for i in range(lowest[0], max(most[0], lowest[0]) + 1) for j in range(lowest[1], most[1] + 1)]
+    for i, j in sorted(every, key=lambda d: ((d[0] + 1) * (d[1] + 1), d)):
+        beyond = np.any(degrees > [i, j], axis=1)
+        if not beyond.any():
+            break
+        rest = components(white, extra, beyond)
+        if chi_squared(rest).probability >= false_alarm:
+            return i, j
+    return int(most[0]), int(most[1])

@@ -1,0 +1,88 @@
+"""`uncertain`: how far a noise figure may be from what is written, and what a table of such figures may hold.
+
+standard_deviation = "1 deg/h"
+correlation_time   = "120 s"
+uncertain          = "factor 2"                                              # of all figures beside it
+uncertain          = { correlation_time = ["1 min", "20 min"] }              # or of each by name
+"""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar, Final, cast
+
+from pydantic import BeforeValidator, model_validator
+
+from gradcal_jax.files.problems import Problem, one_of
+from gradcal_jax.files.quantity import Quantity, Text
+from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.units import UnitError, unit_of
+
+_FACTOR: Final = re.compile(r"factor\s+([0-9]+(?:\.[0-9]*)?)")
+_LARGEST: Final = 1000.0
+
+Ends = tuple[Text, Text]
+
+
+def _understood(value: object) -> object:
+    """One message for whatever is neither of the two."""
+
+    def known(entry: object) -> bool:
+        ends = cast("Sequence[object]", entry) if isinstance(entry, list | tuple) else ()
+        return isinstance(entry, str) or (len(ends) == 2 and all(isinstance(end, str) for end in ends))
+
+    entries = cast("Mapping[str, object]", value).values() if isinstance(value, Mapping) else [None]
+    if not (isinstance(value, str) or all(known(entry) for entry in entries)):
+        raise ValueError('expected "factor 2", or a table of figures, each "factor 2" or [least, largest]')
+    return cast("object", value)
+
+
+Uncertain = Annotated[Text | dict[str, Text | Ends], BeforeValidator(_understood)]
+
+
+class UncertainSection(Section):
+    """A table of noise figures with a key `uncertain`: "factor 2", or by figure "factor 2" or [least, largest]."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ()
+
+    uncertain: Uncertain | None = None
+
+    @model_validator(mode="after")
+    def _uncertain(self) -> "UncertainSection":
+        self.ranges()
+        return self
+
+    def ranges(self) -> dict[str, tuple[Quantity, Quantity]]:
+        """The least and the largest value (SI) of each uncertain figure. Errors: `SpecError`."""
+        if self.uncertain is None:
+            return {}
+        there = [name for name in self.FIGURES if getattr(self, name)]
+        if isinstance(self.uncertain, str):
+            return {name: self._range(("uncertain",), name, self.uncertain) for name in there}
+        unknown = [name for name in self.uncertain if name not in there]
+        refuse(
+            *(
+                Problem(("uncertain", name), f"is no figure of this table that can be uncertain: {one_of(there)}")
+                for name in unknown
+            )
+        )
+        return {name: self._range(("uncertain", name), name, value) for name, value in self.uncertain.items()}
+
+    def _range(self, key: tuple[str, ...], name: str, value: str | Ends) -> tuple[Quantity, Quantity]:
+        nominal: Quantity = getattr(self, name)
+        if isinstance(value, str):
+            match = _FACTOR.fullmatch(value.strip())
+            factor = float(match.group(1)) if match else math.nan
+            if not 1.0 < factor <= _LARGEST:
+                refuse(Problem(key, 'expected "factor 2" (more than 1), or [least, largest]', value))
+            ends = [Quantity.of(nominal * by, unit_of(nominal.text)) for by in (1.0 / factor, factor)]
+            return ends[0], ends[1]
+        ends: list[Quantity] = []
+        for i, text in enumerate(value):
+            try:
+                ends.append(Quantity.read(text, nominal.dimension))
+            except UnitError as error:
+                refuse(Problem((*key, i), str(error), text))
+        if not 0.0 < ends[0] <= nominal <= ends[1]:
+            refuse(Problem(key, f"must hold what is written, {nominal}, between its least and largest", list(value)))
+        return ends[0], ends[1]

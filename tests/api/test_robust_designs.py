@@ -1,0 +1,129 @@
+"""Designs for a wrong model: a hidden map that must be noticed, and noise figures that are uncertain."""
+
+import numpy as np
+import pytest
+from search_problem import SPEC
+
+from gradcal_jax import files
+from gradcal_jax.api import predict
+from gradcal_jax.api.measure import measure
+from gradcal_jax.api.optimise import Optimised, belief_of, optimise
+from gradcal_jax.api.scenarios import extremes, scenario_specs
+from gradcal_jax.api.structures import structures
+from gradcal_jax.files import SpecError, changed, parse_spec, to_toml
+
+UNCERTAIN = {
+    "sensor.drift[0].uncertain": {"standard_deviation": "factor 2", "correlation_time": ["1 min", "20 min"]},
+    "sensor.uncertain": {"angle_random_walk": "factor 1.5"},
+}
+
+
+@pytest.fixture(scope="module")
+def spec() -> files.Spec:
+    return parse_spec(SPEC)
+
+
+def value(spec: files.Spec) -> float:
+    return predict(spec).requirements[0].decisive
+
+
+def test_uncertain_figures_make_a_range_that_holds_every_draw(spec):
+    loose = changed(spec, UNCERTAIN)
+    assert parse_spec(to_toml(loose)) == loose
+    low, high = predict(loose, limits=True).requirements[0].uncertain
+    assert low < value(spec) < high
+    rng = np.random.default_rng(0)
+    figures = loose.sensor.uncertain_figures()
+    assert len(figures) == 3
+    for _ in range(12):
+        drawn = {k: float(np.exp(rng.uniform(*np.log(ends)))) for k, ends in figures.items()}
+        assert low * (1 - 1e-9) <= value(changed(loose, drawn)) <= high * (1 + 1e-9)
+
+
+def test_the_worst_of_a_design_is_the_worst_of_the_range(spec):
+    loose = changed(spec, UNCERTAIN | {"design.robust": "worst"})
+    cases = scenario_specs(loose)
+    assert len(cases) == 3  # standard deviations at their largest, the correlation time at both ends and as written
+    assert max(value(one) for one, _ in cases) == pytest.approx(max(value(one) for one in extremes(loose)))
+    mean = scenario_specs(changed(loose, {"design.robust": "mean"}))
+    assert len(mean) == 7
+    assert {weight for _, weight in mean} == {1.0}
+
+
+def test_cases_in_a_loop_are_the_cases_one_by_one(spec):
+    """One program loops over scenarios; NumPy takes them in turn. And the gradient is the difference: 1e-6."""
+    loose = changed(spec, UNCERTAIN | {"design.robust": "worst", "sensor.scale_factor.discrepancy": HIDDEN})
+    of = measure(loose)
+    coordinates = structures(loose, [s for s, _ in scenario_specs(loose)])[0].coordinates
+    at = of.compiled(coordinates)
+    point = np.random.default_rng(2).standard_normal(at.size)
+    assert np.exp(at(point).logs[0]) == pytest.approx(of.exact(coordinates.decode(point)), rel=1e-9)
+    gradient, step = at(point, 20.0).of_z[0], 1e-5
+    for k in np.argsort(-np.abs(gradient))[:4]:
+        e = step * np.eye(at.size)[k]
+        difference = (at(point + e, 20.0).logs[0] - at(point - e, 20.0).logs[0]) / (2 * step)
+        assert abs(gradient[k] - difference) < 1e-6 * np.linalg.norm(gradient)
+
+
+HIDDEN = {"standard_deviation": "20 ppm", "temperature_degree": 3, "rate_degree": 3}
+
+
+def test_a_design_notices_what_it_must_and_pays_for_it(spec):
+    *_, free = optimise(spec, steps=40)
+    (row,) = predict(changed(free.spec, {"design.notice": HIDDEN}), notices=True).notices
+    assert row.standard_deviation == pytest.approx(20.0)
+    # Twice as small as what the plan is sure to notice.
+    notice = HIDDEN | {"standard_deviation": f"{0.5 * row.sure_from:.4g} ppm", "power": "90 %"}
+    must = changed(spec, {"design.notice": notice})
+    *_, best = optimise(must, steps=40)
+    assert isinstance(best, Optimised)
+    (seen,) = predict(best.spec, notices=True).notices
+    assert seen.power > 0.89 > predict(changed(free.spec, {"design.notice": notice}), notices=True).notices[0].power
+    assert best.now >= free.now * (1 - 1e-6)
+    assert best.now == pytest.approx(value(best.spec))
+
+
+def test_the_probability_to_miss_has_a_gradient_in_the_plan(spec):
+    must = changed(spec, {"design.notice": HIDDEN})
+    of = measure(must)
+    coordinates = structures(must, [])[0].coordinates
+    at = of.compiled(coordinates)
+    point, step = np.random.default_rng(5).standard_normal(at.size), 1e-5
+    slopes = at(point).of_z
+    assert slopes.shape[0] == 2
+    direction = slopes[1] / np.linalg.norm(slopes[1])
+    difference = (at(point + step * direction).logs[1] - at(point - step * direction).logs[1]) / (2 * step)
+    assert slopes[1] @ direction == pytest.approx(difference, rel=1e-6)
+    # What is believed has no discrepancy: the objective is the plan's without one.
+    assert np.exp(at(point).logs[0]) == pytest.approx(measure(spec).exact(coordinates.decode(point)), rel=1e-9)
+
+
+def test_what_is_believed_is_said(spec):
+    assert "exactly the structure" in belief_of(spec)
+    assert belief_of(changed(spec, {"sensor.scale_factor.discrepancy": HIDDEN})) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"design.min_distinct_rates": 6}, "is gone"),
+        ({"sensor.drift[0].uncertain": "factor 0.5"}, "more than 1"),
+        ({"sensor.drift[0].uncertain": "about 2"}, "factor 2"),
+        ({"sensor.drift[0].uncertain": 3}, "a table of figures"),
+        ({"sensor.drift[0].uncertain": {"tau": "factor 2"}}, "no figure of this table"),
+        ({"sensor.drift[0].uncertain": {"correlation_time": ["3 min", "20 min"]}}, "must hold what is written"),
+        ({"sensor.drift[0].uncertain": {"correlation_time": ["3 parsec", "20 min"]}}, "not understood"),
+        ({"design.notice": {"standard_deviation": "10 ppm", "power": "100 %"}}, "below 100 %"),
+        ({"design.notice": {"standard_deviation": "10 ppm", "rate_degree": 1}}, "exceed"),
+        (
+            {
+                "design.notice": {"standard_deviation": "10 ppm", "rate_degree": 5},
+                "sensor.scale_factor.discrepancy": HIDDEN,
+            },
+            "discrepancy",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(spec, changes, says):
+    with pytest.raises(SpecError, match=says):
+        changed(spec, changes)

@@ -1,0 +1,77 @@
+"""Raw samples of units whose maps have more structure than the spec believes, through the whole of `estimate`."""
+
+import numpy as np
+import pytest
+from logs_zoo import spec_of
+from simulated_log import simulate_log
+
+from gradcal_jax.api import assemble, predict
+from gradcal_jax.api.calibration import estimate_calibration, estimate_rows
+from gradcal_jax.files import changed, parse_spec, to_toml
+
+PPM = 1e-6
+UNITS = 6
+
+
+@pytest.fixture(scope="module")
+def spec():
+    return spec_of()
+
+
+def logs_of(spec, hidden_ppm: float):
+    """Maps two degrees higher than the spec's in temperature and in rate; its own functions as large as ever."""
+    own = spec.sensor.scale_factor
+    degrees = own.temperature.degree, own.rate.degree
+    higher = changed(
+        spec,
+        {
+            "sensor.scale_factor.temperature.degree": degrees[0] + 2,
+            "sensor.scale_factor.rate.degree": degrees[1] + 2,
+        },
+    )
+    model = assemble(higher).model
+    where = model.where("scale_factor")
+    pairs = [(i, j) for i in range(degrees[0] + 3) for j in range(degrees[1] + 3)]
+    beyond = np.array([i > degrees[0] or j > degrees[1] for i, j in pairs])
+    rng = np.random.default_rng(4)
+    truth = np.zeros((UNITS, model.size))
+    truth[:, where] = np.where(beyond, hidden_ppm, 500.0) * PPM * rng.standard_normal((UNITS, len(pairs)))
+    return simulate_log(higher, units=UNITS, sample_rate_hz=20.0, seed=9, truth={"x": truth}).log
+
+
+def test_structure_is_noticed_measured_and_written_for_the_spec(spec):
+    (row,) = [r for r in predict(spec, notices=True).notices if r.quantity == "scale_factor"]
+    size = 4.0 * row.sure_from
+    report = estimate_calibration(spec, logs_of(spec, size))
+    tests = [t for c in report.channels for t in c.structure if t.quantity == "scale_factor"]
+    assert len(tests) == UNITS
+    assert all(t.noticed and t.asked is not None for t in tests)
+    assert not report.as_wished
+    assert any("the data ask for degree" in m for m in report.messages["simulated-1"])
+    (found,) = [r for r in report.discrepancies if r.quantity == "scale_factor"]
+    assert found.units == UNITS
+    assert found.low < size < found.high
+    assert 0.5 * size < found.standard_deviation < 2.0 * size
+    # The block goes into the spec as it is.
+    section, line = found.block.splitlines()
+    text = to_toml(spec)
+    assert section in text
+    again = parse_spec(text.replace(section, f"{section}\n{line}", 1))
+    assert float(again.sensor.scale_factor.discrepancy.standard_deviation) / PPM == pytest.approx(
+        found.standard_deviation, rel=0.01
+    )
+    rows = estimate_rows(report)
+    assert rows["discrepancies"][0]["unit"] in ("ppm", "deg/h")
+    assert rows["units"][0]["channels"][0]["structure"][-1]["noticed"] is True
+    # A spec that has the discrepancy is tested against its own structure alone: the prior does not hide it.
+    known = estimate_calibration(again, logs_of(spec, size))
+    for one, other in zip(report.channels, known.channels, strict=True):
+        assert other.structure[-1].test.statistic == pytest.approx(one.structure[-1].test.statistic, rel=0.02)
+
+
+def test_where_nothing_is_hidden_nothing_is_noticed(spec):
+    report = estimate_calibration(spec, logs_of(spec, 0.0))
+    tests = [t for c in report.channels for t in c.structure if t.quantity == "scale_factor"]
+    assert not any(t.noticed for t in tests)
+    (found,) = [r for r in report.discrepancies if r.quantity == "scale_factor"]
+    assert found.low == 0.0

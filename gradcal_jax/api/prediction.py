@@ -7,16 +7,18 @@ from gradcal_jax.api.error_budget import error_budget, limited_by
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, posterior_of_plan, residual_map, target_of, verdict
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
-from gradcal_jax.files.contracts import ParameterRow, RequirementRow
+from gradcal_jax.files.absent import absent_terms, with_typical
+from gradcal_jax.files.contracts import AbsentRow, ParameterRow, RequirementRow
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import STATISTICS, Posterior, statistic
 
 
-def predict(spec: Spec, *, limits: bool = False) -> Prediction:
+def predict(spec: Spec, *, limits: bool = False, typical: bool = False) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
-    `limits`: also say of each requirement what it is limited by. The exact covariance of generalised least squares
+    `limits`: also say of each requirement what it is limited by. `typical`: also what it would be with every error term
+    that the spec leaves out, and that counts as zero, at what is typical of its class (`counted_as_zero`). The exact covariance of generalised least squares
     under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with a warning. Errors:
     none; whatever is wrong with a file, `read_spec` has refused already.
     """
@@ -32,6 +34,13 @@ def predict(spec: Spec, *, limits: bool = False) -> Prediction:
         requirements = [
             row.model_copy(update={"limited_by": limited_by(shares[row.axis].get(row.name))}) for row in requirements
         ]
+    absent = absent_terms(spec)
+    if typical and absent:
+        there = predict(with_typical(spec)).requirements
+        requirements = [
+            row.model_copy(update={"with_typical": other.decisive})
+            for row, other in zip(requirements, there, strict=True)
+        ]
     schedule = spec.schedule
     parameters, covariance = _parameters(built, known)
     return Prediction(
@@ -43,6 +52,7 @@ def predict(spec: Spec, *, limits: bool = False) -> Prediction:
         parameters=parameters,
         covariance=covariance,
         warnings=tuple(warnings(built, known)),
+        counted_as_zero=tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent),
     )
 
 

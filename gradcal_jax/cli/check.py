@@ -8,6 +8,7 @@ from cyclopts import App
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, as_json
+from gradcal_jax.cli.predict import counted_as_zero
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
@@ -47,6 +48,8 @@ def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int
         return DONE
     print(strong(found.title or str(spec)))
     print(summary(found))
+    said = counted_as_zero(found)
+    print("\n".join(said)) if said else None
     blind = [] if files_only else unobservable(found)
     for sentence in blind:
         print(f"cannot be observed: {sentence}")
@@ -66,12 +69,15 @@ def unobservable(spec: "Spec") -> list[str]:
 
 def numbers(spec: "Spec") -> dict[str, Any]:
     """What the plan does, for other programs: times in s."""
+    from gradcal_jax.files.absent import absent_terms
+
     schedule = spec.schedule
     told = {"title": spec.title, "method": spec.plan.method, "duration_s": schedule.duration, "soak_s": schedule.soak}
     return told | {
         "motion_s": schedule.motion,
         "requirements": [r.name for r in spec.requirement],
         "notes": notes(spec),
+        "counted_as_zero": [{"key": t.key, "typical": t.typical, "source": t.source} for t in absent_terms(spec)],
     }
 
 

@@ -13,7 +13,7 @@ from gradcal_jax.pages.plain_text import amount, columns
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.files import Prediction
+    from gradcal_jax.files import Prediction, Spec
     from gradcal_jax.files.contracts import RequirementRow
 
 
@@ -57,7 +57,7 @@ def predict(
     use_float64()
     from gradcal_jax import api
 
-    prediction = api.predict(found, limits=not json)
+    prediction = api.predict(found, limits=not json, typical=True)
     rows, tests = ((), {}) if monte_carlo is None else api.monte_carlo(found, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
@@ -69,6 +69,8 @@ def predict(
         print(prediction.model_dump_json(indent=2))
     else:
         print(text(prediction, str(spec)))
+        said = counted_as_zero(found, prediction)
+        print("\n".join(["", *said])) if said else None
         if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
     if plot is not None:
@@ -127,6 +129,27 @@ def text(prediction: "Prediction", name: str) -> str:
     lines += ["", columns(_parameters(prediction), indent="", right=(1,))]
     lines += [f"note: {warning}" for warning in prediction.warnings]
     return "\n".join(lines)
+
+
+def counted_as_zero(spec: "Spec", prediction: "Prediction | None" = None) -> list[str]:
+    """What the file leaves out, with typical figures; and what the residuals would be with them. Empty: nothing."""
+    from gradcal_jax.files.absent import absent_terms, sensor_grade, table_grade
+
+    absent = absent_terms(spec)
+    if not absent:
+        return []
+    sensor, table = sensor_grade(spec.sensor), table_grade(spec)
+    lines = [
+        "counted as zero, since the file does not name it; typical of its class:",
+        columns([(term.key, term.typical) for term in absent]),
+        f"  sensor: {sensor.name} grade, like {sensor.like}, by {sensor.reason}; table: {table.name}, like {table.like}",
+    ]
+    for row in () if prediction is None else prediction.requirements:
+        if row.verdict != "unobservable":
+            value = amount(row.with_typical, row.unit)
+            over = row.target is not None and row.with_typical is not None and row.with_typical > row.target
+            lines.append(f"with all of that {row.name} would be {value}" + (": missed" if over else ""))
+    return [*lines, "sources of the figures: gradcal check --json; a term that is truly zero is named with 0"]
 
 
 def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:

@@ -206,7 +206,11 @@ class Timeline(Section):
 
 
 class RequirementRow(Section):
-    """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan."""
+    """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan.
+
+    `with_typical`: the same statistic with every absent error term at what is typical of its class; null where none is
+    absent, or it was not asked for.
+    """
 
     name: str
     quantity: Literal["scale_factor", "bias"]
@@ -223,11 +227,20 @@ class RequirementRow(Section):
     target: Size | None = None
     verdict: Literal["met", "missed", "unobservable"] | None = None
     limited_by: str | None = None
+    with_typical: Size | None = None
 
     @property
     def decisive(self) -> float | None:
         """The value of the requirement's own statistic; None: not observable."""
         return {"mean of max": self.mean_of_max, "max": self.max, "mean": self.mean, "rms": self.rms}[self.statistic]
+
+
+class AbsentRow(Section):
+    """An error term that the spec does not name and the prediction counts as zero: its key, and what is typical."""
+
+    key: str
+    typical: str
+    source: str
 
 
 class ParameterRow(Section):
@@ -251,3 +264,4 @@ class Prediction(Section):
     parameters: tuple[ParameterRow, ...]
     covariance: tuple[tuple[Finite | None, ...], ...] | None
     warnings: tuple[str, ...] = ()
+    counted_as_zero: tuple[AbsentRow, ...] = ()

@@ -44,7 +44,7 @@ class Predicted(Section):
     @classmethod
     def of(cls, prediction: Prediction) -> "Predicted":
         """From the contract."""
-        tables = prediction.model_dump(exclude_none=True, exclude={"format", "title", "covariance"})
+        tables = prediction.model_dump(exclude_none=True, exclude={"format", "title", "covariance", "counted_as_zero"})
         return cls.model_validate(tables)
 
 

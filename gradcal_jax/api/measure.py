@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, limit_of
 from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Objective, Optimality, criterion
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Scenario
@@ -73,8 +73,8 @@ def measure(spec: Spec) -> Measure:
         if not limiting:
             raise ValueError(f'"{design.minimise}" is minimised under targets: give a requirement a target')
         name, unit = "residual over target", "of the target"
-        mains = [[_criterion(built, r) for r in limiting] for built, _ in scenarios]
-        factors = [1.0 / float(r.target) for r in limiting if r.target is not None]
+        mains = [[_criterion(built, r, limited=True) for r in limiting] for built, _ in scenarios]
+        factors = [1.0 / _limit(r) for r in limiting]
         limiting = []
     elif design.minimise in OPTIMALITIES:
         name, unit = design.minimise, "ppm" if spec.sensor.scale_factor is not None else "deg/h"
@@ -85,8 +85,8 @@ def measure(spec: Spec) -> Measure:
         unit, factor = UNIT_OF[main.quantity]
         name = f"{main.name} ({main.statistic})"
         mains, factors = [[_criterion(built, main)] for built, _ in scenarios], [factor]
-    limits = [[_criterion(built, r) for r in limiting] for built, _ in scenarios]
-    targets = np.array([float(cast("float", r.target)) for r in limiting])
+    limits = [[_criterion(built, r, limited=True) for r in limiting] for built, _ in scenarios]
+    targets = np.array([_limit(r) for r in limiting])
     cases = tuple(
         Case(
             built.model,
@@ -123,9 +123,19 @@ def _leaves(tables: dict[str, Any], before: str):
             yield key, value
 
 
-def _criterion(built: Assembled, requirement: Requirement) -> Criterion:
+def _limit(requirement: Requirement) -> float:
+    """What the limiting statistic may come to, in SI."""
+    limit = limit_of(requirement)
+    assert limit is not None  # only requirements with a target limit a search
+    return limit[1] / UNIT_OF[requirement.quantity][1]
+
+
+def _criterion(built: Assembled, requirement: Requirement, *, limited: bool = False) -> Criterion:
+    """The statistic to be small: the requirement's own, or the one that its target limits."""
     temperature, rate = box(requirement, _GRID)
-    return criterion(built.model, requirement.quantity, temperature, rate, requirement.statistic)
+    limit = limit_of(requirement) if limited else None
+    name = requirement.statistic if limit is None else limit[0]
+    return criterion(built.model, requirement.quantity, temperature, rate, name)
 
 
 def _optimality(built: Assembled, name: str) -> Optimality:

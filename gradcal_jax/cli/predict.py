@@ -57,7 +57,7 @@ def predict(
     use_float64()
     from gradcal_jax import api
 
-    prediction = api.predict(found, limits=not json, typical=True)
+    prediction = api.predict(found, limits=not json, outlook=True)
     rows, tests = ((), {}) if monte_carlo is None else api.monte_carlo(found, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
@@ -122,8 +122,9 @@ def text(prediction: "Prediction", name: str) -> str:
     lines = [strong(prediction.title or name), _times(prediction), ""]
     if prediction.requirements:
         several = len({row.axis for row in prediction.requirements}) > 1
-        head = ("requirement", "quantity", "statistic", "residual (1σ)", "target", "verdict", "limited by")
+        head = ("requirement", "statistic", "residual (1σ)", "at worst", "target", "verdict")
         lines.append(columns([head, *(_row(row, several) for row in prediction.requirements)], indent=""))
+        lines += [sentence for row in prediction.requirements for sentence in _judged(row, several)]
     else:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
     lines += ["", columns(_parameters(prediction), indent="", right=(1,))]
@@ -142,12 +143,14 @@ def counted_as_zero(spec: "Spec", prediction: "Prediction | None" = None) -> lis
     lines = [
         "counted as zero, since the file does not name it; typical of its class:",
         columns([(term.key, term.typical) for term in absent]),
-        f"  sensor: {sensor.name} grade, like {sensor.like}, by {sensor.reason}; table: {table.name}, like {table.like}",
+        f"  sensor: {sensor.name} grade ({sensor.like}), by {sensor.reason}",
+        f"  table: {table.name} ({table.like}), by {table.reason}",
     ]
     for row in () if prediction is None else prediction.requirements:
         if row.verdict != "unobservable":
             value = amount(row.with_typical, row.unit)
-            over = row.target is not None and row.with_typical is not None and row.with_typical > row.target
+            limit = None if row.target is None else row.target / row.coverage
+            over = limit is not None and row.with_typical is not None and row.with_typical > limit
             lines.append(f"with all of that {row.name} would be {value}" + (": missed" if over else ""))
     return [*lines, "sources of the figures: gradcal check --json; a term that is truly zero is named with 0"]
 
@@ -173,11 +176,40 @@ def _times(prediction: "Prediction") -> str:
     return "{} in all: soak {}, motion {}".format(*(time_text(part) for part in parts))
 
 
+def _named(row: "RequirementRow", several: bool) -> str:
+    return f"{row.name}, axis {row.axis}" if several else row.name
+
+
 def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
-    name = f"{row.name}, axis {row.axis}" if several else row.name
     left, target = amount(row.decisive, row.unit), "" if row.target is None else amount(row.target, row.unit)
-    verdict, limited_by = row.verdict or "", row.limited_by or ""
-    return (name, row.quantity.replace("_", " "), row.statistic, left, target, verdict, limited_by)
+    worst = "" if row.max is None else amount(row.max, row.unit)
+    return (_named(row, several), row.statistic, left, worst, target, row.verdict or "")
+
+
+def _judged(row: "RequirementRow", several: bool) -> list[str]:
+    """What a requirement is limited by, how it is judged, and with which risks."""
+    name = _named(row, several)
+    lines = [f"{name}: limited by {row.limited_by}"] if row.limited_by else []
+    if row.rule and row.verdict != "unobservable":
+        lines.append(f"{name}: {row.verdict} by {row.rule}")
+        if row.specific_risk is not None:
+            lines.append(f"  error beyond it at the worst place: {percent(row.specific_risk)}")
+        if row.chance is not None and row.chance_everywhere is not None:
+            own = "" if row.statistic == "max" else f"; by {row.statistic}: {percent(row.chance, 1e-3)}"
+            lines.append(f"  a unit keeps it everywhere: {percent(row.chance_everywhere, 1e-3)}{own}")
+        if row.check is not None:
+            lines.append(
+                f"  a second run as a check: accepts {percent(row.check.accepted)}, falsely "
+                f"{percent(row.check.false_accept)}; rejects falsely {percent(row.check.false_reject)}"
+            )
+    return lines
+
+
+def percent(chance: float, least: float = 1e-4) -> str:
+    """A chance as people read it; below `least`, or so near to one, that alone is said."""
+    if chance < least:
+        return f"< {100.0 * least:g} %"
+    return f"> {100.0 * (1.0 - least):g} %" if chance > 1.0 - least else f"{100.0 * chance:.3g} %"
 
 
 _SHOWN = {

@@ -92,7 +92,7 @@ def table_grade(spec: Spec) -> Grade:
     size = max(float(angle.reading_noise), float(angle.standstill_offset))
     rows = _table()["table"]
     if size == 0.0:
-        return Grade(rows[0]["grade"], rows[0]["like"], "no angle error is named")
+        return Grade(rows[0]["grade"], rows[0]["like"], "the worst: no angle error is named")
     for row in rows:
         if size >= units.parse(row["angle"], "angle"):
             return Grade(row["grade"], row["like"], "its angle errors")
@@ -133,9 +133,8 @@ def _of_the_maps(term: Mapping[str, Any], sensor: Sensor) -> Any:
     """A temperature error acts through the slopes of the maps that there are."""
     if term["key"] != "temperature_error":
         return term["value"]
-    without = (
-        {"bias_slope"} if sensor.bias is None else {"scale_factor_slope"} if sensor.scale_factor is None else set()
-    )
+    maps = {"bias_slope": sensor.bias, "scale_factor_slope": sensor.scale_factor}
+    without = {name for name, section in maps.items() if section is None}
     return {name: value for name, value in term["value"].items() if name not in without}
 
 

@@ -125,16 +125,19 @@ class AxisCalibration(Section):
 
 
 class Result(Section):
-    """What a requirement of the spec came to, in `unit`."""
+    """What a requirement of the spec came to, in `unit`; `worst`: at its box's worst place; `rule`: of the verdict."""
 
     name: Text
     axis: Text
     quantity: Literal["scale_factor", "bias"]
     statistic: Text
     value: Number | None = None
+    worst: Number | None = None
     unit: Text
     target: Number | None = None
     verdict: Text | None = None
+    coverage: Number | None = None
+    rule: Text | None = None
 
 
 class Noise(Section):

@@ -205,11 +205,23 @@ class Timeline(Section):
     readings: tuple[ReadingRow, ...]
 
 
+class CheckRow(Section):
+    """Holding one unit's calibration against a second run of the same plan, at the worst place of the box: the chances,
+    before either run, that it is accepted, accepted although its error is beyond the target, rejected although within.
+    """
+
+    accepted: Size
+    false_accept: Size
+    false_reject: Size
+
+
 class RequirementRow(Section):
     """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan.
 
-    `with_typical`: the same statistic with every absent error term at what is typical of its class; null where none is
-    absent, or it was not asked for.
+    `rule`: of the verdict, in words. `specific_risk`: chance that the error is beyond the target at the box's worst
+    place. `chance`, `chance_everywhere`: that a unit's error keeps the target, by the requirement's statistic, and at
+    every place of the box; `check`: global risks (JCGM 106) of a second run; `with_typical`: the residual with every
+    absent error term at what is typical of its class. Null where they were not asked for.
     """
 
     name: str
@@ -226,6 +238,12 @@ class RequirementRow(Section):
     rms: Size | None = None
     target: Size | None = None
     verdict: Literal["met", "missed", "unobservable"] | None = None
+    coverage: Size = 1.0
+    rule: str | None = None
+    specific_risk: Size | None = None
+    chance: Size | None = None
+    chance_everywhere: Size | None = None
+    check: CheckRow | None = None
     limited_by: str | None = None
     with_typical: Size | None = None
 

@@ -62,7 +62,7 @@ def test_the_grade_is_said_or_follows_the_drift_then_the_random_walk():
 
 def test_the_data_say_of_every_class_the_same_terms_and_where_each_figure_comes_from():
     table = _table()
-    assert {name for name in grades()} == {row["grade"] for row in table["sensor"]}
+    assert set(grades()) == {row["grade"] for row in table["sensor"]}
     for kind in ("sensor", "table"):
         named = [[term["key"] for term in row["term"]] for row in table[kind]]
         assert all(row == named[0] for row in named)
@@ -75,7 +75,7 @@ def test_a_verdict_that_rests_on_zeros_is_said_to():
         "sensor.sample_clock_error", "sensor.scale_factor_instability", "sensor.temperature_error", "sensor.thermal_lag"
     )
     bare = gj.changed(bare, {"requirement[0].target": "200 ppm"})
-    row = gj.predict(bare, typical=True).requirements[0]
+    row = gj.predict(bare, outlook=True).requirements[0]
     assert row.verdict == "met"
     assert row.with_typical > 200.0 > row.mean_of_max
     assert row.with_typical == gj.predict(with_typical(bare)).requirements[0].mean_of_max

@@ -10,6 +10,7 @@ from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolyn
 from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import Bias, ScaleFactor, Sensor
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.model import Map, Processes, SensorModel
 from gradcal_jax.trajectory import Move, Schedule
 
@@ -43,6 +44,7 @@ class Assembled(NamedTuple):
 
 def assemble(spec: Spec) -> Assembled:
     """Sensor model and schedules of a spec."""
+    expect_spec(spec)
     processes, sources = _processes(spec.sensor)
     lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
     return Assembled(spec, _model(spec, processes), *_schedules(spec), lag, sources)

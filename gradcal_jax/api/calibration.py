@@ -15,6 +15,7 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (
     FORMAT,
+    LOG_HASH,
     ORDER,
     AxisCalibration,
     BiasMap,
@@ -176,6 +177,7 @@ def _calibration(
             "estimator": _estimator(options, channels[0]),
             "readings": ", ".join(f"{c.axis}: {len(c.weights)}" for c in channels),
             **{name: text for name, text in {**log.provenance, **sources}.items() if text},
+            LOG_HASH: log.fingerprint(unit),
         },
     }
     if verdicts:

@@ -22,6 +22,7 @@ from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.log import Log
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.identify.allan import TERMS
 
 
@@ -61,6 +62,7 @@ def optimise(
     Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, and for
     targets that are not met in the time allowed.
     """
+    expect_spec(spec)
     shortest = spec.design is not None and spec.design.minimise in TIMES
     events = (minimise_time if shortest else search.optimise)(spec, steps=steps)
     for event in events:
@@ -79,7 +81,7 @@ def limit(spec: Spec) -> list[PlanLimit]:
 
     Errors: `ValueError` for a plan without moves, and without a requirement on the scale factor.
     """
-    return limits(spec)
+    return limits(expect_spec(spec))
 
 
 def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS) -> list[frontiers.Point]:
@@ -89,7 +91,7 @@ def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS
 
     Errors: as `optimise`, where no duration has a plan and only one was asked for.
     """
-    return list(frontiers.frontier(spec, list(motion_s), steps=steps))
+    return list(frontiers.frontier(expect_spec(spec), list(motion_s), steps=steps))
 
 
 def sensitivity(spec: Spec) -> Sensitivities:
@@ -100,7 +102,7 @@ def sensitivity(spec: Spec) -> Sensitivities:
 
     Errors: `ValueError` where nothing is required, or where the plan cannot observe what is.
     """
-    return sensitivities(spec)
+    return sensitivities(expect_spec(spec))
 
 
 def instability(
@@ -202,4 +204,4 @@ def estimate(
         table_axis=table_axis,
         neighbours_k=neighbours_k,
     )
-    return estimate_calibration(spec, log, axes=axes, units=units, options=options)
+    return estimate_calibration(expect_spec(spec), log, axes=axes, units=units, options=options)

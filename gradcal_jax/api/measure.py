@@ -9,6 +9,7 @@ from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, limit_of
 from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Objective, Optimality, criterion
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Scenario
+from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Schedule, rule_of
@@ -57,8 +58,20 @@ def _with_rule(case: Case, plan: Schedule) -> Case:
 def design_of(spec: Spec) -> Design:
     """The spec's [design]. Errors: `ValueError` where it has none."""
     if spec.design is None:
-        raise ValueError('the spec has no [design]: say what to minimise and what is free, such as minimise = "…"')
+        raise ValueError(
+            f"the spec has no [design]: say what to minimise and what is free. To paste:\n\n{design_block(spec)}"
+        )
     return spec.design
+
+
+def design_block(spec: Spec) -> str:
+    """A [design] for the spec's own requirement and kind of plan, as text to paste."""
+    name = spec.requirement[0].name if spec.requirement else "D-optimality"
+    if isinstance(spec.plan, StandardPlan):
+        free = '"temperatures", "integration"' + (', "rates"' if any(spec.plan.rates or ()) else "")
+    else:
+        free = '"duration", "peak_rate"' if spec.plan.cycle is not None else '"programme"'
+    return f'[design]\nminimise = "{name}"\nfree     = [{free}]\nstarts   = 8'
 
 
 def measure(spec: Spec) -> Measure:

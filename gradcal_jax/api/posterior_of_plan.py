@@ -6,7 +6,6 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.files import Spec
-from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
 from gradcal_jax.files.requirement import Requirement
@@ -25,12 +24,7 @@ UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h"], float]]] = {
 
 
 def posterior_of_plan(built: Assembled, channel: Axis | None = None, model: SensorModel | None = None) -> Posterior:
-    """What is known after the plan, by the estimator that the spec names. `model` replaces the assembled one.
-
-    Errors: `MemoryError` with a sentence where the plan has more readings than this machine can hold.
-    """
-    if too := too_large(built.spec):
-        raise MemoryError(too)
+    """What is known after the plan, by the estimator that the spec names. `model` replaces the assembled one."""
     model = built.model if model is None else model
     line = built.trajectory(channel)
     return unweighted(line, model) if unweighted_estimator(built.spec) else posterior(information(line, model))

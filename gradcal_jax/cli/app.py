@@ -29,6 +29,7 @@ from gradcal_jax.cli import (
     schema,
     sensitivity,
     show,
+    start,
     sweep,
     timeline,
 )
@@ -38,15 +39,15 @@ from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG
 
 _HELP: Final = """Calibration plans for gyros: what they will leave, known beforehand.
 
-A spec file says what sensor, rig and plan are. Begin with `gradcal new --list`.
+A spec file says what sensor, rig and plan are. Begin with `gradcal start`, or `gradcal new --list`.
 """
 
 _FAMILIES: Final[tuple[Any, ...]] = (
-    demo, new, check, predict, timeline, optimise, limit, frontier, sensitivity, recipe, recipes, show, rig,
+    demo, start, new, check, predict, timeline, optimise, limit, frontier, sensitivity, recipe, recipes, show, rig,
     run_command, log, instability, estimate, calibrated, report, sweep, glossary, schema,
 )  # fmt: skip
 GROUPS: Final = (
-    ("Begin", ("demo", "new", "check")),
+    ("Begin", ("demo", "start", "new", "check")),
     ("Know beforehand", ("predict", "compare", "timeline", "sensitivity")),
     ("Find a plan", ("optimise", "limit", "frontier", "recipe", "show")),
     ("Execute it", ("rig", "run", "log")),

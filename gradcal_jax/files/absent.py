@@ -104,6 +104,11 @@ def grades() -> tuple[str, ...]:
     return tuple(row["grade"] for row in _table()["sensor"])
 
 
+def terms_of(kind: str, grade: str) -> list[AbsentTerm]:
+    """Every term of a class's typical error budget, its key within `kind`: "sensor" or "table"."""
+    return [AbsentTerm(term["key"], term["value"], term["source"]) for term in _row(kind, grade)["term"]]
+
+
 def _matters_of_sensor(spec: Spec) -> set[str]:
     sensor = spec.sensor
     left_out: set[str] = set()

@@ -7,9 +7,11 @@ import numpy as np
 from gradcal_jax import model, trajectory
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
+from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import Bias, ScaleFactor, Sensor
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.model import Map, Processes, SensorModel
 from gradcal_jax.trajectory import Move, Schedule
 
@@ -42,7 +44,13 @@ class Assembled(NamedTuple):
 
 
 def assemble(spec: Spec) -> Assembled:
-    """Sensor model and schedules of a spec."""
+    """Sensor model and schedules of a spec.
+
+    Errors: `TypeError` for what is no spec, `MemoryError` for a plan with more readings than this machine can hold.
+    """
+    expect_spec(spec)
+    if too := too_large(spec):
+        raise MemoryError(too)
     processes, sources = _processes(spec.sensor)
     lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
     return Assembled(spec, _model(spec, processes), *_schedules(spec), lag, sources)

@@ -9,7 +9,7 @@ import gradcal_jax
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF, residual_map, target_of, verdict
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF, residual_map, rule_of, target_of, verdict
 from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
@@ -18,6 +18,7 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (
     FORMAT,
+    LOG_HASH,
     ORDER,
     AxisCalibration,
     BiasMap,
@@ -43,14 +44,17 @@ _APART = 3.3
 
 
 class Verdict(NamedTuple):
-    """A requirement, as the estimate's covariance meets it."""
+    """A requirement, as the estimate's covariance meets it: its statistic, and the worst place of the box (both 1σ)."""
 
     requirement: Requirement
     axis: str
     value: float | None
+    worst: float | None
     unit: str
     target: float | None
     verdict: str | None
+    rule: str
+    coverage: float
 
 
 class MeasuredDiscrepancy(NamedTuple):
@@ -171,12 +175,12 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
     built = assemble(spec)._replace(model=channel.model)
     rows: list[Verdict] = []
     for requirement in spec.requirement:
-        _, _, values = residual_map(built, channel.found.known[0], requirement)
         # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
-        value = statistic(requirement.statistic, values) * max(1.0, _excess(channel))
-        seen = value if np.isfinite(value) else None
+        values = residual_map(built, channel.found.known[0], requirement)[2] * max(1.0, _excess(channel))
+        value, worst = (_finite(statistic(name, values)) for name in (requirement.statistic, "max"))
+        judged = verdict(requirement, values), rule_of(requirement), requirement.coverage
         unit = UNIT_OF[requirement.quantity][0]
-        rows.append(Verdict(requirement, channel.axis, seen, unit, target_of(requirement), verdict(requirement, seen)))
+        rows.append(Verdict(requirement, channel.axis, value, worst, unit, target_of(requirement), *judged))
     return rows
 
 
@@ -273,6 +277,7 @@ def _calibration(
             "estimator": _estimator(options, channels[0]),
             "readings": ", ".join(f"{c.axis}: {len(c.weights)}" for c in channels),
             **{name: text for name, text in {**log.provenance, **sources}.items() if text},
+            LOG_HASH: log.fingerprint(unit),
         },
     }
     if verdicts:
@@ -292,7 +297,9 @@ def _noise(spec: Spec, log: Log) -> Noise:
 
 
 def _result(row: Verdict) -> Result:
-    given: dict[str, Any] = {"value": row.value, "target": row.target, "verdict": row.verdict}
+    given: dict[str, Any] = {"value": row.value, "worst": row.worst, "target": row.target, "verdict": row.verdict}
+    if row.target is not None:
+        given |= {"coverage": row.coverage, "rule": row.rule}
     return Result(
         name=row.requirement.name,
         axis=row.axis,
@@ -472,9 +479,12 @@ def _verdict_row(row: Verdict) -> dict[str, Any]:
         "quantity": row.requirement.quantity,
         "statistic": row.requirement.statistic,
         "value": row.value,
+        "worst": row.worst,
         "unit": row.unit,
         "target": row.target,
         "verdict": row.verdict,
+        "coverage": row.coverage,
+        "rule": row.rule,
     }
 
 

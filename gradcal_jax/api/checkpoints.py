@@ -9,6 +9,7 @@ import numpy as np
 from gradcal_jax.api.optimise import Checkpoint
 from gradcal_jax.design import State
 from gradcal_jax.files import Spec, to_toml
+from gradcal_jax.files.writing import whole
 
 _FORMAT = "gradcal-search/1"
 
@@ -19,10 +20,8 @@ def write(path: Path, spec: Spec, checkpoint: Checkpoint) -> None:
     arrays["at"] = np.array([checkpoint.structure, checkpoint.best_structure])
     for name, state in (("state", checkpoint.state), ("best", checkpoint.best)):
         arrays |= {f"{name}_{field}": np.asarray(entry) for field, entry in state._asdict().items()}
-    passing = path.with_name(path.name + ".part")
-    with passing.open("wb") as stream:
+    with whole(path) as passing, passing.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
-    passing.replace(path)
 
 
 def read(path: Path, spec: Spec) -> Checkpoint:

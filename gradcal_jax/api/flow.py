@@ -22,6 +22,7 @@ from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.log import Log
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.identify.allan import TERMS
 
 
@@ -65,6 +66,7 @@ def optimise(
     Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, and for
     targets that are not met in the time allowed.
     """
+    expect_spec(spec)
     shortest = spec.design is not None and spec.design.minimise in TIMES
     events = (minimise_time if shortest else search.optimise)(spec, steps=steps, quick=quick)
     for event in events:
@@ -83,7 +85,7 @@ def limit(spec: Spec) -> list[PlanLimit]:
 
     Errors: `ValueError` for a plan without moves, and without a requirement on the scale factor.
     """
-    return limits(spec)
+    return limits(expect_spec(spec))
 
 
 def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS) -> list[frontiers.Point]:
@@ -93,7 +95,7 @@ def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS
 
     Errors: as `optimise`, where no duration has a plan and only one was asked for.
     """
-    return list(frontiers.frontier(spec, list(motion_s), steps=steps))
+    return list(frontiers.frontier(expect_spec(spec), list(motion_s), steps=steps))
 
 
 def sensitivity(spec: Spec) -> Sensitivities:
@@ -104,7 +106,7 @@ def sensitivity(spec: Spec) -> Sensitivities:
 
     Errors: `ValueError` where nothing is required, or where the plan cannot observe what is.
     """
-    return sensitivities(spec)
+    return sensitivities(expect_spec(spec))
 
 
 def instability(
@@ -208,4 +210,4 @@ def estimate(
         neighbours_k=neighbours_k,
         temperature_c=temperature_c,
     )
-    return estimate_calibration(spec, log, axes=axes, units=units, options=options)
+    return estimate_calibration(expect_spec(spec), log, axes=axes, units=units, options=options)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.tested_maps import tested_maps, with_hidden
 from gradcal_jax.design import (
@@ -21,6 +21,7 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
+from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import quantiles, where_hidden
 from gradcal_jax.model import BIAS, SCALE_FACTOR
@@ -70,8 +71,20 @@ def _with_rule(case: Case, plan: Schedule) -> Case:
 def design_of(spec: Spec) -> Design:
     """The spec's [design]. Errors: `ValueError` where it has none."""
     if spec.design is None:
-        raise ValueError('the spec has no [design]: say what to minimise and what is free, such as minimise = "…"')
+        raise ValueError(
+            f"the spec has no [design]: say what to minimise and what is free. To paste:\n\n{design_block(spec)}"
+        )
     return spec.design
+
+
+def design_block(spec: Spec) -> str:
+    """A [design] for the spec's own requirement and kind of plan, as text to paste."""
+    name = spec.requirement[0].name if spec.requirement else "D-optimality"
+    if isinstance(spec.plan, StandardPlan):
+        free = '"temperatures", "integration"' + (', "rates"' if any(spec.plan.rates or ()) else "")
+    else:
+        free = '"duration", "peak_rate"' if spec.plan.cycle is not None else '"programme"'
+    return f'[design]\nminimise = "{name}"\nfree     = [{free}]\nstarts   = 8'
 
 
 def measure(spec: Spec) -> Measure:
@@ -86,8 +99,8 @@ def measure(spec: Spec) -> Measure:
         if not limiting:
             raise ValueError(f'"{design.minimise}" is minimised under targets: give a requirement a target')
         name, unit = "residual over target", "of the target"
-        mains = [[_criterion(built, r) for r in limiting] for _, built, _ in scenarios]
-        factors = [1.0 / float(r.target) for r in limiting if r.target is not None]
+        mains = [[_criterion(built, r, limited=True) for r in limiting] for _, built, _ in scenarios]
+        factors = [1.0 / _limit(r) for r in limiting]
         limiting = []
     elif design.minimise in OPTIMALITIES:
         name, unit = design.minimise, "ppm" if spec.sensor.scale_factor is not None else "deg/h"
@@ -98,8 +111,8 @@ def measure(spec: Spec) -> Measure:
         unit, factor = UNIT_OF[main.quantity]
         name = f"{main.name} ({main.statistic})"
         mains, factors = [[_criterion(built, main)] for _, built, _ in scenarios], [factor]
-    limits = [[_criterion(built, r) for r in limiting] for _, built, _ in scenarios]
-    targets = np.array([float(cast("float", r.target)) for r in limiting])
+    limits = [[_criterion(built, r, limited=True) for r in limiting] for _, built, _ in scenarios]
+    targets = np.array([_limit(r) for r in limiting])
     names = tuple(r.name for r in limiting)
     models = [built.model for _, built, _ in scenarios]
     believed = None
@@ -142,9 +155,19 @@ def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
     return models, missing, believed
 
 
-def _criterion(built: Assembled, requirement: Requirement) -> Criterion:
+def _limit(requirement: Requirement) -> float:
+    """What the limiting statistic may come to, in SI."""
+    limit = limit_of(requirement)
+    assert limit is not None  # only requirements with a target limit a search
+    return limit[1] / UNIT_OF[requirement.quantity][1]
+
+
+def _criterion(built: Assembled, requirement: Requirement, *, limited: bool = False) -> Criterion:
+    """The statistic to be small: the requirement's own, or the one that its target limits."""
     temperature, rate = box(requirement, _GRID)
-    return criterion(built.model, requirement.quantity, temperature, rate, requirement.statistic)
+    limit = limit_of(requirement) if limited else None
+    name = requirement.statistic if limit is None else limit[0]
+    return criterion(built.model, requirement.quantity, temperature, rate, name)
 
 
 def _optimality(built: Assembled, name: str) -> Optimality:

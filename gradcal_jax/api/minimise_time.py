@@ -6,7 +6,7 @@ import numpy as np
 
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.optimise import STEPS, Optimised, Price, Step, optimise
-from gradcal_jax.api.posterior_of_plan import target_of
+from gradcal_jax.api.posterior_of_plan import limit_of
 from gradcal_jax.api.structures import motion_time, ramp_ends
 from gradcal_jax.files import Spec
 from gradcal_jax.files.schedule import StandardSchedule
@@ -83,11 +83,11 @@ def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
         return
     for requirement in spec.requirement:
         row = rows.get(requirement.name)
-        target = target_of(requirement)
-        if row is not None and target is not None and row.certified > target:
+        limit = limit_of(requirement)
+        if row is not None and limit is not None and row.certified > limit[1]:
             raise ValueError(
-                f"no plan meets {row.name!r}: its target is {target:.4g} {row.unit}, and it is proven that none "
-                f"leaves less than {row.certified:.4g} {row.unit} in {longest / 60.0:.4g} min on this rig"
+                f"no plan meets {row.name!r}: its target allows {limit[1]:.4g} {row.unit} (1σ), and it is proven "
+                f"that none leaves less than {row.certified:.4g} {row.unit} in {longest / 60.0:.4g} min on this rig"
             )
 
 

@@ -9,7 +9,9 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
 from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.information import Posterior, information, posterior, residual, unweighted
+from gradcal_jax.information import Posterior, information, posterior, residual, statistic, unweighted
+from gradcal_jax.information.conformity import coverage_of_risk
+from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import SensorModel
 from gradcal_jax.units import DEG_PER_H as DEG_PER_H
 from gradcal_jax.units import DEG_PER_S as DEG_PER_S
@@ -80,11 +82,34 @@ def target_of(requirement: Requirement) -> float | None:
     return None if requirement.target is None else float(requirement.target) * UNIT_OF[requirement.quantity][1]
 
 
-def verdict(requirement: Requirement, residual: float | None) -> Literal["met", "missed", "unobservable"] | None:
-    """What a residual (ppm or deg/h; None: not observable) is against a requirement's target, if it has one."""
-    if residual is None:
-        return "unobservable"
+def limit_of(requirement: Requirement) -> tuple[Statistic, float] | None:
+    """What a target asks of the residual map (1σ): a statistic of it, and what it may come to at most, in ppm or deg/h.
+
+    Simple acceptance: the requirement's own statistic, `target / coverage`. Guarded: the worst place, by the risk.
+    """
     target = target_of(requirement)
     if target is None:
         return None
-    return "met" if residual <= target else "missed"
+    if requirement.risk is None:
+        return requirement.statistic, target / requirement.coverage
+    return "max", target / coverage_of_risk(float(requirement.risk))
+
+
+def rule_of(requirement: Requirement) -> str:
+    """The decision rule of a target, in words. Empty without one."""
+    if requirement.target is None:
+        return ""
+    if requirement.risk is None:
+        of = f"{requirement.coverage:g} × " if requirement.coverage != 1.0 else ""
+        return f"simple acceptance: {of}{requirement.statistic} (1σ) within {requirement.target}"
+    return f"guarded: beyond {requirement.target} at the worst place with a chance of {requirement.risk} at most"
+
+
+def verdict(requirement: Requirement, values: np.ndarray) -> Literal["met", "missed", "unobservable"] | None:
+    """What a residual map (ppm or deg/h, 1σ) is against a requirement's target by its rule, if it has one."""
+    if not np.isfinite(statistic(requirement.statistic, values)):
+        return "unobservable"
+    limit = limit_of(requirement)
+    if limit is None:
+        return None
+    return "met" if statistic(limit[0], values) <= limit[1] else "missed"

@@ -1,41 +1,61 @@
 """The contract gradcal-prediction/1, filled from a spec."""
 
+from typing import Any
+
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import error_budget, limited_by
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, posterior_of_plan, residual_map, target_of, verdict
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, posterior_of_plan, residual_map, rule_of, target_of, verdict
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
-from gradcal_jax.files.contracts import ParameterRow, RequirementRow
+from gradcal_jax.files.absent import absent_terms, with_typical
+from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import STATISTICS, Posterior, statistic
+from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
+
+# A unit's error is drawn on a grid of at most this many temperatures and rates.
+_GRID = 41
 
 
-def predict(spec: Spec, *, limits: bool = False, notices: bool = False) -> Prediction:
+def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also say of each requirement what it is limited by, and between what it lies where noise figures are
-    `uncertain`. `notices`: also say which hidden structure of the maps the plan would notice. The exact covariance of
+    `uncertain`. `notices`: also say which hidden structure of the maps the plan would notice. `outlook`: also the
+    chance that a unit keeps a target, and what is left with every absent error term at what is typical. The covariance
+    is the exact one of
     generalised least squares under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with
     a warning. Errors: none; whatever is wrong with a file, `read_spec` has refused already.
     """
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}
-    requirements = [
-        _requirement_row(built, known[channel], requirement, channel)
-        for requirement in spec.requirement
-        for channel in built.channels
+    pairs: list[tuple[Requirement, Axis]] = [
+        (requirement, channel) for requirement in spec.requirement for channel in built.channels
     ]
+    requirements = [_requirement_row(built, known[channel], requirement, channel) for requirement, channel in pairs]
     if limits:
         shares = {channel: error_budget(built, channel, known[channel]) for channel in built.channels}
         requirements = [
             row.model_copy(update={"limited_by": limited_by(shares[row.axis].get(row.name))}) for row in requirements
         ]
         requirements = _between(requirements, [predict(one) for one in extremes(spec)])
+    if outlook:
+        requirements = [
+            row.model_copy(update=_risks(built, known[channel], requirement, row))
+            for row, (requirement, channel) in zip(requirements, pairs, strict=True)
+        ]
+    absent = absent_terms(spec)
+    if outlook and absent:
+        there = predict(with_typical(spec)).requirements
+        requirements = [
+            row.model_copy(update={"with_typical": other.decisive})
+            for row, other in zip(requirements, there, strict=True)
+        ]
     schedule = spec.schedule
     parameters, covariance = _parameters(built, known)
     return Prediction(
@@ -48,6 +68,7 @@ def predict(spec: Spec, *, limits: bool = False, notices: bool = False) -> Predi
         covariance=covariance,
         notices=noticing(built) if notices else (),
         warnings=tuple(warnings(built, known)),
+        counted_as_zero=tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent),
     )
 
 
@@ -69,6 +90,7 @@ def _requirement_row(built: Assembled, known: Posterior, requirement: Requiremen
     if requirement.quantity == "bias":
         del found["mean of max"]
     found = {name: value if np.isfinite(value) else None for name, value in found.items()}
+    target, worst = target_of(requirement), found["max"]
     return RequirementRow(
         name=requirement.name,
         quantity=requirement.quantity,
@@ -82,8 +104,33 @@ def _requirement_row(built: Assembled, known: Posterior, requirement: Requiremen
         max=found["max"],
         mean=found["mean"],
         rms=found["rms"],
-        target=target_of(requirement),
-        verdict=verdict(requirement, found[requirement.statistic]),
+        target=target,
+        verdict=verdict(requirement, values),
+        coverage=requirement.coverage,
+        rule=rule_of(requirement) or None,
+        specific_risk=None if target is None or worst is None else specific_risk(0.0, worst, target),
+    )
+
+
+def _risks(built: Assembled, known: Posterior, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
+    """The chances that a unit keeps the target (on a grid of at most 41 a side), and the risks of a second run.
+
+    That run is as uncertain as the first and independent of it: what both share (the sensor's clock, the encoder's
+    error by angle) no second run shows, so these are the chances of the rest.
+    """
+    if row.target is None or row.max is None or row.max == 0.0:
+        return {}
+    at, target = box(requirement, _GRID), float(requirement.target or 0.0)
+    chances = chance_of_keeping(known, built.model, requirement.quantity, *at, requirement.statistic, target)
+    acceptance: float | None = row.target
+    if requirement.risk is not None:
+        acceptance = acceptance_limit(row.max, row.target, float(requirement.risk))
+    if acceptance is None:
+        check = CheckRow(accepted=0.0, false_accept=0.0, false_reject=1.0 - specific_risk(0.0, row.max, row.target))
+    else:
+        check = CheckRow(**global_risks(row.max, row.max, row.target, acceptance)._asdict())
+    return {"check": check} | (
+        {} if chances is None else dict(zip(("chance", "chance_everywhere"), chances, strict=True))
     )
 
 

@@ -9,6 +9,7 @@ from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.recipe import FORMAT, Made, Predicted, Recipe
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.tracks import Stability, tracks_of
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def recipe(
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
-    spec = plan if isinstance(plan, Spec) else plan.spec
+    spec = expect_spec(getattr(plan, "spec", plan))
     if not isinstance(plan, Spec):
         from gradcal_jax.api.optimise import record_of
 

@@ -14,7 +14,7 @@ from gradcal_jax.api.log_rows import count_rows, table_axis_of
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
 from gradcal_jax.api.unit_channel import integrated_rows
 from gradcal_jax.files import correction
-from gradcal_jax.files.calibration import Calibration
+from gradcal_jax.files.calibration import LOG_HASH, Calibration
 from gradcal_jax.files.log import Log, LogError
 
 
@@ -53,14 +53,19 @@ def validate(
     earth_rate: float = 0.0,
     table_axis: str | None = None,
 ) -> list[AxisValidation]:
-    """What a calibration leaves on a log that it was not made from: ppm of moves' angles and deg/h at rest, rms before
-    and after, by `temperature_parts` ranges of temperature (°C) and by rate (deg/s).
+    """What a calibration leaves on a log that it was not made from (its own is refused): ppm of moves' angles and deg/h
+    at rest, rms before and after, by `temperature_parts` ranges of temperature (°C) and by rate (deg/s).
 
     Every axis that both have. `earth_rate` rad/s along the sensor's axis is taken off; `table_axis`: which turns it.
     Errors: `LogError` where the log holds neither moves with a reference nor rests.
     """
-    corrected = correction.apply(calibration, log, unit)
     number = log.unit_index(unit)
+    if calibration.provenance.get(LOG_HASH) == log.fingerprint(number):
+        raise LogError(
+            "this log made the calibration: what it leaves there was fitted, and says nothing of another day. Validate "
+            "with a log that it was not made from"
+        )
+    corrected = correction.apply(calibration, log, unit)
     result: list[AxisValidation] = []
     for name in log.axes:
         if name in corrected.left_alone:

@@ -1,9 +1,14 @@
 """What a prediction should not be read without."""
 
+from typing import cast
+
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, posterior_of_plan, survey
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.formulas import RAMPED_SHAPES
 from gradcal_jax.information import Posterior, unobservable_combinations
 
 # Of a rate: what rounding to a controller's steps takes off is not worth a word.
@@ -21,10 +26,58 @@ def unobservable(spec: Spec) -> list[str]:
 
 def _unobservable(built: Assembled, channel: str, known: Posterior) -> list[str]:
     where = f" on axis {channel}" if len(built.channels) > 1 else ""
+    combinations = unobservable_combinations(known, built.model)
+    if not combinations:
+        return []
+    cures = "; ".join(_cures(built, channel)) or "change the plan"
     return [
-        f"the plan cannot observe {combination}{where}: give it a prior, or change the plan"
-        for combination in unobservable_combinations(known, built.model)
+        f"the plan cannot observe {combination}{where}: {cures}; or give it a prior" for combination in combinations
     ]
+
+
+def _cures(built: Assembled, channel: str) -> list[str]:
+    """What the plan has too little of, counted against the coefficients that each kind of variety must tell apart."""
+    sensor, seen = built.spec.sensor, built.trajectory(cast("Axis", channel))
+    surveyed = survey(built, cast("Axis", channel))
+    found: list[str] = []
+    if sensor.scale_factor is not None:
+        needed, rates = sensor.scale_factor.rate.size, distinct_rates(built.spec)
+        if surveyed.fastest == 0.0:
+            found.append("the axis never turns: add turns")
+        elif rates is not None and rates < needed:
+            found.append(
+                f"{_number(rates)} distinct {'rate' if rates == 1 else 'rates'} for {_number(needed)} coefficients in "
+                f"rate: add a turn at {'a second' if rates == 1 else 'another'} rate"
+            )
+    if surveyed.warmest - surveyed.coldest < 1.0 and len(seen.ends()[0]):
+        sizes = [part.temperature.size for part in (sensor.bias, sensor.scale_factor) if part is not None]
+        if max(sizes) > 1:
+            found.append(f"one temperature for {_number(max(sizes))} coefficients in temperature: go through a range")
+    elif isinstance(built.spec.plan, StandardPlan):
+        sizes = [part.temperature.size for part in (sensor.bias, sensor.scale_factor) if part is not None]
+        visited = len(set(built.spec.schedule.temperatures)) if isinstance(built.spec.schedule, StandardSchedule) else 0
+        if visited < max(sizes):
+            found.append(
+                f"{_number(visited)} temperatures for {_number(max(sizes))} coefficients in temperature: add "
+                f"{_number(max(sizes) - visited)}"
+            )
+    return found
+
+
+def _number(count: int) -> str:
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+    return words[count] if count < len(words) else str(count)
+
+
+def distinct_rates(spec: Spec) -> int | None:
+    """How many different rates, signs apart, the plan turns at; None where a move's rate varies all along."""
+    schedule = spec.schedule
+    if isinstance(schedule, StandardSchedule):
+        return len({round(rate * DEG_PER_S, 6) for rate in schedule.rates})
+    turns = [m for m in (schedule.cycle.moves if schedule.cycle else ()) if not m.is_rest]
+    if not all(m.shape in RAMPED_SHAPES for m in turns):
+        return None
+    return len({round(m.peak_rate * DEG_PER_S, 6) for m in turns})
 
 
 def warnings(built: Assembled, known: dict[Axis, Posterior]) -> list[str]:

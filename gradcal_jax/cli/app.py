@@ -1,11 +1,12 @@
 """The command line as a whole: which commands there are, and what becomes of their errors."""
 
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
 from typing import Any, Final
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Group
 
 import gradcal_jax
 from gradcal_jax.cli import (
@@ -28,17 +29,34 @@ from gradcal_jax.cli import (
     schema,
     sensitivity,
     show,
+    start,
     sweep,
     timeline,
 )
 from gradcal_jax.cli import run as run_command
 from gradcal_jax.cli.console import complain, is_plain
-from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, WRONG_INPUT
+from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT
 
 _HELP: Final = """Calibration plans for gyros: what they will leave, known beforehand.
 
-A spec file says what sensor, rig and plan are. Begin with `gradcal new --list`.
+A spec file says what sensor, rig and plan are. Begin with `gradcal start`, or `gradcal new --list`.
 """
+
+_FAMILIES: Final[tuple[Any, ...]] = (
+    demo, start, new, check, predict, timeline, optimise, limit, frontier, sensitivity, recipe, recipes, show, rig,
+    run_command, log, instability, estimate, calibrated, report, sweep, glossary, schema,
+)  # fmt: skip
+GROUPS: Final = (
+    ("Begin", ("demo", "start", "new", "check")),
+    ("Know beforehand", ("predict", "compare", "timeline", "sensitivity")),
+    ("Find a plan", ("optimise", "limit", "frontier", "recipe", "show")),
+    ("Execute it", ("rig", "run", "log")),
+    ("Calibrate", ("estimate", "apply", "validate", "export", "report")),
+    ("Know a sensor's noise", ("instability", "allan")),
+    ("Many at once", ("sweep", "recipes")),
+    ("Look up", ("glossary", "schema")),
+)
+"""The commands in the order of work, as `gradcal --help` lists them."""
 
 
 def build() -> App:
@@ -50,31 +68,13 @@ def build() -> App:
         help_format="plaintext",  # a Markdown reader would cost a quarter of the start-up
         help_formatter="plain" if is_plain(sys.stdout) else "default",
     )
-    for family in (
-        demo,
-        new,
-        check,
-        predict,
-        timeline,
-        optimise,
-        limit,
-        frontier,
-        sensitivity,
-        recipe,
-        recipes,
-        show,
-        rig,
-        run_command,
-        log,
-        instability,
-        estimate,
-        calibrated,
-        report,
-        sweep,
-        glossary,
-        schema,
-    ):
+    for family in _FAMILIES:
         family.register(app)
+    for number, (title, names) in enumerate(GROUPS):
+        group = Group(title, sort_key=number)
+        for place, name in enumerate(names):
+            app[name].group = (group,)
+            app[name].sort_key = place
     return app
 
 
@@ -97,15 +97,36 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         # The reader has gone (`gradcal … | head`); keep the interpreter from complaining about it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except SystemExit as error:
+        # What prints help ends the program by itself when its reader has gone.
+        return BROKEN_PIPE if error.code == 1 else DONE if error.code in (None, 0) else WRONG_INPUT
+    except MemoryError as error:
+        complain(_too_large(error))
+        return WRONG_INPUT
     except Exception as error:
         status = FAILED if _is_of_hardware(error) else WRONG_INPUT
+        if "RESOURCE_EXHAUSTED" in str(error):
+            complain(_too_large(error))
+            return WRONG_INPUT
         foreseen = status == FAILED or isinstance(error, ValueError | OSError)
         if not foreseen or os.environ.get("GRADCAL_TRACEBACK"):
             raise
         complain(_sentence(error))
         return status
+
+
+def _too_large(error: BaseException) -> str:
+    said = str(error).splitlines()[0] if str(error) else ""
+    if said and not said.startswith(("Unable", "RESOURCE", "std::")):
+        return said  # a sentence of ours
+    detail = f" ({said[:160]})" if said else ""
+    return (
+        f"out of memory{detail}: read less often, take a shorter plan or a part of the log (--rows), or fewer units at "
+        "once; gradcal check says what a plan needs"
+    )
 
 
 def _wide(tokens: Sequence[str]) -> Any:

@@ -8,7 +8,8 @@ from cyclopts import App
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, as_json
-from gradcal_jax.cli.status import DONE
+from gradcal_jax.cli.predict import counted_as_zero
+from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
 
@@ -39,14 +40,22 @@ def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int
     json
         Print the plan's times, notes, and what it cannot observe, as JSON.
     """
+    from gradcal_jax.files.memory import needed_bytes, too_large
     from gradcal_jax.files.recipe import spec_in
 
     found = spec_in(spec)
     if json:
-        print(as_json(numbers(found) | {"unobservable": None if files_only else unobservable(found)}))
-        return DONE
+        too = too_large(found)
+        blind = None if files_only or too else unobservable(found)
+        print(as_json(numbers(found) | {"memory_bytes": needed_bytes(found), "unobservable": blind}))
+        return NOT_AS_WISHED if too else DONE
     print(strong(found.title or str(spec)))
     print(summary(found))
+    said = counted_as_zero(found)
+    print("\n".join(said)) if said else None
+    if too := too_large(found):
+        print(f"too large: {too}")
+        return NOT_AS_WISHED
     blind = [] if files_only else unobservable(found)
     for sentence in blind:
         print(f"cannot be observed: {sentence}")
@@ -66,12 +75,15 @@ def unobservable(spec: "Spec") -> list[str]:
 
 def numbers(spec: "Spec") -> dict[str, Any]:
     """What the plan does, for other programs: times in s."""
+    from gradcal_jax.files.absent import absent_terms
+
     schedule = spec.schedule
     told = {"title": spec.title, "method": spec.plan.method, "duration_s": schedule.duration, "soak_s": schedule.soak}
     return told | {
         "motion_s": schedule.motion,
         "requirements": [r.name for r in spec.requirement],
         "notes": notes(spec),
+        "counted_as_zero": [{"key": t.key, "typical": t.typical, "source": t.source} for t in absent_terms(spec)],
     }
 
 

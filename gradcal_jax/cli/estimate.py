@@ -248,12 +248,14 @@ def _text(report: "EstimateReport") -> str:
                 lines += [_channel(channel)]
         rows = report.verdicts[one.serial_number]
         if rows:
-            shown = [("requirement", "statistic", "residual (1σ)", "target", "verdict")]
+            shown = [("requirement", "statistic", "residual (1σ)", "at worst", "target", "verdict")]
             for row in rows:
                 target = "" if row.target is None else amount(row.target, row.unit)
                 name, value = f"{row.requirement.name}, axis {row.axis}", amount(row.value, row.unit)
-                shown.append((name, row.requirement.statistic, value, target, row.verdict or ""))
+                worst = "" if row.worst is None else amount(row.worst, row.unit)
+                shown.append((name, row.requirement.statistic, value, worst, target, row.verdict or ""))
             lines += ["", table(shown, indent="")]
+            lines += [f"{row.requirement.name}, axis {row.axis}: {row.rule}" for row in rows if row.rule]
         lines += [f"note: {message}" for message in report.messages[one.serial_number]]
     lines += [line for row in report.discrepancies for line in _discrepancy(row)]
     return "\n".join(lines)

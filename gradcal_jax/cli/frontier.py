@@ -73,9 +73,12 @@ def frontier(
             if output is not None and point.plan is not None:
                 write_toml(api.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
-        r.name: target
+        r.name: limit[1]
         for r in found.requirement
-        if (target := api.target_of(r)) is not None and found.design and r.name == found.design.minimise
+        if (limit := api.limit_of(r)) is not None
+        and limit[0] == r.statistic
+        and found.design
+        and r.name == found.design.minimise
     }
     times_for = {name: room.shortest(reached, target) for name, target in targets.items()}
     if json:

@@ -60,6 +60,13 @@ def new(
 
     writable(Path(output), force)
     write_whole(output, text)
+    if preset not in (_COLUMN_MAP, _POINT_MAP):
+        from gradcal_jax.files import parse_spec
+        from gradcal_jax.files.absent import absent_terms
+
+        if absent := absent_terms(parse_spec(text)):
+            print("left out, and so counted as zero; put in your unit's own figures, or what is typical of its class:")
+            print(columns([(term.key, term.typical) for term in absent]))
     following = {
         _COLUMN_MAP: f"gradcal allan LOG --columns {output}",
         _POINT_MAP: f"gradcal estimate TABLE --points {output} --spec SPEC",

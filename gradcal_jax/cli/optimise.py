@@ -91,7 +91,7 @@ def optimise(
                 continue
             if not shortest:
                 checkpoints.write(kept, found, event.checkpoint)
-            line.show(_progress(event))
+            line.show(_progress(event), event.share)
         assert best is not None
     status = best.sentence if not interrupt.asked else f"interrupted, the best so far: {best.sentence}"
     made = api.recipe(best, status=status)

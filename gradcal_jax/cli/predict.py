@@ -13,7 +13,7 @@ from gradcal_jax.pages.plain_text import amount, columns
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.files import Prediction
+    from gradcal_jax.files import Prediction, Spec
     from gradcal_jax.files.contracts import RequirementRow
 
 
@@ -57,7 +57,9 @@ def predict(
     use_float64()
     from gradcal_jax import api
 
-    prediction = api.predict(found, limits=not json or bool(found.sensor.uncertain_figures()), notices=True)
+    prediction = api.predict(
+        found, limits=not json or bool(found.sensor.uncertain_figures()), notices=True, outlook=True
+    )
     rows, tests = ((), {}) if monte_carlo is None else api.monte_carlo(found, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
@@ -69,6 +71,8 @@ def predict(
         print(prediction.model_dump_json(indent=2))
     else:
         print(text(prediction, str(spec)))
+        said = counted_as_zero(found, prediction)
+        print("\n".join(["", *said])) if said else None
         if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
     if plot is not None:
@@ -120,8 +124,9 @@ def text(prediction: "Prediction", name: str) -> str:
     lines = [strong(prediction.title or name), _times(prediction), ""]
     if prediction.requirements:
         several = len({row.axis for row in prediction.requirements}) > 1
-        head = ("requirement", "quantity", "statistic", "residual (1σ)", "target", "verdict", "limited by")
+        head = ("requirement", "statistic", "residual (1σ)", "at worst", "target", "verdict")
         lines.append(columns([head, *(_row(row, several) for row in prediction.requirements)], indent=""))
+        lines += [sentence for row in prediction.requirements for sentence in _judged(row, several)]
     else:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
     lines += ["", columns(_parameters(prediction), indent="", right=(1,))]
@@ -129,6 +134,29 @@ def text(prediction: "Prediction", name: str) -> str:
     lines += [(f"axis {row.axis}: " if several else "") + row.sentence for row in prediction.notices]
     lines += [f"note: {warning}" for warning in prediction.warnings]
     return "\n".join(lines)
+
+
+def counted_as_zero(spec: "Spec", prediction: "Prediction | None" = None) -> list[str]:
+    """What the file leaves out, with typical figures; and what the residuals would be with them. Empty: nothing."""
+    from gradcal_jax.files.absent import absent_terms, sensor_grade, table_grade
+
+    absent = absent_terms(spec)
+    if not absent:
+        return []
+    sensor, table = sensor_grade(spec.sensor), table_grade(spec)
+    lines = [
+        "counted as zero, since the file does not name it; typical of its class:",
+        columns([(term.key, term.typical) for term in absent]),
+        f"  sensor: {sensor.name} grade ({sensor.like}), by {sensor.reason}",
+        f"  table: {table.name} ({table.like}), by {table.reason}",
+    ]
+    for row in () if prediction is None else prediction.requirements:
+        if row.verdict != "unobservable":
+            value = amount(row.with_typical, row.unit)
+            limit = None if row.target is None else row.target / row.coverage
+            over = limit is not None and row.with_typical is not None and row.with_typical > limit
+            lines.append(f"with all of that {row.name} would be {value}" + (": missed" if over else ""))
+    return [*lines, "sources of the figures: gradcal check --json; a term that is truly zero is named with 0"]
 
 
 def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
@@ -152,13 +180,42 @@ def _times(prediction: "Prediction") -> str:
     return "{} in all: soak {}, motion {}".format(*(time_text(part) for part in parts))
 
 
+def _named(row: "RequirementRow", several: bool) -> str:
+    return f"{row.name}, axis {row.axis}" if several else row.name
+
+
 def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
-    name = f"{row.name}, axis {row.axis}" if several else row.name
     left, target = amount(row.decisive, row.unit), "" if row.target is None else amount(row.target, row.unit)
     if row.uncertain is not None:
         left += f" ({row.uncertain[0]:.4g} … {row.uncertain[1]:.4g})"
-    verdict, limited_by = row.verdict or "", row.limited_by or ""
-    return (name, row.quantity.replace("_", " "), row.statistic, left, target, verdict, limited_by)
+    worst = "" if row.max is None else amount(row.max, row.unit)
+    return (_named(row, several), row.statistic, left, worst, target, row.verdict or "")
+
+
+def _judged(row: "RequirementRow", several: bool) -> list[str]:
+    """What a requirement is limited by, how it is judged, and with which risks."""
+    name = _named(row, several)
+    lines = [f"{name}: limited by {row.limited_by}"] if row.limited_by else []
+    if row.rule and row.verdict != "unobservable":
+        lines.append(f"{name}: {row.verdict} by {row.rule}")
+        if row.specific_risk is not None:
+            lines.append(f"  error beyond it at the worst place: {percent(row.specific_risk)}")
+        if row.chance is not None and row.chance_everywhere is not None:
+            own = "" if row.statistic == "max" else f"; by {row.statistic}: {percent(row.chance, 1e-3)}"
+            lines.append(f"  a unit keeps it everywhere: {percent(row.chance_everywhere, 1e-3)}{own}")
+        if row.check is not None:
+            lines.append(
+                f"  a second run as a check: accepts {percent(row.check.accepted)}, falsely "
+                f"{percent(row.check.false_accept)}; rejects falsely {percent(row.check.false_reject)}"
+            )
+    return lines
+
+
+def percent(chance: float, least: float = 1e-4) -> str:
+    """A chance as people read it; below `least`, or so near to one, that alone is said."""
+    if chance < least:
+        return f"< {100.0 * least:g} %"
+    return f"> {100.0 * (1.0 - least):g} %" if chance > 1.0 - least else f"{100.0 * chance:.3g} %"
 
 
 _SHOWN = {

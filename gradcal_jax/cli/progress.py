@@ -1,13 +1,17 @@
 """How far long work is: a line or bars that move on a terminal, plain lines away from it."""
 
 import sys
+import time
 from typing import TYPE_CHECKING, Any, Final
 
 from gradcal_jax.cli.console import is_plain
+from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.jobs.progress import Progress
 
+# Before that, what is left is anybody's guess.
+_SOON_S: Final = 3.0
 _STAGES: Final = {"reading": "reading points", "predict": "predicting", "optimise": "optimising"}
 
 
@@ -18,12 +22,16 @@ class MovingLine:
         self.plain = is_plain(stream)
         self._stream = stream
         self._open = False
+        self._begun = time.monotonic()
 
     def __enter__(self) -> "MovingLine":
         return self
 
-    def show(self, line: str) -> None:
-        """Say this in the place of what was said before."""
+    def show(self, line: str, share: float | None = None) -> None:
+        """Say this in the place of what was said before; with the share that is done, how long the rest will take."""
+        spent = time.monotonic() - self._begun
+        if share is not None and 0.0 < share < 1.0 and spent > _SOON_S:
+            line += f"  {time_text(float(round(spent * (1.0 - share) / share)))} left"
         if self.plain:
             print(line, file=self._stream, flush=True)
         else:

@@ -9,3 +9,5 @@ WRONG_INPUT: Final = 2
 FAILED: Final = 3
 """A device, or a run."""
 INTERRUPTED: Final = 130
+BROKEN_PIPE: Final = 141
+"""Whoever read the output went away before its end (as a shell counts a SIGPIPE)."""

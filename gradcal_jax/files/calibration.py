@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from gradcal_jax.files.bases import RateBasis, RatePolynomial, TemperatureBasis, TemperaturePolynomial, increasing
 from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
@@ -60,6 +61,10 @@ class ScaleFactorMap(Section):
     def _whole(self) -> "ScaleFactorMap":
         refuse(*_mismatch(self.coefficients, scale_factor_names(self.temperature, self.rate)))
         return self
+
+
+LOG_HASH: Final = "log_sha256"
+"""Under this name the provenance keeps the fingerprint of the log that made the calibration."""
 
 
 class Covariance(Section):
@@ -125,16 +130,19 @@ class AxisCalibration(Section):
 
 
 class Result(Section):
-    """What a requirement of the spec came to, in `unit`."""
+    """What a requirement of the spec came to, in `unit`; `worst`: at its box's worst place; `rule`: of the verdict."""
 
     name: Text
     axis: Text
     quantity: Literal["scale_factor", "bias"]
     statistic: Text
     value: Number | None = None
+    worst: Number | None = None
     unit: Text
     target: Number | None = None
     verdict: Text | None = None
+    coverage: Number | None = None
+    rule: Text | None = None
 
 
 class Noise(Section):
@@ -220,7 +228,8 @@ def read_calibration(path: str | Path) -> Calibration:
 
 def parse_calibration(text: str, source: str = "") -> Calibration:
     """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
-    return model_of(Calibration, read_toml(text, source), FORMAT, source)
+    with with_lines(text):
+        return model_of(Calibration, read_toml(text, source), FORMAT, source)
 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> None:

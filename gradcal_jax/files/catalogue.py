@@ -35,6 +35,7 @@ from pydantic import Field, model_validator
 
 from gradcal_jax.files.changes import patched, tables_of
 from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section, refuse
@@ -149,7 +150,8 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
 
     A combination that is no spec (a table too slow for the sensor's range, say) is a case with a failure, not an error.
     """
-    file = model_of(CatalogueFile, read_toml(text, source), FORMAT, source)
+    with with_lines(text):
+        file = model_of(CatalogueFile, read_toml(text, source), FORMAT, source)
     return Catalogue(file, text, tuple(_cases(file, Path(folder), source)))
 
 

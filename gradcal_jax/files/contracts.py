@@ -205,10 +205,24 @@ class Timeline(Section):
     readings: tuple[ReadingRow, ...]
 
 
+class CheckRow(Section):
+    """Holding one unit's calibration against a second run of the same plan, at the worst place of the box: the chances,
+    before either run, that it is accepted, accepted although its error is beyond the target, rejected although within.
+    """
+
+    accepted: Size
+    false_accept: Size
+    false_reject: Size
+
+
 class RequirementRow(Section):
     """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan.
 
     `uncertain`: the least and the largest of the deciding statistic, where noise figures are uncertain.
+    `rule`: of the verdict, in words. `specific_risk`: chance that the error is beyond the target at the box's worst
+    place. `chance`, `chance_everywhere`: that a unit's error keeps the target, by the requirement's statistic, and at
+    every place of the box; `check`: global risks (JCGM 106) of a second run; `with_typical`: the residual with every
+    absent error term at what is typical of its class. Null where they were not asked for.
     """
 
     name: str
@@ -225,13 +239,28 @@ class RequirementRow(Section):
     rms: Size | None = None
     target: Size | None = None
     verdict: Literal["met", "missed", "unobservable"] | None = None
+    coverage: Size = 1.0
+    rule: str | None = None
+    specific_risk: Size | None = None
+    chance: Size | None = None
+    chance_everywhere: Size | None = None
+    check: CheckRow | None = None
     limited_by: str | None = None
     uncertain: tuple[Size, Size] | None = None
+    with_typical: Size | None = None
 
     @property
     def decisive(self) -> float | None:
         """The value of the requirement's own statistic; None: not observable."""
         return {"mean of max": self.mean_of_max, "max": self.max, "mean": self.mean, "rms": self.rms}[self.statistic]
+
+
+class AbsentRow(Section):
+    """An error term that the spec does not name and the prediction counts as zero: its key, and what is typical."""
+
+    key: str
+    typical: str
+    source: str
 
 
 class ParameterRow(Section):
@@ -294,3 +323,4 @@ class Prediction(Section):
     covariance: tuple[tuple[Finite | None, ...], ...] | None
     notices: tuple[NoticeRow, ...] = ()
     warnings: tuple[str, ...] = ()
+    counted_as_zero: tuple[AbsentRow, ...] = ()

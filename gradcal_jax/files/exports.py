@@ -158,6 +158,19 @@ def _triad(calibration: Calibration) -> dict[str, AxisCalibration]:
     return found
 
 
+def _of_bias(calibration: Calibration, target: str) -> dict[str, AxisCalibration]:
+    """The triad for a target that carries the bias alone: zeros in the place of a bias that is unknown are refused."""
+    triad = _triad(calibration)
+    without_bias = [name for name, axis in triad.items() if axis.bias is None]
+    if without_bias:
+        raise ValueError(
+            f"{target} takes the bias over temperature, and this calibration has none of axis "
+            f"{', '.join(without_bias)}: zeros would pass for a calibration. Estimate it with a [sensor.bias], or "
+            "export to c-header or csv"
+        )
+    return triad
+
+
 def _single(value: float) -> str:
     """A number that reads back as the same float32."""
     return f"{np.float32(value):.9g}"
@@ -174,7 +187,7 @@ _ARDUPILOT_REFERENCE: Final = 35.0
 
 
 def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
-    triad = _triad(calibration)
+    triad = _of_bias(calibration, "ArduPilot")
     number = int(options["instance"])
     if not 1 <= number <= 3:
         raise ValueError(f"ArduPilot numbers its sensors 1 to 3, not {number}")
@@ -245,7 +258,7 @@ _PX4_STEP: Final = 1.0
 
 
 def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
-    triad = _triad(calibration)
+    triad = _of_bias(calibration, "PX4")
     number, identity = int(options["instance"]), options["device_id"]
     if not 0 <= number <= 3:
         raise ValueError(f"PX4 numbers its sensors 0 to 3, not {number}")

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 from gradcal_jax.files.problems import Problem
@@ -141,7 +142,8 @@ def parse_column_map(text: str, source: str = "") -> ColumnMap:
 
     Errors: `SpecError` with every fault.
     """
-    return model_of(ColumnMap, read_toml(text, source), FORMAT, source)
+    with with_lines(text):
+        return model_of(ColumnMap, read_toml(text, source), FORMAT, source)
 
 
 def read_column_map(path: str | Path) -> ColumnMap:

@@ -8,6 +8,7 @@ A log never loses a row silently: `rows_read` is what the source held, `rows_rem
 kept (by reason), and `status` says of every row that was kept whether it is usable, for each unit, and if not, why.
 """
 
+import hashlib
 import importlib
 import json
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
+from gradcal_jax.files.netcdf import NetcdfError, load_netcdf, save_netcdf
 from gradcal_jax.files.problems import instead
 
 FORMAT: Final = "gradcal-log/1"
@@ -179,6 +180,12 @@ class Log:
             return np.ones(len(self.time_s), bool)
         return self.status[self.unit_index(unit)] == 0
 
+    def fingerprint(self, unit: str | int = 0) -> str:
+        """SHA-256 of a unit's times and rates: the same for the same recording, under whatever name."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.time_s).tobytes())
+        digest.update(np.ascontiguousarray(self.rate_rad_per_s[self.unit_index(unit)]).tobytes())
+        return digest.hexdigest()
+
     def counts(self, unit: str | int = 0) -> dict[str, int]:
         """Where every row read went: ``used``, then removed and masked rows by reason. They add up to `rows_read`."""
         result = {"used": int(np.count_nonzero(self.usable(unit))), **self.rows_removed}
@@ -295,7 +302,7 @@ def write_log(log: Log, path: str | Path) -> None:
     }
     dataset = xarray.Dataset(variables, coords=coordinates, attrs=attributes)
     try:
-        dataset.to_netcdf(path, engine="h5netcdf")
+        save_netcdf(dataset, path)
     except OSError as error:
         raise LogError(f"{path} cannot be written: {error.strerror or error}") from None
 

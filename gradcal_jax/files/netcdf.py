@@ -1,4 +1,4 @@
-"""Reading netCDF (HDF5) files that may be damaged.
+"""Writing netCDF (HDF5) files, and reading those that may be damaged.
 
 One wrong byte among a file's addresses can send the HDF5 library round in circles, crash it, or have it ask for all the
 memory there is; none of that can be caught in the program that called it. So a file is first read in a process of its
@@ -55,6 +55,18 @@ def load_netcdf(path: str | Path, trial_s: float = 30.0) -> Any:
     if trial.returncode > 0:
         raise NetcdfError(said.strip() or "the program that tries it first could not run")
     return _load(path)
+
+
+def save_netcdf(dataset: Any, path: str | Path) -> None:
+    """Write an `xarray.Dataset`, whole or not at all. It is made in memory first: where a file cannot grow, the HDF5
+    library takes the program down with it. Errors: `OSError` that names the file.
+    """
+    # Imported here, since this file is also run by its name, to try files out.
+    from gradcal_jax.files.writing import whole
+
+    contents = dataset.to_netcdf(engine="h5netcdf")
+    with whole(path) as passing:
+        passing.write_bytes(contents)
 
 
 def _signed(opened: Any) -> bool:

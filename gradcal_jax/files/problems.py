@@ -11,6 +11,9 @@ from pydantic_core import ErrorDetails
 Key = tuple[str | int, ...]
 
 _SHOWN: Final = 60
+# Of the faults of one file, and of the letters of a key.
+_MOST: Final = 30
+_LONGEST: Final = 120
 
 
 class _Absent:
@@ -24,12 +27,14 @@ ABSENT: Final = _Absent()
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault. `key` is the path (names and list positions), `value` what the file says there (or `ABSENT`)."""
+    """One fault. `key` is the path (names and list positions), `value` what the file says there (or `ABSENT`), `line`
+    where that stands in it."""
 
     key: Key
     message: str
     value: object = ABSENT
     kind: str = "value"
+    line: int | None = None
 
     @property
     def dotted(self) -> str:
@@ -41,12 +46,13 @@ class Problem:
         return replace(self, key=(*prefix, *self.key))
 
     def __str__(self) -> str:
-        where = self.dotted
+        where = self.dotted if len(self.dotted) <= _LONGEST else self.dotted[: _LONGEST - 1] + "…"
         if not where:
             return self.message
+        at = "" if self.line is None else f" (line {self.line})"
         if isinstance(self.value, _Absent):
-            return f"{where}: {self.message}"
-        return f"{where} = {shown(self.value)}: {self.message}"
+            return f"{where}: {self.message}{at}"
+        return f"{where} = {shown(self.value)}: {self.message}{at}"
 
 
 class SpecError(ValueError):
@@ -66,7 +72,9 @@ class SpecError(ValueError):
         head = f"{self.source}: " if self.source else ""
         if count == 1:
             return f"{head}{self.problems[0]}"
-        return f"{head}{count} problems\n" + "\n".join(f"  {problem}" for problem in self.problems)
+        shown_ = [f"  {problem}" for problem in self.problems[:_MOST]]
+        more = [f"  … and {count - _MOST} more"] if count > _MOST else []
+        return f"{head}{count} problems\n" + "\n".join([*shown_, *more])
 
 
 def _unique(problems: Iterable[Problem]) -> tuple[Problem, ...]:

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
 from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
@@ -45,7 +46,7 @@ class Predicted(Section):
     @classmethod
     def of(cls, prediction: Prediction) -> "Predicted":
         """From the contract."""
-        tables = prediction.model_dump(exclude_none=True, exclude={"format", "title", "covariance"})
+        tables = prediction.model_dump(exclude_none=True, exclude={"format", "title", "covariance", "counted_as_zero"})
         return cls.model_validate(tables)
 
 
@@ -127,13 +128,16 @@ def read_recipe(path: str | Path) -> Recipe:
 
 def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or the one inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
-    document = read_toml(read_text(path), str(path))
-    return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
+    text = read_text(path)
+    with with_lines(text):
+        document = read_toml(text, str(path))
+        return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:
     """A recipe from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
-    return recipe_of(read_toml(text, source), source)
+    with with_lines(text):
+        return recipe_of(read_toml(text, source), source)
 
 
 def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError, from_validation
 from gradcal_jax.files.quantity import Flag, PositiveTemperatureDifference, Quantity, Temperature, Text, Time
 from gradcal_jax.files.section import Section, refuse
@@ -166,7 +167,8 @@ def read_rig(path: str | Path) -> RigFile:
 
 def parse_rig(text: str, source: str = "") -> RigFile:
     """A rig from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
-    return rig_of(read_toml(text, source), source)
+    with with_lines(text):
+        return rig_of(read_toml(text, source), source)
 
 
 def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:

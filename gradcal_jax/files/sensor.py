@@ -142,7 +142,10 @@ def _gyro(value: object) -> object:
 
 
 class Sensor(UncertainSection):
-    """A gyro axis: every term of the error model (paper, eq. 1). Absent terms are absent from the model."""
+    """A gyro axis: every term of the error model (paper, eq. 1). Absent terms count as zero.
+
+    `grade`: the class whose typical figures are named beside absent terms; without it, that of drift or random walk.
+    """
 
     FIGURES: ClassVar[tuple[str, ...]] = (
         "angle_random_walk",
@@ -152,6 +155,7 @@ class Sensor(UncertainSection):
     )
 
     name: Text | None = None
+    grade: Literal["consumer", "tactical", "navigation"] | None = None
     quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
     angle_random_walk: AngleRandomWalk
     rate_random_walk: RateRandomWalk | None = None

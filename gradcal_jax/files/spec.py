@@ -11,6 +11,7 @@ from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.checks import between_sections
 from gradcal_jax.files.design import Design
 from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.plan import Plan, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation
 from gradcal_jax.files.quantity import Text
@@ -67,6 +68,15 @@ _SECTIONS: Final[Mapping[str, TypeAdapter[Any]]] = {
 }
 
 
+def expect_spec(value: object) -> Spec:
+    """The value, if it is a spec. Errors: `TypeError` that says how one is made of a file."""
+    if isinstance(value, Spec):
+        return value
+    if isinstance(value, str | Path):
+        raise TypeError(f"expected a spec, not the name of its file: read it with gj.read_spec({str(value)!r})")
+    raise TypeError(f"expected a spec as gj.read_spec or gj.parse_spec give it, not {type(value).__name__}")
+
+
 def read_spec(path: str | Path) -> Spec:
     """Read a spec file: TOML, quantities as text with units ("0.1 deg/sqrt(h)"), SI (°C) inside.
 
@@ -80,7 +90,8 @@ def parse_spec(text: str, source: str = "") -> Spec:
 
     Errors: `SpecError`, as `read_spec`.
     """
-    return spec_of(read_toml(text, source), source)
+    with with_lines(text):
+        return spec_of(read_toml(text, source), source)
 
 
 def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:

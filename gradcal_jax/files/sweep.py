@@ -32,6 +32,7 @@ from gradcal_jax import units
 from gradcal_jax.files import presets
 from gradcal_jax.files.changes import changed, split_key
 from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import is_recipe, recipe_of
@@ -277,7 +278,8 @@ def read_sweep(path: str | Path) -> Sweep:
 
 def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
-    file = model_of(SweepFile, read_toml(text, source), FORMAT, source)
+    with with_lines(text):
+        file = model_of(SweepFile, read_toml(text, source), FORMAT, source)
     base = named_spec(file.base, Path(folder), source)
     try:
         if file.change:

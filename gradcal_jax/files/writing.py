@@ -2,7 +2,8 @@
 
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -37,21 +38,37 @@ def write_toml(model: Section, path: str | Path, *, header: str = "") -> None:
 
 
 def write_whole(path: str | Path, text: str) -> None:
-    """Write a text under a passing name beside its goal and move it there: after a kill it is whole or not there."""
+    """Write a text, whole or not at all: see `whole`. Errors: `OSError` that names the file."""
+    with whole(path) as passing:
+        passing.write_text(text, encoding="utf-8", newline="\n")
+
+
+@contextmanager
+def whole(path: str | Path) -> Generator[Path]:
+    """A passing name beside `path` for a writer: what it writes there is moved to `path`, so that after a kill it is
+    whole or not there, and on a full disk nothing is left of it. Errors: `OSError` that names `path`.
+    """
     path = Path(path)
-    handle, passing = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    passing: Path | None = None
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
+        # The ending stays: some writers go by it.
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
+        os.close(handle)
+        passing = Path(name)
+        yield passing
+        with passing.open("rb") as written:
+            os.fsync(written.fileno())
         umask = os.umask(0)
         os.umask(umask)
-        Path(passing).chmod(0o666 & ~umask)
-        Path(passing).replace(path)
-    except BaseException:
-        Path(passing).unlink(missing_ok=True)
-        raise
+        passing.chmod(0o666 & ~umask)
+        passing.replace(path)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise type(error)(error.errno, error.strerror or str(error), str(path)) from None
+    finally:
+        if passing is not None:
+            passing.unlink(missing_ok=True)
 
 
 def _scalars_first(table: Mapping[str, Any]) -> list[tuple[str, Any]]:

@@ -1,7 +1,6 @@
 """Results of a sweep as labelled arrays with units (xarray), and their file (netCDF 4)."""
 
 import json
-import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from gradcal_jax.files import to_toml
-from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
+from gradcal_jax.files.netcdf import NetcdfError, load_netcdf, save_netcdf
 from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.results import STATISTICS, UNIT_OF, Result
@@ -124,12 +123,7 @@ def slug(text: str) -> str:
 
 def write_dataset(data: "xarray.Dataset", output: Path) -> None:
     """Write the file as a whole or not at all; the same data give the same bytes."""
-    passing = output.with_name(f".{output.name}.{os.getpid()}")
-    try:
-        data.to_netcdf(passing, engine="h5netcdf")
-        os.replace(passing, output)
-    finally:
-        passing.unlink(missing_ok=True)
+    save_netcdf(data, output)
 
 
 def read_dataset(path: str | Path) -> "xarray.Dataset":

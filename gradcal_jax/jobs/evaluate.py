@@ -66,7 +66,7 @@ def _row(i: int, channel: str, requirement: Requirement, values: np.ndarray) -> 
         value = statistic(name, values)
         none = not np.isfinite(value) or (requirement.quantity == "bias" and name == "mean of max")
         found.append(None if none else value)
-    said = verdict(requirement, found[STATISTICS.index(requirement.statistic)])
+    said = verdict(requirement, values)
     return Residual(i, channel, tuple(found), said or "")
 
 

@@ -1,6 +1,11 @@
 """Values and tables as plain text: on a terminal, on paper, in a notebook."""
 
 from collections.abc import Sequence
+from textwrap import wrap
+from typing import Final
+
+WIDTH: Final = 80
+_NARROWEST: Final = 20
 
 
 def amount(value: float | None, unit: str) -> str:
@@ -8,13 +13,22 @@ def amount(value: float | None, unit: str) -> str:
     return "not observable" if value is None else f"{value:.4g} {unit}"
 
 
-def columns(rows: Sequence[Sequence[str]], *, indent: str = "  ", right: Sequence[int] = ()) -> str:
-    """Rows as aligned text; the columns numbered in `right` are flush right."""
+def columns(rows: Sequence[Sequence[str]], *, indent: str = "  ", right: Sequence[int] = (), width: int = WIDTH) -> str:
+    """Rows as aligned text; the columns numbered in `right` are flush right.
+
+    Where a row is wider than `width`, its last column, if that is text of several words, goes on in the lines below.
+    """
     if not rows:
         return ""
     widths = [max(len(row[i]) for row in rows if i < len(row)) for i in range(max(len(row) for row in rows))]
+    before = len(indent) + sum(widths[:-1]) + 2 * (len(widths) - 1)
     lines: list[str] = []
     for row in rows:
-        cells = [cell.rjust(widths[i]) if i in right else cell.ljust(widths[i]) for i, cell in enumerate(row)]
-        lines.append((indent + "  ".join(cells)).rstrip())
+        parts = [row[-1]]
+        if len(row) == len(widths) > 1 and before + len(row[-1]) > width and width - before >= _NARROWEST:
+            parts = wrap(row[-1], width - before, break_long_words=False, break_on_hyphens=False) or [""]
+        for k, part in enumerate(parts):
+            texts = [*(row[:-1] if k == 0 else [""] * (len(row) - 1)), part]
+            cells = [cell.rjust(widths[i]) if i in right else cell.ljust(widths[i]) for i, cell in enumerate(texts)]
+            lines.append((indent + "  ".join(cells)).rstrip())
     return "\n".join(lines)

@@ -1,5 +1,6 @@
 """What a page's numbers rest on, and where they come from."""
 
+from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.sources import Sources
@@ -25,7 +26,11 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
             ("standstill offset", angle.standstill_offset or None),
             ("timing error", angle.timing_error or None),
         )
-        return rows + [(name, str(value)) for name, value in given if value is not None]
+        rows += [(name, str(value)) for name, value in given if value is not None]
+        absent = [
+            (term.key, f"counted as zero; typical of its class: {term.typical}") for term in absent_terms(recipe.spec)
+        ]
+        return rows + absent
     if calibration is not None and calibration.noise is not None:
         rows.append(("angle random walk", str(calibration.noise.angle_random_walk)))
         if calibration.noise.rate_random_walk is not None:

@@ -7,6 +7,8 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from gradcal_jax.files.writing import whole
+
 SEQUENTIAL = "viridis"
 # Okabe and Ito's palette, distinguishable with every common colour-vision deficiency.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -38,7 +40,8 @@ def save(figure: Figure, path: str | Path) -> None:
         raise ValueError(f"{path}: a figure's name ends in one of {', '.join('.' + k for k in sorted(known))}")
     if not Path(path).parent.is_dir():
         raise ValueError(f"there is no directory {Path(path).parent}; make it first")
-    figure.savefig(path, dpi=150)
+    with whole(path) as passing:
+        figure.savefig(passing, dpi=150)
 
 
 def colour_map():

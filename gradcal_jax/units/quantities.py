@@ -1,5 +1,6 @@
 """A number with a unit, to SI and back."""
 
+import contextlib
 import difflib
 import math
 import re
@@ -26,6 +27,10 @@ _SAME: Final = str.maketrans(
 )
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _LONGEST: Final = 120
+# "300 deg/s2", "20 C", "5 degrees C"; and of differences "5 C".
+_SLIP_OF_POWER: Final = re.compile(r"([A-Za-z])\^?([23])\b")
+_SLIP_OF_CELSIUS: Final = re.compile(r"(?:\bdeg(?:rees?)? ?)?\b(?:[Cc]|[Cc]elsius|[Cc]entigrade)\b")
+_SLIP_OF_KELVIN: Final = re.compile(r"(?:\bdeg ?)?\b(?:[CckK]|[Kk]elvin)\b")
 
 
 class UnitError(ValueError):
@@ -175,7 +180,25 @@ def parse(text: str, dimension: str) -> float:
         return _read(text, known)
     except Refusal as refusal:
         shown = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
-        raise UnitError(f"'{shown}' is not understood: {refusal}; {_expected(known)}") from None
+        meant = _meant(text, known)
+        hint = f"; nearest: '{meant}'" if meant else ""
+        raise UnitError(f"'{shown}' is not understood: {refusal}; {_expected(known)}{hint}") from None
+
+
+def _meant(text: str, dimension: Dimension) -> str | None:
+    """The text with usual slips mended, where that is a quantity of the dimension."""
+    if len(text) > _LONGEST:
+        return None
+    for mended in (
+        _SLIP_OF_POWER.sub(r"\1^\2", text),
+        _SLIP_OF_CELSIUS.sub("degC", text),
+        _SLIP_OF_KELVIN.sub("K", text),
+    ):
+        if mended != text:
+            with contextlib.suppress(Refusal):
+                _read(mended, dimension)
+                return mended
+    return None
 
 
 def _lookup(unit: str) -> Unit:

@@ -92,6 +92,11 @@ def test_applied_and_validated_on_data_that_were_not_used(bench, calibration, ca
     assert after < 0.5 * before
     assert axis["bias_deg_per_h"][1] < axis["bias_deg_per_h"][0]
     assert {cell["unit"] for cell in axis["cells"]} == {"ppm", "deg/h"}
+    # The log that made it proves nothing, under whatever name.
+    (tmp_path / "renamed.nc").write_bytes((bench / "log.nc").read_bytes())
+    status, said = told(capsys, "validate", calibration, tmp_path / "renamed.nc")
+    assert status == 2
+    assert "this log made the calibration" in said.err
     # A log that was corrected already is worse off after a second correction.
     status, _ = told(capsys, "validate", calibration, corrected)
     assert status == 1

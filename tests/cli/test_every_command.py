@@ -36,12 +36,13 @@ ARGUMENTS = {
     "schema": "FILE",
     "sensitivity": "FILE",
     "show": "FILE",
+    "start": "--preset FILE -o OUT",
     "sweep": "FILE -o OUT",
     "timeline": "FILE",
     "validate": "FILE FILE",
 }
 # These print words alone.
-WITHOUT_NUMBERS = {"glossary", "new", "rig", "schema"}
+WITHOUT_NUMBERS = {"glossary", "new", "rig", "schema", "start"}
 
 
 def test_every_command_is_tried():

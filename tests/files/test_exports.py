@@ -177,3 +177,14 @@ def test_what_a_target_cannot_take_is_a_sentence():
             export(named, target)
     assert set(FORMATS) == {"ardupilot", "px4", "kalibr", "c-header", "csv"}
     assert all("SIMULATED" in export(CALIBRATION, t, temperature_c=20.0).notes[-1] for t in FORMATS)
+
+
+@pytest.mark.parametrize("target", ["ardupilot", "px4"])
+def test_a_bias_that_is_unknown_is_not_exported_as_zeros(target):
+    text = WHOLE
+    head, rest = text.split('name = "y"', 1)
+    begin, end = rest.index("[axis.bias]"), rest.index("[axis.scale_factor]")
+    without = parse_calibration(f'{head}name = "y"{rest[:begin]}{rest[end:]}')
+    with pytest.raises(ValueError, match="none of axis y: zeros would pass for a calibration"):
+        export(without, target, instance=1, device_id=7)
+    assert export(without, "csv").text

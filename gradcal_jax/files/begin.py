@@ -1,0 +1,245 @@
+"""Ten answers to a spec, a rig file and a column map, each commented: what `gradcal start` writes.
+
+The error budget is that of the sensor's grade (`typical.toml`), with the source of each figure beside it; the plan is
+one ramp over the chamber's range with turns at three rates, which is what a map of degree two in rate needs.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple, cast
+
+from gradcal_jax import units
+from gradcal_jax.files.absent import grades, terms_of
+from gradcal_jax.files.column_guess import EXAMPLE
+from gradcal_jax.files.problems import instead
+from gradcal_jax.files.rig import TEMPLATE
+
+
+class Question(NamedTuple):
+    """One thing to know: its name, the words that ask for it, what kinds of answer it takes, separated by commas."""
+
+    name: str
+    asks: str
+    kinds: tuple[str, ...]
+
+
+QUESTIONS: Final = (
+    Question("sensor", "What is the sensor called?", ("text",)),
+    Question("grade", f"Of which grade is it: {', '.join(grades())}?", ("grade",)),
+    Question("walk", "Its angle random walk, from the data sheet or `gradcal allan`?", ("angle random walk",)),
+    Question("full_scale", "Its full scale?", ("angular rate",)),
+    Question("rate", "How fast does the table turn at most?", ("angular rate",)),
+    Question("acceleration", "How fast does it speed up?", ("angular acceleration",)),
+    Question("angle", "By how much is its angle off where it comes to rest?", ("angle",)),
+    Question("travel", 'How far each way, before a cable ends it (or "unlimited")?', ("travel",)),
+    Question(
+        "chamber",
+        "The chamber: coldest, warmest, and how fast it ramps?",
+        ("temperature", "temperature", "temperature slope"),
+    ),
+    Question("targets", "The limits on the error: of the scale factor, of the bias?", ("scale factor", "angular rate")),
+)
+
+PRESETS: Final[Mapping[str, Mapping[str, str]]] = {
+    "drone-imu": {
+        "sensor": "ICM-42688 class",
+        "grade": "consumer",
+        "walk": "0.17 deg/sqrt(h)",
+        "full_scale": "500 deg/s",
+        "rate": "360 deg/s",
+        "acceleration": "300 deg/s^2",
+        "angle": "0.05 deg",
+        "travel": "720 deg",
+        "chamber": "-25 degC, 70 degC, 1 K/min",
+        "targets": "1000 ppm, 60 deg/h",
+    },
+    "tactical-imu": {
+        "sensor": "tactical MEMS",
+        "grade": "tactical",
+        "walk": "0.15 deg/sqrt(h)",
+        "full_scale": "400 deg/s",
+        "rate": "400 deg/s",
+        "acceleration": "400 deg/s^2",
+        "angle": "30 arcsec",
+        "travel": "unlimited",
+        "chamber": "-40 degC, 85 degC, 1 K/min",
+        "targets": "100 ppm, 5 deg/h",
+    },
+}
+"""Answers to all questions, for a class of unit and bench; the first are the defaults of the questions."""
+
+
+def preset(name: str) -> dict[str, str]:
+    """The answers of a preset. Errors: `ValueError` with the nearest right spelling."""
+    if name not in PRESETS:
+        raise ValueError(f"there is no preset '{name}' to start from: {instead(name, PRESETS)}")
+    return dict(PRESETS[name])
+
+
+def understood(question: Question, answer: str) -> tuple[float | str, ...]:
+    """An answer in SI, one value for each kind. Errors: `ValueError` that says what was expected."""
+    parts = [part.strip() for part in answer.split(",")] if len(question.kinds) > 1 else [answer.strip()]
+    if len(parts) != len(question.kinds):
+        raise ValueError(f"expected {len(question.kinds)} answers with commas between them, got {len(parts)}")
+    return tuple(_one(kind, part) for kind, part in zip(question.kinds, parts, strict=True))
+
+
+def _one(kind: str, text: str) -> float | str:
+    if not text:
+        raise ValueError("expected an answer")
+    if kind == "text":
+        if not text.isprintable() or '"' in text or "\\" in text or len(text) > 100:
+            raise ValueError("expected a name of at most 100 letters, without quotes or backslashes")
+        return text
+    if kind == "grade":
+        if text not in grades():
+            raise ValueError(instead(text, grades()))
+        return text
+    if kind == "travel":
+        if text == "unlimited":
+            return math.inf
+        kind = "angle"
+    value = units.parse(text, kind)
+    if kind != "temperature" and value <= 0.0:
+        raise ValueError(f"expected more than zero, got {text}")
+    return value
+
+
+def files_of(answers: Mapping[str, str]) -> dict[str, str]:
+    """The texts of `spec.toml`, `rig.toml` and `columns.toml`. Errors: `ValueError` that names the question."""
+    known: dict[str, tuple[Any, ...]] = {}
+    for question in QUESTIONS:
+        try:
+            known[question.name] = understood(question, answers[question.name])
+        except ValueError as error:
+            raise ValueError(f"{question.asks} {answers[question.name]!r}: {error}") from None
+    rate, acceleration = (f"{math.degrees(known[name][0]):.6g}" for name in ("rate", "acceleration"))
+    rig = TEMPLATE.replace('"300 deg/s"', f'"{rate} deg/s"').replace('"300 deg/s^2"', f'"{acceleration} deg/s^2"')
+    columns = EXAMPLE.replace('# full_scale = "500 deg/s" ', f'full_scale = "{_deg(known["full_scale"][0])} deg/s" ')
+    return {"spec.toml": _spec(answers, known), "rig.toml": rig, "columns.toml": columns}
+
+
+def _deg(value: float) -> str:
+    return f"{math.degrees(value):.6g}"
+
+
+def _spec(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> str:
+    cold, warm, slope = cast("tuple[float, float, float]", known["chamber"])
+    if warm - cold < 10.0:
+        raise ValueError(f"{QUESTIONS[8].asks} a range of at least 10 K is wanted, and this has {warm - cold:g} K")
+    grade = str(known["grade"][0])
+    terms = {term.key: term for term in terms_of("sensor", grade)}
+    lag = units.parse(str(terms["thermal_lag"].value), "time")
+    # The die follows the air late: what it does not reach is not asked for.
+    inset = min(math.ceil(2.0 * slope * lag) + 2.0, 0.2 * (warm - cold))
+    low, high = round(cold + inset), round(warm - inset)
+    usable = min(known["rate"][0], 0.95 * known["full_scale"][0])
+    moves, fastest = _moves(usable, known["acceleration"][0], known["travel"][0])
+    scale_factor, bias = (part.strip() for part in answers["targets"].split(","))
+    coldest, warmest, ramp = (part.strip() for part in answers["chamber"].split(","))
+    box = f'temperature = ["{low} degC", "{high} degC"]'
+    half, middle = round(0.5 * (warm - cold)), round(0.5 * (warm + cold))
+    in_t = f'centre = "{middle} degC", scale = "{half} K"'
+    lines = [
+        "# Made by gradcal start. Figures of the class stand with their source: put in your unit's own where you can.",
+        'format = "gradcal-spec/1"',
+        f'title  = "{answers["sensor"]}: bias and scale factor in one ramp"',
+        "",
+        "[sensor]",
+        f'name              = "{answers["sensor"]}"',
+        'quantity          = "gyro"',
+        f'grade             = "{grade}"',
+        f'angle_random_walk = "{answers["walk"]}"',
+        f'full_scale        = "{answers["full_scale"]}"',
+    ]
+    lines += [line for key in _SCALARS for line in _written(key, terms[key])]
+    for key in ("drift", "scale_factor_instability", "temperature_error", "bias_temperature_gradient"):
+        lines += _written(key, terms[key])
+    lines += [
+        "[sensor.bias]                          # B(T), to be found",
+        f'temperature = {{ basis = "polynomial", degree = 3, {in_t} }}',
+        "[sensor.scale_factor]                  # M(T, rate), to be found",
+        f'temperature = {{ basis = "polynomial", degree = 2, {in_t} }}',
+        f'rate        = {{ basis = "polynomial", degree = 2, scale = "{_deg(fastest)} deg/s" }}',
+        "",
+        "[rig.table]",
+        f'max_rate         = "{answers["rate"]}"',
+        f'max_acceleration = "{answers["acceleration"]}"',
+        f'travel           = "{answers["travel"]}"         # each way, where a cable winds up',
+        "[rig.table.angle]",
+        f'standstill_offset = "{answers["angle"]}"        # one draw each time the table comes to rest',
+    ]
+    table = "coarse" if known["angle"][0] > units.parse("10 arcsec", "angle") * 5 else "middle"
+    for term in terms_of("table", table):
+        if term.key in ("angle.reading_noise", "angle.timing_error"):
+            lines.append(f'{term.key.removeprefix("angle.")} = "{term.value}"   # {term.source}')
+    lines += [
+        "harmonics = []                         # of the encoder by angle; whole turns cancel them",
+        "[rig.chamber]",
+        f'range       = ["{coldest}", "{warmest}"]',
+        f'max_heating = "{ramp}"',
+        f'max_cooling = "{ramp}"',
+        "",
+        "[[requirement]]                        # a limit on the error, met where twice its 1σ is within",
+        'name        = "scale factor"',
+        'quantity    = "scale_factor"',
+        box,
+        f'rate        = ["-{_deg(fastest)} deg/s", "{_deg(fastest)} deg/s"]',
+        f'target      = "{scale_factor}"',
+        "coverage    = 2",
+        "[[requirement]]",
+        'name        = "bias"',
+        'quantity    = "bias"',
+        box,
+        f'target      = "{bias}"',
+        "coverage    = 2",
+        "",
+        "[plan]",
+        'method      = "gradient"',
+        f'temperature = ["{coldest}", "{warmest}"]',
+        f'gradient    = "{ramp}"',
+        'soak        = { duration = "30 min", used = false }',
+        "[plan.cycle]                           # again and again for the whole ramp",
+        "moves = [",
+        *(f"  {move}," for move in moves),
+        "]",
+        "",
+        "[design]                               # what `gradcal optimise` may change, and what for",
+        'minimise = "scale factor"',
+        'free     = ["duration", "peak_rate"]',
+        "starts   = 4",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+_SCALARS: Final = ("rate_random_walk", "turn_on_bias", "thermal_lag", "sample_clock_error")
+
+
+def _written(key: str, term: Any) -> list[str]:
+    """A term of the error budget in TOML, its source beside it."""
+    if isinstance(term.value, str):
+        return [f'{key} = "{term.value}"   # {term.source}']
+    several = isinstance(term.value, list)
+    entries = cast("list[dict[str, str]]", term.value if several else [term.value])
+    lines: list[str] = []
+    for entry in entries:
+        head = f"[[sensor.{key}]]" if several else f"[sensor.{key}]"
+        lines += [f"{head}   # {term.source}", *(f'{name} = "{value}"' for name, value in entry.items())]
+    return lines
+
+
+def _moves(usable: float, acceleration: float, travel: float) -> tuple[list[str], float]:
+    """Turns there and back at three rates with a rest before each, and the fastest of the rates (rad/s)."""
+    most = min(travel, 4.0 * 2.0 * math.pi)
+    whole = math.floor(most / (2.0 * math.pi) + 1e-9)
+    angle = whole * 2.0 * math.pi if whole else 0.95 * most
+    # Half of the angle at most goes into the two ramps.
+    fastest = min(usable, math.sqrt(0.5 * angle * acceleration))
+    written = f"turns = {{}}{whole}" if whole else f'turn = "{{}}{math.degrees(angle):.4f} deg"'
+    moves: list[str] = []
+    for share in (1.0, 0.6, 0.3):
+        for sign in ("", "-"):
+            moves.append('{ rest = "5 s", read_every = "1 s" }')
+            peak = f"{math.floor(1e3 * math.degrees(fastest) * share) / 1e3:g}"
+            moves.append(f'{{ {written.format(sign)}, peak_rate = "{peak} deg/s", shape = "linear ramps" }}')
+    return moves, math.radians(math.floor(1e3 * math.degrees(fastest)) / 1e3)

@@ -1,0 +1,127 @@
+"""Whether something keeps a limit, and the risk of saying so wrongly: JCGM 106:2012, for normal errors about zero.
+
+Symbols: `T` the limit (the tolerance interval is −T … T), `A` the acceptance limit, `y` a measured value with standard
+uncertainty `u`, `s` the standard deviation of the errors before that measurement (the prior).
+
+* *Specific risk* (9.3.2, 7.2): the chance that the error exceeds ±T, once its estimate y and its u are known.
+* *Guard band* (8.3): accepting within ±A, A < T, so that an accepted value's specific risk stays below a chosen one.
+* *Global risks* (9.5.3): before the measurement, the chance that an error beyond ±T is accepted (the consumer's), and
+  that one within is rejected (the producer's),
+
+      R_C = ∫_{|e| > T} F(e) g(e) de,   R_P = ∫_{|e| ≤ T} (1 − F(e)) g(e) de,   F(e) = Φ((A − e)/u) − Φ((−A − e)/u)
+
+  with g the normal density of standard deviation s. Both integrands are smooth but for steps of width u at ±A, so
+  Gauss–Legendre between places set by T, A, u and s is exact to rounding.
+"""
+
+from math import erfc, sqrt
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax.information.posterior import Posterior
+from gradcal_jax.information.residual import Quantity, Statistic, contrasts, statistic
+from gradcal_jax.model import SensorModel
+
+# Beyond so many standard deviations lies 1e-23 of a normal distribution.
+_FAR = 10.0
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
+
+
+def _beyond(z: float) -> float:
+    """The chance of a standard normal value above z."""
+    return 0.5 * erfc(z / sqrt(2.0))
+
+
+def specific_risk(y: float, u: float, limit: float) -> float:
+    """The chance that an error estimated as `y`, with standard uncertainty `u`, lies beyond ±`limit`."""
+    if u == 0.0:
+        return float(abs(y) > limit)
+    return _beyond((limit - y) / u) + _beyond((limit + y) / u)
+
+
+def coverage_of_risk(risk: float) -> float:
+    """The number of standard deviations that an error about zero exceeds with the chance `risk`, either way."""
+    return NormalDist().inv_cdf(1.0 - 0.5 * risk)
+
+
+def acceptance_limit(u: float, limit: float, risk: float) -> float | None:
+    """The largest |y| whose specific risk is at most `risk`; None where even zero has more."""
+    if specific_risk(0.0, u, limit) > risk:
+        return None
+    low, high = 0.0, limit + _FAR * u
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if specific_risk(middle, u, limit) <= risk else (low, middle)
+    return low
+
+
+class GlobalRisks(NamedTuple):
+    """Chances before a measurement: that it accepts, accepts falsely (consumer's), rejects falsely (producer's)."""
+
+    accepted: float
+    false_accept: float
+    false_reject: float
+
+
+def global_risks(s: float, u: float, limit: float, acceptance: float) -> GlobalRisks:
+    """Of errors of standard deviation `s`, measured to `u`, accepted within ±`acceptance`, conforming within ±`limit`.
+
+    All four in one unit. Errors: `ValueError` unless `s` and `u` are positive.
+    """
+    if not (s > 0.0 and u > 0.0):
+        raise ValueError("risks need a positive spread of the errors and a positive uncertainty of the measurement")
+    # By symmetry one half does. Steps of width u at the acceptance limit, of width s from zero.
+    ends = {0.0, limit, *(k * s for k in (0.5, 1, 2, 3, 4, 6, 8)), *(acceptance + k * u for k in range(-10, 11, 2))}
+    far = _FAR * s
+    edges = np.array(sorted(end for end in ends | {far} if 0.0 <= end <= far))
+    half = 0.5 * np.diff(edges)[:, None]
+    errors = (0.5 * (edges[1:] + edges[:-1])[:, None] + half * _NODES).ravel()
+    weights = 2.0 * (half * _WEIGHTS).ravel() * np.exp(-0.5 * (errors / s) ** 2) / (s * sqrt(2.0 * np.pi))
+    accepting = np.array([_beyond((e - acceptance) / u) - _beyond((e + acceptance) / u) for e in errors])
+    outside = errors > limit
+    return GlobalRisks(
+        float(np.sum(weights * accepting)),
+        float(np.sum((weights * accepting)[outside])),
+        float(np.sum((weights * (1.0 - accepting))[~outside])),
+    )
+
+
+def chance_of_keeping(
+    known: Posterior,
+    model: SensorModel,
+    quantity: Quantity,
+    temperature: np.ndarray,
+    rate: np.ndarray,
+    name: Statistic,
+    limit: float,
+    draws: int = 4000,
+    seed: int = 0,
+) -> tuple[float, float] | None:
+    """The share of units whose error after a calibration keeps `limit`: by the named statistic, and everywhere.
+
+    A statistic is that of one unit's |error| over the whole box, errors at its places correlated as the posterior
+    has them (drawn; binomial standard error 0.5 % and less). `temperature` °C, `rate` rad/s, `limit` dimensionless or
+    rad/s. None where the plan leaves something unobservable.
+    """
+    if known.hidden.shape[1]:
+        return None
+    grid_t, grid_w = np.meshgrid(temperature, rate, indexing="ij")
+    rows, alone, _ = contrasts(model, quantity, grid_t.ravel(), grid_w.ravel())
+    roots = [rows @ known.spread]
+    beyond = None if (of := model.map(quantity)) is None else of.beyond
+    if beyond is not None:
+        # What a calibration does not carry is estimated, and left: with it goes prior less posterior covariance.
+        where = model.where(beyond.name)
+        prior = beyond.std**2 * np.eye(where.stop - where.start)
+        values, vectors = np.linalg.eigh(prior - known.spread[where] @ known.spread[where].T)
+        roots.append(alone[:, where] @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+    root = np.concatenate(roots, axis=1)
+    rng, kept = np.random.default_rng(seed), np.zeros(2)
+    for _ in range(0, draws, 500):
+        errors = np.abs(root @ rng.standard_normal((root.shape[1], 500)))
+        for unit in errors.T:
+            kept += statistic(name, unit.reshape(grid_t.shape)) <= limit, unit.max() <= limit
+    shares = kept / (500 * -(-draws // 500))
+    return float(shares[0]), float(shares[1])

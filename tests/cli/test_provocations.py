@@ -1,0 +1,245 @@
+"""What users do to programs: wrong arguments, wrong files, full disks, closed pipes, too little memory. No traceback.
+
+Every case ends with a status of the program's and, where that is not success, with a sentence that begins "gradcal: ".
+"""
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.cli import main
+
+PROGRAM = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
+GOOD = gj.presets.text("paper-static-gradient")
+WHOLE = gj.presets.text("tactical-mems")
+STATUSES = {0, 1, 2, 3, 130, 141}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    Path("good.toml").write_text(GOOD, encoding="utf-8")
+    Path("whole.toml").write_text(WHOLE, encoding="utf-8")
+    Path("rig.toml").write_text(gj.files.rig.TEMPLATE if hasattr(gj.files, "rig") else "", encoding="utf-8")
+    Path("empty.toml").write_bytes(b"")
+    Path("empty.nc").write_bytes(b"")
+    Path("data.csv").write_text("t,gx\n0,1\n1,2\n", encoding="utf-8")
+    Path("folder.toml").mkdir()
+    return tmp_path
+
+
+def judged(status, err):
+    assert status in STATUSES
+    assert "Traceback" not in err
+    if status == 2:
+        assert "gradcal: " in err
+        assert len(err) < 4000
+
+
+ARGUMENTS = """
+nothing-known | --nonsense | predict | predict --json | predict good.toml extra.toml | predict good.toml --seed x
+predict good.toml --seed 1.5 | predict good.toml --monte-carlo -3 | predict good.toml --monte-carlo 0
+predict good.toml --monte-carlo many | predict good.toml --plot x.gif | predict good.toml --plot no/where.png
+predict good.toml --plot folder.toml | predict  | compare | compare good.toml missing.toml | check | check --json
+check good.toml --nope | timeline good.toml --rows nonsense | timeline good.toml --json --csv | new | new --list=x
+new nothing -o x.toml | new tactical-mems | new tactical-mems -o good.toml | new tactical-mems -o no/where.toml
+new tactical-mems -o folder.toml | new tactical-mems -o "" | optimise good.toml | optimise good.toml -o out.toml
+optimise whole.toml -o out.toml --steps 1 | optimise whole.toml -o out.toml --steps -20
+optimise whole.toml -o good.toml | optimise whole.toml -o out.toml --resume | limit good.toml
+frontier good.toml | frontier good.toml --motion 5 | frontier good.toml --motion 10min..5min
+frontier good.toml --motion 0min..5min --points 1 | frontier good.toml --motion x..y | sensitivity missing.toml
+recipe good.toml | recipe good.toml -o no/where.toml | show good.toml | show empty.toml | rig | rig check
+rig check good.toml | rig new -o good.toml | run | run good.toml -o run | run missing.toml --simulate -o run
+run --resume nowhere | run good.toml --simulate -o run --speed 0
+run good.toml --simulate -o run --speed -1 | log nowhere | log good.toml
+instability data.csv | instability data.csv --columns good.toml | instability missing.csv | instability empty.nc
+instability data.csv --axis q | allan data.csv --rows 5 | allan data.csv --rows 9..1 | allan data.csv --from x
+estimate | estimate data.csv | estimate data.csv --spec good.toml --recipe good.toml
+estimate empty.nc --spec good.toml | estimate data.csv --spec good.toml --lag never
+estimate missing.nc --spec good.toml --earth-rate 5 | apply good.toml data.csv -o x.nc
+apply missing.toml data.csv -o x.nc | validate good.toml data.csv
+validate missing.toml empty.nc --parts 0 | export good.toml --format csv | export good.toml --format nothing
+export missing.toml --format px4 --instance 99 | report | report -o x.html | report good.toml -o x.html
+report nowhere -o x.html | sweep good.toml -o x.nc | sweep missing.toml -o x.nc | sweep good.toml -o x.nc --workers 0
+sweep good.toml -o x.nc --workers -2 | sweep good.toml -o x.nc --scheduler tcp://127.0.0.1:1
+recipes good.toml -o out | recipes empty.toml -o out | glossary zzzz | schema | schema nothing | demo --seed x
+demo -o good.toml | demo --data nowhere -o out
+"""
+CASES = [case.strip() for line in ARGUMENTS.strip().splitlines() for case in line.split("|")]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_arguments(case, folder, capsys):
+    words = ["" if word == '""' else word for word in case.split()]
+    status = main(words)
+    told = capsys.readouterr()
+    judged(status, told.err)
+    assert Path("good.toml").read_text(encoding="utf-8") == GOOD
+
+
+BYTES = {
+    "nothing": b"",
+    "zeros": bytes(4096),
+    "a byte order mark": b"\xef\xbb\xbf" + GOOD.encode(),
+    "UTF-16": GOOD.encode("utf-16"),
+    "Latin-1": GOOD.replace("°", "deg").encode().replace(b"deg/", b"\xb0/", 1),
+    "carriage returns": GOOD.replace("\n", "\r\n").encode(),
+    "old Macintosh": GOOD.replace("\n", "\r").encode(),
+    "half of it": GOOD.encode()[: len(GOOD) // 2],
+    "twice": (GOOD + GOOD).encode(),
+    "a NUL": GOOD.replace("[sensor]", "[sen\0sor]").encode(),
+    "deep brackets": b"a = " + b"[" * 5000,
+    "deep tables": b"[" + b".".join([b"a"] * 3000) + b"]",
+    "a long key": b"x" * 100_000 + b" = 1",
+    "a long text": b'format = "' + b"y" * 1_000_000 + b'"',
+    "many keys": b"\n".join(b"k%d = 1" % k for k in range(3000)),
+    "numbers": b"format = 5\nsensor = 3\nrig = []\nplan = false\n",
+    "huge numbers": GOOD.replace('"1 h"', '"1e308 h"').encode(),
+    "a huge integer": GOOD.replace("degree = 3", "degree = " + "9" * 400).encode(),
+    "an infinity": GOOD.replace("degree = 3", "degree = inf").encode(),
+    "a nan": GOOD.replace("degree = 3", "degree = nan").encode(),
+    "a date": GOOD.replace("degree = 3", "degree = 2020-01-01").encode(),
+    "JSON": b'{"format": "gradcal-spec/1"}',
+    "HTML": b"<!DOCTYPE html><html></html>",
+    "a HDF5 head": b"\x89HDF\r\n\x1a\n" + bytes(200),
+    "a zip": b"PK\x03\x04" + bytes(100),
+    "another format": GOOD.replace("gradcal-spec/1", "gradcal-spec/9").encode(),
+    "no format": GOOD.split("\n", 2)[2].encode(),
+}
+
+
+@pytest.mark.parametrize("name", BYTES)
+@pytest.mark.parametrize("command", ["check --files-only", "show"])
+def test_bytes_of_a_file(name, command, folder, capsys):
+    Path("given.toml").write_bytes(BYTES[name])
+    status = main([*command.split(), "given.toml"])
+    judged(status, capsys.readouterr().err)
+
+
+def run(arguments, folder, **options):
+    words = [sys.executable, "-c", PROGRAM, *arguments]
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False, timeout=300, **options)
+
+
+def small_files(limit):
+    """As on a disk that is full: no file grows beyond so many bytes."""
+
+    def apply():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    return apply
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of processes")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["new", "tactical-mems", "-o", "x.toml"],
+        ["rig", "new", "-o", "x.toml"],
+        ["recipe", "good.toml", "-o", "x.toml"],
+        ["predict", "good.toml", "--plot", "x.png"],
+        ["predict", "good.toml", "--plot", "x.svg"],
+        ["new", "column-map", "-o", "x.toml"],
+    ],
+    ids=" ".join,
+)
+def test_a_full_disk_leaves_nothing_half_written(arguments, folder):
+    before = set(folder.iterdir())
+    done = run(arguments, folder, preexec_fn=small_files(100))
+    assert "Traceback" not in done.stderr
+    assert done.returncode == 2
+    # Caches that cannot be kept may be said before.
+    assert done.stderr.splitlines()[-1] == f"gradcal: {arguments[-1]}: File too large"
+    assert {path for path in folder.iterdir() if path.name != "cache"} == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of processes")
+def test_a_log_on_a_full_disk_is_a_sentence_and_the_old_one_stays(folder):
+    script = """
+import numpy as np, sys
+import gradcal_jax as gj
+log = gj.Log(np.arange(5000.0), np.zeros((1, 5000, 1)), ("u",), ("x",))
+gj.write_log(log, "log.nc")
+before = open("log.nc", "rb").read()
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
+try:
+    gj.write_log(log, "log.nc")
+except ValueError as error:
+    print(error)
+else:
+    print("written")
+assert open("log.nc", "rb").read() == before
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=folder, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "log.nc cannot be written" in done.stdout
+    assert [path.name for path in folder.iterdir() if path.suffix == ".nc" and path.name != "empty.nc"] == ["log.nc"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is full")
+@pytest.mark.parametrize(
+    "arguments", [["glossary"], ["check", "--files-only", "good.toml"], ["schema", "spec"], ["--help"]]
+)
+def test_a_full_standard_output_is_no_success(arguments, folder):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, *arguments],
+            cwd=folder,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert "Traceback" not in done.stderr
+    assert done.returncode == 2
+    assert "No space left" in done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes")
+@pytest.mark.parametrize(
+    "arguments", [["glossary"], ["schema", "spec"], ["--help"], ["check", "--files-only", "good.toml"]]
+)
+def test_a_reader_that_goes_away_is_no_success(arguments, folder):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as closed:
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, *arguments],
+            cwd=folder,
+            stdout=closed,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.parametrize("command", ["check", "predict", "timeline"])
+def test_a_plan_that_no_memory_holds_is_a_sentence_beforehand(command, folder, capsys):
+    text = WHOLE.replace('rest = "5 s", read_every = "1 s"', 'rest = "5 s", read_every = "1.2e-5 s"')
+    Path("big.toml").write_text(text, encoding="utf-8")
+    status = main([*command.split(), "big.toml"])
+    told = capsys.readouterr()
+    judged(status, told.err)
+    assert status in (1, 2)
+    assert "memory" in told.out + told.err
+
+
+def test_memory_that_ends_in_the_work_is_a_sentence(folder, capsys, monkeypatch):
+    def nothing_left(*_, **__):
+        raise MemoryError("Unable to allocate 7.45 TiB for an array")
+
+    monkeypatch.setattr("gradcal_jax.api.prediction.assemble", nothing_left)
+    assert main(["predict", "good.toml"]) == 2
+    assert capsys.readouterr().err.startswith("gradcal: out of memory (Unable to allocate 7.45 TiB for an array): ")
+
+
+def test_there_are_a_hundred_and_thirty():
+    assert len(CASES) + 2 * len(BYTES) + 6 + 1 + 4 + 4 + 3 + 1 >= 130

@@ -1,0 +1,83 @@
+"""What a spec leaves out is listed with what is typical of its class, and no term twice, none that is named."""
+
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.files.absent import _table, absent_terms, grades, sensor_grade, table_grade, with_typical
+
+BARE = gj.presets.text("consumer-mems")
+
+
+def spec_without(*keys):
+    return gj.changed(gj.parse_spec(BARE), dict.fromkeys(keys))
+
+
+def keys(spec):
+    return [term.key for term in absent_terms(spec)]
+
+
+def test_every_term_that_is_taken_out_is_listed_and_every_one_that_is_named_is_not():
+    whole = keys(gj.parse_spec(BARE))
+    for key in ("sensor.sample_clock_error", "sensor.thermal_lag", "sensor.drift", "rig.table.angle.standstill_offset"):
+        assert key not in whole
+        assert set(keys(spec_without(key))) == {*whole, key}
+
+
+def test_zero_and_an_empty_list_are_named_terms():
+    spec = gj.changed(gj.parse_spec(BARE), {"sensor.sample_clock_error": "0 ppm", "sensor.drift": []})
+    assert not {"sensor.sample_clock_error", "sensor.drift"} & set(keys(spec))
+
+
+def test_terms_that_the_plan_cannot_feel_are_not_listed():
+    static = gj.parse_spec(gj.presets.text("paper-static-standard"))
+    named = keys(static)
+    assert not any("scale" in key or "clock" in key or "thermal_lag" in key or "rig" in key for key in named)
+    turning = keys(gj.parse_spec(gj.presets.text("paper-dynamic-gradient")))
+    assert "rig.table.angle.standstill_offset" in turning
+    assert "rig.table.rate_accuracy" not in turning
+    # Without B(T) a thermometer's error acts through the slope of M alone.
+    (error,) = (t for t in absent_terms(gj.parse_spec(gj.presets.text("paper-dynamic-gradient"))) if "ture_e" in t.key)
+    assert set(error.value) == {"standard_deviation", "correlation_time", "scale_factor_slope"}
+
+
+@pytest.mark.parametrize("preset", gj.presets.names())
+def test_with_typical_figures_nothing_is_absent_and_nothing_that_was_named_changes(preset):
+    spec = gj.parse_spec(gj.presets.text(preset))
+    full = with_typical(spec)
+    assert absent_terms(full) == []
+    named = gj.tables_of(spec)["sensor"]
+    assert {name: gj.tables_of(full)["sensor"][name] for name in named} == named
+
+
+def test_the_grade_is_said_or_follows_the_drift_then_the_random_walk():
+    spec = gj.parse_spec(BARE)
+    assert sensor_grade(spec.sensor)[::2] == ("consumer", "its drift")
+    assert sensor_grade(spec_without("sensor.drift").sensor)[::2] == ("consumer", "its angle random walk")
+    fine = gj.changed(spec, {"sensor.drift": None, "sensor.angle_random_walk": "0.001 deg/sqrt(h)"})
+    assert sensor_grade(fine.sensor).name == "navigation"
+    assert sensor_grade(gj.changed(fine, {"sensor.grade": "tactical"}).sensor)[::2] == ("tactical", "sensor.grade")
+    arcsec = {"rig.table.angle.reading_noise": "1 arcsec", "rig.table.angle.standstill_offset": "20 arcsec"}
+    assert (table_grade(spec).name, table_grade(gj.changed(spec, arcsec)).name) == ("coarse", "middle")
+
+
+def test_the_data_say_of_every_class_the_same_terms_and_where_each_figure_comes_from():
+    table = _table()
+    assert set(grades()) == {row["grade"] for row in table["sensor"]}
+    for kind in ("sensor", "table"):
+        named = [[term["key"] for term in row["term"]] for row in table[kind]]
+        assert all(row == named[0] for row in named)
+        assert all(term["source"].strip() for row in table[kind] for term in row["term"])
+
+
+def test_a_verdict_that_rests_on_zeros_is_said_to():
+    """The specs of the repro folder in small: met as written, missed with what its class has."""
+    bare = spec_without(
+        "sensor.sample_clock_error", "sensor.scale_factor_instability", "sensor.temperature_error", "sensor.thermal_lag"
+    )
+    bare = gj.changed(bare, {"requirement[0].target": "200 ppm"})
+    row = gj.predict(bare, outlook=True).requirements[0]
+    assert row.verdict == "met"
+    assert row.with_typical > 200.0 > row.mean_of_max
+    assert row.with_typical == gj.predict(with_typical(bare)).requirements[0].mean_of_max
+    assert gj.predict(bare).requirements[0].with_typical is None
+    assert {t.key for t in gj.predict(bare).counted_as_zero} == set(keys(bare))

@@ -60,7 +60,7 @@ def noise_steps(line: Trajectory, model: SensorModel) -> NoiseSteps:
     m, offset = p.count, int(reference.has_offset and not line.rates)
     n, count = 1 + m + offset, line.piece_count
 
-    to_angle, q_angle, q_cross, q_self = _constant_drive(p, line.duration, line.end_rate())
+    to_angle, q_angle, q_cross, q_self = constant_drive(p, line.duration, line.end_rate())
     varying = line.varying_pieces
     if m and varying.shape[0] and (xp is not np or np.any(p.rate_gain)):
         by_rate = (p.rate_gain != 0.0)[None, :]
@@ -122,7 +122,7 @@ def noise_steps(line: Trajectory, model: SensorModel) -> NoiseSteps:
     return NoiseSteps(transition, covariance, observation, variance, line.read, initial)
 
 
-def _constant_drive(
+def constant_drive(
     p: Processes, duration: Float[AnyArray, " P"], rate: Float[AnyArray, " P"]
 ) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """F_θx, Q_θθ, Q_θx, Q_xx of shape (P, m) for a constant c = α + γω: closed forms that stay exact as λD → 0."""

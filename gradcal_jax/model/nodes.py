@@ -15,7 +15,7 @@ from gradcal_jax.arrays import AnyArray, namespace, put
 class GaussNodes(eqx.Module):
     """Nodes of the `k` given `pieces`, `q` each: `weight` s, `rate` rad/s, `temperature` °C.
 
-    Where `moving` is false the rate is zero throughout.
+    Where `moving` is false the rate is zero throughout. `signals`: what else a channel sees, by name (`SignalMap`).
     """
 
     pieces: Int[AnyArray, " k"]
@@ -23,6 +23,7 @@ class GaussNodes(eqx.Module):
     rate: Float[AnyArray, "k q"]
     temperature: Float[AnyArray, "k q"]
     moving: bool = eqx.field(static=True)
+    signals: dict[str, Float[AnyArray, "k q"]] = eqx.field(default_factory=dict)
 
     def sums(self, first: Float[AnyArray, "k q a"], second: Float[AnyArray, "k q b"]) -> Float[AnyArray, "k ab"]:
         """Weighted sums over each piece of all products of two sets of functions, the second fastest."""
@@ -73,3 +74,73 @@ class Nodes(eqx.Module):
             if group.pieces.shape[0] and (group.moving or not moving_only):
                 result = put(result, group.pieces, of_group(group))
         return result
+
+
+class BodyGroup(eqx.Module):
+    """Nodes of the `k` given pieces of a motion on `L` table axes, as the body on it sees them, `q` each.
+
+    `weight` s, `temperature` °C; `rate` rad/s and `force` m/s² in body components, the Earth's rate and gravity in
+    them; `earth` rad/s and `up`, the Earth's rate and the vertical; `attitude`: body to East-North-Up. `axes`: the
+    axes' directions; `crosses`: see `trajectory.geometry`; `outer`: the rate of all that stands outside each axis;
+    `joint`: rate (rad/s) and `angle` (rad) of each axis.
+    """
+
+    pieces: Int[AnyArray, " k"]
+    weight: Float[AnyArray, "k q"]
+    temperature: Float[AnyArray, "k q"]
+    rate: Float[AnyArray, "k q 3"]
+    force: Float[AnyArray, "k q 3"]
+    earth: Float[AnyArray, "k q 3"]
+    up: Float[AnyArray, "k q 3"]
+    attitude: Float[AnyArray, "k q 3 3"]
+    axes: Float[AnyArray, "k q L 3"]
+    crosses: Float[AnyArray, "k q J 3"]
+    outer: Float[AnyArray, "k q L 3"]
+    joint: Float[AnyArray, "k q L"]
+    angle: Float[AnyArray, "k q L"]
+
+    def integral(self, values: Float[AnyArray, "k q *s"]) -> Float[AnyArray, " k *s"]:
+        """`∫ … dt` over each piece."""
+        xp = namespace(values)
+        return xp.sum(xp.reshape(self.weight, (*self.weight.shape, *(1,) * (values.ndim - 2))) * values, axis=1)
+
+
+class BodyNodes(eqx.Module):
+    """All nodes of `P` pieces, and the joints' angles (rad) and directions `(P, L, 3)` as each piece begins.
+
+    `axis`: which joint a piece turns; −1: none. `mounting`: which one. `angle_after`: as it ends.
+    """
+
+    groups: tuple[BodyGroup, ...]
+    temperature_change: Float[AnyArray, " P"]
+    angle_before: Float[AnyArray, "P L"]
+    angle_after: Float[AnyArray, "P L"]
+    axes_before: Float[AnyArray, "P L 3"]
+    axis: Int[AnyArray, " P"]
+    mounting: Int[AnyArray, " P"]
+
+    def integrals(self, of_group, shape: tuple[int, ...]) -> Float[AnyArray, " P *shape"]:
+        """`of_group(group) -> (k, *shape)` of every group in the pieces' places."""
+        result = namespace(self).zeros((self.axis.shape[0], *shape))
+        for group in self.groups:
+            result = put(result, group.pieces, of_group(group))
+        return result
+
+    def channel(self, kind: str, index: int) -> Nodes:
+        """What a gyro or accelerometer along the body's axis `index` has for its own signal, the other axes beside."""
+        own = {"gyro": "rate", "accelerometer": "force"}[kind]
+        groups = tuple(
+            GaussNodes(
+                g.pieces,
+                g.weight,
+                getattr(g, own)[..., index],
+                g.temperature,
+                True,
+                {f"{name} {AXIS_NAMES[k]}": getattr(g, name)[..., k] for name in ("rate", "force") for k in range(3)},
+            )
+            for g in self.groups
+        )
+        return Nodes(groups, self.temperature_change, self.angle_before[:, 0], self.angle_after[:, 0])
+
+
+AXIS_NAMES = ("x", "y", "z")

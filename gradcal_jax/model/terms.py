@@ -232,6 +232,54 @@ def _ordinal(basis: Basis, index: int) -> str:
     return f"_{type(basis).__name__.lower().removeprefix('b').replace('ins', 'bin')}{index}"
 
 
+class SignalMap(Term):
+    """A function of temperature times a product of signals: misalignment, sensitivity to acceleration, second order.
+
+    `signals`: names in the nodes (`BodyNodes.channel`), "|…|" for a magnitude; none: the function itself. `std`: of
+    each *reported* coefficient; `inf` is flat. `symbol`: what the coefficients are called.
+    """
+
+    temperature: Basis
+    std: Float[AnyArray, ""]
+    signals: tuple[str, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    symbol: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True)
+    has_prior: bool = eqx.field(static=True, default=True)
+
+    @property
+    def unit(self) -> str:
+        return self.si_unit
+
+    @property
+    def size(self) -> int:
+        return self.temperature.size
+
+    def names(self) -> list[str]:
+        if self.size == 1:
+            return [self.symbol]
+        return [f"{self.symbol}{_ordinal(self.temperature, k)}" for k in range(self.size)]
+
+    @property
+    def to_reported(self) -> np.ndarray:
+        return self.temperature.to_reported
+
+    def prior_rows(self) -> Float[AnyArray, "q size"]:
+        xp = namespace(self.std)
+        return xp.asarray(self.to_reported) / self.std if self.has_prior else xp.zeros((0, self.size))
+
+    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+        def of_group(group: GaussNodes | SampleNodes):
+            assert isinstance(group, GaussNodes)
+            product = namespace(group.weight).ones(group.weight.shape)
+            for name in self.signals:
+                signal = group.signals[name.strip("|")]
+                product = product * (abs(signal) if name.startswith("|") else signal)
+            return group.sums(self.temperature(group.temperature), product[..., None])
+
+        return nodes.integrals(of_group, self.size)
+
+
 class BiasTemperatureGradient(Term):
     """Sensitivity of the bias to dT/dt, (rad/s)/(K/s): its column is the change of temperature. `std` `inf`: flat."""
 

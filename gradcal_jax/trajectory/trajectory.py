@@ -61,6 +61,15 @@ class Trajectory(eqx.Module):
         family = formulas.motion_rate(u_start + (u_end - u_start) * v)
         return (family @ self.terms[pieces][:, :, None])[..., 0]
 
+    def angle(self, v: Float[AnyArray, "k q"], pieces=Everything) -> Float[AnyArray, "k q"]:
+        """Angle (rad) turned since the piece began, at fractions `v` of each piece, or of each of the `k` given."""
+        u_start = self.u_start[pieces][:, None]
+        span = self.u_end[pieces][:, None] - u_start
+        family = formulas.motion_angle(u_start + span * v) - formulas.motion_angle(u_start)
+        xp = namespace(family, self.terms)
+        shares = self.duration[pieces][:, None] / xp.where(span > 0.0, span, 1.0)
+        return (family @ self.terms[pieces][:, :, None])[..., 0] * shares
+
     def temperature(self, v: Float[AnyArray, "k q"], pieces=Everything) -> Float[AnyArray, "k q"]:
         """Sensor temperature (°C) at fractions `v` of each piece, or of each of the `k` given ones."""
         since, level, slope, excess = (f[pieces][:, None] for f in (self.duration, self.level, self.slope, self.excess))

@@ -1,0 +1,159 @@
+"""The rows of a whole unit on a table, and the one joint noise system behind them.
+
+A *segment* is a rest or one move of one axis. At its end every gyro has one row, its own integral over the segment
+against what the axis turned; every accelerometer one where the table stood. A table that holds its place is known not
+to turn, so nothing of the encoder enters a rest but its slow geometry.
+
+State `x = [C integrals, the processes of every channel, the encoders' errors now, and before the last move]`. The
+encoder of an axis is seen by all channels, so the channels are not independent: they go through one filter, a scalar
+reading after the other (no step between those of one segment). With `e_l` the error of axis l at a standstill, a
+rotation of the body about `a_l`, a row has of it
+
+    gyro i            while l turns: a_li (e_now − e_before) + ∫(ω_outer × a_l)_i e(t) dt, e(t) in between by angle;
+                      else ∫(ω_outer × a_l)_i dt · e_now
+    accelerometer i   ∫(f × a_l)_i dt · e_now
+
+and `e_now` is drawn anew by each move of its axis.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from gradcal_jax.arrays import AnyArray, namespace, put
+from gradcal_jax.information.noise_steps import NoiseSteps, constant_drive
+from gradcal_jax.information.posterior import SquareRootInformation, square_root
+from gradcal_jax.information.whitening import whiten
+from gradcal_jax.model import KINDS, BodyGroup, BodyNodes, UnitModel
+from gradcal_jax.trajectory import TableMotion
+
+
+class Segments(NamedTuple):
+    """Rests and moves of a motion, `S` of them: `first` and `last` piece, the `axis` that turns (−1: none); and the
+    rows `(R,)` in order of time, each a channel's of a segment. A segment that nobody reads has one not `used`.
+    """
+
+    first: Int[np.ndarray, " S"]
+    last: Int[np.ndarray, " S"]
+    axis: Int[np.ndarray, " S"]
+    row_segment: Int[np.ndarray, " R"]
+    row_channel: Int[np.ndarray, " R"]
+    used: Bool[np.ndarray, " R"]
+
+    def sums(self, of_pieces: AnyArray) -> AnyArray:
+        """Sums over the pieces of each segment, `(P, …) -> (S, …)`."""
+        xp = namespace(of_pieces)
+        total = xp.concatenate([xp.zeros((1, *of_pieces.shape[1:])), xp.cumsum(of_pieces, axis=0)])
+        if xp is np:
+            return np.add.reduceat(of_pieces, self.first, axis=0)
+        return total[self.last + 1] - total[self.first]
+
+
+def segments_of(motion: TableMotion, model: UnitModel) -> Segments:
+    """The segments of a motion and the rows that a unit has of them."""
+    number = np.asarray(motion.line.segment)
+    first = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
+    last = np.append(first[1:], len(number)) - 1
+    axis = np.asarray(motion.axis)[first]
+    read, rest = ~np.asarray(motion.line.gap)[first], axis < 0
+    rows = np.stack([read & (rest | (c.kind == "gyro")) for c in model.channels], axis=1)
+    segment, channel = np.nonzero(rows | (~rows.any(axis=1)[:, None] & (np.arange(rows.shape[1]) == 0)))
+    return Segments(first, last, axis, segment, channel, rows[segment, channel])
+
+
+def unit_information(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> SquareRootInformation:
+    """Everything that the rows and the priors say of the unit's and the installation's parameters."""
+    steps, columns = unit_system(motion, model, nodes)
+    return square_root(np.concatenate([whiten(steps, columns), model.prior_rows()]))
+
+
+def unit_system(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> tuple[NoiseSteps, Float[AnyArray, "R p"]]:
+    """Noise steps and regressors of all rows."""
+    at = segments_of(motion, model)
+    columns = at.sums(model.columns(nodes))[at.row_segment, at.row_channel]
+    return _joint_steps(motion, model, nodes, at), columns
+
+
+def _joint_steps(motion: TableMotion, model: UnitModel, nodes: BodyNodes, at: Segments) -> NoiseSteps:
+    xp = namespace(motion, model, nodes)
+    channels, axes = len(model.channels), motion.geometry.axis_count
+    counts = [c.model.processes.count for c in model.channels]
+    m = sum(counts)
+    n = channels + m + 2 * axes
+    duration = at.sums(motion.line.duration)
+    size = len(at.first)
+    transition, covariance = xp.zeros((size, n, n)), xp.zeros((size, n, n))
+    everything, initial = slice(None), xp.zeros((n, n))
+    begin = channels
+    for i, c in enumerate(model.channels):
+        p = c.model.processes
+        states = np.arange(begin, begin + p.count)
+        begin += p.count
+        to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, xp.zeros(size))
+        walk = c.model.angle_random_walk**2 * duration + xp.sum(q_integral, axis=1)
+        covariance = put(covariance, (everything, i, i), walk)
+        if p.count:
+            transition = put(transition, (everything, i, states), to_integral)
+            transition = put(transition, (everything, states, states), xp.exp(-p.decay[None] * duration[:, None]))
+            covariance = put(put(covariance, (everything, i, states), q_cross), (everything, states, i), q_cross)
+            covariance = put(covariance, (everything, states, states), q_self)
+            initial = put(initial, (states, states), p.initial_std**2)
+    start = at.sums(motion.line.duration * 0.0) + motion.line.start[at.first]
+    for k in range(axes):
+        now, before = channels + m + k, channels + m + axes + k
+        moves = at.axis == k
+        kept = xp.where(moves, 0.0, 1.0)
+        transition = put(transition, (everything, now, now), kept)
+        transition = put(transition, (everything, before, before), kept)
+        transition = put(transition, (everything, before, now), 1.0 - kept)
+        spread, first = _standstills(model.encoder, k, moves, start, duration)
+        covariance = put(covariance, (everything, now, now), xp.where(moves, spread, 0.0))
+        initial = put(initial, (now, now), first)
+    observation = _observations(motion, nodes, at, model, n, channels + m)
+    leads = xp.asarray(np.diff(at.row_segment, prepend=-1) > 0)[:, None, None]
+    steps = xp.where(leads, transition[at.row_segment], xp.eye(n)), xp.where(leads, covariance[at.row_segment], 0.0)
+    rows = len(at.row_segment)
+    return NoiseSteps(*steps, observation, xp.zeros(rows), at.used, initial)
+
+
+def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
+    """Variance of the draw that each move of axis k makes, `(S,)`, and of the first one."""
+    xp = namespace(encoder, start, duration)
+    at = np.flatnonzero(moves)
+    end = start[-1:] + duration[-1:]
+    begins = xp.concatenate([start[:1], start[at] + duration[at]])
+    stops = xp.concatenate([start[at], end])
+    readings = xp.floor((stops - begins) / encoder.every[k] * (1.0 + 1e-9) + 1e-9) + 1.0
+    variance = encoder.offset[k] ** 2 + encoder.reading[k] ** 2 / readings
+    return put(xp.zeros(len(moves)), at, variance[1:]), variance[0]
+
+
+def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: UnitModel, n: int, encoders: int):
+    """H of every row, `(R, n)`."""
+    xp, axes = namespace(motion, nodes), motion.geometry.axis_count
+    before, after = motion.angles()
+    piece_segment = np.repeat(np.arange(len(at.first)), at.last - at.first + 1)
+    began = before[at.first][piece_segment]
+    whole = (after[at.last] - before[at.first])[piece_segment]
+
+    def of_group(g: BodyGroup):
+        begin, span = began[g.pieces][:, None], whole[g.pieces][:, None]
+        # How far the axis is on its way: what its error is between those of its two standstills.
+        turns = (nodes.axis[g.pieces][:, None] == np.arange(axes))[:, None, :]
+        share = xp.where(turns, (g.angle - begin) / xp.where(xp.asarray(turns), span, 1.0), 1.0)
+        both = xp.stack(
+            [xp.concatenate([xp.cross(g.outer, g.axes), xp.cross(g.force[..., None, :], g.axes)], axis=-1)] * 2, axis=2
+        )
+        return g.integral(both * xp.stack([share, 1.0 - share], axis=2)[..., None])
+
+    slow = at.sums(nodes.integrals(of_group, (2, axes, 6)))
+    along = xp.where((at.axis[:, None] == np.arange(axes))[..., None], nodes.axes_before[at.first], 0.0)
+    along = xp.concatenate([along, xp.zeros(along.shape)], axis=-1)
+    slow = slow + xp.stack([along, -along], axis=1)
+    index = np.array([c.axis + 3 * KINDS.index(c.kind) for c in model.channels])[at.row_channel]
+    of_encoder = slow[at.row_segment, :, :, index]
+    rows = np.arange(len(index))
+    observation = put(xp.zeros((len(index), n)), (rows, at.row_channel), xp.ones(len(index)))
+    observation = put(observation, (slice(None), np.arange(encoders, encoders + axes)), of_encoder[:, 0])
+    return put(observation, (slice(None), np.arange(encoders + axes, n)), of_encoder[:, 1])

@@ -13,7 +13,10 @@ from gradcal_jax.files.section import Section
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Axis = Literal["x", "y", "z"]
-
+UnitQuantity = Literal[
+    "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "g_sensitivity", "accelerometer_bias",
+    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order", "position", "tilt", "heading",
+]  # fmt: skip
 
 Functions = Literal["monomial", "legendre", "chebyshev", "b-spline", "bins"]
 
@@ -206,12 +209,15 @@ class Timeline(Section):
 
 
 class RequirementRow(Section):
-    """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan."""
+    """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan.
+
+    Of a whole unit, `axis` says how its elements are summed up: "all" together, or the "worst".
+    """
 
     name: str
-    quantity: Literal["scale_factor", "bias"]
-    unit: Literal["ppm", "deg/h"]
-    axis: Axis = "x"
+    quantity: Literal["scale_factor", "bias"] | UnitQuantity
+    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
+    axis: Axis | Literal["all", "worst"] = "x"
     temperature_c: tuple[Finite, Finite]
     rate_dps: tuple[Finite, Finite] | None = None
     grid: tuple[int, ...]
@@ -231,10 +237,13 @@ class RequirementRow(Section):
 
 
 class ParameterRow(Section):
-    """A coefficient in the paper's names: ``a0…`` (bias), ``b{rate power}{temperature power}`` (scale factor)."""
+    """A coefficient in the paper's names: ``a0…`` (bias), ``b{rate power}{temperature power}`` (scale factor).
+
+    Of a whole unit, `axis` is "unit", and the name begins with the channel's: ``gyro_x.b00``.
+    """
 
     name: str
-    axis: Axis = "x"
+    axis: Axis | Literal["unit"] = "x"
     std: Size | None
     unit: str
 

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, namespace, put
-from gradcal_jax.information.noise_steps import NoiseSteps, constant_drive
+from gradcal_jax.information.noise_steps import NoiseSteps, constant_drive, drive_rates, varying_drive
 from gradcal_jax.information.posterior import SquareRootInformation, square_root
 from gradcal_jax.information.whitening import whiten
 from gradcal_jax.model import KINDS, BodyGroup, BodyNodes, UnitModel
@@ -72,26 +72,46 @@ def unit_system(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> tupl
     """Noise steps and regressors of all rows."""
     at = segments_of(motion, model)
     columns = at.sums(model.columns(nodes))[at.row_segment, at.row_channel]
-    return _joint_steps(motion, model, nodes, at), columns
+    steps, row = _joint_steps(motion, model, nodes, at)
+    xp = namespace(columns)
+    return steps, columns if len(row) == len(columns) else xp.where((row >= 0)[:, None], columns[row], 0.0)
 
 
-def _joint_steps(motion: TableMotion, model: UnitModel, nodes: BodyNodes, at: Segments) -> NoiseSteps:
+def _joint_steps(
+    motion: TableMotion, model: UnitModel, nodes: BodyNodes, at: Segments
+) -> tuple[NoiseSteps, np.ndarray]:
+    """The steps, and which row each reads (−1: none)."""
     xp = namespace(motion, model, nodes)
-    channels, axes = len(model.channels), motion.geometry.axis_count
-    counts = [c.model.processes.count for c in model.channels]
-    m = sum(counts)
+    line, channels, axes = motion.line, len(model.channels), motion.geometry.axis_count
+    m = sum(c.model.processes.count for c in model.channels)
     n = channels + m + 2 * axes
-    duration = at.sums(motion.line.duration)
-    size = len(at.first)
-    transition, covariance = xp.zeros((size, n, n)), xp.zeros((size, n, n))
+    # One step for each segment; where a rate drives a process, for each piece, so that it is constant or smooth.
+    by_pieces = any(np.any(np.asarray(c.model.processes.rate_gain)) for c in model.channels)
+    duration = line.duration if by_pieces else at.sums(line.duration)
+    count = duration.shape[0]
+    begins = np.zeros(count, bool)
+    begins[at.first if by_pieces else slice(None)] = True
+    transition, covariance = xp.zeros((count, n, n)), xp.zeros((count, n, n))
     everything, initial = slice(None), xp.zeros((n, n))
-    begin = channels
+    state = channels
     for i, c in enumerate(model.channels):
         p = c.model.processes
-        states = np.arange(begin, begin + p.count)
-        begin += p.count
-        to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, xp.zeros(size))
+        states = np.arange(state, state + p.count)
+        state += p.count
+        rates = xp.zeros(count)
+        if by_pieces:
+            seen = xp.sum(xp.where(_own(motion)[..., None], nodes.axes_before, 0.0), axis=1)[:, c.axis]
+            rates = seen * line.end_rate()
+        to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, rates)
+        if by_pieces and (varying := line.varying_pieces).shape[0]:
+            driven = varying_drive(p, duration[varying], drive_rates(line, varying) * seen[varying][:, None])
+            by_rate = (p.rate_gain != 0.0)[None, :]
+            to_integral, q_integral, q_cross = (
+                put(x, varying, xp.where(by_rate, y, x[varying]))
+                for x, y in zip((to_integral, q_integral, q_cross), driven, strict=True)
+            )
         walk = c.model.angle_random_walk**2 * duration + xp.sum(q_integral, axis=1)
+        transition = put(transition, (everything, i, i), xp.asarray(np.where(begins, 0.0, 1.0)))
         covariance = put(covariance, (everything, i, i), walk)
         if p.count:
             transition = put(transition, (everything, i, states), to_integral)
@@ -99,22 +119,42 @@ def _joint_steps(motion: TableMotion, model: UnitModel, nodes: BodyNodes, at: Se
             covariance = put(put(covariance, (everything, i, states), q_cross), (everything, states, i), q_cross)
             covariance = put(covariance, (everything, states, states), q_self)
             initial = put(initial, (states, states), p.initial_std**2)
-    start = at.sums(motion.line.duration * 0.0) + motion.line.start[at.first]
+    start, lasting = line.start[at.first], at.sums(line.duration)
+    step_of_segment = at.first if by_pieces else np.arange(len(at.first))
     for k in range(axes):
         now, before = channels + m + k, channels + m + axes + k
-        moves = at.axis == k
-        kept = xp.where(moves, 0.0, 1.0)
+        moves = np.zeros(count, bool)
+        moves[step_of_segment] = at.axis == k
+        kept = xp.where(xp.asarray(moves), 0.0, 1.0)
         transition = put(transition, (everything, now, now), kept)
         transition = put(transition, (everything, before, before), kept)
         transition = put(transition, (everything, before, now), 1.0 - kept)
-        spread, first = _standstills(model.encoder, k, moves, start, duration)
-        covariance = put(covariance, (everything, now, now), xp.where(moves, spread, 0.0))
+        spread, first = _standstills(model.encoder, k, at.axis == k, start, lasting)
+        covariance = put(covariance, (step_of_segment, now, now), spread)
         initial = put(initial, (now, now), first)
     observation = _observations(motion, nodes, at, model, n, channels + m)
-    leads = xp.asarray(np.diff(at.row_segment, prepend=-1) > 0)[:, None, None]
-    steps = xp.where(leads, transition[at.row_segment], xp.eye(n)), xp.where(leads, covariance[at.row_segment], 0.0)
-    rows = len(at.row_segment)
-    return NoiseSteps(*steps, observation, xp.zeros(rows), at.used, initial)
+    # Rows of one segment follow one another without a step; what is within a segment has none of its own.
+    source, row = _order(at, by_pieces)
+    fresh = xp.asarray(np.diff(source, prepend=-1) > 0)[:, None, None]
+    steps = xp.where(fresh, transition[source], xp.eye(n)), xp.where(fresh, covariance[source], 0.0)
+    observed = xp.where(xp.asarray(row >= 0)[:, None], observation[row], 0.0)
+    return NoiseSteps(*steps, observed, xp.zeros(len(row)), at.used[row] & (row >= 0), initial), row
+
+
+def _own(motion: TableMotion) -> np.ndarray:
+    """`(P, L)`: which axis every piece turns."""
+    return np.asarray(motion.axis)[:, None] == np.arange(motion.geometry.axis_count)
+
+
+def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Of every step of the filter the noise step that leads to it, and its row (−1: none)."""
+    if not by_pieces:
+        return at.row_segment, np.arange(len(at.row_segment))
+    inner = np.setdiff1d(np.arange(at.last[-1] + 1), at.last)
+    source = np.concatenate([inner, at.last[at.row_segment]])
+    row = np.concatenate([np.full(len(inner), -1), np.arange(len(at.row_segment))])
+    order = np.lexsort((row, source))
+    return source[order], row[order]
 
 
 def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
@@ -140,7 +180,7 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
     def of_group(g: BodyGroup):
         begin, span = began[g.pieces][:, None], whole[g.pieces][:, None]
         # How far the axis is on its way: what its error is between those of its two standstills.
-        turns = (nodes.axis[g.pieces][:, None] == np.arange(axes))[:, None, :]
+        turns = _own(motion)[g.pieces][:, None, :]
         share = xp.where(turns, (g.angle - begin) / xp.where(xp.asarray(turns), span, 1.0), 1.0)
         both = xp.stack(
             [xp.concatenate([xp.cross(g.outer, g.axes), xp.cross(g.force[..., None, :], g.axes)], axis=-1)] * 2, axis=2

@@ -10,7 +10,7 @@ from gradcal_jax.files.unit_plan import UnitStep
 from gradcal_jax.files.unit_rig import UnitRig
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.model import AXIS_NAMES, Basis, Channel, Polynomial, SignalMap, Term, UnitModel
+from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Polynomial, SignalMap, Term, UnitModel
 from gradcal_jax.trajectory import Geometry, Move, TableMotion
 
 # Names by which requirements and sentences find terms; a gyro's maps have the names of a single axis.
@@ -29,7 +29,7 @@ class AssembledUnit(NamedTuple):
     motion: TableMotion
     nodes: int
 
-    def body_nodes(self) -> model.BodyNodes:
+    def body_nodes(self) -> BodyNodes:
         """The nodes on which the terms are integrated."""
         return trajectory.body_nodes(self.motion, self.nodes)
 
@@ -156,7 +156,15 @@ def _others(axis: str) -> tuple[str, ...]:
 def _signal_map(section, signals: tuple[str, ...], name: str, symbol: str, unit: str) -> SignalMap:
     of_temperature: Basis = _CONSTANT if section.temperature is None else basis(section.temperature)
     std = or_infinite(section.prior)
-    return SignalMap(of_temperature, np.asarray(std), signals, name, symbol, unit, bool(np.isfinite(std)))
+    return SignalMap(
+        temperature=of_temperature,
+        std=np.asarray(std),
+        signals=signals,
+        name=name,
+        symbol=symbol,
+        si_unit=unit,
+        has_prior=bool(np.isfinite(std)),
+    )
 
 
 def geometry(rig: UnitRig) -> Geometry:

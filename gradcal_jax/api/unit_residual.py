@@ -1,6 +1,7 @@
-"""What is left of each of a unit's quantities after a plan: linear functions of its parameters, and their statistics."""
+"""What is left of each of a unit's quantities after a plan: linear functions of its parameters, and statistics."""
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -13,8 +14,8 @@ from gradcal_jax.files.unit_requirement import (
     TurnRequirement,
     UnitRequirement,
 )
-from gradcal_jax.information import STATISTICS, Posterior, contrasts, statistic
-from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, ChannelKind, Map, UnitModel
+from gradcal_jax.information import STATISTICS, Posterior, residual, statistic
+from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Map, SignalMap, UnitModel
 from gradcal_jax.trajectory import EARTH_RATE
 from gradcal_jax.units import DEG_PER_H, PPM
 
@@ -55,19 +56,13 @@ def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequi
     if isinstance(requirement, GyroScaleFactorRequirement):
         rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
     unit, factor = UNIT_OF_QUANTITY[requirement.quantity]
-    labels, values = [], []
-    for label, rows, beyond in _elements(built, requirement, temperatures, rates):
-        variance = known.deviations(rows[0]) ** 2
-        if beyond is not None:
-            variance = variance - known.deviations(rows[1]) ** 2 + beyond
-        labels.append(label)
-        values.append(np.sqrt(variance).reshape(len(temperatures), len(rates)))
-    found = np.stack(values)
+    labels, values = zip(*_elements(built, known, requirement, temperatures, rates), strict=True)
+    found = np.stack(values).reshape(len(labels), len(temperatures), len(rates))
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":
             found = np.hypot(found, float(built.spec.rig.table.mounting[0].accuracy))
-    return Residual(tuple(labels), temperatures, rates, found * factor, unit)
+    return Residual(labels, temperatures, rates, found * factor, unit)
 
 
 def summed_up(requirement: UnitRequirement, found: Residual) -> dict[str, float | None]:
@@ -92,22 +87,24 @@ def worst_axis(requirement: UnitRequirement, found: Residual) -> str | None:
     return found.labels[int(np.argmax([statistic(requirement.statistic, v) for v in found.values]))]
 
 
-def _elements(built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray, rates: np.ndarray):
-    """Of each element of a quantity: label, (contrasts, those of what no calibration carries), prior variance of it."""
+def _elements(
+    built: AssembledUnit, known: Posterior, requirement: UnitRequirement, temperatures: np.ndarray, rates: np.ndarray
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Labels and standard deviations (SI), temperatures first, of each element of a quantity."""
     model = built.model
     if isinstance(requirement, PositionRequirement | TiltRequirement | TurnRequirement):
-        yield from _navigation(built, requirement, temperatures)
-        return
-    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
-        yield from _internal(model, requirement, temperatures)
-        return
-    kind, terms = _TERMS[requirement.quantity]
-    for c in model.channels:
-        axis = AXIS_NAMES[c.axis]
-        if c.kind != kind or requirement.axis in AXIS_NAMES and requirement.axis != axis:
-            continue
-        for term, label in terms(axis):
-            yield label, *_map_rows(model, kind, c.axis, term, temperatures, rates)
+        for label, rows in _navigation(built, requirement, temperatures):
+            yield label, known.deviations(rows)
+    elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
+        for label, rows in _internal(model, requirement, temperatures):
+            yield label, known.deviations(rows)
+    else:
+        kind, terms = _TERMS[requirement.quantity]
+        for c in model.channels:
+            axis = AXIS_NAMES[c.axis]
+            if c.kind == kind and requirement.axis in ("all", "worst", axis):
+                for term, label in terms(axis):
+                    yield label, _of_term(model, known, c, term, temperatures, rates)
 
 
 _TERMS = {
@@ -125,28 +122,33 @@ _TERMS = {
 }
 
 
-def _map_rows(model: UnitModel, kind: ChannelKind, axis: int, term: str, temperatures: np.ndarray, rates: np.ndarray):
-    """Contrasts of one term of a channel on the grid."""
-    channel = model.channel(kind, axis)
-    assert channel is not None
-    grid_t, grid_w = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
-    of, own = channel.model.term(term), model.where(kind, axis)
-    rows = np.zeros((2, len(grid_t), model.size))
+def _of_term(
+    model: UnitModel, known: Posterior, channel: Channel, term: str, temperatures: np.ndarray, rates: np.ndarray
+) -> np.ndarray:
+    """Standard deviation of one term of a channel on the grid."""
+    of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
+    part = Posterior(known.spread[own], known.hidden[own])
     if isinstance(of, Map):
-        whole, alone, variance = contrasts(channel.model, term, grid_t, grid_w)  # pyright: ignore[reportArgumentType]
-        rows[0][:, own], rows[1][:, own] = whole, alone
-        return rows, variance if of.beyond is not None else None
-    assert of is not None
-    rows[0][:, model.where(kind, axis, term)] = of.temperature(grid_t)  # pyright: ignore[reportAttributeAccessIssue]
-    return rows, None
+        return residual(part, channel.model, cast("Any", term), temperatures, rates)
+    return part.deviations(_signal_rows(channel, term, temperatures))
+
+
+def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.ndarray:
+    """Contrasts `(n_T, channel's p)` of a term at rate zero."""
+    of, rows = channel.model.term(term), np.zeros((len(temperatures), channel.model.size))
+    if isinstance(of, Map):
+        rows[:, channel.model.where(term)] = of.values(temperatures, np.zeros(len(temperatures)))
+    elif isinstance(of, SignalMap):
+        rows[:, channel.model.where(term)] = of.temperature(temperatures)
+    return rows
 
 
 def _row(model: UnitModel, kind: ChannelKind, axis: int, term: str, temperatures: np.ndarray) -> np.ndarray:
     """Contrasts `(n_T, p)` of a term at rate zero; zero where the model has it not."""
-    channel = model.channel(kind, axis)
-    if channel is None or channel.model.term(term) is None:
-        return np.zeros((len(temperatures), model.size))
-    return _map_rows(model, kind, axis, term, temperatures, np.zeros(1))[0][0]
+    rows = np.zeros((len(temperatures), model.size))
+    if (channel := model.channel(kind, axis)) is not None:
+        rows[:, model.where(kind, axis)] = _signal_rows(channel, term, temperatures)
+    return rows
 
 
 def _internal(model: UnitModel, requirement: MisalignmentRequirement, temperatures: np.ndarray):
@@ -158,13 +160,12 @@ def _internal(model: UnitModel, requirement: MisalignmentRequirement, temperatur
     def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
         return _row(model, which, i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures)
 
-    nothing = np.zeros((len(temperatures), model.size))
     for i, j in ((0, 1), (0, 2), (1, 2)):
         name = AXIS_NAMES[i] + AXIS_NAMES[j]
-        yield name, (of(kind, i, j) + of(kind, j, i), nothing), None
+        yield name, of(kind, i, j) + of(kind, j, i)
         if kind == "accelerometer":
             apart = of(kind, i, j) - of(kind, j, i) - of("gyro", i, j) + of("gyro", j, i)
-            yield f"{name} to the gyros", (0.5 * apart, nothing), None
+            yield f"{name} to the gyros", 0.5 * apart
 
 
 def _navigation(built: AssembledUnit, requirement, temperatures: np.ndarray):
@@ -191,16 +192,20 @@ def _navigation(built: AssembledUnit, requirement, temperatures: np.ndarray):
                 rows = rows + earth[j] * _row(model, "gyro", i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures)
         return rows
 
-    nothing = np.zeros((len(temperatures), model.size))
     if isinstance(requirement, TiltRequirement):
         for i in (0, 1):
-            yield AXIS_NAMES[i], (force(i) / g, nothing), None
+            yield AXIS_NAMES[i], force(i) / g
     elif isinstance(requirement, PositionRequirement):
         t = float(requirement.after)
         for i, about, sign in ((0, 1, 1.0), (1, 0, -1.0)):
-            yield AXIS_NAMES[i], (0.5 * t**2 * force(i) + sign * g * t**3 / 6.0 * rate(about), nothing), None
+            yield AXIS_NAMES[i], 0.5 * t**2 * force(i) + sign * g * t**3 / 6.0 * rate(about)
     else:
         turn, pace = float(requirement.turn), float(requirement.rate)
-        rows, beyond = _map_rows(model, "gyro", 2, SCALE_FACTOR, temperatures, np.array([pace]))
-        whole = turn * rows[0] + turn / pace * rate(2)
-        yield "z", (whole, turn * rows[1]), None if beyond is None else turn**2 * beyond
+        channel = model.channel("gyro", 2)
+        scale = None if channel is None else channel.model.map(SCALE_FACTOR)
+        if scale is not None:
+            whole = turn / pace * rate(2)
+            whole[:, model.where("gyro", 2, SCALE_FACTOR)] += turn * scale.values(
+                temperatures, np.full(len(temperatures), pace)
+            )
+            yield "z", whole

@@ -6,6 +6,7 @@ axis; without a shape it has cosine ramps, and without rate and duration it is a
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, cast
 
@@ -14,7 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import Course
 from gradcal_jax.files.problems import Problem, SpecError, nearest
-from gradcal_jax.files.quantity import Angle, Count, PositiveRate, Quantity, Text, Time
+from gradcal_jax.files.quantity import Angle, PositiveRate, Quantity, Text, Time
 from gradcal_jax.files.schedule import Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, a_table, refuse
 from gradcal_jax.files.unit_rig import TableAxis, UnitRig
@@ -170,7 +171,9 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     return schedule
 
 
-def _once_each(segments, stretches, mountings: int, rig: UnitRig):
+def _once_each(
+    segments: tuple[TemperatureSegment, ...], stretches: tuple[Stretch, ...], mountings: int, rig: UnitRig
+) -> tuple[tuple[TemperatureSegment, ...], tuple[Stretch, ...]]:
     """The course made once with each mounting; the chamber returns as fast as it can."""
     first, last = segments[0], segments[-1]
     change = first.temperature_start - last.temperature_end
@@ -197,12 +200,13 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
             problems.append(_no_such_axis(("cycle", "start", name), name, axes))
         else:
             start[axes[name]] = float(angle)
-    here, steps, poses = list(start), [], False
+    here, poses = list(start), False
+    steps: list[UnitStep] = []
     for i, item in enumerate(cycle.moves):
         key = ("cycle", "moves", i)
         if isinstance(item, Pose):
             poses = True
-            for name, angle in item.pose.items():
+            for name in item.pose:
                 if name not in axes:
                     problems.append(_no_such_axis((*key, "pose", name), name, axes))
             for k, axis in enumerate(rig.table.axis):
@@ -319,7 +323,7 @@ def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
     return problems
 
 
-def _no_such_axis(key, name: str, axes) -> Problem:
+def _no_such_axis(key: tuple[str | int, ...], name: str, axes: Mapping[str, int]) -> Problem:
     close = nearest(name, axes)
     ending = f'nearest: "{close}"' if close else f"known: {', '.join(axes)}"
     return Problem(key, f"the table has no axis of this name; {ending}", name)

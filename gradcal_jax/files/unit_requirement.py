@@ -24,10 +24,13 @@ from gradcal_jax.files.section import Section, choose, refuse
 Over = Literal["mean", "max", "rms"]
 
 
+Elements = Literal["all", "worst", "x", "y", "z"]
+
+
 class _OfUnit(Section):
     name: Text
     temperature: tuple[Temperature, Temperature]
-    axis: Literal["worst", "x", "y", "z"] = "worst"
+    axis: Elements = "worst"
 
     @model_validator(mode="after")
     def _ordered(self) -> "_OfUnit":
@@ -70,7 +73,7 @@ class MisalignmentRequirement(_OverTemperature):
 
     quantity: Literal["gyro_misalignment", "accelerometer_misalignment"]
     relative_to: Literal["table", "case", "internal"] = "table"
-    axis: Literal["all", "worst", "x", "y", "z"] = "all"
+    axis: Elements = "all"
     target: PositiveAngle | None = None
 
 
@@ -78,7 +81,7 @@ class SensitivityRequirement(_OverTemperature):
     """Drift of the gyros for a unit of specific force."""
 
     quantity: Literal["g_sensitivity"]
-    axis: Literal["all", "worst", "x", "y", "z"] = "all"
+    axis: Elements = "all"
     target: PositiveAccelerationSensitivity | None = None
 
 

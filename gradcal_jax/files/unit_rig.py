@@ -1,7 +1,8 @@
 """`[rig]` of a whole unit: the site, a table of one to three nested axes, how the unit hangs on it, the chamber."""
 
 import math
-from typing import Annotated, Final, Literal
+from collections.abc import Mapping
+from typing import Annotated, Final, Literal, cast
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -108,7 +109,7 @@ class Mounting(Section):
 
 
 def _one_or_more(value: object) -> object:
-    return [value] if isinstance(value, dict) else value
+    return (cast("object", value),) if isinstance(value, Mapping) else value
 
 
 class UnitTable(Section):

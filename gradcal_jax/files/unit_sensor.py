@@ -1,4 +1,4 @@
-"""`[sensor]` of a whole unit: three gyros and three accelerometers, their errors and noise, and what fixes the frame."""
+"""`[sensor]` of a whole unit: three gyros and three accelerometers, their errors, noise and frame."""
 
 from typing import Annotated, Literal
 

@@ -20,6 +20,7 @@ from gradcal_jax.files.unit_requirement import (
     PositionRequirement,
     TiltRequirement,
     TurnRequirement,
+    UnitRequirement,
     UnitRequirements,
 )
 from gradcal_jax.files.unit_rig import UnitRig
@@ -95,7 +96,7 @@ class UnitSpec(Section):
         return unit_schedule(self.plan, self.rig)
 
 
-def _needs(requirement) -> tuple[str, ...]:
+def _needs(requirement: UnitRequirement) -> tuple[str, ...]:
     """What a requirement's quantity needs of [sensor]."""
     if isinstance(requirement, MisalignmentRequirement):
         kind = requirement.quantity.removesuffix("_misalignment")

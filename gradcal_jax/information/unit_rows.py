@@ -58,7 +58,9 @@ def segments_of(motion: TableMotion, model: UnitModel) -> Segments:
     axis = np.asarray(motion.axis)[first]
     read, rest = ~np.asarray(motion.line.gap)[first], axis < 0
     rows = np.stack([read & (rest | (c.kind == "gyro")) for c in model.channels], axis=1)
-    segment, channel = np.nonzero(rows | (~rows.any(axis=1)[:, None] & (np.arange(rows.shape[1]) == 0)))
+    kept = np.array(rows)
+    kept[:, 0] |= ~np.any(rows, axis=1)
+    segment, channel = np.nonzero(kept)
     return Segments(first, last, axis, segment, channel, rows[segment, channel])
 
 
@@ -98,7 +100,7 @@ def _joint_steps(
         p = c.model.processes
         states = np.arange(state, state + p.count)
         state += p.count
-        rates = xp.zeros(count)
+        rates = seen = xp.zeros(count)
         if by_pieces:
             seen = xp.sum(xp.where(_own(motion)[..., None], nodes.axes_before, 0.0), axis=1)[:, c.axis]
             rates = seen * line.end_rate()

@@ -10,6 +10,7 @@ from gradcal_jax.files.unit_plan import UnitStep
 from gradcal_jax.files.unit_rig import UnitRig
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Polynomial, SignalMap, Term, UnitModel
 from gradcal_jax.trajectory import Geometry, Move, TableMotion
 
@@ -184,6 +185,25 @@ def geometry(rig: UnitRig) -> Geometry:
         np.asarray(float(rig.site.latitude)),
         np.asarray(float(rig.site.gravity)),
     )
+
+
+class RestPoses(NamedTuple):
+    """The `n` rests of a plan: `start` and `duration` s, and `up` `(n, 3)`, the vertical seen from the body."""
+
+    start: np.ndarray
+    duration: np.ndarray
+    up: np.ndarray
+
+
+def rest_poses(built: AssembledUnit) -> RestPoses:
+    """Where a plan rests."""
+    motion = built.motion
+    line, at = motion.line, segments_of(motion, built.model)
+    before, _ = motion.angles()
+    stages = trajectory.frames(motion.geometry, before, motion.mounting)
+    rests = (at.axis < 0) & ~line.gap[at.first]
+    first = at.first[rests]
+    return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
 def _move(step: UnitStep) -> Move:

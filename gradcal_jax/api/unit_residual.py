@@ -15,20 +15,20 @@ from gradcal_jax.files.unit_requirement import (
     UnitRequirement,
 )
 from gradcal_jax.information import STATISTICS, Posterior, residual, statistic
+from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Map, SignalMap, UnitModel
 from gradcal_jax.trajectory import EARTH_RATE
-from gradcal_jax.units import DEG_PER_H, PPM
+from gradcal_jax.units import DEG_PER_H, PPM, G
 
-_G = 9.80665
 UNIT_OF_QUANTITY = {
     "gyro_bias": ("deg/h", DEG_PER_H),
     "gyro_scale_factor": ("ppm", PPM),
     "gyro_misalignment": ("urad", 1e6),
-    "g_sensitivity": ("deg/h/g", DEG_PER_H * _G),
-    "accelerometer_bias": ("ug", 1e6 / _G),
+    "g_sensitivity": ("deg/h/g", DEG_PER_H * G),
+    "accelerometer_bias": ("ug", 1e6 / G),
     "accelerometer_scale_factor": ("ppm", PPM),
     "accelerometer_misalignment": ("urad", 1e6),
-    "second_order": ("ug/g^2", 1e6 * _G),
+    "second_order": ("ug/g^2", 1e6 * G),
     "position": ("m", 1.0),
     "tilt": ("urad", 1e6),
     "heading": ("deg", np.degrees(1.0)),
@@ -38,7 +38,8 @@ UNIT_OF_QUANTITY = {
 
 class Residual(NamedTuple):
     """Standard deviations of one quantity in people's `unit`: of each of the `m` elements `labels`, on the temperatures
-    (°C) and, of the scale factor, the rates (rad/s) of a requirement: `values` `(m, n_T, n_ω)`.
+    (°C) and, of the scale factor, the rates (rad/s) of a requirement: `values` `(m, n_T, n_ω)`. `si`: how many of the
+    unit are one in SI.
     """
 
     labels: tuple[str, ...]
@@ -46,6 +47,7 @@ class Residual(NamedTuple):
     rates: np.ndarray
     values: np.ndarray
     unit: str
+    si: float
 
 
 def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> Residual:
@@ -62,14 +64,14 @@ def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequi
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":
             found = np.hypot(found, float(built.spec.rig.table.mounting[0].accuracy))
-    return Residual(labels, temperatures, rates, found * factor, unit)
+    return Residual(labels, temperatures, rates, found * factor, unit, factor)
 
 
 def summed_up(requirement: UnitRequirement, found: Residual) -> dict[str, float | None]:
     """The statistics by name; None where the plan cannot tell. Each element has its own over temperature (and rate);
     of several the worst counts, or of "all" the root mean square.
     """
-    names = [
+    names: list[Statistic] = [
         name for name in STATISTICS if name != "mean of max" or isinstance(requirement, GyroScaleFactorRequirement)
     ]
     result: dict[str, float | None] = {}

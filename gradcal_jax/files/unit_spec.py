@@ -12,7 +12,7 @@ from gradcal_jax.files.document import format_problem, read_text, read_toml
 from gradcal_jax.files.problems import Problem, SpecError, from_validation
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import FORMAT, Spec, is_of_unit, spec_of
+from gradcal_jax.files.spec import FORMAT
 from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, unit_schedule
 from gradcal_jax.files.unit_requirement import (
     GyroScaleFactorRequirement,
@@ -30,7 +30,8 @@ from gradcal_jax.files.unit_sensor import UnitSensor
 class UnitSpec(Section):
     """A spec of a whole unit; read-only. Quantities behave as numbers in SI (°C) and keep their text.
 
-    `schedule` is the plan worked out against the rig. Made by `read_unit_spec`, or `any_spec`. Errors: `SpecError`.
+    `schedule` is the plan worked out against the rig. Made by `read_unit_spec` or `parse_unit_spec`.
+    Errors: `SpecError` by those.
     """
 
     format: Literal["gradcal-spec/1"]
@@ -126,13 +127,12 @@ def read_unit_spec(path: str | Path) -> UnitSpec:
 
     Errors: `SpecError` that lists everything wrong with it, each with its key and what was expected.
     """
-    return unit_spec_of(read_toml(read_text(path), str(path)), str(path))
+    return parse_unit_spec(read_text(path), str(path))
 
 
-def any_spec(path: str | Path) -> Spec | UnitSpec:
-    """The spec in a file: of one gyro axis, or of a whole unit. Errors: `SpecError`."""
-    document = read_toml(read_text(path), str(path))
-    return (unit_spec_of if is_of_unit(document) else spec_of)(document, str(path))
+def parse_unit_spec(text: str, source: str = "") -> UnitSpec:
+    """A unit's spec from the text of a TOML file; `source` names it in messages. Errors: `SpecError`."""
+    return unit_spec_of(read_toml(text, source), source)
 
 
 def unit_spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:

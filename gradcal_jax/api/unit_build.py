@@ -6,7 +6,7 @@ import numpy as np
 
 from gradcal_jax import model, trajectory
 from gradcal_jax.api.build import basis, bias_map, or_infinite, scale_factor_map
-from gradcal_jax.files.unit_plan import UnitStep
+from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
 from gradcal_jax.files.unit_rig import UnitRig
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -43,7 +43,7 @@ def assemble_unit(spec: UnitSpec) -> AssembledUnit:
     degree = max(b.degree if isinstance(b, Polynomial) else _ROUGH for b in bases)
     # A lagging unit's exponentials and a spline's pieces are no polynomials.
     points = max(degree + 1, _ROUGH if spec.sensor.thermal_lag is not None else 1)
-    return AssembledUnit(spec, model_, _motion(spec), points)
+    return AssembledUnit(spec, model_, motion_of(spec.schedule, spec), points)
 
 
 def unit_model(spec: UnitSpec) -> UnitModel:
@@ -220,8 +220,8 @@ def _move(step: UnitStep) -> Move:
     )  # fmt: skip
 
 
-def _motion(spec: UnitSpec) -> TableMotion:
-    plan = spec.schedule
+def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
+    """The motion of a plan on a spec's rig."""
     segments = plan.segments
     course = trajectory.programme(segments[0].temperature_start, [(s.duration, s.slope) for s in segments])
     ends = np.array([s.start for s in segments] + [plan.duration])

@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
-from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, summed_up, unit_residual
+from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, Quantity, quantity_of, summed_up
 from gradcal_jax.design.pose_search import Cycle, CycleItem, PoseLimits, PoseState, anneal
 from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
-from gradcal_jax.files.unit_requirement import UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.formulas import repetitions
 from gradcal_jax.information import Posterior, unit_system, whiten
@@ -61,7 +60,8 @@ def optimise_unit(
     tables = spec.model_dump(mode="json", exclude_unset=True)
     tables["plan"]["cycle"]["moves"] = value.moves_in_words(state.best)
     found = unit_spec_of(tables)
-    before, after = (_values(assemble_unit(s), None) for s in (spec, found))
+    fine = tuple(quantity_of(value.built, r) for r in spec.requirement)
+    before, after = (_values(assemble_unit(s), value.prior, fine) for s in (spec, found))
     rows = tuple(
         (r.name, UNIT_OF_QUANTITY[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
     )
@@ -78,8 +78,8 @@ class _Value:
         )
         if design.minimise not in (ALL, WORST):
             coarse = tuple(r for r in coarse if r.name == design.minimise)
-        self.requirements, self.worst = coarse, design.minimise == WORST
         self.built, self.schedule, self.design = assemble_unit(spec), spec.schedule, design
+        self.quantities, self.worst = tuple(quantity_of(self.built, r) for r in coarse), design.minimise == WORST
         self.prior = _gram(self.built.model.prior_rows())
 
     def __call__(self, cycle: Cycle) -> float:
@@ -87,12 +87,12 @@ class _Value:
         if plan is None:
             return math.inf
         built = self.built._replace(motion=motion_of(plan, self.built.spec))
-        values = _values(built, self.prior, self.requirements)
+        values = _values(built, self.prior, self.quantities)
         logs = [
             math.log(v / (1.0 if r.target is None else float(r.target) * UNIT_OF_QUANTITY[r.quantity][1]))
             if v
             else math.inf
-            for r, v in zip(self.requirements, values, strict=True)
+            for (r, *_), v in zip(self.quantities, values, strict=True)
         ]
         return max(logs) if self.worst else float(np.mean(logs))
 
@@ -132,21 +132,16 @@ def _gram(rows: np.ndarray) -> np.ndarray:
     return rows.T @ rows
 
 
-def _values(
-    built: AssembledUnit, prior: np.ndarray | None, requirements: tuple[UnitRequirement, ...] | None = None
-) -> list[float | None]:
+def _values(built: AssembledUnit, prior: np.ndarray, quantities: tuple[Quantity, ...]) -> list[float | None]:
     """Every requirement's statistic in people's units. By the product of the rows, whose columns, scaled, are far from
     parallel where all is observed.
     """
-    model = built.model
-    gram = _gram(whiten(*unit_system(built.motion, model, built.body_nodes())))
-    gram = gram + (_gram(model.prior_rows()) if prior is None else prior)
+    gram = prior + _gram(whiten(*unit_system(built.motion, built.model, built.body_nodes())))
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
     seen = values > 1e-13 * values[-1]
     known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
-    wanted = built.spec.requirement if requirements is None else requirements
-    return [summed_up(r, unit_residual(built, known, r))[r.statistic] for r in wanted]
+    return [summed_up(q.requirement, q.residual(known))[q.requirement.statistic] for q in quantities]
 
 
 def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:

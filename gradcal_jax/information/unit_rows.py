@@ -189,7 +189,7 @@ def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
 
 def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: UnitModel, n: int, encoders: int):
     """H of every row, `(R, n)`."""
-    xp, axes = namespace(motion, nodes), motion.geometry.axis_count
+    xp, axes = namespace(nodes.axes_before, motion.line.duration), motion.geometry.axis_count
     before, after = motion.angles()
     # Of an example of each kind: where its segment began, and how far it goes.
     segment = np.repeat(np.arange(len(at.first)), at.last - at.first + 1)[motion.example]

@@ -116,7 +116,7 @@ class UnitModel(eqx.Module):
         over a piece of each kind.
         """
         own = [c.model.columns(nodes.channel(c.kind, c.axis)) for c in self.channels]
-        xp = namespace(nodes, self)
+        xp = namespace(own, nodes.angle_before)
         none = xp.zeros((len(nodes.axis), 6, 0))
         return own, xp.concatenate([none, *(term.columns(nodes) for term in self.installation)], axis=-1)
 

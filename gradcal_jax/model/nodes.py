@@ -96,7 +96,7 @@ class Nodes(eqx.Module):
 
     def integrals(self, of_group, size: int, *, moving_only: bool = False) -> Float[AnyArray, "P size"]:
         """`of_group(group) -> (k, size)` of every group in the pieces' places; zero where there is none."""
-        result = namespace(self).zeros((self.count, size))
+        result = namespace(self.temperature_change).zeros((self.count, size))
         for group in self.groups:
             if group.pieces.shape[0] and (group.moving or not moving_only):
                 result = put(result, group.pieces, of_group(group))
@@ -170,7 +170,7 @@ class BodyNodes(eqx.Module):
             )
             for g in self.groups
         )
-        none = namespace(self).zeros(self.temperature_change.shape)
+        none = namespace(self.temperature_change).zeros(self.temperature_change.shape)
         return Nodes(groups, self.temperature_change, none, none)
 
 

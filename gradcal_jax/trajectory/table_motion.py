@@ -16,6 +16,7 @@ from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 # Nodes that integrate polynomials of a cubic's degree in temperature and rate, and those that a turn needs besides:
 # sines of an angle that goes through `x` rad within a piece want about half of x, with a margin.
 _LEAST_NODES = 12
+_FEWEST = 16
 _NODES_PER_RAD = 0.75
 # Fastest wave in a column, in cycles a turn: squares of the force's components, or harmonics times a direction.
 _WAVES = 3
@@ -41,7 +42,7 @@ class TableMotion(eqx.Module):
 
     def angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
         """Angles of all axes (rad) as each piece begins and as it ends."""
-        xp = namespace(self.line, self.start_angles)
+        xp = namespace(self.line.duration, self.line.terms, self.start_angles)
         after = xp.cumsum(xp.where(self.turns, self.line.turned()[:, None], 0.0), axis=0) + self.start_angles
         return xp.concatenate([self.start_angles[None], after[:-1]]), after
 
@@ -71,13 +72,15 @@ def table_motion(
     turned = np.abs(line.turned()[example])
     nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * waves).astype(int)
     # What stands sees one direction throughout.
-    nodes = np.where(axis[example] < 0, 1, [size_class(int(n)) for n in nodes])
+    # Few sizes: what is done for each costs more than a few nodes too many.
+    sizes = np.array([_FEWEST, *(size_class(4 * _FEWEST * 2**k) for k in range(12))])
+    nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)])
     return TableMotion(line, axis, mounting, geometry, start_angles, np.reshape(kind, -1), example, nodes)
 
 
 def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     """The nodes on which a unit's terms are integrated, functions of temperature known by `points` along each piece."""
-    xp, example = namespace(motion), motion.example
+    example = motion.example
     before, after = (angle[example] for angle in motion.angles())
     begin, end = motion.line.ends()
     groups = tuple(
@@ -89,14 +92,14 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
         end - begin,
         before,
         after,
-        frames(motion.geometry, before, xp.asarray(motion.mounting[example])).axes,
+        frames(motion.geometry, before, motion.mounting[example]).axes,
         motion.axis[example],
         motion.mounting[example],
     )
 
 
 def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before) -> BodyGroup:
-    line, geometry, xp = motion.line, motion.geometry, namespace(motion)
+    line, geometry, xp = motion.line, motion.geometry, namespace(before, motion.line.duration, motion.geometry)
     example = motion.example[kinds]
     x, w = quadrature(count)
     v = xp.broadcast_to(xp.asarray(x), (len(kinds), count))
@@ -104,7 +107,7 @@ def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, befo
     since, rate = line.angle(v, example), line.rate(v, example)
     angle = before[kinds][:, None, :] + xp.where(own, since[..., None], 0.0)
     joint = xp.where(own, rate[..., None], 0.0)
-    mounting = xp.broadcast_to(xp.asarray(motion.mounting[example])[:, None], v.shape)
+    mounting = np.broadcast_to(motion.mounting[example][:, None], v.shape)
     stages = frames(geometry, angle, mounting)
     earth, up = (geometry.earth_rate()[None, :] @ stages.attitude)[..., 0, :], stages.attitude[..., 2, :]
     turning = joint[..., None] * stages.axes

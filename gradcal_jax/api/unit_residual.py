@@ -94,10 +94,12 @@ def _elements(
     model = built.model
     if isinstance(requirement, PositionRequirement | TiltRequirement | TurnRequirement):
         for label, rows in _navigation(built, requirement, temperatures):
-            yield label, known.deviations(rows)
+            if requirement.axis in ("all", "worst", label):
+                yield label, known.deviations(rows)
     elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         for label, rows in _internal(model, requirement, temperatures):
-            yield label, known.deviations(rows)
+            if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
+                yield label, known.deviations(rows)
     else:
         kind, terms = _TERMS[requirement.quantity]
         for c in model.channels:

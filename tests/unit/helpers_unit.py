@@ -2,7 +2,8 @@
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ class Step:
             return trajectory.rest(self.duration, read_at_end=True)
         peak, ramp, duration = cosine_ramps(self.angle, self.peak, self.acceleration)
         if self.duration:
-            # As told: a turn that lasts so long, a third of it each ramp.
+            # A turn that lasts so long, a third of it each ramp.
             ramp, duration = self.duration / 3.0, self.duration
             peak = abs(self.angle) / (duration - ramp)
         return trajectory.turn("cosine ramps", np.copysign(peak, self.angle), duration, ramp=ramp)
@@ -82,17 +83,43 @@ def turn(axis: int, degrees: float, peak: float = 300.0, duration: float = 0.0, 
     return Step(axis, duration, degrees * DEG, peak * DEG, mounting=mounting)
 
 
-def poses(angles: Sequence[Sequence[float]], dwell: float, move: float, *, back: bool = False) -> list[Step]:
-    """Rests of `dwell` at poses (an angle of each axis, degrees); what leads from one to the next lasts `move` in all.
+def poses(
+    angles: Sequence[Sequence[float]], dwell: float, *, move: float | None = None, peak: float = 90.0
+) -> list[Step]:
+    """Rests of `dwell` at poses (an angle of each axis, degrees), the first where the table begins.
 
-    The first pose is where the table begins. `back`: the last move leads to the first pose.
+    `move`: how long the way from one to the next takes, shared among its axes; else as quick as `peak` (deg/s) allows.
     """
-    steps, goals = [rest(dwell)], list(angles[1:]) + ([angles[0]] if back else [])
-    for before, goal in zip([*angles[:-1], angles[-1]] if back else angles, goals, strict=False):
+    steps = [rest(dwell)]
+    for before, goal in pairwise(angles):
         turned = [(k, b - a) for k, (a, b) in enumerate(zip(before, goal, strict=True)) if abs(b - a) > 1e-9]
-        steps += [turn(k, by, duration=move / len(turned)) for k, by in turned]
+        steps += [turn(k, by, peak, 0.0 if move is None else move / len(turned)) for k, by in turned]
         steps.append(rest(dwell))
-    return steps[:-1] if back else steps
+    return steps
+
+
+def poses_within(angles: Sequence[Sequence[float]], total: float, peak: float = 90.0) -> list[Step]:
+    """Equal rests at poses, as long as the moves leave of `total`."""
+    moving = sum(step.move.duration for step in poses(angles, 1.0, peak=peak) if step.axis >= 0)
+    return poses(angles, (total - moving) / len(angles), peak=peak)
+
+
+def up_along(directions, *, unwound: bool = True) -> list[tuple[float, float]]:
+    """Poses of `two_axes` (tilt, spin in degrees) with which directions of the body point up; `unwound`: the spin goes
+    on from pose to pose the short way.
+    """
+    found: list[tuple[float, float]] = []
+    for direction in directions:
+        x, y, z = np.asarray(direction, float) / np.linalg.norm(direction)
+        tilt, spin = np.degrees(np.arccos(np.clip(z, -1.0, 1.0))), np.degrees(np.arctan2(x, y))
+        if unwound and found:
+            spin += 360.0 * np.round((found[-1][1] - spin) / 360.0)
+        found.append((float(tilt), float(spin)))
+    return found
+
+
+def back_and_forth(axis: int, dwell: float, degrees: float = 1800.0) -> list[Step]:
+    return [turn(axis, degrees), rest(dwell), turn(axis, -degrees), rest(dwell)]
 
 
 def two_axes(*, latitude: float = LATITUDE, kind: type[Geometry] = Geometry) -> Geometry:
@@ -158,17 +185,13 @@ def gyro(
     if "s" in own:
         chosen.append(make_map(basis, rate_basis, prior_std=prior["s"]))
     if "m" in own:
-        chosen += [
-            _signal(f"m_{o}", (f"rate {o}",), "rad", prior["m"], basis) for k, o in enumerate(AXES) if k != axis
-        ]
+        chosen += [_signal(f"m_{o}", (f"rate {o}",), "rad", prior["m"], basis) for k, o in enumerate(AXES) if k != axis]
     if "g" in own:
         chosen += [_signal(f"g_{o}", (f"force {o}",), "rad/s/(m/s^2)", prior["g"]) for o in AXES]
     processes = _drifts(drift)
     for sigma, tau in instability:
         processes += model.gauss_markov(sigma, tau, bias_gain=0.0, rate_gain=1.0)
-    return Channel(
-        SensorModel(tuple(chosen), np.asarray(white), processes, model.angle_reference()), "gyro", axis
-    )
+    return Channel(SensorModel(tuple(chosen), np.asarray(white), processes, model.angle_reference()), "gyro", axis)
 
 
 def accelerometer(
@@ -200,9 +223,7 @@ def accelerometer(
         chosen.append(_signal("asymmetry", (f"|{along}|",), "1", prior["asymmetry"]))
     if "cross" in own:
         pairs = [(a, b) for i, a in enumerate(AXES) for b in AXES[i + 1 :]]
-        chosen += [
-            _signal(f"k_{a}{b}", (f"force {a}", f"force {b}"), "1/(m/s^2)", prior["cross"]) for a, b in pairs
-        ]
+        chosen += [_signal(f"k_{a}{b}", (f"force {a}", f"force {b}"), "1/(m/s^2)", prior["cross"]) for a, b in pairs]
     sensor = SensorModel(tuple(chosen), np.asarray(white), _drifts(drift), model.angle_reference())
     return Channel(sensor, "accelerometer", axis)
 
@@ -225,8 +246,3 @@ def sigmas(motion: TableMotion, of: UnitModel, harmonics: int = 0) -> dict[str, 
     """Standard deviations of all reported parameters by name (SI)."""
     found = known(motion, of, harmonics).deviations(of.to_reported)
     return dict(zip(of.names(), (float(v) for v in found), strict=True))
-
-
-def turned_on(mountings: Sequence[Step], number: int) -> list[Step]:
-    """The same steps in another mounting."""
-    return [replace(step, mounting=number) for step in mountings]

@@ -137,10 +137,12 @@ def _elements(
     model = built.model
     if isinstance(requirement, PositionRequirement | TiltRequirement | TurnRequirement):
         for label, rows in _navigation(built, requirement, temperatures):
-            yield Element(label, slice(None), rows)
+            if requirement.axis in ("all", "worst", label):
+                yield Element(label, slice(None), rows)
     elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         for label, rows in _internal(model, requirement, temperatures):
-            yield Element(label, slice(None), rows)
+            if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
+                yield Element(label, slice(None), rows)
     else:
         kind, terms = _TERMS[requirement.quantity]
         for c in model.channels:

@@ -7,7 +7,7 @@ Temperatures are the *chamber's*; a sensor's thermal lag is the core's affair.
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from gradcal_jax.files.bench import Chamber, Rig
 from gradcal_jax.files.moves import ResolvedMove
@@ -232,6 +232,7 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
     return ResolvedCycle(tuple(moves), moving, other, every, idle)
 
 
+@runtime_checkable
 class _Repeats(Protocol):
     """What a course must know of a cycle (s): its moves, and all of it."""
 

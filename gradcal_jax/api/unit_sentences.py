@@ -61,11 +61,15 @@ def _beyond(built: AssembledUnit) -> list[str]:
     line = built.motion.line
     begin, end = (e[~line.gap] for e in line.ends())
     low, high = float(min(begin.min(), end.min())), float(max(begin.max(), end.max()))
+    beyond: dict[tuple[float, float], list[str]] = {}
+    for r in built.spec.requirement:
+        if r.temperature[0] < low - 1e-6 or r.temperature[1] > high + 1e-6:
+            beyond.setdefault((float(r.temperature[0]), float(r.temperature[1])), []).append(f"'{r.name}'")
     return [
-        f"requirement '{r.name}' asks for {float(r.temperature[0]):g} … {float(r.temperature[1]):g} °C, but the unit "
-        f"goes through {low:.4g} … {high:.4g} °C only: beyond that the structure of the maps is trusted"
-        for r in built.spec.requirement
-        if r.temperature[0] < low - 1e-6 or r.temperature[1] > high + 1e-6
+        (f"requirement {names[0]} asks" if len(names) == 1 else f"requirements {', '.join(names)} ask")
+        + f" for {cold:g} … {warm:g} °C, but the unit goes through {low:.4g} … {high:.4g} °C only: beyond that the "
+        "structure of the maps is trusted"
+        for (cold, warm), names in beyond.items()
     ]
 
 

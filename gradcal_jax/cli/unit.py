@@ -66,12 +66,14 @@ def _summary(spec: "UnitSpec") -> list[str]:
 
 
 def _to_be_found(spec: "UnitSpec") -> list[str]:
+    from gradcal_jax.files.section import Section
+
     found: list[str] = []
     for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
         if triad is not None:
             skipped = {"axes", "drift", "scale_factor_instability"}
             sections = [
-                key.replace("_", " ") for key, value in triad if hasattr(value, "model_fields") and key not in skipped
+                key.replace("_", " ") for key, value in triad if isinstance(value, Section) and key not in skipped
             ]
             found.append(f"{name} {', '.join(triad.axes)}: {', '.join(sections)}")
     return found

@@ -7,11 +7,13 @@ without shape and duration is one at most: a short turn does not reach it.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_serializer, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import Course
@@ -55,6 +57,30 @@ class AxisMove(Section):
 
     axis: Text | None = None
     move: Move
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, handler: Callable[[Any], Any]) -> dict[str, Any]:
+        """The table of the file: the move's own keys beside "axis", without what stands for itself."""
+        tables: dict[str, Any] = handler(self)
+        move: dict[str, Any] = tables.pop("move")
+        if move.get("peak_rate") == FASTEST.text:
+            del move["peak_rate"]
+        if move.get("shape") == "cosine ramps":
+            del move["shape"]
+        return move | tables
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """As the file has it: a move's keys beside the name of the axis; the shape may be left out."""
+        moves: dict[str, Any] = handler.resolve_ref_schema(handler(schema))["properties"]["move"]
+        kinds: list[dict[str, Any]] = []
+        for ref in moves["anyOf"]:
+            kind = dict(handler.resolve_ref_schema(ref))
+            kind["properties"] = kind["properties"] | {"axis": {"type": "string", "minLength": 1}}
+            if kind["properties"].get("shape", {}).get("const") == "cosine ramps":
+                kind["required"] = [name for name in kind.get("required", ()) if name != "shape"]
+            kinds.append(kind)
+        return {"anyOf": kinds}
 
 
 def _choose(value: object) -> object:

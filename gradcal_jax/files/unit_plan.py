@@ -18,13 +18,14 @@ from pydantic_core import CoreSchema
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import Course
 from gradcal_jax.files.problems import Problem, SpecError, nearest
-from gradcal_jax.files.quantity import Angle, Count, PositiveRate, Text, Time
+from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, a_table, refuse
 from gradcal_jax.files.unit_rig import TableAxis, UnitRig
 
 _SLACK = 1e-6
 _FULL_TURN = 2.0 * math.pi
+_MOST = 1e6 * _FULL_TURN
 # A quarter of a period of cosine ramps: peak acceleration times ramp over peak rate.
 _STEEPNESS = math.pi / 2.0
 
@@ -40,16 +41,26 @@ class Pose(Section):
 class QuickTurn(Section):
     """A turn of one axis with cosine ramps, as fast as the axis goes, or at `peak_rate` where it gets that far."""
 
-    turn: Angle
+    turn: Angle | None = None
+    turns: Number | None = None
     axis: Text | None = None
     peak_rate: PositiveRate | None = None
     repeat: Count = 1
 
     @model_validator(mode="after")
     def _turns(self) -> "QuickTurn":
-        if self.turn == 0.0:
-            refuse(Problem(("turn",), "must not be zero; a rest is written { rest = … }", "0"))
+        key = "turn" if self.turns is None else "turns"
+        if self.turn is not None and self.turns is not None:
+            refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
+        if not self.angle or abs(self.angle) > _MOST:
+            message = "must not be zero, nor beyond a million turns; a rest is written { rest = … }"
+            refuse(Problem((key,), message, self.turn or self.turns))
         return self
+
+    @property
+    def angle(self) -> float:
+        """In rad."""
+        return _FULL_TURN * self.turns if self.turns is not None else float(self.turn or 0.0)
 
 
 class AxisMove(Section):
@@ -63,8 +74,6 @@ class AxisMove(Section):
         """The table of the file: the move's own keys beside "axis", without what stands for itself."""
         tables: dict[str, Any] = handler(self)
         move: dict[str, Any] = tables.pop("move")
-        if move.get("peak_rate") == FASTEST.text:
-            del move["peak_rate"]
         if move.get("shape") == "cosine ramps":
             del move["shape"]
         return move | tables
@@ -98,7 +107,7 @@ def _choose(value: object) -> object:
                 message = f'this key is unknown; nearest: "{close[1]}"'
                 raise SpecError([Problem((close[0],), message, table[close[0]], "unknown")])
             raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
-        if "turn" in table and not {"duration", "ramp"} & set(table):
+        if not {"duration", "ramp"} & set(table):
             return QuickTurn.model_validate(dict(a_table(value)))
         table["shape"] = "cosine ramps"
     tables: dict[str, Any] = {"move": table}
@@ -273,7 +282,7 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
         axis = rig.table.axis[axes[name]]
         try:
             if isinstance(item, QuickTurn):
-                move = replace(quickest_turn(float(item.turn), axis, item.peak_rate), repeat=item.repeat)
+                move = replace(quickest_turn(item.angle, axis, item.peak_rate), repeat=item.repeat)
             else:
                 move = cast("Any", item.move).resolve(float(axis.max_acceleration))
         except SpecError as error:

@@ -43,7 +43,7 @@ class TableMotion(eqx.Module):
     def angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
         """Angles of all axes (rad) as each piece begins and as it ends."""
         xp = namespace(self.line.duration, self.line.terms, self.start_angles)
-        after = xp.cumsum(xp.where(self.turns, self.line.turned()[:, None], 0.0), axis=0) + self.start_angles
+        after = xp.cumsum(xp.where(self.turns, self.line.turned()[:, None], 0.0), axis=0) + self.start_angles[None]
         return xp.concatenate([self.start_angles[None], after[:-1]]), after
 
     @property
@@ -61,9 +61,8 @@ def table_motion(
     harmonics: int = 0,
 ) -> TableMotion:
     """A motion whose numbers are known. `harmonics`: the highest order of an encoder's error."""
-    none = np.zeros(0, int)
-    plain = TableMotion(line, axis, mounting, geometry, start_angles, none, none, none)
-    before, _ = plain.angles()
+    each = np.arange(line.piece_count)
+    before, _ = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
     pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
     of_motion = np.round(np.column_stack([line.duration, line.u_start, line.u_end, line.terms]) / _SAME_POSE)
     key = np.column_stack([axis, mounting, line.moving, pose, of_motion])

@@ -38,7 +38,7 @@ class TableMotion(eqx.Module):
         """Angles of all axes (rad) as each piece begins and as it ends."""
         xp = namespace(self.line, self.start_angles)
         own = self.axis[:, None] == np.arange(self.geometry.axis_count)
-        after = xp.cumsum(xp.where(own, self.line.turned()[:, None], 0.0), axis=0) + self.start_angles
+        after = xp.cumsum(xp.where(own, self.line.turned()[:, None], 0.0), axis=0) + self.start_angles[None]
         return xp.concatenate([self.start_angles[None], after[:-1]]), after
 
 
@@ -66,7 +66,7 @@ def body_nodes(motion: TableMotion, moving_nodes: int) -> BodyNodes:
         end - begin,
         before,
         after,
-        frames(motion.geometry, before, xp.asarray(motion.mounting)).axes,
+        frames(motion.geometry, before, np.asarray(motion.mounting)).axes,
         motion.axis,
         motion.mounting,
     )
@@ -82,7 +82,7 @@ def _group(motion: TableMotion, pieces, count: int, before) -> BodyGroup:
     since, rate = line.angle(v, pieces), line.rate(v, pieces)
     angle = before[pieces][:, None, :] + xp.where(own, since[..., None], 0.0)
     joint = xp.where(own, rate[..., None], 0.0)
-    mounting = xp.broadcast_to(xp.asarray(motion.mounting)[pieces][:, None], v.shape)
+    mounting = np.broadcast_to(np.asarray(motion.mounting)[pieces][:, None], v.shape)
     stages = frames(geometry, angle, mounting)
     earth, up = (geometry.earth_rate()[None, :] @ stages.attitude)[..., 0, :], stages.attitude[..., 2, :]
     turning = joint[..., None] * stages.axes

@@ -100,7 +100,7 @@ class AxisHarmonics(InstallationTerm):
 
     def _waves(self, angle: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s m"]:
         xp = namespace(angle)
-        phase = angle[..., None] * np.array(self.orders, dtype=float)
+        phase = xp.stack([order * angle for order in self.orders], axis=-1)
         return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
 
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 m"]:

@@ -71,7 +71,7 @@ def of_symbol(found: dict[str, float], kind: str, symbol: str) -> np.ndarray:
 def tumble(steps, terms, *, drift=(), installation=(), noise=None, start=(0.0, 0.0), harmonics=0):
     """Bias µg, scale factor ppm, misalignment µrad and second order µg/g² of three accelerometers."""
     triad = [accelerometer(k, terms, drift=drift) for k in range(3)]
-    found = sigmas(motion_of(two_axes(), steps, start=start), unit(triad, installation, noise), harmonics)
+    found = sigmas(motion_of(two_axes(), steps, start=start), unit(triad, installation, noise))
     each = [of_symbol(found, "acc", symbol) for symbol in ("b", "s", "m_", "k2")]
     rms = lambda v: np.sqrt(np.mean(v**2))  # noqa: E731
     values = [(rms if i == 2 else np.mean)(v) if len(v) else np.nan for i, v in enumerate(each)]

@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers_unit import ARCSEC, DEG, EAST, POINTS, UP, accelerometer, encoder, gyro, motion_of, rest, table, turn, unit
+from helpers_unit import ARCSEC, DEG, EAST, POINTS, UP, accelerometer, gyro, motion_of, rest, table, turn, unit
 from random_units import motion, nodes_of, random_scene, unit_of
 from reference_unit import Simulator
 
@@ -100,15 +101,20 @@ _NUMBERS = {
 }
 
 
-def value(numbers: dict, which: slice) -> jax.Array:
-    """Sum of the squared standard deviations of some parameters, everything through JAX."""
-    import equinox as eqx
+def of_jax(tree):
+    """Its numbers as JAX's; what is whole stays what it is."""
+    return jax.tree.map(lambda x: jnp.asarray(x) if np.asarray(x).dtype == float else x, tree)
 
+
+def value(numbers: dict, which: np.ndarray) -> jax.Array:
+    """Sum of the squared standard deviations of some parameters, everything through JAX."""
     resting = np.array([s.axis < 0 for s in _STEPS])
     duration = jnp.where(resting, numbers["rests"], jnp.asarray(_PLAN.duration))
     # A turn's peak rate scales its angle; its time stays.
     plan = eqx.tree_at(
-        lambda s: (s.duration, s.peak_rate), _PLAN, (duration, jnp.asarray(_PLAN.peak_rate) * numbers["peak rates"])
+        lambda s: (s.duration, s.peak_rate),
+        of_jax(_PLAN),
+        (duration, jnp.asarray(_PLAN.peak_rate) * numbers["peak rates"]),
     )
     tilted = jnp.array([0.0, 0.0, 1.0]) + numbers["axes"]
     axes = jnp.stack([jnp.array(EAST), tilted / jnp.sqrt(jnp.sum(tilted**2))])
@@ -145,11 +151,11 @@ def value(numbers: dict, which: slice) -> jax.Array:
 
 _FLAT = {"b": 1e-2, "s": 1e-2, "m": 1e-2, "g": 1e-3}
 # The bias of gyro y, misalignments of gyro z, all of accelerometer x.
-_WHICH = [slice(8, 9), slice(18, 20), slice(24, 28)]
+_WHICH = np.array([8, 18, 19, 24, 25, 26, 27])
 
 
-@pytest.mark.parametrize("which", _WHICH, ids=["bias", "misalignment", "accelerometer"])
-def test_gradients_in_every_kind_of_number_against_central_differences(which):
+def test_gradients_in_every_kind_of_number_against_central_differences():
+    which = _WHICH
     numbers = {k: jnp.asarray(v) for k, v in _NUMBERS.items()}
     compiled = jax.jit(lambda n: value(n, which))
     found = jax.jit(jax.grad(lambda n: value(n, which)))(numbers)
@@ -172,16 +178,17 @@ def test_both_array_libraries_compute_the_same_unit():
     moving, of = motion(scene), unit_of(scene)
     nodes = nodes_of(scene, moving)
     steps, columns = unit_system(moving, of, nodes)
-    traced = jax.tree.map(lambda x: jnp.asarray(x) if np.asarray(x).dtype == float else x, (moving, of))
+    traced = of_jax((moving, of))
     again = trajectory.body_nodes(traced[0], POINTS)
     their_steps, their_columns = unit_system(*traced, again)
     assert isinstance(their_columns, jax.Array)
+    # An integral of gravity over a segment carries rounding of 1e-13, whatever is left of it in a column.
     size = np.max(np.abs(columns), axis=0)
-    np.testing.assert_allclose(np.asarray(their_columns) / size, columns / size, atol=1e-11)
-    for ours, theirs in zip(steps, their_steps, strict=True):
-        np.testing.assert_allclose(np.asarray(theirs, float), np.asarray(ours, float), rtol=1e-11, atol=1e-22)
+    assert np.all(np.abs(np.asarray(their_columns) - columns) < 1e-12 * size + 4e-13)
+    for name, ours, theirs in zip(steps._fields, steps, their_steps, strict=True):
+        ours, theirs = np.asarray(ours, float), np.asarray(theirs, float)
+        np.testing.assert_allclose(theirs, ours, rtol=1e-11, atol=1e-12 * np.max(np.abs(ours)), err_msg=name)
     info = unit_information(moving, of, nodes)
     factor = SquareRootInformation(*whitened_factor(their_steps, their_columns, jnp.asarray(of.prior_rows())))
     wanted = info.deviations(of.to_reported)
     np.testing.assert_allclose(factor.deviations(jnp.asarray(of.to_reported)), wanted, rtol=1e-9)
-    assert encoder(2).offset.shape == (2,)

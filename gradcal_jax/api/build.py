@@ -104,7 +104,7 @@ def _model(spec: Spec, processes: Processes) -> SensorModel:
         float(sensor.angle_random_walk),
         processes,
         reference,
-        temperature_gradient_std=None if gradient is None else _or_infinite(gradient.prior),
+        temperature_gradient_std=None if gradient is None else or_infinite(gradient.prior),
         harmonics={h.order: float(h.amplitude) for h in angle.harmonics},
     )
 
@@ -123,8 +123,8 @@ def bias_map(section: Bias, turn_on_std: float = 0.0) -> Map:
     beyond = section.discrepancy
     return model.make_map(
         basis(section.temperature),
-        prior_std=_or_infinite(section.prior),
-        smoothness_std=_or_infinite(section.smoothness),
+        prior_std=or_infinite(section.prior),
+        smoothness_std=or_infinite(section.smoothness),
         common_std=turn_on_std,
         discrepancy=None if beyond is None else (float(beyond.standard_deviation), beyond.temperature_degree, 0),
     )
@@ -136,15 +136,16 @@ def scale_factor_map(section: ScaleFactor) -> Map:
     return model.make_map(
         basis(section.temperature),
         basis(section.rate),
-        prior_std=_or_infinite(section.prior),
-        smoothness_std=_or_infinite(section.smoothness),
+        prior_std=or_infinite(section.prior),
+        smoothness_std=or_infinite(section.smoothness),
         discrepancy=None
         if beyond is None
         else (float(beyond.standard_deviation), beyond.temperature_degree, beyond.rate_degree),
     )
 
 
-def _or_infinite(value: float | None) -> float:
+def or_infinite(value: float | None) -> float:
+    """A prior that is absent is flat."""
     return np.inf if value is None else float(value)
 
 

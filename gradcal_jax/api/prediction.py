@@ -9,12 +9,14 @@ from gradcal_jax.api.error_budget import error_budget, limited_by
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, posterior_of_plan, residual_map, rule_of, target_of, verdict
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.tested_maps import noticing
+from gradcal_jax.api.unit_prediction import predict_unit
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior, statistic
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 
@@ -22,7 +24,7 @@ from gradcal_jax.information.conformity import acceptance_limit, chance_of_keepi
 _GRID = 41
 
 
-def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
+def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also say of each requirement what it is limited by, and between what it lies where noise figures are
@@ -32,6 +34,8 @@ def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook:
     generalised least squares under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with
     a warning. Errors: none; whatever is wrong with a file, `read_spec` has refused already.
     """
+    if isinstance(spec, UnitSpec):
+        return predict_unit(spec)
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}
     pairs: list[tuple[Requirement, Axis]] = [

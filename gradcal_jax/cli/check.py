@@ -10,6 +10,7 @@ from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, as_json
 from gradcal_jax.cli.predict import counted_as_zero
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.cli.unit import check_unit
 from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
 
@@ -41,9 +42,12 @@ def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int
         Print the plan's times, notes, and what it cannot observe, as JSON.
     """
     from gradcal_jax.files.memory import needed_bytes, too_large
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.unit_spec import UnitSpec
 
-    found = spec_in(spec)
+    found = any_spec_in(spec)
+    if isinstance(found, UnitSpec):
+        return check_unit(found, str(spec), files_only=files_only, json=json)
     if json:
         too = too_large(found)
         blind = None if files_only or too else unobservable(found)

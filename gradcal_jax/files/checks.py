@@ -8,14 +8,14 @@ import math
 from collections.abc import Iterator, Sequence
 
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
-from gradcal_jax.files.bench import Rig
+from gradcal_jax.files.bench import Chamber, Rig
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.moves import AXES, ResolvedMove
-from gradcal_jax.files.plan import GradientPlan, RampItem, StandardPlan
+from gradcal_jax.files.plan import Course, GradientPlan, RampItem, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import BiasRequirement, ScaleFactorRequirement
-from gradcal_jax.files.schedule import GradientSchedule, gradient_schedule, resolve_cycle
+from gradcal_jax.files.schedule import GradientSchedule, TemperatureSegment, gradient_schedule, resolve_cycle
 from gradcal_jax.files.sensor import ScaleFactor, Sensor
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
@@ -150,14 +150,15 @@ def _gradient(plan: GradientPlan, rig: Rig, sensor: Sensor | None) -> list[Probl
         problems += _motion(moves, rig, sensor)
         if schedule is not None:
             problems += _travel(moves, schedule.cycles, rig)
-    problems += _temperature(plan, rig, schedule)
+    problems += course_within(plan, rig.chamber, None if schedule is None else schedule.segments)
     return problems
 
 
-def _temperature(plan: GradientPlan, rig: Rig, schedule: GradientSchedule | None) -> Iterator[Problem]:
-    low, high = rig.chamber.range
+def course_within(plan: Course, chamber: Chamber, segments: tuple[TemperatureSegment, ...] | None) -> Iterator[Problem]:
+    """Where a course leaves the chamber's range or exceeds its slopes; keys relative to the plan."""
+    low, high = chamber.range
     if plan.programme is not None:
-        heating, cooling = rig.chamber.max_heating, rig.chamber.max_cooling
+        heating, cooling = chamber.max_heating, chamber.max_cooling
         here: Quantity | None = None
         for i, item in enumerate(plan.programme):
             key = next(name for name in ("soak", "ramp_to", "step_to") if name in type(item).model_fields)
@@ -175,10 +176,10 @@ def _temperature(plan: GradientPlan, rig: Rig, schedule: GradientSchedule | None
         yield from _in_chamber(temperature, low, high, ("temperature", i), temperature.text)
     if isinstance(plan.gradient, tuple):
         for i, slope in enumerate(plan.gradient):
-            limit = rig.chamber.max_heating if slope > 0 else rig.chamber.max_cooling
+            limit = chamber.max_heating if slope > 0 else chamber.max_cooling
             yield from _slope(abs(slope), limit, slope > 0, ("gradient", i), slope.text)
-        if schedule is not None:
-            for i, segment in enumerate(s for s in schedule.segments if s.kind == "ramp"):
+        if segments is not None:
+            for i, segment in enumerate(s for s in segments if s.kind == "ramp"):
                 end = segment.temperature_end
                 if not low - 1e-6 <= end <= high + 1e-6:
                     message = f"takes the chamber to {end:.4g} degC, outside its range, {low} to {high}"
@@ -186,7 +187,7 @@ def _temperature(plan: GradientPlan, rig: Rig, schedule: GradientSchedule | None
                     break
     elif plan.gradient is not None and plan.temperature is not None and len(plan.temperature) == 2:
         heats = plan.temperature[1] > plan.temperature[0]
-        limit = rig.chamber.max_heating if heats else rig.chamber.max_cooling
+        limit = chamber.max_heating if heats else chamber.max_cooling
         yield from _slope(float(plan.gradient), limit, heats, ("gradient",), plan.gradient.text)
 
 

@@ -13,7 +13,10 @@ from gradcal_jax.files.section import Section
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Axis = Literal["x", "y", "z"]
-
+UnitQuantity = Literal[
+    "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "g_sensitivity", "accelerometer_bias",
+    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order", "position", "tilt", "heading",
+]  # fmt: skip
 
 Functions = Literal["monomial", "legendre", "chebyshev", "b-spline", "bins"]
 
@@ -218,6 +221,7 @@ class CheckRow(Section):
 class RequirementRow(Section):
     """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan.
 
+    Of a whole unit, `axis` says how its elements are summed up: "all" together, or the "worst".
     `uncertain`: the least and the largest of the deciding statistic, where noise figures are uncertain.
     `rule`: of the verdict, in words. `specific_risk`: chance that the error is beyond the target at the box's worst
     place. `chance`, `chance_everywhere`: that a unit's error keeps the target, by the requirement's statistic, and at
@@ -226,9 +230,9 @@ class RequirementRow(Section):
     """
 
     name: str
-    quantity: Literal["scale_factor", "bias"]
-    unit: Literal["ppm", "deg/h"]
-    axis: Axis = "x"
+    quantity: Literal["scale_factor", "bias"] | UnitQuantity
+    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
+    axis: Axis | Literal["all", "worst"] = "x"
     temperature_c: tuple[Finite, Finite]
     rate_dps: tuple[Finite, Finite] | None = None
     grid: tuple[int, ...]
@@ -264,10 +268,13 @@ class AbsentRow(Section):
 
 
 class ParameterRow(Section):
-    """A coefficient in the paper's names: ``a0…`` (bias), ``b{rate power}{temperature power}`` (scale factor)."""
+    """A coefficient in the paper's names: ``a0…`` (bias), ``b{rate power}{temperature power}`` (scale factor).
+
+    Of a whole unit, `axis` is "unit", and the name begins with the channel's: ``gyro_x.b00``.
+    """
 
     name: str
-    axis: Axis = "x"
+    axis: Axis | Literal["unit"] = "x"
     std: Size | None
     unit: str
 

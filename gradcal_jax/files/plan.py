@@ -143,24 +143,16 @@ def _slopes_as_text(value: Quantity | tuple[Quantity, ...]) -> str | list[str]:
 Slopes = Annotated[Quantity | tuple[Quantity, ...], _Slopes()]
 
 
-class GradientPlan(Section):
-    """The gradient method. `gradient`: one size, or one signed slope for each cycle. `read_every`: without a cycle."""
+class Course(Section):
+    """The chamber's course, in one of the three ways. `gradient`: one size, or one signed slope for each cycle."""
 
-    method: Literal["gradient"]
-    reference: Literal["angle"] = "angle"
     temperature: Annotated[tuple[Temperature, ...], Field(min_length=1, max_length=2)] | None = None
     gradient: Slopes | None = None
     soak: Soak | None = None
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
-    read_every: Time | None = None
-    cycle: Cycle | None = None
 
-    @model_validator(mode="after")
-    def _complete(self) -> "GradientPlan":
-        refuse(*self._temperature_problems(), *self._reading_problems())
-        return self
-
-    def _temperature_problems(self) -> list[Problem]:
+    def course_problems(self, *, with_cycle: bool) -> list[Problem]:
+        """What is wrong with the course. `with_cycle`: whether there may be a slope for each cycle."""
         problems: list[Problem] = []
         if self.programme is not None:
             for key in ("temperature", "gradient", "soak"):
@@ -180,10 +172,8 @@ class GradientPlan(Section):
             return problems
         assert self.temperature is not None
         if isinstance(self.gradient, tuple):
-            if self.cycle is None:
-                problems.append(
-                    Problem(("gradient",), "a list has one slope for each cycle, and there is no [plan.cycle]")
-                )
+            if not with_cycle:
+                problems.append(Problem(("gradient",), "a list has one slope for each cycle, and has no place here"))
             if len(self.temperature) == 2:
                 message = "with a list of gradients, the ramp ends where they take it; give the start alone"
                 problems.append(Problem(("temperature",), message, [t.text for t in self.temperature]))
@@ -192,6 +182,20 @@ class GradientPlan(Section):
         elif self.temperature[0] == self.temperature[1]:
             problems.append(Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature]))
         return problems
+
+
+class GradientPlan(Course):
+    """The gradient method. `read_every`: without a cycle."""
+
+    method: Literal["gradient"]
+    reference: Literal["angle"] = "angle"
+    read_every: Time | None = None
+    cycle: Cycle | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> "GradientPlan":
+        refuse(*self.course_problems(with_cycle=self.cycle is not None), *self._reading_problems())
+        return self
 
     def _reading_problems(self) -> list[Problem]:
         if self.cycle is None and self.read_every is None:

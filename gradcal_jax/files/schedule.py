@@ -7,11 +7,11 @@ Temperatures are the *chamber's*; a sensor's thermal lag is the core's affair.
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, Protocol, runtime_checkable
 
-from gradcal_jax.files.bench import Rig
+from gradcal_jax.files.bench import Chamber, Rig
 from gradcal_jax.files.moves import ResolvedMove
-from gradcal_jax.files.plan import Cycle, GradientPlan, RampItem, SoakItem, StandardPlan
+from gradcal_jax.files.plan import Course, Cycle, GradientPlan, RampItem, SoakItem, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.formulas import reading_count, repetitions
 
@@ -184,8 +184,7 @@ def standard_schedule(plan: StandardPlan) -> StandardSchedule:
 def gradient_schedule(plan: GradientPlan, rig: Rig) -> GradientSchedule:
     """Work a gradient plan out. Raises `SpecError` with every problem found, keys relative to the plan."""
     cycle = None if plan.cycle is None else resolve_cycle(plan.cycle, rig)
-    segments = _programme(plan, rig) if plan.programme is not None else _ramp(plan, cycle)
-    stretches = _stretches(segments, cycle)
+    segments, stretches = programme_of(plan, rig.chamber, cycle)
     result = GradientSchedule(segments, stretches, cycle, None if plan.read_every is None else float(plan.read_every))
     problems: list[Problem] = []
     if cycle is not None and result.cycles == 0:
@@ -238,7 +237,26 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
     return ResolvedCycle(tuple(moves), moving, other, every, idle)
 
 
-def _ramp(plan: GradientPlan, cycle: ResolvedCycle | None) -> tuple[TemperatureSegment, ...]:
+@runtime_checkable
+class _Repeats(Protocol):
+    """What a course must know of a cycle (s): its moves, and all of it."""
+
+    @property
+    def moving(self) -> float: ...
+
+    @property
+    def duration(self) -> float: ...
+
+
+def programme_of(
+    plan: Course, chamber: Chamber, cycle: _Repeats | None
+) -> tuple[tuple[TemperatureSegment, ...], tuple[Stretch, ...]]:
+    """The chamber's segments, and the stretches of used data with the cycles that fit. Raises `SpecError`."""
+    segments = _programme(plan, chamber) if plan.programme is not None else _ramp(plan, cycle)
+    return segments, _stretches(segments, cycle)
+
+
+def _ramp(plan: Course, cycle: _Repeats | None) -> tuple[TemperatureSegment, ...]:
     assert plan.temperature is not None
     assert plan.gradient is not None
     segments: list[TemperatureSegment] = []
@@ -258,7 +276,7 @@ def _ramp(plan: GradientPlan, cycle: ResolvedCycle | None) -> tuple[TemperatureS
     return tuple(segments)
 
 
-def _programme(plan: GradientPlan, rig: Rig) -> tuple[TemperatureSegment, ...]:
+def _programme(plan: Course, chamber: Chamber) -> tuple[TemperatureSegment, ...]:
     assert plan.programme is not None
     segments: list[TemperatureSegment] = []
     problems: list[Problem] = []
@@ -284,7 +302,7 @@ def _programme(plan: GradientPlan, rig: Rig) -> tuple[TemperatureSegment, ...]:
             if end == here:
                 problems.append(Problem(("programme", i, "step_to"), "the chamber is there already", str(item.step_to)))
                 continue
-            fastest = rig.chamber.max_heating if end > here else rig.chamber.max_cooling
+            fastest = chamber.max_heating if end > here else chamber.max_cooling
             segments.append(TemperatureSegment("step", clock, abs(end - here) / fastest, here, end, item.used))
         clock, here = segments[-1].end, segments[-1].temperature_end
     if problems:
@@ -292,7 +310,7 @@ def _programme(plan: GradientPlan, rig: Rig) -> tuple[TemperatureSegment, ...]:
     return tuple(segments)
 
 
-def _stretches(segments: tuple[TemperatureSegment, ...], cycle: ResolvedCycle | None) -> tuple[Stretch, ...]:
+def _stretches(segments: tuple[TemperatureSegment, ...], cycle: _Repeats | None) -> tuple[Stretch, ...]:
     bounds: list[list[float]] = []
     for before, segment in pairwise((None, *segments)):
         assert segment is not None
@@ -305,6 +323,6 @@ def _stretches(segments: tuple[TemperatureSegment, ...], cycle: ResolvedCycle | 
     return tuple(Stretch(start, duration, *_repeats(duration, cycle)) for start, duration in bounds)
 
 
-def _repeats(duration: float, cycle: ResolvedCycle | None) -> tuple[int, float]:
+def _repeats(duration: float, cycle: _Repeats | None) -> tuple[int, float]:
     """Whole repetitions of the cycle's moves that fit, and the standing time after the last one's moves."""
     return (0, duration) if cycle is None else repetitions(duration, cycle.moving, cycle.duration)

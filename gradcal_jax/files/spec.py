@@ -100,6 +100,9 @@ def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
     if problem is not None and isinstance(document.get("format"), str):
         # Another kind or version of file: the rest would only be noise.
         raise SpecError([problem], source)
+    if is_of_unit(document):
+        message = "is of a whole unit (gyros, accelerometers); this serves one gyro axis: use check, predict or compare"
+        raise SpecError([Problem(("sensor",), message)], source)
     try:
         return Spec.model_validate(document)
     except ValidationError as error:
@@ -107,6 +110,12 @@ def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
     if problem is not None:
         problems.insert(0, problem)
     raise SpecError([*problems, *_still_visible(document, problems)], source)
+
+
+def is_of_unit(document: Mapping[str, Any]) -> bool:
+    """Whether the tables are the spec of a whole unit: with [sensor.gyro] or [sensor.accelerometer]."""
+    sensor = document.get("sensor")
+    return isinstance(sensor, Mapping) and ("gyro" in sensor or "accelerometer" in sensor)
 
 
 def _still_visible(document: Mapping[str, Any], problems: list[Problem]) -> list[Problem]:

@@ -18,6 +18,7 @@ from gradcal_jax.information.posterior import (
 )
 from gradcal_jax.information.regressors import at_readings, since_origin
 from gradcal_jax.information.residual import STATISTICS, contrasts, map_of, residual, statistic
+from gradcal_jax.information.unit_rows import Segments, segments_of, unit_information, unit_system
 from gradcal_jax.information.whitening import FilterState, whiten, whiten_from
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "LeastSquares",
     "NoiseSteps",
     "Posterior",
+    "Segments",
     "SquareRootInformation",
     "Twin",
     "WishartTest",
@@ -47,10 +49,13 @@ __all__ = [
     "quantiles",
     "residual",
     "seen",
+    "segments_of",
     "simulate_noise",
     "since_origin",
     "square_root",
     "statistic",
+    "unit_information",
+    "unit_system",
     "unobservable_combinations",
     "unweighted",
     "where_hidden",

@@ -60,12 +60,12 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     m, offset = p.count, int(reference.has_offset and not line.rates)
     n, count = 1 + m + offset, line.piece_count
 
-    to_angle, q_angle, q_cross, q_self = _constant_drive(p, line.duration, line.end_rate())
+    to_angle, q_angle, q_cross, q_self = constant_drive(p, line.duration, line.end_rate())
     varying = line.varying_pieces
     driven_by_rate = (xp is not np or np.any(p.rate_gain)) if rule is None else rule.driven
     if m and varying.shape[0] and driven_by_rate:
         by_rate = (p.rate_gain != 0.0)[None, :]
-        driven = _varying_drive(p, line, varying)
+        driven = varying_drive(p, line.duration[varying], drive_rates(line, varying))
         # A process that the rate does not drive has a constant c, whose closed form holds for any correlation time.
         to_angle, q_angle, q_cross = (
             put(x, varying, xp.where(by_rate, y, x[varying]))
@@ -123,7 +123,7 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     return NoiseSteps(transition, covariance, observation, variance, line.read, initial)
 
 
-def _constant_drive(
+def constant_drive(
     p: Processes, duration: Float[AnyArray, " P"], rate: Float[AnyArray, " P"]
 ) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """F_θx, Q_θθ, Q_θx, Q_xx of shape (P, m) for a constant c = α + γω: closed forms that stay exact as λD → 0."""
@@ -157,14 +157,21 @@ def _chi(x: AnyArray) -> AnyArray:
     return xp.where(small, series, closed)
 
 
-def _varying_drive(p: Processes, line: Trajectory, pieces) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """F_θx, Q_θθ, Q_θx of shape (k, m) on the given pieces, for c = α + γω, by quadrature."""
+def drive_rates(line: Trajectory, pieces) -> Float[AnyArray, "k q"]:
+    """Rates (rad/s) on the nodes of `varying_drive`."""
+    nodes, _ = quadrature(_NODES)
+    xp = namespace(line)
+    return line.rate(xp.broadcast_to(xp.asarray(nodes), (pieces.shape[0], _NODES)), pieces)
+
+
+def varying_drive(
+    p: Processes, duration: Float[AnyArray, " k"], rate: Float[AnyArray, "k q"]
+) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """F_θx, Q_θθ, Q_θx of shape (k, m) on pieces whose rate is `drive_rates`, for c = α + γω, by quadrature."""
     nodes, weights = quadrature(_NODES)
-    xp = namespace(line, p)
-    duration = line.duration[pieces][:, None, None]
-    v = xp.broadcast_to(xp.asarray(nodes), (pieces.shape[0], _NODES))
-    rate = line.rate(v, pieces)[:, None, :]
-    drive = p.bias_gain[None, :, None] + p.rate_gain[None, :, None] * rate
+    xp = namespace(duration, rate, p)
+    duration = duration[:, None, None]
+    drive = p.bias_gain[None, :, None] + p.rate_gain[None, :, None] * rate[:, None, :]
     # Moves are divided to keep λD small, but for the processes that the rate drives only.
     x = xp.where(p.rate_gain != 0.0, p.decay, 0.0)[None, :, None] * duration
     # e^(−λ(s−u)) between all nodes: also those before u, which the interpolation needs.

@@ -1,7 +1,16 @@
 """Models of a sensor: bases, terms with priors, and the noise of sensor and reference."""
 
 from gradcal_jax.model.bases import Basis, Bins, BSpline, HigherPolynomials, Polynomial
-from gradcal_jax.model.nodes import GaussNodes, Nodes, SampleNodes
+from gradcal_jax.model.imu import KINDS, Channel, ChannelKind, EncoderNoise, UnitModel
+from gradcal_jax.model.installation import (
+    AxisHarmonics,
+    BaseTilt,
+    CommonScale,
+    InstallationTerm,
+    MountingError,
+    NonOrthogonality,
+)
+from gradcal_jax.model.nodes import AXIS_NAMES, BodyGroup, BodyNodes, GaussNodes, Nodes, SampleNodes
 from gradcal_jax.model.noise import (
     Processes,
     Reference,
@@ -22,32 +31,48 @@ from gradcal_jax.model.terms import (
     Discrepancy,
     EncoderHarmonics,
     Map,
+    SignalMap,
     Term,
     make_map,
 )
 
 __all__ = [
+    "AXIS_NAMES",
     "BIAS",
     "DISCREPANCY",
     "HARMONICS",
+    "KINDS",
     "SCALE_FACTOR",
     "TEMPERATURE_GRADIENT",
+    "AxisHarmonics",
     "BSpline",
+    "BaseTilt",
     "Basis",
     "BiasTemperatureGradient",
     "Bins",
+    "BodyGroup",
+    "BodyNodes",
+    "Channel",
+    "ChannelKind",
+    "CommonScale",
     "Discrepancy",
     "EncoderHarmonics",
+    "EncoderNoise",
     "GaussNodes",
     "HigherPolynomials",
+    "InstallationTerm",
     "Map",
+    "MountingError",
     "Nodes",
+    "NonOrthogonality",
     "Polynomial",
     "Processes",
     "Reference",
     "SampleNodes",
     "SensorModel",
+    "SignalMap",
     "Term",
+    "UnitModel",
     "angle_reference",
     "constant",
     "gauss_markov",

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.model.nodes import Nodes
 from gradcal_jax.model.noise import Processes, Reference, angle_reference, no_processes
-from gradcal_jax.model.terms import BIAS, SCALE_FACTOR, BiasTemperatureGradient, EncoderHarmonics, Map, Term
+from gradcal_jax.model.terms import BIAS, SCALE_FACTOR, BiasTemperatureGradient, EncoderHarmonics, Map, SignalMap, Term
 
 
 class SensorModel(eqx.Module):
@@ -28,7 +28,7 @@ class SensorModel(eqx.Module):
     reference: Reference
 
     def __check_init__(self):
-        if not any(isinstance(term, Map) for term in self.terms):
+        if not any(isinstance(term, Map | SignalMap) for term in self.terms):
             raise ValueError("nothing to calibrate: give the model a bias map, a scale-factor map, or both")
 
     @property

@@ -66,6 +66,16 @@ DIMENSIONS: Final = _table(
         "10 deg/h/g",
         Powers(2, 2, 0, -2),
     ),
+    Dimension(
+        "acceleration-squared-sensitive drift",
+        "an acceleration-squared-sensitive drift",
+        "rad/s/(m/s^2)^2",
+        "deg/h/g^2",
+        "0.1 deg/h/g^2",
+        Powers(2, 6, 0, -4),
+    ),
+    Dimension("second order", "a second-order coefficient", "1/(m/s^2)", "ug/g^2", "50 ug/g^2", Powers(0, 4, 0, -2)),
+    Dimension("third order", "a third-order coefficient", "1/(m/s^2)^2", "ug/g^3", "5 ug/g^3", Powers(0, 8, 0, -4)),
     Dimension("acceleration", "an acceleration", "m/s^2", "mg", "5 mg", Powers(0, -4, 0, 2)),
     Dimension(
         "velocity random walk", "a velocity random walk", "m/s/sqrt(s)", "m/s/sqrt(h)", "0.1 m/s/sqrt(h)",

@@ -1,0 +1,243 @@
+"""A unit's spec in the core's terms: its channels, its installation, and the motion of the table."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax import model, trajectory
+from gradcal_jax.api.build import basis, bias_map, or_infinite, scale_factor_map
+from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
+from gradcal_jax.files.unit_rig import UnitRig
+from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import segments_of
+from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Map, Polynomial, SignalMap, Term, UnitModel
+from gradcal_jax.trajectory import Geometry, Move, TableMotion
+
+# Names by which requirements and sentences find terms; a gyro's maps have the names of a single axis.
+MISALIGNMENT = "misalignment_{}"
+G_SENSITIVITY = "g_sensitivity_{}"
+SPECIFIC_FORCE_BIAS = "bias"
+SECOND_ORDER = "second_order"
+_CONSTANT = Polynomial(0, 0.0, 1.0)
+_ROUGH = 16
+
+
+class AssembledUnit(NamedTuple):
+    """A unit's spec in the core's terms. `points`: at how many along a piece functions of temperature are known."""
+
+    spec: UnitSpec
+    model: UnitModel
+    motion: TableMotion
+    points: int
+
+    def body_nodes(self) -> BodyNodes:
+        """The nodes on which the terms are integrated."""
+        return trajectory.body_nodes(self.motion, self.points)
+
+
+def assemble_unit(spec: UnitSpec) -> AssembledUnit:
+    """Model and motion of a unit's spec."""
+    model_ = unit_model(spec)
+    bases = [t.temperature for c in model_.channels for t in c.model.terms if isinstance(t, Map | SignalMap)]
+    degree = max(b.degree if isinstance(b, Polynomial) else _ROUGH for b in bases)
+    # A lagging unit's exponentials and a spline's pieces are no polynomials.
+    points = max(degree + 1, _ROUGH if spec.sensor.thermal_lag is not None else 1)
+    return AssembledUnit(spec, model_, motion_of(spec.schedule, spec), points)
+
+
+def unit_model(spec: UnitSpec) -> UnitModel:
+    """The channels of a unit, what is uncertain of its installation, and the encoders' noise."""
+    sensor, channels = spec.sensor, []
+    if (gyro := sensor.gyro) is not None:
+        channels += [Channel(_gyro(gyro, axis), "gyro", AXIS_NAMES.index(axis)) for axis in gyro.axes]
+    if (force := sensor.accelerometer) is not None:
+        channels += [Channel(_accelerometer(force, a), "accelerometer", AXIS_NAMES.index(a)) for a in force.axes]
+    angles = [axis.angle for axis in spec.rig.table.axis]
+    encoder = model.EncoderNoise(
+        np.array([float(a.standstill_offset) for a in angles]),
+        np.array([float(a.reading_noise) for a in angles]),
+        np.array([float(a.read_every) for a in angles]),
+    )
+    return UnitModel(tuple(channels), _installation(spec), encoder)
+
+
+def _installation(spec: UnitSpec) -> tuple[model.InstallationTerm, ...]:
+    table, site = spec.rig.table, spec.rig.site
+    terms: list[model.InstallationTerm] = []
+    if table.tilt or table.azimuth:
+        # A prior of nothing is none: an angle that is known exactly keeps a tiny one.
+        stds = np.array([float(table.tilt)] * 2 + [float(table.azimuth)])
+        terms.append(model.BaseTilt(np.maximum(stds, _EXACT)))
+    if len(table.axis) > 1 and any(a.orthogonality for a in table.axis):
+        stds = np.array([float(a.orthogonality) for a in table.axis[:-1]])
+        terms.append(model.NonOrthogonality(np.maximum(stds, _EXACT), tuple(a.name for a in table.axis)))
+    for k, axis in enumerate(table.axis):
+        if harmonics := axis.angle.harmonics:
+            stds = np.repeat(np.array([float(h.amplitude) for h in harmonics]), 2)
+            terms.append(model.AxisHarmonics(stds, tuple(h.order for h in harmonics), k, axis.name))
+    if spec.sensor.frame is not None and spec.sensor.frame.fixed_by == "case":
+        terms.append(model.MountingError(np.repeat(np.array([float(m.accuracy) for m in table.mounting]), 3)))
+    if site.gravity_accuracy and spec.sensor.accelerometer is not None:
+        terms.append(model.CommonScale(np.array([float(site.gravity_accuracy)]), "gravity"))
+    if spec.sensor.sample_clock_error:
+        terms.append(model.CommonScale(np.array([float(spec.sensor.sample_clock_error)]), "sample_clock"))
+    return tuple(terms)
+
+
+# rad: far below any encoder.
+_EXACT = 1e-12
+
+
+def _gyro(triad: GyroTriad, axis: str) -> model.SensorModel:
+    own = bias_map(triad.bias)
+    scale = None if triad.scale_factor is None else scale_factor_map(triad.scale_factor)
+    maps = [m for m in (own, scale) if m is not None]
+    terms: list[Term] = list(maps)
+    if (section := triad.misalignment) is not None:
+        terms += [
+            _signal_map(section, (f"rate {other}",), MISALIGNMENT.format(other), f"m_{other}", "rad")
+            for other in _others(axis)
+        ]
+    if (section := triad.g_sensitivity) is not None:
+        terms += [
+            _signal_map(section, (f"force {other}",), G_SENSITIVITY.format(other), f"g_{other}", "rad/s/(m/s^2)")
+            for other in AXIS_NAMES
+        ]
+    if (section := triad.g_squared) is not None:
+        terms += [
+            _signal_map(section, (f"force {o}",) * 2, f"g_squared_{o}", f"gg_{o}", "rad/s/(m/s^2)^2")
+            for o in AXIS_NAMES
+        ]
+    terms += [m.beyond for m in maps if m.beyond is not None]
+    processes = model.no_processes()
+    for drift in triad.drift:
+        processes += model.gauss_markov(float(drift.standard_deviation), float(drift.correlation_time))
+    if triad.rate_random_walk:
+        processes += model.rate_random_walk(float(triad.rate_random_walk))
+    for drift in triad.scale_factor_instability:
+        processes += model.gauss_markov(
+            float(drift.standard_deviation), float(drift.correlation_time), bias_gain=0.0, rate_gain=1.0
+        )
+    return model.SensorModel(
+        tuple(terms), np.asarray(float(triad.angle_random_walk)), processes, model.angle_reference()
+    )
+
+
+def _accelerometer(triad: AccelerometerTriad, axis: str) -> model.SensorModel:
+    own, others = f"force {axis}", _others(axis)
+    terms: list[Term] = [_signal_map(triad.bias, (), SPECIFIC_FORCE_BIAS, "a", "m/s^2")]
+    if (section := triad.scale_factor) is not None:
+        terms.append(_signal_map(section, (own,), model.SCALE_FACTOR, "s", "1"))
+    if (section := triad.misalignment) is not None:
+        terms += [
+            _signal_map(section, (f"force {other}",), MISALIGNMENT.format(other), f"m_{other}", "rad")
+            for other in others
+        ]
+    if (section := triad.second_order) is not None:
+        terms.append(_signal_map(section, (own, own), SECOND_ORDER, "k2", "1/(m/s^2)"))
+    if (section := triad.third_order) is not None:
+        terms.append(_signal_map(section, (own, own, own), "third_order", "k3", "1/(m/s^2)^2"))
+    if (section := triad.asymmetry) is not None:
+        terms.append(_signal_map(section, (f"|{own}|",), "asymmetry", "asymmetry", "1"))
+    if (section := triad.cross_coupling) is not None:
+        pairs = [(a, b) for i, a in enumerate(AXIS_NAMES) for b in AXIS_NAMES[i + 1 :]]
+        terms += [
+            _signal_map(section, (f"force {a}", f"force {b}"), f"cross_{a}{b}", f"k_{a}{b}", "1/(m/s^2)")
+            for a, b in pairs
+        ]
+    processes = model.no_processes()
+    for drift in triad.drift:
+        processes += model.gauss_markov(float(drift.standard_deviation), float(drift.correlation_time))
+    return model.SensorModel(
+        tuple(terms), np.asarray(float(triad.velocity_random_walk)), processes, model.angle_reference()
+    )
+
+
+def _others(axis: str) -> tuple[str, ...]:
+    return tuple(name for name in AXIS_NAMES if name != axis)
+
+
+def _signal_map(section, signals: tuple[str, ...], name: str, symbol: str, unit: str) -> SignalMap:
+    of_temperature: Basis = _CONSTANT if section.temperature is None else basis(section.temperature)
+    std = or_infinite(section.prior)
+    return SignalMap(
+        temperature=of_temperature,
+        std=np.asarray(std),
+        signals=signals,
+        name=name,
+        symbol=symbol,
+        si_unit=unit,
+        has_prior=bool(np.isfinite(std)),
+    )
+
+
+def geometry(rig: UnitRig) -> Geometry:
+    """The table's axes, the mountings, and the site."""
+    mountings = []
+    for mounting in rig.table.mounting:
+        matrix = np.array(mounting.columns).T
+        if mounting.rotation is not None:
+            vector = np.array([float(a) for a in mounting.rotation])
+            if (size := np.linalg.norm(vector)) > 0.0:
+                matrix = matrix @ trajectory.rotation(vector / size, np.asarray(size))
+        mountings.append(matrix)
+    return Geometry(
+        np.array([axis.unit_vector for axis in rig.table.axis]),
+        np.eye(3),
+        np.array(mountings),
+        np.asarray(float(rig.site.latitude)),
+        np.asarray(float(rig.site.gravity)),
+    )
+
+
+class RestPoses(NamedTuple):
+    """The `n` rests of a plan: `start` and `duration` s, and `up` `(n, 3)`, the vertical seen from the body."""
+
+    start: np.ndarray
+    duration: np.ndarray
+    up: np.ndarray
+
+
+def rest_poses(built: AssembledUnit) -> RestPoses:
+    """Where a plan rests."""
+    motion = built.motion
+    line, at = motion.line, segments_of(motion, built.model)
+    before, _ = motion.angles()
+    stages = trajectory.frames(motion.geometry, before, motion.mounting)
+    rests = (at.axis < 0) & ~line.gap[at.first]
+    first = at.first[rests]
+    return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
+
+
+def _move(step: UnitStep) -> Move:
+    move = step.move
+    if step.axis < 0:
+        return trajectory.rest(move.duration, read_at_end=True)
+    return trajectory.turn(
+        move.shape, move.peak_rate, move.duration, ramp=move.ramp, cycles=move.cycles, controls=move.controls,
+        unevenness=move.unevenness,
+    )  # fmt: skip
+
+
+def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
+    """The motion of a plan on a spec's rig."""
+    segments = plan.segments
+    course = trajectory.programme(segments[0].temperature_start, [(s.duration, s.slope) for s in segments])
+    ends = np.array([s.start for s in segments] + [plan.duration])
+    nearest = lambda time: int(np.argmin(np.abs(ends - time)))  # noqa: E731
+    used = tuple((nearest(s.start), nearest(s.start + s.duration)) for s in plan.stretches)
+    steps = [step for step in plan.steps for _ in range(step.move.repeat)]
+    moves = tuple(_move(step) for step in steps)
+    schedule = trajectory.gradient_plan(course, moves, used=used, read_every=None)
+    lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
+    line = schedule.trajectory(lag)
+    count = len(schedule.duration) - len(steps)
+    axis = np.array([step.axis for step in steps] + [-1] * count)[np.asarray(schedule.pieces.move)]
+    # Between two stretches the table goes back to where the cycle begins, and the unit is hung anew.
+    stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
+    mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
+    orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
+    return trajectory.table_motion(
+        line, axis, mounting, geometry(spec.rig), np.array(plan.start), max(orders, default=0)
+    )

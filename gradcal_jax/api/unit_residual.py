@@ -1,0 +1,257 @@
+"""What is left of each of a unit's quantities after a plan: linear functions of its parameters, and statistics."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from gradcal_jax.api.unit_build import G_SENSITIVITY, MISALIGNMENT, SECOND_ORDER, SPECIFIC_FORCE_BIAS, AssembledUnit
+from gradcal_jax.files.unit_requirement import (
+    GyroScaleFactorRequirement,
+    MisalignmentRequirement,
+    PositionRequirement,
+    TiltRequirement,
+    TurnRequirement,
+    UnitRequirement,
+)
+from gradcal_jax.information import STATISTICS, Posterior, contrasts, statistic
+from gradcal_jax.information.residual import Statistic
+from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Map, SignalMap, UnitModel
+from gradcal_jax.trajectory import EARTH_RATE
+from gradcal_jax.units import DEG_PER_H, PPM, G
+
+UNIT_OF_QUANTITY = {
+    "gyro_bias": ("deg/h", DEG_PER_H),
+    "gyro_scale_factor": ("ppm", PPM),
+    "gyro_misalignment": ("urad", 1e6),
+    "g_sensitivity": ("deg/h/g", DEG_PER_H * G),
+    "accelerometer_bias": ("ug", 1e6 / G),
+    "accelerometer_scale_factor": ("ppm", PPM),
+    "accelerometer_misalignment": ("urad", 1e6),
+    "second_order": ("ug/g^2", 1e6 * G),
+    "position": ("m", 1.0),
+    "tilt": ("urad", 1e6),
+    "heading": ("deg", np.degrees(1.0)),
+}
+"""Of each quantity the unit that people read, and that many of it are one in SI."""
+
+
+class Residual(NamedTuple):
+    """Standard deviations of one quantity in people's `unit`: of each of the `m` elements `labels`, on the temperatures
+    (°C) and, of the scale factor, the rates (rad/s) of a requirement: `values` `(m, n_T, n_ω)`. `si`: how many of the
+    unit are one in SI.
+    """
+
+    labels: tuple[str, ...]
+    temperatures: np.ndarray
+    rates: np.ndarray
+    values: np.ndarray
+    unit: str
+    si: float
+
+
+class Element(NamedTuple):
+    """A linear function of a unit's parameters on `g` points: `rows` `(g, k)` of those in `where`. `alone`, `variance`:
+    of the part that no calibration carries, whose own is taken off and its prior's put in place (None: no such part).
+    """
+
+    label: str
+    where: slice
+    rows: np.ndarray
+    alone: np.ndarray | None = None
+    variance: np.ndarray | None = None
+
+    def deviations(self, known: Posterior) -> np.ndarray:
+        """Standard deviation on the points."""
+        part = Posterior(known.spread[self.where], known.hidden[self.where])
+        found = part.deviations(self.rows)
+        if self.alone is None:
+            return found
+        return np.sqrt(found**2 - part.deviations(self.alone) ** 2 + self.variance)
+
+
+class Quantity(NamedTuple):
+    """A requirement's quantity on its grid, whatever the plan: what `Residual` is made from."""
+
+    requirement: UnitRequirement
+    temperatures: np.ndarray
+    rates: np.ndarray
+    elements: tuple[Element, ...]
+    beside: float
+
+    def residual(self, known: Posterior) -> Residual:
+        """What is left of it."""
+        shape = len(self.elements), len(self.temperatures), len(self.rates)
+        found = np.stack([element.deviations(known) for element in self.elements]).reshape(shape)
+        if self.beside:
+            found = np.hypot(found, self.beside)
+        unit, factor = UNIT_OF_QUANTITY[self.requirement.quantity]
+        labels = tuple(element.label for element in self.elements)
+        return Residual(labels, self.temperatures, self.rates, found * factor, unit, factor)
+
+
+def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> Quantity:
+    """A requirement's quantity. `beside`: what the case's mounting adds to a misalignment counted from the table."""
+    cold, warm = (float(t) for t in requirement.temperature)
+    temperatures, rates, beside = np.linspace(cold, warm, requirement.grid[0]), np.zeros(1), 0.0
+    if isinstance(requirement, GyroScaleFactorRequirement):
+        rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
+    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
+        frame = built.spec.sensor.frame
+        if frame is None or frame.fixed_by != "case":
+            beside = float(built.spec.rig.table.mounting[0].accuracy)
+    return Quantity(requirement, temperatures, rates, tuple(_elements(built, requirement, temperatures, rates)), beside)
+
+
+def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> Residual:
+    """What is left of a requirement's quantity."""
+    return quantity_of(built, requirement).residual(known)
+
+
+def summed_up(requirement: UnitRequirement, found: Residual) -> dict[str, float | None]:
+    """The statistics by name; None where the plan cannot tell. Each element has its own over temperature (and rate);
+    of several the worst counts, or of "all" the root mean square.
+    """
+    names: list[Statistic] = [
+        name for name in STATISTICS if name != "mean of max" or isinstance(requirement, GyroScaleFactorRequirement)
+    ]
+    result: dict[str, float | None] = {}
+    for name in names:
+        each = np.array([statistic(name, values) for values in found.values])
+        value = np.sqrt(np.mean(each**2)) if requirement.axis == "all" else np.max(each)
+        result[name] = float(value) if np.isfinite(value) else None
+    return result
+
+
+def worst_axis(requirement: UnitRequirement, found: Residual) -> str | None:
+    """Which element decides, where one does."""
+    if requirement.axis == "all" or len(found.labels) < 2:
+        return None
+    return found.labels[int(np.argmax([statistic(requirement.statistic, v) for v in found.values]))]
+
+
+def _elements(
+    built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray, rates: np.ndarray
+) -> Iterator[Element]:
+    """Each element of a quantity, temperatures first."""
+    model = built.model
+    if isinstance(requirement, PositionRequirement | TiltRequirement | TurnRequirement):
+        for label, rows in _navigation(built, requirement, temperatures):
+            if requirement.axis in ("all", "worst", label):
+                yield Element(label, slice(None), rows)
+    elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
+        for label, rows in _internal(model, requirement, temperatures):
+            if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
+                yield Element(label, slice(None), rows)
+    else:
+        kind, terms = _TERMS[requirement.quantity]
+        for c in model.channels:
+            axis = AXIS_NAMES[c.axis]
+            if c.kind == kind and requirement.axis in ("all", "worst", axis):
+                for term, label in terms(axis):
+                    yield _of_term(model, c, term, label, temperatures, rates)
+
+
+_TERMS = {
+    "gyro_bias": ("gyro", lambda a: [("bias", a)]),
+    "gyro_scale_factor": ("gyro", lambda a: [(SCALE_FACTOR, a)]),
+    "gyro_misalignment": ("gyro", lambda a: [(MISALIGNMENT.format(b), a + b) for b in AXIS_NAMES if b != a]),
+    "g_sensitivity": ("gyro", lambda a: [(G_SENSITIVITY.format(b), a + b) for b in AXIS_NAMES]),
+    "accelerometer_bias": ("accelerometer", lambda a: [(SPECIFIC_FORCE_BIAS, a)]),
+    "accelerometer_scale_factor": ("accelerometer", lambda a: [(SCALE_FACTOR, a)]),
+    "accelerometer_misalignment": (
+        "accelerometer",
+        lambda a: [(MISALIGNMENT.format(b), a + b) for b in AXIS_NAMES if b != a],
+    ),
+    "second_order": ("accelerometer", lambda a: [(SECOND_ORDER, a)]),
+}
+
+
+def _of_term(
+    model: UnitModel, channel: Channel, term: str, label: str, temperatures: np.ndarray, rates: np.ndarray
+) -> Element:
+    """One term of a channel on the grid."""
+    of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
+    if isinstance(of, Map):
+        points = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
+        rows, alone, variance = contrasts(channel.model, cast("Any", term), *points)
+        return Element(label, own, rows) if of.beyond is None else Element(label, own, rows, alone, variance)
+    return Element(label, own, _signal_rows(channel, term, temperatures))
+
+
+def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.ndarray:
+    """Contrasts `(n_T, channel's p)` of a term at rate zero."""
+    of, rows = channel.model.term(term), np.zeros((len(temperatures), channel.model.size))
+    if isinstance(of, Map):
+        rows[:, channel.model.where(term)] = of.values(temperatures, np.zeros(len(temperatures)))
+    elif isinstance(of, SignalMap):
+        rows[:, channel.model.where(term)] = of.temperature(temperatures)
+    return rows
+
+
+def _row(model: UnitModel, kind: ChannelKind, axis: int, term: str, temperatures: np.ndarray) -> np.ndarray:
+    """Contrasts `(n_T, p)` of a term at rate zero; zero where the model has it not."""
+    rows = np.zeros((len(temperatures), model.size))
+    if (channel := model.channel(kind, axis)) is not None:
+        rows[:, model.where(kind, axis)] = _signal_rows(channel, term, temperatures)
+    return rows
+
+
+def _internal(model: UnitModel, requirement: MisalignmentRequirement, temperatures: np.ndarray):
+    """What no rotation of the unit changes: sums of opposite misalignments; of the accelerometers also the rotation of
+    their triad against the gyros'.
+    """
+    kind: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
+
+    def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
+        return _row(model, which, i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures)
+
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        name = AXIS_NAMES[i] + AXIS_NAMES[j]
+        yield name, of(kind, i, j) + of(kind, j, i)
+        if kind == "accelerometer":
+            apart = of(kind, i, j) - of(kind, j, i) - of("gyro", i, j) + of("gyro", j, i)
+            yield f"{name} to the gyros", 0.5 * apart
+
+
+def _navigation(built: AssembledUnit, requirement, temperatures: np.ndarray):
+    """Errors of navigation as linear functions of the calibration's errors; level, z up, at the site.
+
+    At rest for t: along a horizontal axis ½t² of the accelerometer's error and, by the tilt that the gyros' errors
+    build up, gt³/6 of the gyro's about the other (the Earth's rate and Schuler's period left out: t is short).
+    """
+    model, site = built.model, built.spec.rig.site
+    g = float(site.gravity)
+    earth = EARTH_RATE * np.array([0.0, np.cos(float(site.latitude)), np.sin(float(site.latitude))])
+
+    def force(i: int) -> np.ndarray:
+        rows = _row(model, "accelerometer", i, SPECIFIC_FORCE_BIAS, temperatures)
+        rows = rows + g * _row(model, "accelerometer", i, MISALIGNMENT.format("z"), temperatures)
+        return rows
+
+    def rate(i: int) -> np.ndarray:
+        rows = _row(model, "gyro", i, "bias", temperatures)
+        rows = rows + g * _row(model, "gyro", i, G_SENSITIVITY.format("z"), temperatures)
+        rows = rows + earth[i] * _row(model, "gyro", i, SCALE_FACTOR, temperatures)
+        for j in range(3):
+            if j != i:
+                rows = rows + earth[j] * _row(model, "gyro", i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures)
+        return rows
+
+    if isinstance(requirement, TiltRequirement):
+        for i in (0, 1):
+            yield AXIS_NAMES[i], force(i) / g
+    elif isinstance(requirement, PositionRequirement):
+        t = float(requirement.after)
+        for i, about, sign in ((0, 1, 1.0), (1, 0, -1.0)):
+            yield AXIS_NAMES[i], 0.5 * t**2 * force(i) + sign * g * t**3 / 6.0 * rate(about)
+    else:
+        turn, pace = float(requirement.turn), float(requirement.rate)
+        channel = model.channel("gyro", 2)
+        scale = None if channel is None else channel.model.map(SCALE_FACTOR)
+        if scale is not None:
+            whole = turn / pace * rate(2)
+            whole[:, model.where("gyro", 2, SCALE_FACTOR)] += turn * scale.values(
+                temperatures, np.full(len(temperatures), pace)
+            )
+            yield "z", whole

@@ -1,0 +1,124 @@
+"""What a unit's plan cannot observe, and what would mend it, in sentences."""
+
+import numpy as np
+
+from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
+from gradcal_jax.information import Posterior
+from gradcal_jax.model import AXIS_NAMES
+from gradcal_jax.trajectory import frames
+
+# A standard deviation that is still this share of its prior's: the plan says nothing of it.
+NOT_OBSERVED = 0.9
+# Of a direction: nearly along it.
+_ALONG = 0.9
+# Share of a turn's rate that a gyro must see.
+_SEEN = 0.3
+# Smallest over largest singular value of up-directions that do not lie in one plane.
+_FLAT = 0.05
+
+
+def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[tuple[str, float]]:
+    """Names of the unit's own parameters of which the plan says nothing, with posterior over prior (infinite: flat)."""
+    model = built.model
+    reported = model.to_reported[: model.calibrated]
+    after = known.deviations(reported)
+    priors = _prior_deviations(built)[: model.calibrated]
+    found = []
+    for name, std, prior in zip(model.names(), after, priors, strict=False):
+        ratio = np.inf if not np.isfinite(std) else std / prior if np.isfinite(prior) else 0.0
+        if ratio > NOT_OBSERVED:
+            found.append((name, float(ratio)))
+    return found
+
+
+def _prior_deviations(built: AssembledUnit) -> np.ndarray:
+    """Prior standard deviation of every reported parameter; `inf` where flat."""
+    rows, reported = built.model.prior_rows(), built.model.to_reported
+    precision = rows.T @ rows
+    seen = np.diag(precision) > 0.0
+    stds = np.full(built.model.size, np.inf)
+    inside = np.linalg.inv(precision[np.ix_(seen, seen)]) if seen.any() else np.zeros((0, 0))
+    part = reported[np.ix_(seen, seen)]
+    stds[seen] = np.sqrt(np.diag(part @ inside @ part.T))
+    return stds
+
+
+def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
+    """A sentence for each thing that the plan cannot observe, the cure first where one is seen; and beyond what
+    temperatures the structure is trusted.
+    """
+    names = [name for name, _ in unobserved_parameters(built, known)]
+    said = _cures(built, set(names))
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        channel, _, symbol = name.partition(".")
+        groups.setdefault(channel, []).append(symbol)
+    said += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
+    return said + _beyond(built)
+
+
+def _beyond(built: AssembledUnit) -> list[str]:
+    line = built.motion.line
+    begin, end = (e[~line.gap] for e in line.ends())
+    low, high = float(min(begin.min(), end.min())), float(max(begin.max(), end.max()))
+    beyond: dict[tuple[float, float], list[str]] = {}
+    for r in built.spec.requirement:
+        if r.temperature[0] < low - 1e-6 or r.temperature[1] > high + 1e-6:
+            beyond.setdefault((float(r.temperature[0]), float(r.temperature[1])), []).append(f"'{r.name}'")
+    return [
+        (f"requirement {names[0]} asks" if len(names) == 1 else f"requirements {', '.join(names)} ask")
+        + f" for {cold:g} … {warm:g} °C, but the unit goes through {low:.4g} … {high:.4g} °C only: beyond that the "
+        "structure of the maps is trusted"
+        for (cold, warm), names in beyond.items()
+    ]
+
+
+def _cures(built: AssembledUnit, names: set[str]) -> list[str]:
+    """What a look at the plan's poses explains of what cannot be observed."""
+    if not names:
+        return []
+    motion = built.motion
+    before, _ = motion.angles()
+    axes = frames(motion.geometry, before, motion.mounting).axes
+    moves = np.flatnonzero(motion.axis >= 0)
+    up = rest_poses(built).up
+    said: list[str] = []
+    for c in built.model.channels:
+        axis = AXIS_NAMES[c.axis]
+        blind = {name for name in names if name.startswith(f"{c.name}.")}
+        if c.kind == "accelerometer" and blind and len(up):
+            for sign, where in ((1.0, "up"), (-1.0, "down")):
+                if not np.any(sign * up[:, c.axis] > 0.5):
+                    said.append(f"accelerometer {axis} never points {where}: add a pose")
+        turned = np.any(np.abs(axes[moves, motion.axis[moves], c.axis]) > _SEEN)
+        if c.kind == "gyro" and any(".b" in name for name in blind) and not turned:
+            said.append(f"no turn is about gyro {axis}: add one while a table axis lies along it")
+    if any(".g_" in name for name in names) and len(up):
+        spread = np.linalg.svd(np.column_stack([np.ones(len(up)), up]), compute_uv=False)
+        if spread[-1] < _FLAT * spread[0]:
+            said.append(
+                "the directions that point up while the table rests lie in one plane, so bias and acceleration "
+                "sensitivity cannot be told apart: four directions are needed that do not"
+            )
+    return said + _reversals(built, axes, names)
+
+
+def _reversals(built: AssembledUnit, axes: np.ndarray, names: set[str]) -> list[str]:
+    """Turns of an outer axis of which no two are seen from opposite sides: the misalignment towards the inner axis
+    hides behind the non-orthogonality of the two.
+    """
+    motion, table = built.motion, built.spec.rig.table
+    if not any(".m_" in name for name in names) or len(table.axis) < 2:
+        return []
+    said: list[str] = []
+    for k in range(len(table.axis) - 1):
+        turning = np.unique(np.round(axes[motion.axis == k][:, k], 6), axis=0)
+        if not len(turning):
+            said.append(f'the axis "{table.axis[k].name}" never turns: misalignments towards it are not seen')
+        elif not np.any(turning @ turning.T < -_ALONG):
+            inner = table.axis[k + 1].name
+            said.append(
+                f'no turn of "{table.axis[k].name}" is repeated with "{inner}" half a turn further: misalignments '
+                f"cannot be told from the non-orthogonality of the two axes; add 180 deg of {inner}"
+            )
+    return said

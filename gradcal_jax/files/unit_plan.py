@@ -1,0 +1,381 @@
+"""`[plan]` of a whole unit: the chamber's course, and a cycle of rests, turns of one axis, and poses.
+
+A pose says where axes are to stand; it becomes one move of each axis that is elsewhere, outermost first, as fast as the
+rig allows (or at `peak_rate`), with cosine ramps. A turn moves one axis by an angle, in any of the shapes of a single
+axis; without a shape it has cosine ramps, and without rate and duration it is as fast as the rig allows. A `peak_rate`
+without shape and duration is one at most: a short turn does not reach it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, cast
+
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_serializer, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
+
+from gradcal_jax.files.moves import Move, ResolvedMove, Rest
+from gradcal_jax.files.plan import Course
+from gradcal_jax.files.problems import Problem, SpecError, nearest
+from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
+from gradcal_jax.files.schedule import Stretch, TemperatureSegment, programme_of
+from gradcal_jax.files.section import Section, a_table, refuse
+from gradcal_jax.files.unit_rig import TableAxis, UnitRig
+
+_SLACK = 1e-6
+_FULL_TURN = 2.0 * math.pi
+_MOST = 1e6 * _FULL_TURN
+# A quarter of a period of cosine ramps: peak acceleration times ramp over peak rate.
+_STEEPNESS = math.pi / 2.0
+
+
+class Pose(Section):
+    """Go where the named axes stand at these angles; `settle`: rest there (a row for each channel)."""
+
+    pose: dict[Text, Angle]
+    peak_rate: PositiveRate | None = None
+    rest: Time | None = None
+
+
+class QuickTurn(Section):
+    """A turn of one axis with cosine ramps, as fast as the axis goes, or at `peak_rate` where it gets that far."""
+
+    turn: Angle | None = None
+    turns: Number | None = None
+    axis: Text | None = None
+    peak_rate: PositiveRate | None = None
+    repeat: Count = 1
+
+    @model_validator(mode="after")
+    def _turns(self) -> "QuickTurn":
+        key = "turn" if self.turns is None else "turns"
+        if self.turn is not None and self.turns is not None:
+            refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
+        if not self.angle or abs(self.angle) > _MOST:
+            message = "must not be zero, nor beyond a million turns; a rest is written { rest = … }"
+            refuse(Problem((key,), message, self.turn or self.turns))
+        return self
+
+    @property
+    def angle(self) -> float:
+        """In rad."""
+        return _FULL_TURN * self.turns if self.turns is not None else float(self.turn or 0.0)
+
+
+class AxisMove(Section):
+    """A rest, or one move of one axis."""
+
+    axis: Text | None = None
+    move: Move
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, handler: Callable[[Any], Any]) -> dict[str, Any]:
+        """The table of the file: the move's own keys beside "axis", without what stands for itself."""
+        tables: dict[str, Any] = handler(self)
+        move: dict[str, Any] = tables.pop("move")
+        if move.get("shape") == "cosine ramps":
+            del move["shape"]
+        return move | tables
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """As the file has it: a move's keys beside the name of the axis; the shape may be left out."""
+        moves: dict[str, Any] = handler.resolve_ref_schema(handler(schema))["properties"]["move"]
+        kinds: list[dict[str, Any]] = []
+        for ref in moves["anyOf"]:
+            kind = dict(handler.resolve_ref_schema(ref))
+            kind["properties"] = kind["properties"] | {"axis": {"type": "string", "minLength": 1}}
+            if kind["properties"].get("shape", {}).get("const") == "cosine ramps":
+                kind["required"] = [name for name in kind.get("required", ()) if name != "shape"]
+            kinds.append(kind)
+        return {"anyOf": kinds}
+
+
+def _choose(value: object) -> object:
+    if isinstance(value, Section):
+        return value
+    table = dict(a_table(value))
+    if "pose" in table:
+        return Pose.model_validate(table)
+    axis = table.pop("axis", None)
+    if "rest" not in table and "shape" not in table:
+        turns = [key for key in table if key in ("turn", "turns")]
+        if not turns:
+            close = next(((key, near) for key in table if (near := nearest(key, ["rest", "turn", "pose"]))), None)
+            if close is not None:
+                message = f'this key is unknown; nearest: "{close[1]}"'
+                raise SpecError([Problem((close[0],), message, table[close[0]], "unknown")])
+            raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
+        if not {"duration", "ramp"} & set(table):
+            return QuickTurn.model_validate(dict(a_table(value)))
+        table["shape"] = "cosine ramps"
+    tables: dict[str, Any] = {"move": table}
+    try:
+        return AxisMove.model_validate(tables if axis is None else {**tables, "axis": axis})
+    except SpecError as error:
+        raise SpecError([_without_wrapping(p) for p in error.problems]) from None
+
+
+def _without_wrapping(problem: Problem) -> Problem:
+    """The move's keys stand in the file beside "axis"."""
+    return replace(problem, key=problem.key[1:]) if problem.key[:1] == ("move",) else problem
+
+
+UnitMove = Annotated[Pose | QuickTurn | AxisMove, BeforeValidator(_choose)]
+
+
+class UnitCycle(Section):
+    """The motion that repeats."""
+
+    moves: Annotated[tuple[UnitMove, ...], Field(min_length=1, max_length=2000)]
+    start: dict[Text, Angle] = Field(default_factory=dict)
+
+
+class UnitPlan(Course):
+    """The plan of a whole unit. With several mountings each used stretch of the course has the next one; a single ramp
+    is made once with each, and the chamber returns in between."""
+
+    method: Literal["gradient"]
+    cycle: UnitCycle
+
+    @model_validator(mode="after")
+    def _complete(self) -> "UnitPlan":
+        refuse(*self.course_problems(with_cycle=False))
+        return self
+
+
+@dataclass(frozen=True)
+class UnitStep:
+    """A step of the cycle in SI: `axis` is the table axis's number, −1 for a rest. `source`: which move of the file."""
+
+    axis: int
+    move: ResolvedMove
+    source: int
+
+
+@dataclass(frozen=True)
+class UnitSchedule:
+    """A unit's plan in SI: the chamber's segments, stretches of used data, and the cycle's steps.
+
+    `start`: angles of the axes (rad) as each stretch begins.
+    """
+
+    segments: tuple[TemperatureSegment, ...]
+    stretches: tuple[Stretch, ...]
+    steps: tuple[UnitStep, ...]
+    start: tuple[float, ...]
+
+    @property
+    def duration(self) -> float:
+        """Of the whole plan (s)."""
+        return math.fsum(segment.duration for segment in self.segments)
+
+    @property
+    def soak(self) -> float:
+        """Time at constant temperature (s)."""
+        return math.fsum(segment.duration for segment in self.segments if segment.kind == "soak")
+
+    @property
+    def motion(self) -> float:
+        """Time of changing temperature (s)."""
+        return self.duration - self.soak
+
+    @property
+    def period(self) -> float:
+        """Of one cycle (s)."""
+        return math.fsum(step.move.repeat * step.move.duration for step in self.steps)
+
+
+@dataclass(frozen=True)
+class _Period:
+    """What the stretches need to know of a cycle."""
+
+    moving: float
+    duration: float
+
+
+def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
+    """Work a unit's plan out. Raises `SpecError` with every problem found, keys relative to the plan."""
+    steps, start, problems = _steps(plan.cycle, rig)
+    if problems:
+        raise SpecError(problems)
+    period = math.fsum(step.move.repeat * step.move.duration for step in steps)
+    segments, stretches = programme_of(plan, rig.chamber, _Period(period, period))
+    mountings = len(rig.table.mounting)
+    if mountings > 1 and len(stretches) == 1 and plan.programme is None:
+        segments, stretches = _once_each(segments, stretches, mountings, rig)
+    elif mountings > 1 and len(stretches) != mountings:
+        message = f"has {len(stretches)} stretches of used data for {mountings} mountings; expected one for each"
+        raise SpecError([Problem(("programme",), message)])
+    longest = max(stretch.duration for stretch in stretches)
+    if not any(stretch.cycles for stretch in stretches):
+        message = f"its moves take {period:.4g} s; the longest stretch of used data is {longest:.4g} s"
+        raise SpecError([Problem(("cycle",), message)])
+    if sum(s.cycles for s in stretches) * len(steps) > 200_000:
+        raise SpecError([Problem(("cycle",), "makes more than 200000 moves in all; lengthen its rests or turns")])
+    schedule = UnitSchedule(segments, stretches, steps, start)
+    if problems := _travel(schedule, rig):
+        raise SpecError(problems)
+    return schedule
+
+
+def _once_each(
+    segments: tuple[TemperatureSegment, ...], stretches: tuple[Stretch, ...], mountings: int, rig: UnitRig
+) -> tuple[tuple[TemperatureSegment, ...], tuple[Stretch, ...]]:
+    """The course made once with each mounting; the chamber returns as fast as it can."""
+    first, last = segments[0], segments[-1]
+    change = first.temperature_start - last.temperature_end
+    pace = rig.chamber.max_heating if change > 0.0 else rig.chamber.max_cooling
+    back = TemperatureSegment(
+        "step", last.end, abs(change) / pace, last.temperature_end, first.temperature_start, False
+    )
+    whole = back.end
+    all_segments: list[TemperatureSegment] = []
+    for k in range(mountings):
+        all_segments += [replace(s, start=s.start + k * whole) for s in segments]
+        if k + 1 < mountings:
+            all_segments.append(replace(back, start=back.start + k * whole))
+    (stretch,) = stretches
+    return tuple(all_segments), tuple(replace(stretch, start=stretch.start + k * whole) for k in range(mountings))
+
+
+def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[float, ...], list[Problem]]:
+    axes = {axis.name: k for k, axis in enumerate(rig.table.axis)}
+    problems: list[Problem] = []
+    start = [0.0] * len(axes)
+    for name, angle in cycle.start.items():
+        if name not in axes:
+            problems.append(_no_such_axis(("cycle", "start", name), name, axes))
+        else:
+            start[axes[name]] = float(angle)
+    here, poses = list(start), False
+    steps: list[UnitStep] = []
+    for i, item in enumerate(cycle.moves):
+        key = ("cycle", "moves", i)
+        if isinstance(item, Pose):
+            poses = True
+            for name in item.pose:
+                if name not in axes:
+                    problems.append(_no_such_axis((*key, "pose", name), name, axes))
+            for k, axis in enumerate(rig.table.axis):
+                goal = item.pose.get(axis.name)
+                if goal is not None and abs(goal - here[k]) > 1e-9:
+                    steps.append(UnitStep(k, quickest_turn(float(goal) - here[k], axis, item.peak_rate), i))
+                    here[k] = float(goal)
+            if item.rest is not None:
+                steps.append(rest_step(float(item.rest), i))
+            continue
+        if isinstance(item, AxisMove) and isinstance(item.move, Rest):
+            if item.axis is not None:
+                problems.append(Problem((*key, "axis"), "a rest is of all axes; leave this key out", item.axis))
+            steps.append(UnitStep(-1, item.move.resolve(math.inf), i))
+            continue
+        if item.axis is None and len(axes) > 1:
+            message = f"this key is missing: which axis turns? {', '.join(axes)}"
+            problems.append(Problem((*key, "axis"), message, kind="missing"))
+            continue
+        name = item.axis if item.axis is not None else next(iter(axes))
+        if name not in axes:
+            problems.append(_no_such_axis((*key, "axis"), name, axes))
+            continue
+        axis = rig.table.axis[axes[name]]
+        try:
+            if isinstance(item, QuickTurn):
+                move = replace(quickest_turn(item.angle, axis, item.peak_rate), repeat=item.repeat)
+            else:
+                move = cast("Any", item.move).resolve(float(axis.max_acceleration))
+        except SpecError as error:
+            problems += [p.under(*key) for p in error.problems]
+            continue
+        problems += [replace(p, key=(*key, *p.key)) for p in _limits(move, axis)]
+        steps.append(UnitStep(axes[name], move, i))
+        here[axes[name]] += move.repeat * move.angle
+    if poses:
+        for name, k in axes.items():
+            off = (here[k] - start[k]) / _FULL_TURN
+            if abs(off - round(off)) > 1e-6:
+                message = (
+                    f'the cycle begins with axis "{name}" at {_degrees(start[k])} and ends at {_degrees(here[k])}: '
+                    "poses count from zero, so a cycle must return (or end a whole turn away); add a pose"
+                )
+                problems.append(Problem(("cycle", "moves"), message))
+    return tuple(steps), tuple(start), problems
+
+
+def rest_step(duration: float, source: int) -> UnitStep:
+    """A rest of `duration` s."""
+    return UnitStep(-1, ResolvedMove("rest", "x", duration), source)
+
+
+def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None) -> ResolvedMove:
+    """A turn with cosine ramps by `angle` (rad), as fast as the axis goes, or at `peak_rate` where it gets that far."""
+    size, acceleration = abs(angle), float(axis.max_acceleration)
+    most = float(axis.max_rate if peak_rate is None else min(peak_rate, axis.max_rate))
+    # Without a flat part θ = A·ramp, ramp = (π/2)·A/a.
+    peak = min(most, math.sqrt(size * acceleration / _STEEPNESS))
+    ramp = _STEEPNESS * peak / acceleration
+    duration, signed = size / peak + ramp, math.copysign(peak, angle)
+    return ResolvedMove(
+        "cosine ramps",
+        "x",
+        max(duration, 2.0 * ramp),
+        angle=angle,
+        peak_rate=signed,
+        ramp=ramp,
+        peak_acceleration=acceleration,
+        fastest=peak,
+        low=min(0.0, angle),
+        high=max(0.0, angle),
+    )
+
+
+def _limits(move: ResolvedMove, axis: TableAxis) -> list[Problem]:
+    problems: list[Problem] = []
+    said = f"{move.shape}, {move.duration:.4g} s"
+    if move.fastest > axis.max_rate * (1.0 + _SLACK):
+        message = f'reaches {math.degrees(move.fastest):.5g} deg/s; axis "{axis.name}" goes up to {axis.max_rate}'
+        problems.append(Problem((), message, said))
+    if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
+        reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
+        problems.append(Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', said))
+    return problems
+
+
+def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
+    """Every axis must stay within its travel either way of zero, in every cycle."""
+    cycles = max(stretch.cycles for stretch in schedule.stretches)
+    problems: list[Problem] = []
+    for k, axis in enumerate(rig.table.axis):
+        if math.isinf(axis.travel):
+            continue
+        net = math.fsum(s.move.repeat * s.move.angle for s in schedule.steps if s.axis == k)
+        for first in sorted({0, cycles - 1}):
+            at, reach, where = schedule.start[k] + first * net, 0.0, 0
+            for step in schedule.steps:
+                if step.axis != k:
+                    continue
+                turned = (step.move.repeat - 1) * step.move.angle
+                far = max(abs(at + end + side) for end in (0.0, turned) for side in (step.move.low, step.move.high))
+                if far > reach:
+                    reach, where = far, step.source
+                at += step.move.repeat * step.move.angle
+            if reach > axis.travel * (1.0 + _SLACK):
+                message = (
+                    f'takes axis "{axis.name}" {math.degrees(reach):.6g} deg from zero'
+                    + (f" in cycle {first + 1} (each ends {math.degrees(net):.6g} deg further)" if first else "")
+                    + f"; its travel is {axis.travel} each way"
+                )
+                problems.append(Problem(("cycle", "moves", where), message))
+                break
+    return problems
+
+
+def _no_such_axis(key: tuple[str | int, ...], name: str, axes: Mapping[str, int]) -> Problem:
+    close = nearest(name, axes)
+    ending = f'nearest: "{close}"' if close else f"known: {', '.join(axes)}"
+    return Problem(key, f"the table has no axis of this name; {ending}", name)
+
+
+def _degrees(value: float) -> str:
+    return f"{math.degrees(value):.5g} deg"

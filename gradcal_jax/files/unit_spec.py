@@ -1,0 +1,158 @@
+"""gradcal-spec/1 of a whole unit: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ValidationError, model_validator
+
+from gradcal_jax.files.checks import course_within
+from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
+from gradcal_jax.files.quantity import Text
+from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.spec import FORMAT
+from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
+from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, unit_schedule
+from gradcal_jax.files.unit_requirement import (
+    GyroScaleFactorRequirement,
+    MisalignmentRequirement,
+    PositionRequirement,
+    TiltRequirement,
+    TurnRequirement,
+    UnitRequirement,
+    UnitRequirements,
+)
+from gradcal_jax.files.unit_rig import UnitRig
+from gradcal_jax.files.unit_sensor import UnitSensor
+
+
+class UnitSpec(Section):
+    """A spec of a whole unit; read-only. Quantities behave as numbers in SI (°C) and keep their text.
+
+    `schedule` is the plan worked out against the rig. Made by `read_unit_spec` or `parse_unit_spec`.
+    Errors: `SpecError` by those.
+    """
+
+    format: Literal["gradcal-spec/1"]
+    title: Text | None = None
+    sensor: UnitSensor
+    rig: UnitRig
+    requirement: UnitRequirements = ()
+    plan: UnitPlan
+    design: UnitDesign | None = None
+
+    @model_validator(mode="after")
+    def _together(self) -> "UnitSpec":
+        refuse(*self._problems())
+        return self
+
+    def _problems(self) -> list[Problem]:
+        try:
+            segments = self.schedule.segments
+        except SpecError as error:
+            return [p.under("plan") for p in error.problems]
+        problems = [p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments)]
+        names = [r.name for r in self.requirement]
+        for i, requirement in enumerate(self.requirement):
+            if requirement.name in names[:i]:
+                problems.append(
+                    Problem(("requirement", i, "name"), "two requirements have this name", requirement.name)
+                )
+            wanted = _needs(requirement)
+            missing = next((key for key in wanted if self._absent(key)), None)
+            if missing is not None:
+                message = f"needs [sensor.{missing}], which the spec does not estimate"
+                problems.append(Problem(("requirement", i, "quantity"), message, requirement.quantity))
+            elif requirement.axis in ("x", "y", "z"):
+                triad = self.sensor.gyro if wanted[0].startswith("gyro") else self.sensor.accelerometer
+                assert triad is not None
+                if requirement.axis not in triad.axes:
+                    problems.append(Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis))
+        accelerometer, frame = self.sensor.accelerometer, self.sensor.frame
+        if accelerometer is not None and not any(step.axis < 0 for step in self.schedule.steps):
+            message = "never rests, and accelerometers are read at rest alone; add { rest = … }"
+            problems.append(Problem(("plan", "cycle", "moves"), message))
+        if self.design is not None and self.design.minimise not in (ALL, WORST, *names):
+            close = nearest(self.design.minimise, [ALL, WORST, *names])
+            message = f"expected {one_of([ALL, WORST])}, or a requirement's name" + (
+                f'; nearest: "{close}"' if close else ""
+            )
+            problems.append(Problem(("design", "minimise"), message, self.design.minimise))
+        several = len(self.rig.table.mounting) > 1
+        if several and (frame is None or frame.fixed_by != "case"):
+            message = 'with several mountings the frame is the case\'s; expected fixed_by = "case"'
+            problems.append(Problem(("sensor", "frame", "fixed_by"), message, frame and frame.fixed_by))
+        if frame is not None and frame.fixed_by == "case":
+            for i, mounting in enumerate(self.rig.table.mounting):
+                if not mounting.accuracy:
+                    message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
+                    problems.append(Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg"))
+        return problems
+
+    def _absent(self, dotted: str) -> bool:
+        value: Any = self.sensor
+        for name in dotted.split("."):
+            value = getattr(value, name)
+            if value is None:
+                return True
+        return False
+
+    @cached_property
+    def schedule(self) -> UnitSchedule:
+        """The plan in SI."""
+        return unit_schedule(self.plan, self.rig)
+
+
+def _needs(requirement: UnitRequirement) -> tuple[str, ...]:
+    """What a requirement's quantity needs of [sensor]."""
+    if isinstance(requirement, MisalignmentRequirement):
+        kind = requirement.quantity.removesuffix("_misalignment")
+        both = (f"{kind}.misalignment",)
+        if requirement.relative_to == "internal" and kind == "accelerometer":
+            return (*both, "gyro.misalignment")
+        return both
+    if isinstance(requirement, GyroScaleFactorRequirement):
+        return ("gyro.scale_factor",)
+    if isinstance(requirement, PositionRequirement):
+        return ("gyro.bias", "accelerometer.bias")
+    if isinstance(requirement, TiltRequirement):
+        return ("accelerometer.bias",)
+    if isinstance(requirement, TurnRequirement):
+        return ("gyro.scale_factor",)
+    return {
+        "gyro_bias": ("gyro.bias",),
+        "g_sensitivity": ("gyro.g_sensitivity",),
+        "accelerometer_bias": ("accelerometer.bias",),
+        "accelerometer_scale_factor": ("accelerometer.scale_factor",),
+        "second_order": ("accelerometer.second_order",),
+    }[requirement.quantity]
+
+
+def read_unit_spec(path: str | Path) -> UnitSpec:
+    """Read the spec of a whole unit; quantities as text with units, SI (°C) inside.
+
+    Errors: `SpecError` that lists everything wrong with it, each with its key and what was expected.
+    """
+    return parse_unit_spec(read_text(path), str(path))
+
+
+def parse_unit_spec(text: str, source: str = "") -> UnitSpec:
+    """A unit's spec from the text of a TOML file; `source` names it in messages. Errors: `SpecError`."""
+    return unit_spec_of(read_toml(text, source), source)
+
+
+def unit_spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:
+    """A unit's spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
+    problem = format_problem(document, FORMAT)
+    if problem is not None and isinstance(document.get("format"), str):
+        raise SpecError([problem], source)
+    try:
+        return UnitSpec.model_validate(document)
+    except ValidationError as error:
+        problems = from_validation(error)
+    except SpecError as error:
+        problems = list(error.problems)
+    problems = [p for p in problems if p.key != ("format",)]
+    raise SpecError(problems if problem is None else [problem, *problems], source)

@@ -1,0 +1,218 @@
+"""The rows of a whole unit on a table, and the one joint noise system behind them.
+
+A *segment* is a rest or one move of one axis. At its end every gyro has one row, its own integral over the segment
+against what the axis turned; every accelerometer one where the table stood. A table that holds its place is known not
+to turn, so nothing of the encoder enters a rest but its slow geometry.
+
+State `x = [C integrals, the processes of every channel, the encoders' errors now, and before the last move]`. The
+encoder of an axis is seen by all channels, so the channels are not independent: they go through one filter, a scalar
+reading after the other (no step between those of one segment). With `e_l` the error of axis l at a standstill, a
+rotation of the body about `a_l`, a row has of it
+
+    gyro i            while l turns: a_li (e_now − e_before) + ∫(ω_outer × a_l)_i e(t) dt, e(t) in between by angle;
+                      else ∫(ω_outer × a_l)_i dt · e_now
+    accelerometer i   ∫(f × a_l)_i dt · e_now
+
+and `e_now` is drawn anew by each move of its axis.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
+from gradcal_jax.information.noise_steps import NoiseSteps, constant_drive, drive_rates, varying_drive
+from gradcal_jax.information.posterior import SquareRootInformation, square_root
+from gradcal_jax.information.whitening import whiten
+from gradcal_jax.model import BodyGroup, BodyNodes, UnitModel
+from gradcal_jax.trajectory import TableMotion
+
+
+class Segments(NamedTuple):
+    """Rests and moves of a motion, `S` of them: `first` and `last` piece, the `axis` that turns (−1: none); and the
+    rows `(R,)` in order of time, each a channel's of a segment. A segment that nobody reads has one not `used`.
+    """
+
+    first: Int[np.ndarray, " S"]
+    last: Int[np.ndarray, " S"]
+    axis: Int[np.ndarray, " S"]
+    row_segment: Int[np.ndarray, " R"]
+    row_channel: Int[np.ndarray, " R"]
+    used: Bool[np.ndarray, " R"]
+
+    def sums(self, of_pieces: AnyArray) -> AnyArray:
+        """Sums over the pieces of each segment, `(P, …) -> (S, …)`."""
+        return summed(of_pieces, self.first)
+
+
+def segments_of(motion: TableMotion, model: UnitModel) -> Segments:
+    """The segments of a motion and the rows that a unit has of them."""
+    number = np.asarray(motion.line.segment)
+    first = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
+    last = np.append(first[1:], len(number)) - 1
+    axis = np.asarray(motion.axis)[first]
+    read, rest = ~np.asarray(motion.line.gap)[first], axis < 0
+    rows = np.stack([read & (rest | (c.kind == "gyro")) for c in model.channels], axis=1)
+    kept = np.array(rows)
+    kept[:, 0] |= ~np.any(rows, axis=1)
+    segment, channel = np.nonzero(kept)
+    return Segments(first, last, axis, segment, channel, rows[segment, channel])
+
+
+def unit_information(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> SquareRootInformation:
+    """Everything that the rows and the priors say of the unit's and the installation's parameters."""
+    steps, columns = unit_system(motion, model, nodes)
+    return square_root(np.concatenate([whiten(steps, columns), model.prior_rows()]))
+
+
+def unit_system(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> tuple[NoiseSteps, Float[AnyArray, "R p"]]:
+    """Noise steps and regressors of all rows."""
+    at = segments_of(motion, model)
+    steps, row = _joint_steps(motion, model, nodes, at)
+    columns = _columns(model, nodes, at)
+    xp = namespace(columns)
+    return steps, columns if len(row) == len(columns) else xp.where((row >= 0)[:, None], columns[row], 0.0)
+
+
+def _columns(model: UnitModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray, "R p"]:
+    """Regressors of every row."""
+    own, shared = model.columns(nodes)
+    shared = at.sums(shared[nodes.kind])
+    parts, begin, calibrated = [], 0, model.calibrated
+    for i, (c, block) in enumerate(zip(model.channels, own, strict=True)):
+        rows = np.flatnonzero(at.row_channel == i)
+        segment, end = at.row_segment[rows], begin + c.model.size
+        parts.append(((rows, slice(begin, end)), at.sums(block)[segment]))
+        parts.append(((rows, slice(calibrated, None)), shared[segment, c.index]))
+        begin = end
+    return placed((len(at.row_channel), model.size), *parts)
+
+
+def _joint_steps(
+    motion: TableMotion, model: UnitModel, nodes: BodyNodes, at: Segments
+) -> tuple[NoiseSteps, np.ndarray]:
+    """The steps, and which row each reads (−1: none)."""
+    xp = namespace(motion, model, nodes)
+    line, channels, axes = motion.line, len(model.channels), motion.geometry.axis_count
+    m = sum(c.model.processes.count for c in model.channels)
+    n = channels + m + 2 * axes
+    # One step for each segment; where a rate drives a process, for each piece, so that it is constant or smooth.
+    by_pieces = any(np.any(np.asarray(c.model.processes.rate_gain)) for c in model.channels)
+    duration = line.duration if by_pieces else at.sums(line.duration)
+    count = duration.shape[0]
+    begins = np.zeros(count, bool)
+    begins[at.first if by_pieces else slice(None)] = True
+    everything = slice(None)
+    transition: list[tuple] = []
+    covariance: list[tuple] = []
+    initial: list[tuple] = []
+    # The direction about which each piece turns.
+    along = xp.sum(xp.where(motion.turns[..., None], nodes.axes_before[nodes.kind], 0.0), axis=1)
+    state = channels
+    for i, c in enumerate(model.channels):
+        p = c.model.processes
+        states = np.arange(state, state + p.count)
+        state += p.count
+        rates = along[:, c.axis] * line.end_rate() if by_pieces else xp.zeros(count)
+        to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, rates)
+        if by_pieces and (varying := line.varying_pieces).shape[0]:
+            driven = varying_drive(p, duration[varying], drive_rates(line, varying) * along[varying, c.axis][:, None])
+            by_rate = (p.rate_gain != 0.0)[None, :]
+            to_integral, q_integral, q_cross = (
+                put(x, varying, xp.where(by_rate, y, x[varying]))
+                for x, y in zip((to_integral, q_integral, q_cross), driven, strict=True)
+            )
+        walk = c.model.angle_random_walk**2 * duration + xp.sum(q_integral, axis=1)
+        transition += [
+            ((everything, i, i), np.where(begins, 0.0, 1.0)),
+            ((everything, i, states), to_integral),
+            ((everything, states, states), xp.exp(-p.decay[None] * duration[:, None])),
+        ]
+        covariance += [
+            ((everything, i, i), walk),
+            ((everything, i, states), q_cross),
+            ((everything, states, i), q_cross),
+            ((everything, states, states), q_self),
+        ]
+        initial.append(((states, states), p.initial_std**2))
+    start, lasting = line.start[at.first], at.sums(line.duration)
+    step_of_segment = at.first if by_pieces else np.arange(len(at.first))
+    for k in range(axes):
+        now, before = channels + m + k, channels + m + axes + k
+        moves = np.zeros(count, bool)
+        moves[step_of_segment] = at.axis == k
+        kept = np.where(moves, 0.0, 1.0)
+        transition += [
+            ((everything, now, now), kept),
+            ((everything, before, before), kept),
+            ((everything, before, now), 1.0 - kept),
+        ]
+        spread, first = _standstills(model.encoder, k, at.axis == k, start, lasting)
+        covariance.append(((step_of_segment, now, now), spread))
+        initial.append(((now, now), first))
+    observation = _observations(motion, nodes, at, model, n, channels + m)
+    # Rows of one segment follow one another without a step; what is within a segment has none of its own.
+    source, row = _order(at, by_pieces)
+    fresh = xp.asarray(np.diff(source, prepend=-1) > 0)[:, None, None]
+    steps = (
+        xp.where(fresh, placed((count, n, n), *transition)[source], xp.eye(n)),
+        xp.where(fresh, placed((count, n, n), *covariance)[source], 0.0),
+    )
+    observed = observation if len(row) == len(observation) else xp.where((row >= 0)[:, None], observation[row], 0.0)
+    used = at.used[row] & (row >= 0)
+    return NoiseSteps(*steps, observed, xp.zeros(len(row)), used, placed((n, n), *initial)), row
+
+
+def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Of every step of the filter the noise step that leads to it, and its row (−1: none)."""
+    if not by_pieces:
+        return at.row_segment, np.arange(len(at.row_segment))
+    inner = np.setdiff1d(np.arange(at.last[-1] + 1), at.last)
+    source = np.concatenate([inner, at.last[at.row_segment]])
+    row = np.concatenate([np.full(len(inner), -1), np.arange(len(at.row_segment))])
+    order = np.lexsort((row, source))
+    return source[order], row[order]
+
+
+def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
+    """Variance of the draw that each move of axis k makes, `(S,)`, and of the first one."""
+    xp = namespace(encoder, start, duration)
+    at = np.flatnonzero(moves)
+    end = start[-1:] + duration[-1:]
+    begins = xp.concatenate([start[:1], start[at] + duration[at]])
+    stops = xp.concatenate([start[at], end])
+    readings = xp.floor((stops - begins) / encoder.every[k] * (1.0 + 1e-9) + 1e-9) + 1.0
+    variance = encoder.offset[k] ** 2 + encoder.reading[k] ** 2 / readings
+    return put(xp.zeros(len(moves)), at, variance[1:]), variance[0]
+
+
+def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: UnitModel, n: int, encoders: int):
+    """H of every row, `(R, n)`."""
+    xp, axes = namespace(nodes.axes_before, motion.line.duration), motion.geometry.axis_count
+    before, after = motion.angles()
+    # Of an example of each kind: where its segment began, and how far it goes.
+    segment = np.repeat(np.arange(len(at.first)), at.last - at.first + 1)[motion.example]
+    began, whole = before[at.first[segment]], (after[at.last] - before[at.first])[segment]
+
+    def of_group(g: BodyGroup):
+        begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
+        # How far the axis is on its way: what its error is between those of its two standstills.
+        turns = motion.turns[motion.example[g.kinds]][:, None, :]
+        share = xp.where(turns, (g.angle - begin) / xp.where(turns & (span != 0.0), span, 1.0), 1.0)
+        both = xp.concatenate([xp.cross(g.outer, g.axes), xp.cross(g.force[..., None, :], g.axes)], axis=-1)
+        return g.integral(both[:, :, None] * xp.stack([share, 1.0 - share], axis=2)[..., None])
+
+    slow = at.sums(nodes.integrals(of_group, (2, axes, 6))[nodes.kind])
+    along = xp.where((at.axis[:, None] == np.arange(axes))[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)
+    along = xp.concatenate([along, xp.zeros(along.shape)], axis=-1)
+    slow = slow + xp.stack([along, -along], axis=1)
+    index = np.array([c.index for c in model.channels])[at.row_channel]
+    of_encoder = slow[at.row_segment, :, :, index]
+    count = len(index)
+    return placed(
+        (count, n),
+        ((np.arange(count), at.row_channel), np.ones(count)),
+        ((slice(None), np.arange(encoders, encoders + axes)), of_encoder[:, 0]),
+        ((slice(None), np.arange(encoders + axes, n)), of_encoder[:, 1]),
+    )

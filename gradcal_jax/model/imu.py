@@ -1,0 +1,134 @@
+"""The model of a whole unit: a channel for each gyro and accelerometer, and the installation that all of them see.
+
+Row of a channel i over a segment of the motion (a rest, or one move of one axis), in body components:
+
+    gyro            ∫ω̃_i dt − ∫(Rᵀω_earth)_i dt − Σ_l a_li Δθ̃_l
+    accelerometer   ∫f̃_i dt − ∫(Rᵀ(0, 0, g))_i dt
+
+Each is linear in the channel's own terms (`terms`, signal × function of temperature), in the installation's
+(`installation`), and in the encoders' errors at each standstill, which are noise. The parameter vector is the channels'
+one after the other, then the installation's.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.model.installation import InstallationTerm
+from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes
+from gradcal_jax.model.sensor import SensorModel
+
+ChannelKind = Literal["gyro", "accelerometer"]
+KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
+
+
+class Channel(eqx.Module):
+    """A gyro or an accelerometer along the body's axis `axis`, with its own terms and noise (`model`).
+
+    An accelerometer's noise is as a gyro's with m/s in the place of rad.
+    """
+
+    model: SensorModel
+    kind: ChannelKind = eqx.field(static=True)
+    axis: int = eqx.field(static=True)
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind}_{AXIS_NAMES[self.axis]}"
+
+    @property
+    def index(self) -> int:
+        """Its place among three gyros and three accelerometers."""
+        return self.axis + 3 * KINDS.index(self.kind)
+
+
+class EncoderNoise(eqx.Module):
+    """One draw for each standstill of each of `L` axes, rad: variance `offset² + reading²/n`, n readings in it.
+
+    `every` s: their spacing while the axis stands, one at its beginning.
+    """
+
+    offset: Float[AnyArray, " L"]
+    reading: Float[AnyArray, " L"]
+    every: Float[AnyArray, " L"]
+
+
+class UnitModel(eqx.Module):
+    """A whole unit on its table: `channels`, `installation` terms, and the encoders' noise."""
+
+    channels: tuple[Channel, ...]
+    installation: tuple[InstallationTerm, ...]
+    encoder: EncoderNoise
+
+    def __check_init__(self):
+        if not self.channels:
+            raise ValueError("a unit needs at least one gyro or accelerometer")
+
+    @property
+    def calibrated(self) -> int:
+        """How many parameters, the first ones, are the unit's own; those after are of its installation."""
+        return sum(c.model.size for c in self.channels)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.calibrated + sum(term.size for term in self.installation)
+
+    def where(self, kind: ChannelKind, axis: int, term: str | None = None) -> slice:
+        """Where the parameters of a channel, or of a term of it, stand; empty where there are none."""
+        begin = 0
+        for c in self.channels:
+            if (c.kind, c.axis) == (kind, axis):
+                inside = slice(0, c.model.size) if term is None else c.model.where(term)
+                return slice(begin + inside.start, begin + inside.stop)
+            begin += c.model.size
+        return slice(begin, begin)
+
+    def channel(self, kind: ChannelKind, axis: int) -> Channel | None:
+        """The channel of that kind and axis, if there is one."""
+        return next((c for c in self.channels if (c.kind, c.axis) == (kind, axis)), None)
+
+    def names(self) -> list[str]:
+        """Names of the reported parameters in order: `gyro_x.b00`, `accelerometer_z.k2`, `azimuth`."""
+        own = [f"{c.name}.{name}" for c in self.channels for name in c.model.names()]
+        return own + [name for term in self.installation for name in term.names()]
+
+    def units(self) -> list[str]:
+        """SI units of the parameters."""
+        shared = [term.unit for term in self.installation for _ in range(term.size)]
+        return [unit for c in self.channels for unit in c.model.units()] + shared
+
+    @property
+    def to_reported(self) -> np.ndarray:
+        """`(p, p)`: the engine's parameters to the reported ones."""
+        matrix, begin = np.eye(self.size), 0
+        for c in self.channels:
+            end = begin + c.model.size
+            matrix[begin:end, begin:end] = c.model.to_reported
+            begin = end
+        return matrix
+
+    def columns(self, nodes: BodyNodes) -> tuple[list[AnyArray], Float[AnyArray, "K 6 i"]]:
+        """What each parameter's unit adds, rad or m/s: of each channel `(P, own)` over every piece, of the installation
+        over a piece of each kind.
+        """
+        own = [c.model.columns(nodes.channel(c.kind, c.axis)) for c in self.channels]
+        xp = namespace(own, nodes.angle_before)
+        none = xp.zeros((len(nodes.axis), 6, 0))
+        return own, xp.concatenate([none, *(term.columns(nodes) for term in self.installation)], axis=-1)
+
+    def prior_rows(self) -> Float[AnyArray, "q p"]:
+        """Whitened rows of everything known beforehand."""
+        xp, rows, begin, whole = namespace(self), [], 0, self.size
+        blocks = [c.model.prior_rows() for c in self.channels]
+        blocks += [xp.diag(1.0 / term.stds) for term in self.installation]
+        sizes = [c.model.size for c in self.channels] + [term.size for term in self.installation]
+        for block, size in zip(blocks, sizes, strict=True):
+            after = whole - begin - size
+            zeros = xp.zeros((block.shape[0], begin)), xp.zeros((block.shape[0], after))
+            rows.append(xp.concatenate([zeros[0], xp.asarray(block), zeros[1]], axis=1))
+            begin += size
+        return xp.concatenate(rows)

@@ -1,0 +1,172 @@
+"""Installation terms: small errors of table, mounting, site and clock, which every channel of the unit sees.
+
+Each is a small rotation p (body components) inserted at a stage of the table (`trajectory.geometry`), which adds
+`ω_outer × p + ṗ` to the rate and `f × p` to the specific force, or a common scale. Their columns are shared by all
+channels: `(K, 6, size)`, three gyros and three accelerometers along the body's axes.
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.model.nodes import AXIS_NAMES, BodyGroup, BodyNodes
+
+
+class InstallationTerm(eqx.Module):
+    """An error that all channels see, linear in `size` parameters with independent priors `stds`."""
+
+    stds: eqx.AbstractVar[AnyArray]
+
+    @property
+    def size(self) -> int:
+        return self.stds.shape[0]
+
+    @property
+    @abstractmethod
+    def unit(self) -> str:
+        """SI unit of its parameters."""
+
+    @abstractmethod
+    def names(self) -> list[str]:
+        """Names of the parameters."""
+
+    @abstractmethod
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 size"]:
+        """What each parameter's unit adds to the integrals of all channels over a piece of each kind, rad and m/s."""
+
+
+def seen(group: BodyGroup, p: Float[AnyArray, "U q m 3"], outer: Float[AnyArray, "U q #m 3"]) -> AnyArray:
+    """What inserted rotations add to rate and force at the nodes, `(U, q, 6, m)`; ṗ apart."""
+    xp = namespace(p, outer)
+    both = xp.concatenate([xp.cross(outer, p), xp.cross(group.force[..., None, :], p)], axis=-1)
+    return xp.swapaxes(both, -1, -2)
+
+
+class BaseTilt(InstallationTerm):
+    """How the base stands, rad: rotations about East and North (tilt) and about the vertical (azimuth)."""
+
+    stds: Float[AnyArray, " 3"]
+
+    @property
+    def unit(self) -> str:
+        return "rad"
+
+    def names(self) -> list[str]:
+        return ["tilt_east", "tilt_north", "azimuth"]
+
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 3"]:
+        # Column j of Rᵀ is row j of R.
+        return nodes.integrals(lambda g: g.integral(seen(g, g.attitude, g.earth[..., None, :])), (6, 3))
+
+
+class NonOrthogonality(InstallationTerm):
+    """Angles (rad) by which neighbouring axes, outermost first, are not as far apart as the drawing says."""
+
+    stds: Float[AnyArray, " J"]
+    axis_names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def unit(self) -> str:
+        return "rad"
+
+    def names(self) -> list[str]:
+        return [f"orthogonality_{a}_{b}" for a, b in zip(self.axis_names, self.axis_names[1:], strict=False)]
+
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 J"]:
+        def of_group(g: BodyGroup):
+            outer = (g.outer + g.joint[..., None] * g.axes)[..., :-1, :]
+            return g.integral(seen(g, g.crosses, outer))
+
+        return nodes.integrals(of_group, (6, self.size))
+
+
+class AxisHarmonics(InstallationTerm):
+    """Repeatable error of one axis's encoder: cosine and sine of each of `orders` cycles a turn, rad."""
+
+    stds: Float[AnyArray, " m"]
+    orders: tuple[int, ...] = eqx.field(static=True)
+    axis: int = eqx.field(static=True)
+    axis_name: str = eqx.field(static=True)
+
+    @property
+    def unit(self) -> str:
+        return "rad"
+
+    def names(self) -> list[str]:
+        return [f"angle_{self.axis_name}_{wave}{order}" for order in self.orders for wave in ("cos", "sin")]
+
+    def _waves(self, angle: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s m"]:
+        xp = namespace(angle)
+        phase = xp.stack([order * angle for order in self.orders], axis=-1)
+        return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
+
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 m"]:
+        k = self.axis
+
+        def of_group(g: BodyGroup):
+            p = self._waves(g.angle[..., k])[..., None] * g.axes[..., k, None, :]
+            return g.integral(seen(g, p, g.outer[..., k, None, :]))
+
+        inserted = nodes.integrals(of_group, (6, self.size))
+        xp = namespace(inserted)
+        change = self._waves(nodes.angle_after[:, k]) - self._waves(nodes.angle_before[:, k])
+        along = np.where(nodes.axis == k, 1.0, 0.0)[:, None] * nodes.axes_before[:, k]
+        return inserted + xp.concatenate([along, xp.zeros(along.shape)], axis=1)[:, :, None] * change[:, None, :]
+
+
+class MountingError(InstallationTerm):
+    """How the unit hangs in each mounting, rad about the body's axes, three for each.
+
+    With one mounting the body's frame is defined by it, and there is nothing to find.
+    """
+
+    stds: Float[AnyArray, " m"]
+
+    @property
+    def unit(self) -> str:
+        return "rad"
+
+    def names(self) -> list[str]:
+        return [f"mounting{k + 1}_{axis}" for k in range(self.size // 3) for axis in AXIS_NAMES]
+
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 m"]:
+        xp = namespace(nodes)
+
+        def of_group(g: BodyGroup):
+            p = xp.broadcast_to(xp.eye(3), (*g.weight.shape, 3, 3))
+            once = g.integral(seen(g, p, g.rate[..., None, :]))
+            number = nodes.mounting[g.kinds]
+            return xp.concatenate(
+                [xp.where((number == k)[:, None, None], once, 0.0) for k in range(self.size // 3)], axis=-1
+            )
+
+        return nodes.integrals(of_group, (6, self.size))
+
+
+class CommonScale(InstallationTerm):
+    """What is common to the unit's scale factors: error of gravity (m/s²) or of the sample clock (relative)."""
+
+    stds: Float[AnyArray, " 1"]
+    of: str = eqx.field(static=True)
+
+    def __check_init__(self):
+        if self.of not in ("gravity", "sample_clock"):
+            raise ValueError(f'"{self.of}" is not common to all channels: gravity or sample_clock')
+
+    @property
+    def unit(self) -> str:
+        return "m/s^2" if self.of == "gravity" else "1"
+
+    def names(self) -> list[str]:
+        return [self.of]
+
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 1"]:
+        def of_group(g: BodyGroup):
+            xp = namespace(g.rate)
+            parts = [xp.zeros(g.rate.shape), g.up] if self.of == "gravity" else [g.rate, g.force]
+            return g.integral(xp.concatenate(parts, axis=-1)[..., None])
+
+        return nodes.integrals(of_group, (6, 1))

@@ -1,0 +1,97 @@
+"""Nested table axes on the turning Earth: where a body points, what it sees of gravity, and what small errors change.
+
+Stages from outside in, body to East-North-Up:
+
+    R = exp[τ×] · base · Rot(e₁,θ₁) · exp[δ₁d₁×] · Rot(e₂,θ₂) · … · mounting · exp[μ×]
+
+τ tilt of the base and its azimuth, δ_l the non-orthogonality of the axes l and l+1 about `d_l = e_{l+1} × e_l`, μ the
+error of the mounting. One rule gives what every one of them changes: a small rotation p (body components) inserted at a
+stage adds `f × p` to the specific force and `ω_outer × p (+ ṗ along an axis that moves)` to the rate, ω_outer being
+the rate of all that stands outside that stage: the Earth's, and that of the axes there.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.arrays import AnyArray, namespace
+
+EARTH_RATE = 7.292115e-5
+"""rad/s, of the Earth against the stars (WGS 84)."""
+
+
+class Geometry(eqx.Module):
+    """A table of `L` axes, outermost first, and how the body hangs on it.
+
+    `axes`: directions at zero, each in the frame that the axis outside it carries (the first: that of the base).
+    `base`: base to East-North-Up. `mountings`: body to the innermost axis, one after the other. `latitude` rad,
+    `gravity` m/s². Where the site does not matter, a latitude of 90° and a gravity of 0.
+    """
+
+    axes: Float[AnyArray, "L 3"]
+    base: Float[AnyArray, "3 3"]
+    mountings: Float[AnyArray, "K 3 3"]
+    latitude: Float[AnyArray, ""]
+    gravity: Float[AnyArray, ""]
+
+    @property
+    def axis_count(self) -> int:
+        return self.axes.shape[0]
+
+    def earth_rate(self) -> Float[AnyArray, " 3"]:
+        """The Earth's rate, East-North-Up, rad/s."""
+        xp = namespace(self.latitude)
+        return EARTH_RATE * xp.stack([xp.zeros(()), xp.cos(self.latitude), xp.sin(self.latitude)])
+
+
+class Frames(NamedTuple):
+    """What the stages look like from the body. `attitude` `(…, 3, 3)`: body to East-North-Up. Components in the body:
+    `axes` `(…, L, 3)`, and of `d_l` `(…, L − 1, 3)` in `crosses`.
+    """
+
+    attitude: AnyArray
+    axes: AnyArray
+    crosses: AnyArray
+
+
+def frames(geometry: Geometry, angles: Float[AnyArray, "*s L"], mounting: AnyArray) -> Frames:
+    """The stages at the axes' `angles` (rad), for the mountings of the given numbers `(*s,)`."""
+    xp = namespace(geometry, angles)
+    inner = geometry.mountings[mounting]
+    axes, crosses = [], []
+    for k in reversed(range(geometry.axis_count)):
+        direction = geometry.axes[k]
+        axes.append(_seen(inner, direction))
+        if k + 1 < geometry.axis_count:
+            crosses.append(_seen(inner, xp.cross(geometry.axes[k + 1], direction)))
+        inner = rotation(direction, angles[..., k]) @ inner
+    none = xp.zeros((*angles.shape[:-1], 0, 3))
+    return Frames(
+        geometry.base @ inner,
+        xp.stack(axes[::-1], axis=-2),
+        xp.stack(crosses[::-1], axis=-2) if crosses else none,
+    )
+
+
+def _seen(inner: AnyArray, direction: AnyArray) -> AnyArray:
+    """A direction of a stage in components of the body: `innerᵀ direction`."""
+    return (direction[None, :] @ inner)[..., 0, :]
+
+
+def rotation(axis: Float[AnyArray, " 3"], angle: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s 3 3"]:
+    """Rotation by `angle` (rad) about a unit vector (Rodrigues)."""
+    xp = namespace(axis, angle)
+    zero = xp.zeros(())
+    cross = xp.stack(
+        [
+            xp.stack([zero, -axis[2], axis[1]]),
+            xp.stack([axis[2], zero, -axis[0]]),
+            xp.stack([-axis[1], axis[0], zero]),
+        ]
+    )
+    lead = (1,) * np.ndim(angle)
+    cross, outer, one = (xp.reshape(m, (*lead, 3, 3)) for m in (cross, axis[:, None] * axis[None, :], np.eye(3)))
+    c, s = xp.cos(angle)[..., None, None], xp.sin(angle)[..., None, None]
+    return c * one + s * cross + (1.0 - c) * outer

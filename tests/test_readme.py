@@ -31,7 +31,7 @@ def usages():
     """Every `gradcal …` of the README, in tables and in code blocks: its command and its options."""
     found = re.findall(r"`gradcal ([^`]+)`", README)
     found += [line.split("#")[0] for line in re.findall(r"^ {4}gradcal (.+)$", README, flags=re.M)]
-    of = lambda use: " ".join(use.split()[: 2 if use.startswith("rig ") else 1])  # noqa: E731
+    of = lambda use: " ".join(use.split()[: 2 if use.startswith(("rig ", "log turns")) else 1])  # noqa: E731
     return sorted({(of(use), option) for use in found for option in re.findall(r"(?<![\w-])--?[a-z-]+", use)})
 
 

@@ -38,7 +38,7 @@ def turns(
     log
         A log (.nc), a flight log, or another program's table with --columns.
     turns
-        The turns in their order, such as "360 deg, 360 deg, -720 deg"; a sign for each direction.
+        The turns in their order, such as "360 deg, 360 deg, -720 deg": those below zero go the other way.
     output
         The log to write (.nc).
     axis

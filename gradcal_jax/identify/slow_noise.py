@@ -14,8 +14,8 @@ touch: `z = Qᵀy`, Q the complement of the map's columns `Φ`, and leaves the m
 
 B and σ are known from few contrasts, and the map's errors are ruled by what these do not tell. So no most probable pair
 is taken but the mean of B² and σ² over their posterior (flat in B and σ): the map's covariance is linear in both but
-for its weights. Of simulated drifts from a minute to random walks 92 to 100 of 100 intervals of 95 % hold the map
-(`tests/estimation/test_warm_up.py`); the price is that drifts much faster than the record are counted as up to three
+for its weights. Of simulated drifts from a minute to random walks 90 to 100 of 100 intervals of 95 % hold the map
+(`tests/estimation/test_warm_up.py`); the price is that drifts much faster than the record are counted as up to five
 times what they do.
 
 Source: H. D. Patterson and R. Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika

@@ -48,7 +48,7 @@ def unexplained(text: str) -> set[str]:
     return {word for word in words_of(text) if not forms(word) & (EXPLAINED | EVERYDAY)}
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "rig new", "rig check"])
+@pytest.mark.parametrize("command", [*COMMANDS, "rig new", "rig check", "log turns"])
 def test_the_glossary_has_every_technical_word_of_a_help_text(command, capsys):
     assert main([*command.split(), "--help"]) == 0
     assert unexplained(capsys.readouterr().out) == set()

@@ -100,6 +100,31 @@ def timed(case: Case, package: Path, cache: Path, folder: Path) -> Times | None:
     return Times(processor, wall) if ends else None
 
 
+def table(found: dict[tuple[str, str, str], Times | None], packages: list[str]) -> str:
+    """What has been measured, in Markdown."""
+    unit = {which: found["import jax", which, "warm"] for which in packages}
+    lines = [
+        "# How soon a command answers",
+        "",
+        f"`python experiments/benchmarks/latency.py`: the headline's spec on {os.cpu_count()} cores "
+        f"({platform.machine()}), Python {platform.python_version()}, at a load of {os.getloadavg()[2]:.1f}. "
+        "Processor and wall time in s, in brackets as a ratio to `import jax`.",
+        "",
+        "| command | which | cold, processor | cold, wall | warm, processor | warm, wall |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name in dict.fromkeys(key[0] for key in found):
+        for which in packages:
+            row = [name, which]
+            for state in ("cold", "warm"):
+                times, one = found.get((name, which, state)), unit[which]
+                row += ["", ""] if times is None or one is None else [
+                    f"{t:.2f} ({t / o:.1f})" for t, o in zip(times, one, strict=True)
+                ]  # fmt: skip
+            lines.append(f"| {' | '.join(row)} |")
+    return "\n".join(lines) + "\n"
+
+
 def main() -> int:
     """Measure, and write a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -120,27 +145,7 @@ def main() -> int:
                 for state in ("cold", "warm") if case.spec == "same" else ("warm",):
                     found[case.name, which, state] = timed(case, package, folder / "cache", folder)
                     print(case.name, which, state, found[case.name, which, state], flush=True)
-    unit = {which: found["import jax", which, "warm"] for which in packages}
-    lines = [
-        "# How soon a command answers",
-        "",
-        f"`python experiments/benchmarks/latency.py`: the headline's spec on {os.cpu_count()} cores "
-        f"({platform.machine()}), Python {platform.python_version()}, at a load of {os.getloadavg()[2]:.1f}. "
-        "Processor and wall time in s, in brackets as a ratio to `import jax`.",
-        "",
-        "| command | which | cold, processor | cold, wall | warm, processor | warm, wall |",
-        "|---|---|---|---|---|---|",
-    ]
-    for case in cases:
-        for which in packages:
-            row = [case.name, which]
-            for state in ("cold", "warm"):
-                times, one = found.get((case.name, which, state)), unit[which]
-                row += ["", ""] if times is None or one is None else [
-                    f"{t:.2f} ({t / o:.1f})" for t, o in zip(times, one, strict=True)
-                ]  # fmt: skip
-            lines.append(f"| {' | '.join(row)} |")
-    given.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            given.output.write_text(table(found, list(packages)), encoding="utf-8")
     return 0
 
 

@@ -108,7 +108,10 @@ class GradientSchedule:
             every = self.read_every
             return 0 if every is None else sum(reading_count(stretch.duration, every) for stretch in self.stretches)
         cycle, total = self.cycle, 0
-        while_standing = lambda t: 0 if cycle.other_read_every is None else reading_count(t, cycle.other_read_every)  # noqa: E731
+
+        def while_standing(duration: float) -> int:
+            return 0 if cycle.other_read_every is None else reading_count(duration, cycle.other_read_every)
+
         axes = {move.axis for move in cycle.moves if not move.is_rest} or {"x"}
         for axis in axes:
             stands = [not move.is_rest and move.axis != axis for move in cycle.moves]

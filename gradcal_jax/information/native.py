@@ -1,7 +1,7 @@
 """The filter and its derivative in machine code, for NumPy, and for JAX on a CPU.
 
 XLA pays for every pass over N × p numbers what a whole product costs; `filter.cc` goes through the readings once. The
-machine's own C++ compiler makes it at first use, two seconds for each number of noise states, and the user's cache
+machine's own C++ compiler makes it at first use, a second for each number of noise states, and the user's cache
 folder keeps it. Without a compiler, on other devices, or with `GRADCAL_NATIVE=0` the same is computed by XLA
 (`whitening.filter_columns`, `adjoint`): several times slower, and equal but for rounding.
 """

@@ -24,6 +24,7 @@ from gradcal_jax.files.calibration import (
     BiasMap,
     Calibration,
     Covariance,
+    FitTest,
     Noise,
     Result,
     ScaleFactorMap,
@@ -351,6 +352,13 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
         given["bias_temperature_gradient"] = float(values[model.where(TEMPERATURE_GRADIENT)][0])
     if channel.lag_s > 0.0:
         given["thermal_lag"] = Quantity.of(channel.lag_s, "s")
+    tests = channel.consistency
+    named = [("χ² of the fit", tests.fit), ("whiteness of the residuals", tests.whiteness)]
+    given["fit"] = tuple(
+        FitTest(name=name, statistic=float(t.statistic), degrees=int(t.degrees), chance=float(t.probability))
+        for name, t in [*named, *((split.name, split.agreement) for split in tests.splits)]
+        if np.isfinite(t.statistic) and np.isfinite(t.probability)
+    )
     hidden = tuple(unobservable_combinations(known, model))
     if hidden:
         given["unobservable"] = hidden

@@ -21,6 +21,11 @@ def report(
     output: Output,
     before: Path | None = None,
     limits: Path | None = None,
+    certificate: Flag = False,
+    rig: Path | None = None,
+    number: str = "",
+    customer: str = "",
+    operator: str = "",
     force: Flag = False,
     json: Json = False,
 ) -> int:
@@ -37,6 +42,16 @@ def report(
         A spec or recipe whose plan to compare with; without it, what the spec's priors say.
     limits
         What `gradcal limit --json` printed of the plan, kept in a file: the page says how near the plan comes.
+    certificate
+        Two pages for a laboratory to sign, of a calibration, in the place of the whole page.
+    rig
+        The rig file, whose [laboratory] and [[reference]] a certificate names.
+    number
+        Of the certificate.
+    customer
+        For whom the certificate is.
+    operator
+        Who made the calibration; without it the rig file's.
     force
         Overwrite an existing file.
     json
@@ -48,6 +63,17 @@ def report(
     writable(output, force)
     found = read_sources(sources, before=before, limits=limits)
     use_float64()
+    if certificate:
+        from gradcal_jax.files.rig import read_rig
+        from gradcal_jax.pages import certificate as room
+
+        read = None if rig is None else read_rig(rig)
+        made = room.certificate_of(found, read, number=number, customer=customer, operator=operator)
+        room.write_certificate(made, output)
+        print(as_json(room.as_tables(made)) if json else f"wrote {output}")
+        return DONE
+    if rig is not None or number or customer or operator:
+        raise ValueError("--rig, --number, --customer and --operator belong to --certificate")
     from gradcal_jax.pages.facts import as_tables
     from gradcal_jax.pages.report import write_page
 

@@ -28,6 +28,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Text,
     Time,
+    Whole,
 )
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.writing import write_toml
@@ -83,6 +84,15 @@ class Covariance(Section):
         return self
 
 
+class FitTest(Section):
+    """A test of the fit: χ² with its degrees of freedom, and the chance of one as large or larger."""
+
+    name: Text
+    statistic: Number
+    degrees: Whole
+    chance: Number
+
+
 class AxisCalibration(Section):
     """One axis. `valid_temperature`, `valid_rate`: what the data covered; beyond, the maps' values at the edge hold.
 
@@ -98,6 +108,7 @@ class AxisCalibration(Section):
     valid_temperature: tuple[Temperature, Temperature]
     valid_rate: tuple[Rate, Rate]
     covariance: Covariance | None = None
+    fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
     unobservable: tuple[Text, ...] = ()
 
     @model_validator(mode="after")

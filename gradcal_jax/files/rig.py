@@ -112,6 +112,23 @@ class ImuDevice(Section):
     options: Options = Field(default_factory=dict)
 
 
+class Laboratory(Section):
+    """`[laboratory]`: who signs a certificate."""
+
+    name: Text
+    address: Text | None = None
+    operator: Text | None = None
+
+
+class Reference(Section):
+    """`[[reference]]`: what a certificate's values are traced to; `due`: until when its own certificate holds."""
+
+    device: Literal["table", "encoder", "chamber", "thermometer", "clock"]
+    identity: Text
+    certificate: Text | None = None
+    due: Text | None = None
+
+
 class RigFile(Section):
     """A whole rig file."""
 
@@ -120,6 +137,8 @@ class RigFile(Section):
     chamber: ChamberDevice | None = None
     axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
+    laboratory: Laboratory | None = None
+    reference: Annotated[tuple[Reference, ...], Field(max_length=20)] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> "RigFile":
@@ -231,5 +250,15 @@ port   = "/dev/ttyUSB2"
 # serial_number = "N25582405002002"   # refuse any other unit
 [imu.options]
 sample_rate = "125 Hz"
+
+# For `gradcal report --certificate`: who signs, and what the values are traced to.
+# [laboratory]
+# name     = "Calibration laboratory"
+# operator = "A. Person"
+# [[reference]]
+# device      = "encoder"    # table, encoder, chamber, thermometer or clock
+# identity    = "RON 905, 12345"
+# certificate = "K-2026-17"
+# due         = "2027-06-30"
 """
 """What `gradcal rig new` writes: a commented rig to be edited."""

@@ -4,6 +4,10 @@ from typing import Final
 
 # What a reader of a page may meet.
 OF_THE_FIELD: Final[dict[str, str]] = {
+    "certificate": "Two pages for a laboratory to sign: a unit's corrections and their uncertainty.",
+    "coverage": "k: an expanded uncertainty is k standard deviations; 2 covers 95 % of normal errors.",
+    "guarded": "Of acceptance: a unit passes only where the risk that it exceeds its limit is below a chosen one.",
+    "risk": "The chance of a wrong decision: of one unit (specific), or of any unit beforehand (global).",
     "angle random walk": "White noise of the rate; the angle integrated from it wanders as √time. In deg/√h.",
     "axis": "A direction of sensing or of turning: x, y or z. Each axis of a sensor is a channel of its own.",
     "B-spline": "Smooth pieces of polynomials between knots: a basis that bends where the data do.",
@@ -57,6 +61,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
     "residual map": "The residual at every temperature and rate of a box.",
     "residual": "The error that is left after the calibration is applied, one standard deviation (1σ).",
     "rig": "The table and the chamber, with their limits and errors.",
+    "reference": "What a value is traced to: a device with an identity and a certificate of its own; in the rig file.",
     "robust": "Readings that the model cannot explain count for less (Huber's weights).",
     "run": "A recipe executed: a folder with everything that was sent and received.",
     "scale factor asymmetry": "The scale factor for positive rates less the one for negative rates.",

@@ -1,0 +1,256 @@
+"""Two pages that a laboratory signs: a calibration certificate of one unit, from its calibration, run and rig file.
+
+Uncertainties are expanded, U = k·u, with the coverage that the requirement names (2, where it names none). The budget
+is the exact share of each input in the variance of a requirement's residual: contributions √share·u add up in squares.
+Nothing here claims an accreditation, and what is not known stands as "not stated".
+"""
+
+from datetime import UTC, datetime
+from importlib import resources
+from math import sqrt
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+import gradcal_jax
+from gradcal_jax import api
+from gradcal_jax.api.ieee_terms import found_map
+from gradcal_jax.files.calibration import LOG_HASH, AxisCalibration, Calibration, Result
+from gradcal_jax.files.rig import RigFile
+from gradcal_jax.files.writing import write_whole
+from gradcal_jax.information.conformity import specific_risk
+from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.provenance import assumed_noise
+from gradcal_jax.pages.sources import Sources
+
+NOT_STATED: Final = "not stated"
+_COVERAGE: Final = 2.0
+_TEMPERATURES: Final = 7
+
+
+class Input(NamedTuple):
+    """A line of the uncertainty budget: an input's value, the share of the variance it makes, its contribution."""
+
+    name: str
+    value: str
+    distribution: str
+    type: str
+    sensitivity: float
+    contribution: float
+
+
+class Budget(NamedTuple):
+    """The uncertainty budget of one requirement and axis: `total` is the standard uncertainty, in `unit`."""
+
+    requirement: str
+    axis: str
+    unit: str
+    total: float
+    inputs: tuple[Input, ...]
+
+
+class ResultRow(NamedTuple):
+    """A requirement: standard and expanded uncertainty, at worst, the limit, the rule, the verdict and its risk."""
+
+    name: str
+    axis: str
+    unit: str
+    standard: float | None
+    coverage: float
+    expanded: float | None
+    worst: float | None
+    target: float | None
+    verdict: str
+    rule: str
+    risk: float | None
+
+
+class Correction(NamedTuple):
+    """Of one axis at one temperature: bias (deg/h) and scale factor at ±the fastest rate (ppm), with their U."""
+
+    axis: str
+    temperature_c: float
+    bias: float | None
+    bias_expanded: float | None
+    scale_factor: tuple[float, float] | None
+    scale_factor_expanded: float | None
+
+
+class Certificate(NamedTuple):
+    """Everything on the two pages, once."""
+
+    heading: tuple[tuple[str, str], ...]
+    method: str
+    traceability: tuple[tuple[str, str, str, str], ...]
+    conditions: tuple[tuple[str, str], ...]
+    results: tuple[ResultRow, ...]
+    budgets: tuple[Budget, ...]
+    fit: tuple[tuple[str, str, float, int, float], ...]
+    corrections: tuple[Correction, ...]
+    fastest_dps: float
+    validity: tuple[str, ...]
+    simulated: bool
+
+
+def certificate_of(
+    sources: Sources, rig: RigFile | None = None, *, number: str = "", customer: str = "", operator: str = ""
+) -> Certificate:
+    """What a certificate says. Errors: `ValueError` without a calibration."""
+    calibration = sources.calibration
+    if calibration is None:
+        raise ValueError("a certificate is of a calibration: name its file, or the folder of a run that has one")
+    laboratory = None if rig is None else rig.laboratory
+    who = operator or ("" if laboratory is None or laboratory.operator is None else laboratory.operator)
+    where = "" if laboratory is None else ", ".join(filter(None, (laboratory.name, laboratory.address)))
+    heading = (
+        ("certificate number", number or NOT_STATED),
+        ("date", datetime.now(UTC).strftime("%Y-%m-%d")),
+        ("laboratory", where or NOT_STATED),
+        ("customer", customer or NOT_STATED),
+        ("operator", who or NOT_STATED),
+        ("unit", f"{calibration.title or calibration.quantity}, serial number {calibration.serial_number}"),
+    )
+    return Certificate(
+        heading=heading,
+        method=_method(sources, calibration),
+        traceability=tuple(
+            (r.device, r.identity, r.certificate or NOT_STATED, r.due or NOT_STATED)
+            for r in (() if rig is None else rig.reference)
+        ),
+        conditions=_conditions(calibration),
+        results=tuple(_result(row) for row in calibration.result),
+        budgets=tuple(_budgets(sources)),
+        fit=tuple((axis.name, t.name, t.statistic, t.degrees, t.chance) for axis in calibration.axis for t in axis.fit),
+        corrections=tuple(row for axis in calibration.axis for row in _corrections(axis, len(calibration.axis))),
+        fastest_dps=min(float(np.degrees(axis.valid_rate[1])) for axis in calibration.axis),
+        validity=_validity(calibration),
+        simulated=calibration.simulated,
+    )
+
+
+def _method(sources: Sources, calibration: Calibration) -> str:
+    how = "stable temperatures, a reference rate at each"
+    if sources.recipe is not None and sources.recipe.spec.plan.method == "gradient":
+        how = "temperature ramp; the reference is the angle of the table before and after each turn"
+    elif sources.recipe is None:
+        how = "as the log has it"
+    estimator = calibration.provenance.get("estimator", NOT_STATED)
+    return f"{how}. Estimator: {estimator}. Uncertainties by propagation of covariance, linear and Gaussian (GUM)."
+
+
+def _conditions(calibration: Calibration) -> tuple[tuple[str, str], ...]:
+    axes = calibration.axis
+    low, high = (f"{axes[0].valid_temperature[k]}" for k in (0, 1))
+    rows = [("temperature of the unit", f"{low} to {high}"), ("frame", calibration.frame)]
+    rows += [(f"rates, axis {a.name}", f"{a.valid_rate[0]} to {a.valid_rate[1]}") for a in axes]
+    if (digest := calibration.provenance.get(LOG_HASH)) is not None:
+        rows.append(("recording (SHA-256)", digest[:16]))
+    return tuple(rows)
+
+
+def _validity(calibration: Calibration) -> tuple[str, ...]:
+    rows = [
+        "The values hold for the unit as it was, on the day of the recording, within the temperatures and rates above; "
+        "beyond, those at the edge are held and are not covered.",
+        "The turn-on bias of another day is not part of the stated uncertainty of the bias.",
+    ]
+    rows += [
+        f"Axis {axis.name}: the data say nothing of {', '.join(axis.unobservable)}."
+        for axis in calibration.axis
+        if axis.unobservable
+    ]
+    return tuple(rows)
+
+
+def _result(row: Result) -> ResultRow:
+    k = row.coverage or _COVERAGE
+    expanded = None if row.value is None else k * row.value
+    risk = None
+    if row.target is not None and row.worst is not None:
+        risk = specific_risk(0.0, row.worst, row.target)
+    verdict, rule = row.verdict or "no limit stated", row.rule or ""
+    return ResultRow(row.name, row.axis, row.unit, row.value, k, expanded, row.worst, row.target, verdict, rule, risk)
+
+
+def _budgets(sources: Sources):
+    """Of each requirement of the recipe that was run, scaled to what the estimate came to."""
+    if sources.recipe is None or sources.calibration is None:
+        return
+    spec = sources.recipe.spec
+    built = api.assemble(spec)
+    known_values = dict(assumed_noise(sources.recipe, None))
+    reached = {(row.name, row.axis): row for row in sources.calibration.result}
+    for channel in built.channels:
+        shares = api.error_budget(built, channel, api.posterior_of_plan(built, channel))
+        for name, parts in shares.items():
+            row = reached.get((name, channel))
+            if row is None or row.value is None:
+                continue
+            value = row.value
+            inputs = tuple(
+                Input(
+                    part,
+                    known_values.get(part) or known_values.get(f"{part} error") or "as in the spec",
+                    "normal",
+                    "B",
+                    share,
+                    value * sqrt(max(share, 0.0)),
+                )
+                for part, share in parts.items()
+                if share >= 5e-4
+            )
+            yield Budget(name, channel, row.unit, value, inputs)
+
+
+def _corrections(axis: AxisCalibration, axes: int) -> list[Correction]:
+    low, high = (float(t) for t in axis.valid_temperature)
+    temperatures = np.linspace(low, high, _TEMPERATURES if axes <= 3 else 3)
+    slow, fast = (float(np.degrees(r)) for r in axis.valid_rate)
+    bias = None if axis.bias is None else found_map(axis, "bias", temperatures, np.zeros(1))
+    scale = None
+    if axis.scale_factor is not None:
+        scale = found_map(axis, "scale_factor", temperatures, np.linspace(slow, fast, 21))
+    rows: list[Correction] = []
+    for k, at in enumerate(temperatures):
+        b = u_b = u_m = None
+        m: tuple[float, float] | None = None
+        if bias is not None:
+            b, u_b = float(bias[0].values[k, 0]), _COVERAGE * float(bias[1].values[k, 0])
+        if scale is not None:
+            m = float(scale[0].values[k, 0]), float(scale[0].values[k, -1])
+            u_m = _COVERAGE * float(np.max(scale[1].values[k]))
+        rows.append(Correction(axis.name, float(at), b, _finite(u_b), m, _finite(u_m)))
+    return rows
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else value
+
+
+def as_tables(certificate: Certificate) -> dict[str, Any]:
+    """The certificate as plain numbers and texts, for `--json`."""
+    return certificate._asdict() | {
+        "heading": dict(certificate.heading),
+        "conditions": dict(certificate.conditions),
+        "traceability": [
+            dict(zip(("device", "identity", "certificate", "due"), r, strict=True)) for r in certificate.traceability
+        ],
+        "results": [row._asdict() for row in certificate.results],
+        "budgets": [b._asdict() | {"inputs": [i._asdict() for i in b.inputs]} for b in certificate.budgets],
+        "fit": [dict(zip(("axis", "test", "statistic", "degrees", "chance"), r, strict=True)) for r in certificate.fit],
+        "corrections": [row._asdict() for row in certificate.corrections],
+        "made_by": f"gradcal {gradcal_jax.__version__}",
+    }
+
+
+def write_certificate(certificate: Certificate, output: str | Path) -> None:
+    """The two pages as one HTML file. Errors: `OSError` where it cannot be written."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["figures"] = lambda value, digits=4: "–" if value is None else figures(value, digits)
+    room = resources.files(__name__.rsplit(".", 1)[0])
+    template = environment.from_string((room / "certificate.html").read_text(encoding="utf-8"))
+    css = (room / "style.css").read_text(encoding="utf-8")
+    write_whole(output, template.render(c=certificate, css=css, program=f"gradcal {gradcal_jax.__version__}"))

@@ -1,0 +1,137 @@
+"""The certificate: every item is there, its numbers hang together, and it prints on two pages."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from headless_chromium import Chromium, browser
+from report_samples import calibration, recipe
+
+import gradcal_jax as gj
+from gradcal_jax.cli import main
+from gradcal_jax.files.calibration import FitTest
+from gradcal_jax.files.rig import TEMPLATE
+
+REFERENCES = """
+[laboratory]
+name = "Laboratory <1>"
+operator = "A. Person"
+[[reference]]
+device = "encoder"
+identity = "RON 905, 12345"
+certificate = "K-2026-17"
+due = "2027-06-30"
+[[reference]]
+device = "chamber"
+identity = "WK 111"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certificate")
+    made = recipe()
+    gj.write_toml(made, folder / "recipe.toml")
+    found = calibration(made)
+    tested = FitTest(name="χ² of the fit", statistic=101.0, degrees=98, chance=0.4)
+    axis = found.axis[0].model_copy(update={"fit": (tested,)})
+    row = found.result[0].model_copy(
+        update={"worst": 800.0, "coverage": 2.0, "rule": "simple acceptance: 2 × mean of max (1σ) within 2000 ppm"}
+    )
+    gj.write_calibration(
+        type(found).model_validate(
+            found.model_copy(update={"axis": (axis,), "result": (row, *found.result[1:])}).model_dump(
+                exclude_unset=True
+            )
+        ),
+        folder / "cal.toml",
+    )
+    (folder / "rig.toml").write_text(TEMPLATE + REFERENCES, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(folder):
+    words = ["report", folder / "recipe.toml", folder / "cal.toml", "--certificate", "--rig", folder / "rig.toml"]
+    words += ["--number", "K-1", "--customer", "A & B", "-o", folder / "c.html", "--force"]
+    return [str(word) for word in words]
+
+
+def test_the_json_hangs_together(made, capsys):
+    assert main([*made, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["heading"]["certificate number"] == "K-1"
+    assert told["heading"]["laboratory"] == "Laboratory <1>"
+    assert told["heading"]["operator"] == "A. Person"
+    assert [row["device"] for row in told["traceability"]] == ["encoder", "chamber"]
+    assert told["traceability"][1]["due"] == "not stated"
+    for row in told["results"]:
+        assert row["expanded"] == pytest.approx(row["coverage"] * row["standard"])
+    first = told["results"][0]
+    # 2·Φ(−2000/800)
+    assert first["risk"] == pytest.approx(0.0124193, rel=1e-5)
+    (budget, *_) = told["budgets"]
+    assert sum(i["sensitivity"] for i in budget["inputs"]) == pytest.approx(1.0, abs=0.01)
+    assert sum(i["contribution"] ** 2 for i in budget["inputs"]) == pytest.approx(budget["total"] ** 2, rel=0.01)
+    assert told["fit"][0]["test"] == "χ² of the fit"
+
+
+def test_corrections_are_those_of_apply_and_their_uncertainty_the_covariances(made, folder, capsys):
+    assert main([*made, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    found = gj.read_calibration(folder / "cal.toml")
+    axis = found.axis[0]
+    from gradcal_jax.files.correction import bias, scale_factor
+
+    at = np.array([row["temperature_c"] for row in told["corrections"]])
+    np.testing.assert_allclose([r["bias"] for r in told["corrections"]], np.degrees(bias(axis, at)) * 3600.0, rtol=1e-9)
+    for k, end in enumerate(axis.valid_rate):
+        expected = scale_factor(axis, at, np.full(len(at), float(end))) * 1e6
+        np.testing.assert_allclose([r["scale_factor"][k] for r in told["corrections"]], expected, rtol=1e-9)
+    if axis.covariance is not None:
+        assert all(r["bias_expanded"] > 0.0 for r in told["corrections"])
+
+
+def test_the_page_has_every_item_and_claims_nothing(made, folder):
+    assert main(made) == 0
+    page = (folder / "c.html").read_text(encoding="utf-8")
+    for words in ("page 1 of 2", "page 2 of 2", "Laboratory &lt;1&gt;", "A &amp; B", "RON 905, 12345", "K-2026-17"):
+        assert words in page
+    for title in (
+        "Method",
+        "Traceability",
+        "Conditions",
+        "Results",
+        "Uncertainty budget",
+        "Tests of the fit",
+        "Validity",
+    ):
+        assert f"<h2>{title}</h2>" in page
+    assert "claims no accreditation" in page
+    assert not re.search(r"accredited|ISO/IEC 17025|https?://", page)
+    assert "nan" not in re.sub(r"<style>.*?</style>", "", page, flags=re.S)
+
+
+def test_what_is_not_known_is_not_stated(folder, tmp_path, capsys):
+    out = tmp_path / "c.html"
+    assert main(["report", str(folder / "cal.toml"), "--certificate", "-o", str(out)]) == 0
+    page = out.read_text(encoding="utf-8")
+    assert page.count("not stated") >= 3
+    assert "the rig file names no [[reference]]" in page
+    assert "without the recipe that was run" in page
+    assert main(["report", str(folder / "recipe.toml"), "--certificate", "-o", str(tmp_path / "d.html")]) == 2
+    assert "a certificate is of a calibration" in capsys.readouterr().err
+    assert main(["report", str(folder / "cal.toml"), "--customer", "x", "-o", str(tmp_path / "d.html")]) == 2
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(browser() is None, reason="there is no Chromium on the path")
+def test_it_prints_on_two_pages_and_fits_narrow_and_wide(made, folder, tmp_path):
+    assert main(made) == 0
+    with Chromium(browser()) as running:
+        for width in (400, 1400):
+            running.open(folder / "c.html", width)
+            assert running.evaluate("document.documentElement.scrollWidth") <= width
+        running.print_pdf(tmp_path / "c.pdf")
+    assert len(re.findall(rb"/Type\s*/Page\b", (tmp_path / "c.pdf").read_bytes())) == 2

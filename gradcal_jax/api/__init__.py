@@ -19,6 +19,7 @@ from gradcal_jax.api.posterior_of_plan import (
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.recipe import recipe
 from gradcal_jax.api.timeline import timeline
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.warnings import unobservable
 
 __all__ = [
@@ -27,8 +28,10 @@ __all__ = [
     "PPM",
     "UNIT_OF",
     "Assembled",
+    "AssembledUnit",
     "TwinRow",
     "assemble",
+    "assemble_unit",
     "basis",
     "bias_map",
     "error_budget",

@@ -18,10 +18,14 @@ from gradcal_jax.api.minimise_time import minimise_time
 from gradcal_jax.api.posterior_of_plan import posterior_of_plan
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.sensitivity import Sensitivities, sensitivities
+from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.unit_prediction import posterior_of_unit
+from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.log import Log
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.identify.allan import TERMS
 
 
@@ -29,17 +33,20 @@ def _unwatched(_: object) -> None:
     pass
 
 
-def check(spec: Spec) -> list[str]:
+def check(spec: Spec | UnitSpec) -> list[str]:
     """What a spec's prediction should not be read without, in sentences: what the plan cannot observe, and where a
     requirement goes beyond the temperatures (°C) and rates (deg/s) that the plan visits. Empty: nothing.
 
     Errors: none; whatever is wrong with a file, `read_spec` has refused already.
     """
+    if isinstance(spec, UnitSpec):
+        unit = assemble_unit(spec)
+        return unit_warnings(unit, posterior_of_unit(unit))
     built = assemble(spec)
     return warnings(built, {channel: posterior_of_plan(built, channel) for channel in built.channels})
 
 
-def compare(*specs: Spec) -> list[Prediction]:
+def compare(*specs: Spec | UnitSpec) -> list[Prediction]:
     """The prediction of each spec (`predict`: s, ppm, deg/h), with what its requirements are limited by.
 
     Errors: as `predict`.

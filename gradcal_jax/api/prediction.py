@@ -5,21 +5,25 @@ import numpy as np
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import error_budget, limited_by
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, posterior_of_plan, residual_map, target_of, verdict
+from gradcal_jax.api.unit_prediction import predict_unit
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.contracts import ParameterRow, RequirementRow
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior, statistic
 
 
-def predict(spec: Spec, *, limits: bool = False) -> Prediction:
+def predict(spec: Spec | UnitSpec, *, limits: bool = False) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also say of each requirement what it is limited by. The exact covariance of generalised least squares
     under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with a warning. Errors:
     none; whatever is wrong with a file, `read_spec` has refused already.
     """
+    if isinstance(spec, UnitSpec):
+        return predict_unit(spec)
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}
     requirements = [

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gradcal_jax.api.unit_build import AssembledUnit
+from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
 from gradcal_jax.information import Posterior
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.trajectory import frames
@@ -11,6 +11,8 @@ from gradcal_jax.trajectory import frames
 NOT_OBSERVED = 0.9
 # Of a direction: nearly along it.
 _ALONG = 0.9
+# Share of a turn's rate that a gyro must see.
+_SEEN = 0.3
 # Smallest over largest singular value of up-directions that do not lie in one plane.
 _FLAT = 0.05
 
@@ -59,11 +61,15 @@ def _beyond(built: AssembledUnit) -> list[str]:
     line = built.motion.line
     begin, end = (e[~line.gap] for e in line.ends())
     low, high = float(min(begin.min(), end.min())), float(max(begin.max(), end.max()))
+    beyond: dict[tuple[float, float], list[str]] = {}
+    for r in built.spec.requirement:
+        if r.temperature[0] < low - 1e-6 or r.temperature[1] > high + 1e-6:
+            beyond.setdefault((float(r.temperature[0]), float(r.temperature[1])), []).append(f"'{r.name}'")
     return [
-        f"requirement '{r.name}' asks for {float(r.temperature[0]):g} … {float(r.temperature[1]):g} °C, but the unit "
-        f"goes through {low:.4g} … {high:.4g} °C only: beyond that the structure of the maps is trusted"
-        for r in built.spec.requirement
-        if r.temperature[0] < low - 1e-6 or r.temperature[1] > high + 1e-6
+        (f"requirement {names[0]} asks" if len(names) == 1 else f"requirements {', '.join(names)} ask")
+        + f" for {cold:g} … {warm:g} °C, but the unit goes through {low:.4g} … {high:.4g} °C only: beyond that the "
+        "structure of the maps is trusted"
+        for (cold, warm), names in beyond.items()
     ]
 
 
@@ -73,10 +79,9 @@ def _cures(built: AssembledUnit, names: set[str]) -> list[str]:
         return []
     motion = built.motion
     before, _ = motion.angles()
-    stages = frames(motion.geometry, before, motion.mounting)
-    first = np.flatnonzero(np.diff(motion.line.segment, prepend=-1))
-    rests = first[(motion.axis[first] < 0) & ~motion.line.gap[first]]
-    up = stages.attitude[rests][:, 2, :]
+    axes = frames(motion.geometry, before, motion.mounting).axes
+    moves = np.flatnonzero(motion.axis >= 0)
+    up = rest_poses(built).up
     said: list[str] = []
     for c in built.model.channels:
         axis = AXIS_NAMES[c.axis]
@@ -85,7 +90,7 @@ def _cures(built: AssembledUnit, names: set[str]) -> list[str]:
             for sign, where in ((1.0, "up"), (-1.0, "down")):
                 if not np.any(sign * up[:, c.axis] > 0.5):
                     said.append(f"accelerometer {axis} never points {where}: add a pose")
-        turned = [k for k in first[motion.axis[first] >= 0] if abs(stages.axes[k, motion.axis[k], c.axis]) > 0.3]
+        turned = np.any(np.abs(axes[moves, motion.axis[moves], c.axis]) > _SEEN)
         if c.kind == "gyro" and any(".b" in name for name in blind) and not turned:
             said.append(f"no turn is about gyro {axis}: add one while a table axis lies along it")
     if any(".g_" in name for name in names) and len(up):
@@ -95,7 +100,7 @@ def _cures(built: AssembledUnit, names: set[str]) -> list[str]:
                 "the directions that point up while the table rests lie in one plane, so bias and acceleration "
                 "sensitivity cannot be told apart: four directions are needed that do not"
             )
-    return said + _reversals(built, stages.axes, names)
+    return said + _reversals(built, axes, names)
 
 
 def _reversals(built: AssembledUnit, axes: np.ndarray, names: set[str]) -> list[str]:

@@ -9,6 +9,7 @@ from cyclopts import App
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, as_json
 from gradcal_jax.cli.status import DONE
+from gradcal_jax.cli.unit import check_unit
 from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
 
@@ -39,9 +40,12 @@ def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int
     json
         Print the plan's times, notes, and what it cannot observe, as JSON.
     """
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.unit_spec import UnitSpec
 
-    found = spec_in(spec)
+    found = any_spec_in(spec)
+    if isinstance(found, UnitSpec):
+        return check_unit(found, str(spec), files_only=files_only, json=json)
     if json:
         print(as_json(numbers(found) | {"unobservable": None if files_only else unobservable(found)}))
         return DONE

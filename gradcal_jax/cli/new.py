@@ -42,7 +42,7 @@ def new(
     from gradcal_jax.files import column_guess, presets
 
     if listing:
-        rows = [(name, presets.title(name)) for name in presets.names()]
+        rows = [(name, presets.title(name)) for name in (*presets.names(), *presets.unit_names())]
         print(columns([*rows, (_COLUMN_MAP, "What the columns of a recording mean, for --columns")], indent=""))
         return DONE
     if preset is None:

@@ -50,15 +50,20 @@ def predict(
         Of the simulated calibrations.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.unit_spec import UnitSpec
 
     drawable(plot)
-    found = spec_in(spec)
+    found = any_spec_in(spec)
+    if isinstance(found, UnitSpec) and monte_carlo is not None:
+        raise ValueError("--monte-carlo simulates one gyro axis, not yet a whole unit: leave it out")
     use_float64()
     from gradcal_jax import api
 
     prediction = api.predict(found, limits=not json)
-    rows, tests = ((), {}) if monte_carlo is None else api.monte_carlo(found, monte_carlo, seed)
+    rows, tests = ((), {})
+    if monte_carlo is not None and not isinstance(found, UnitSpec):
+        rows, tests = api.monte_carlo(found, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
         simulated["covariance"] = {
@@ -72,9 +77,10 @@ def predict(
         if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
     if plot is not None:
-        from gradcal_jax.plots import draw_prediction
+        from gradcal_jax.plots import draw_prediction, draw_unit
 
-        save_figure(draw_prediction(found), plot, quiet=json)
+        figure = draw_unit(found) if isinstance(found, UnitSpec) else draw_prediction(found)
+        save_figure(figure, plot, quiet=json)
     met = all(row.verdict in (None, "met") for row in prediction.requirements)
     return DONE if met and all(test.consistent for test in tests.values()) else NOT_AS_WISHED
 
@@ -96,10 +102,16 @@ def compare(
     if not specs:
         raise ValueError("compare what? Name two or more spec files")
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.unit_spec import UnitSpec
 
     drawable(plot)
-    found = [(path.stem, spec_in(path)) for path in specs]
+    found = [(path.stem, any_spec_in(path)) for path in specs]
+    of_axes = [(name, spec) for name, spec in found if not isinstance(spec, UnitSpec)]
+    if plot is not None and len(of_axes) < len(found):
+        raise ValueError(
+            "--plot compares plans of one gyro axis; draw a unit's plan by: gradcal predict SPEC --plot FILE"
+        )
     use_float64()
     from gradcal_jax import api
 
@@ -111,7 +123,7 @@ def compare(
     if plot is not None:
         from gradcal_jax.plots import draw_comparison
 
-        save_figure(draw_comparison(found), plot, quiet=json)
+        save_figure(draw_comparison(of_axes), plot, quiet=json)
     return DONE
 
 
@@ -119,12 +131,15 @@ def text(prediction: "Prediction", name: str) -> str:
     """A prediction as people read it: ppm, deg/h, hours."""
     lines = [strong(prediction.title or name), _times(prediction), ""]
     if prediction.requirements:
-        several = len({row.axis for row in prediction.requirements}) > 1
+        several = len({row.axis for row in prediction.requirements} & {"x", "y", "z"}) > 1
         head = ("requirement", "quantity", "statistic", "residual (1σ)", "target", "verdict", "limited by")
         lines.append(columns([head, *(_row(row, several) for row in prediction.requirements)], indent=""))
     else:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
-    lines += ["", columns(_parameters(prediction), indent="", right=(1,))]
+    if any(row.axis == "unit" for row in prediction.parameters):
+        lines += ["", columns(_parameters_of_unit(prediction), indent="", right=(1, 2, 3))]
+    else:
+        lines += ["", columns(_parameters(prediction), indent="", right=(1,))]
     lines += [f"note: {warning}" for warning in prediction.warnings]
     return "\n".join(lines)
 
@@ -162,6 +177,14 @@ _SHOWN = {
     "1": ("ppm", units.PPM),
     "rad/K": ("deg/h/(K/min)", units.DEG_PER_H / 60.0),
 }
+_SHOWN_OF_UNIT = _SHOWN | {
+    "rad": ("urad", 1e6),
+    "m/s^2": ("ug", 1e6 / units.G),
+    "rad/s/(m/s^2)": ("deg/h/g", units.DEG_PER_H * units.G),
+    "rad/s/(m/s^2)^2": ("deg/h/g^2", units.DEG_PER_H * units.G**2),
+    "1/(m/s^2)": ("ug/g^2", 1e6 * units.G),
+    "1/(m/s^2)^2": ("ug/g^3", 1e6 * units.G**2),
+}
 
 
 def _parameters(prediction: "Prediction") -> list[tuple[str, ...]]:
@@ -172,6 +195,22 @@ def _parameters(prediction: "Prediction") -> list[tuple[str, ...]]:
         name = f"{row.name}, axis {row.axis}" if several else row.name
         rows.append((name, "not observable" if row.std is None else f"{row.std * factor:.4g}", unit))
     return rows
+
+
+def _parameters_of_unit(prediction: "Prediction") -> list[tuple[str, ...]]:
+    """A row for each coefficient, with a column for each axis."""
+    table: dict[tuple[str, str, str], dict[str, str]] = {}
+    for row in prediction.parameters:
+        channel, _, symbol = row.name.partition(".")
+        kind, _, axis = channel.rpartition("_")
+        unit, factor = _SHOWN_OF_UNIT.get(row.unit, (row.unit, 1.0))
+        value = "not observable" if row.std is None else f"{row.std * factor:.4g}"
+        table.setdefault((kind, symbol, unit), {})[axis] = value
+    rows: list[tuple[str, ...]] = [("parameter, 1σ", "x", "y", "z", "unit")]
+    return rows + [
+        (f"{kind} {symbol}", *(values.get(axis, "") for axis in "xyz"), unit)
+        for (kind, symbol, unit), values in table.items()
+    ]
 
 
 def _simulated(rows, tests, runs: int, seed: int) -> str:

@@ -8,12 +8,14 @@ A plain number for a key that holds a quantity is SI (°C for temperatures) and 
 import copy
 import re
 from collections.abc import Mapping
-from typing import Any, Final, cast
+from typing import Any, Final, TypeVar, cast
 
 from gradcal_jax import units
 from gradcal_jax.files.problems import Key, Problem, SpecError, dotted, nearest
-from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
+from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 
+AnySpec = TypeVar("AnySpec", bound=Spec | UnitSpec)
 _PART: Final = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_-]*)|\[([0-9]{1,9})\]")
 
 
@@ -32,20 +34,25 @@ def split_key(text: str) -> Key:
     return tuple(parts)
 
 
-def tables_of(spec: Spec) -> dict[str, Any]:
+def tables_of(spec: Spec | UnitSpec) -> dict[str, Any]:
     """The spec as the tables of its file: texts with units, numbers, lists; a copy, free to change. Errors: none."""
     return spec.model_dump(mode="json", exclude_unset=True)
 
 
-def changed(spec: Spec, changes: Mapping[str, object], source: str = "") -> Spec:
+def changed(spec: AnySpec, changes: Mapping[str, object], source: str = "") -> AnySpec:
     """A new spec with some keys set, such as {"rig.table.max_rate": "200 deg/s"}; None removes a key.
 
     Values are as in the file: text with units. Errors: `SpecError` for unknown keys and bad values.
     """
-    return spec_of(patched(spec, changes, source), source)
+    return cast("AnySpec", any_spec_of(patched(spec, changes, source), source))
 
 
-def patched(spec: Spec, changes: Mapping[str, object], source: str = "") -> dict[str, Any]:
+def any_spec_of(document: Mapping[str, Any], source: str = "") -> Spec | UnitSpec:
+    """The spec of one axis or of a whole unit from tables as TOML gives them. Raises `SpecError`."""
+    return unit_spec_of(document, source) if is_of_unit(document) else spec_of(document, source)
+
+
+def patched(spec: Spec | UnitSpec, changes: Mapping[str, object], source: str = "") -> dict[str, Any]:
     """The tables of a spec with some keys set, not checked. Raises `SpecError` for keys that have no place."""
     tables = tables_of(spec)
     problems: list[Problem] = []
@@ -103,4 +110,4 @@ def _dressed(old: object, value: object) -> object:
     return copy.deepcopy(value)
 
 
-__all__ = ["changed", "dotted", "patched", "split_key", "tables_of"]
+__all__ = ["any_spec_of", "changed", "dotted", "patched", "split_key", "tables_of"]

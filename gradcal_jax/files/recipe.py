@@ -19,8 +19,9 @@ from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
+from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 
 FORMAT: Final = "gradcal-recipe/1"
 
@@ -128,6 +129,12 @@ def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or the one inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
     document = read_toml(read_text(path), str(path))
     return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
+
+
+def any_spec_in(path: str | Path) -> Spec | UnitSpec:
+    """As `spec_in`, and the spec of a whole unit, too."""
+    document = read_toml(read_text(path), str(path))
+    return unit_spec_of(document, str(path)) if is_of_unit(document) else spec_in(path)
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:

@@ -13,6 +13,7 @@ from gradcal_jax.files.section import Section
 # By module and class: a program that reads specs need not load the importers of logs.
 _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "spec": ("spec", "Spec"),
+    "unit-spec": ("unit_spec", "UnitSpec"),
     "rig": ("rig", "RigFile"),
     "timeline": ("contracts", "Timeline"),
     "prediction": ("contracts", "Prediction"),

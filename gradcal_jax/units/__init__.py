@@ -27,7 +27,7 @@ written, and `format_quantity` the shortest text that `parse` reads back as the 
 
 from gradcal_jax.units.dimensions import DIMENSIONS, Dimension
 from gradcal_jax.units.quantities import UnitError, convert, dimension_of, format_quantity, parse, to_unit, unit_of
-from gradcal_jax.units.shown import ARCSEC, DEG_PER_H, DEG_PER_S, DEG_PER_SQRT_H, PPM, time_text
+from gradcal_jax.units.shown import ARCSEC, DEG_PER_H, DEG_PER_S, DEG_PER_SQRT_H, PPM, G, time_text
 
 __all__ = [
     "ARCSEC",
@@ -37,6 +37,7 @@ __all__ = [
     "DIMENSIONS",
     "PPM",
     "Dimension",
+    "G",
     "UnitError",
     "convert",
     "dimension_of",

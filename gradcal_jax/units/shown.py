@@ -5,6 +5,8 @@ from typing import Final
 
 # What SI numbers (ratios, rad/s, rad/√s, rad) are multiplied by for people to read.
 PPM: Final = 1e6
+# m/s² in one g (BIPM, CGPM 1901).
+G: Final = 9.80665
 DEG_PER_S: Final = 180.0 / math.pi
 DEG_PER_H: Final = 3600.0 * 180.0 / math.pi
 DEG_PER_SQRT_H: Final = 60.0 * 180.0 / math.pi

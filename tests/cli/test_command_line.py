@@ -83,7 +83,7 @@ def test_new_prints_and_lists(capsys):
     assert capsys.readouterr().out == presets.text("paper-static-gradient")
     assert main(["new", "--list"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split(" ")[0] for line in lines] == [*presets.names(), "column-map"]
+    assert [line.split(" ")[0] for line in lines] == [*presets.names(), *presets.unit_names(), "column-map"]
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_an_interrupt_ends_with_130(monkeypatch, capsys):
     def interrupted(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gradcal_jax.files.recipe.spec_in", interrupted)
+    monkeypatch.setattr("gradcal_jax.files.recipe.any_spec_in", interrupted)
     assert main(["check", "my.toml"]) == 130
     assert capsys.readouterr().err == "gradcal: interrupted\n"
 

@@ -122,6 +122,11 @@ def back_and_forth(axis: int, dwell: float, degrees: float = 1800.0) -> list[Ste
     return [turn(axis, degrees), rest(dwell), turn(axis, -degrees), rest(dwell)]
 
 
+# Points of temperature along a piece, and the highest order of an encoder's harmonic.
+POINTS = 6
+_HARMONICS = 6
+
+
 def two_axes(*, latitude: float = LATITUDE, kind: type[Geometry] = Geometry) -> Geometry:
     """Outer axis along East, inner one along the body's z, which points up at zero."""
     return table(EAST, UP, latitude=latitude, kind=kind)
@@ -141,12 +146,13 @@ def motion_of(
     schedule = trajectory.gradient_plan(course, moves, read_every=None)
     number = np.asarray(schedule.pieces.move)
     begin = np.zeros(geometry.axis_count) if start is None else np.asarray(start, float) * DEG
-    return TableMotion(
+    return trajectory.table_motion(
         schedule.trajectory(),
         np.array([step.axis for step in steps])[number],
         np.array([step.mounting for step in steps])[number],
         geometry,
         begin,
+        _HARMONICS,
     )
 
 
@@ -236,13 +242,12 @@ def unit(channels, installation=(), noise: EncoderNoise | None = None, axes: int
     return UnitModel(tuple(channels), tuple(installation), encoder(axes) if noise is None else noise)
 
 
-def known(motion: TableMotion, of: UnitModel, harmonics: int = 0) -> Posterior:
+def known(motion: TableMotion, of: UnitModel) -> Posterior:
     """The program's posterior."""
-    nodes = trajectory.body_nodes(motion, trajectory.nodes_per_piece(motion, harmonics))
-    return posterior(unit_information(motion, of, nodes))
+    return posterior(unit_information(motion, of, trajectory.body_nodes(motion, POINTS)))
 
 
-def sigmas(motion: TableMotion, of: UnitModel, harmonics: int = 0) -> dict[str, float]:
+def sigmas(motion: TableMotion, of: UnitModel) -> dict[str, float]:
     """Standard deviations of all reported parameters by name (SI)."""
-    found = known(motion, of, harmonics).deviations(of.to_reported)
+    found = known(motion, of).deviations(of.to_reported)
     return dict(zip(of.names(), (float(v) for v in found), strict=True))

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from helpers_unit import ARCSEC, AXES, DEG, DEG_PER_H, G, Step, accelerometer, gyro, motion_of
+from helpers_unit import ARCSEC, AXES, DEG, DEG_PER_H, POINTS, G, Step, accelerometer, gyro, motion_of
 from reference_unit import Scene, rotated
 
 from gradcal_jax import model, trajectory
@@ -149,7 +149,7 @@ def highest_order(scene: Scene) -> int:
 
 
 def nodes_of(scene: Scene, moving: TableMotion) -> BodyNodes:
-    return trajectory.body_nodes(moving, trajectory.nodes_per_piece(moving, highest_order(scene)))
+    return trajectory.body_nodes(moving, POINTS)
 
 
 def system_of(scene: Scene) -> tuple[NoiseSteps, np.ndarray, UnitModel]:

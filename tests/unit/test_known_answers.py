@@ -21,6 +21,7 @@ from helpers_unit import (
     GYRO_DRIFT,
     GYRO_WHITE,
     LATITUDE,
+    POINTS,
     UP,
     G,
     NoEarth,
@@ -70,7 +71,7 @@ def of_symbol(found: dict[str, float], kind: str, symbol: str) -> np.ndarray:
 def tumble(steps, terms, *, drift=(), installation=(), noise=None, start=(0.0, 0.0), harmonics=0):
     """Bias µg, scale factor ppm, misalignment µrad and second order µg/g² of three accelerometers."""
     triad = [accelerometer(k, terms, drift=drift) for k in range(3)]
-    found = sigmas(motion_of(two_axes(), steps, start=start), unit(triad, installation, noise), harmonics)
+    found = sigmas(motion_of(two_axes(), steps, start=start), unit(triad, installation, noise))
     each = [of_symbol(found, "acc", symbol) for symbol in ("b", "s", "m_", "k2")]
     rms = lambda v: np.sqrt(np.mean(v**2))  # noqa: E731
     values = [(rms if i == 2 else np.mean)(v) if len(v) else np.nan for i, v in enumerate(each)]
@@ -346,7 +347,7 @@ def test_an_azimuth_that_is_wrong_fakes_acceleration_sensitivity():
     angles = up_along(FACES)
     motion = motion_of(two_axes(), poses(angles, 100.0, move=1e-3), start=angles[0])
     of = unit([gyro(k, "b g") for k in range(3)], [model.BaseTilt(np.full(3, 1.0))])
-    nodes = trajectory.body_nodes(motion, trajectory.nodes_per_piece(motion))
+    nodes = trajectory.body_nodes(motion, POINTS)
     steps, columns = unit_system(motion, of, nodes)
     rows = columns[np.asarray(steps.used)]
     own, azimuth = rows[:, : of.calibrated], rows[:, of.calibrated + 2]
@@ -364,7 +365,7 @@ def test_an_encoders_harmonic_in_the_scale_factor(degrees, figure):
     steps = [rest(5.0), *back_and_forth(0, 5.0, degrees) * 4]
     error = [model.AxisHarmonics(np.full(2, 10.0 * ARCSEC), (1,), 0, "spin")]
     of = unit([gyro(2, "s", white=1e-10)], error, axes=1)
-    found = sigmas(motion_of(table(UP, kind=NoEarth), steps), of, 1)["gyro_z.b00"]
+    found = sigmas(motion_of(table(UP, kind=NoEarth), steps), of)["gyro_z.b00"]
     delta = degrees * DEG
     wanted = 10.0 * ARCSEC * np.sqrt(2.0 * (1.0 - np.cos(delta))) / delta
     assert found == pytest.approx(wanted, rel=1e-6, abs=1e-9)
@@ -379,7 +380,7 @@ def test_an_encoders_harmonic_that_is_ignored_is_a_bias_of_an_accelerometer(wave
     motion = motion_of(table(EAST), poses(angles, 10.0, move=1.0))
     error = [model.AxisHarmonics(np.full(2, 10.0 * ARCSEC), (1,), 0, "tilt")]
     of = unit([accelerometer(1, "b s m"), accelerometer(2, "b s m")], error, axes=1)
-    nodes = trajectory.body_nodes(motion, trajectory.nodes_per_piece(motion, 1))
+    nodes = trajectory.body_nodes(motion, POINTS)
     steps, columns = unit_system(motion, of, nodes)
     rows = columns[np.asarray(steps.used)] / 10.0
     own = np.linalg.norm(rows[:, : of.calibrated], axis=0) > 1e-6

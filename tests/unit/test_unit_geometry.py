@@ -1,18 +1,20 @@
 """Every geometric column against finite differences of the finite, nonlinear geometry, and derivatives by JAX."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers_unit import ARCSEC, DEG, EAST, UP, accelerometer, gyro, motion_of, rest, table, turn, unit
-from random_units import highest_order, motion, nodes_of, random_scene, unit_of
+from helpers_unit import ARCSEC, DEG, EAST, POINTS, UP, accelerometer, gyro, motion_of, rest, table, turn, unit
+from random_units import motion, nodes_of, random_scene, unit_of
 from reference_unit import Simulator
 
 from gradcal_jax import model, trajectory
 from gradcal_jax.information import SquareRootInformation, whitened_factor
 from gradcal_jax.information.unit_rows import segments_of, unit_information, unit_system
-from gradcal_jax.trajectory import Geometry, TableMotion
+from gradcal_jax.trajectory import Geometry
 
 SCENES = [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 2, 3)]
 
@@ -25,7 +27,7 @@ def test_installation_columns_are_derivatives_of_the_finite_geometry(seed, axes,
     nodes, at = nodes_of(scene, moving), segments_of(moving, of)
     ours = {}
     for term in of.installation:
-        columns = at.sums(term.columns(nodes))
+        columns = at.sums(term.columns(nodes)[nodes.kind])
         ours |= {name: columns[:, :, j] for j, name in enumerate(term.names())}
     errors = simulator.installation()
     assert set(ours) == {*errors, "sample_clock"}
@@ -62,7 +64,7 @@ def test_the_attitude_is_a_rotation_and_the_rate_its_derivative():
     geometry = table(EAST, np.array([0.6, 0.0, 0.8]), UP)
     for axis in range(3):
         moving = motion_of(geometry, [turn(axis, 200.0)], start=(20.0, -50.0, 70.0))
-        (group,) = trajectory.body_nodes(moving, 200).groups
+        group = trajectory.body_nodes(moving, POINTS).groups[-1]
         attitude = np.concatenate(group.attitude)
         np.testing.assert_allclose(np.swapaxes(attitude, 1, 2) @ attitude - np.eye(3), 0.0, atol=1e-14)
         h = 1e-6
@@ -81,7 +83,6 @@ def test_the_attitude_is_a_rotation_and_the_rate_its_derivative():
 _STEPS = [rest(6.0), turn(1, 300.0), rest(5.0), turn(1, -250.0), turn(0, 80.0), rest(7.0), turn(0, 180.0), rest(4.0)]
 _STEPS += [turn(1, 100.0), rest(6.0), turn(0, -120.0), rest(8.0)]
 _START = motion_of(table(EAST, UP), _STEPS, start=(10.0, 20.0))
-_NODES = trajectory.nodes_per_piece(_START, 2)
 _COURSE = trajectory.programme(20.0, [(sum(s.move.duration for s in _STEPS), 0.05)])
 _PLAN = trajectory.gradient_plan(_COURSE, tuple(s.move for s in _STEPS), read_every=None)
 _COUNT = len(_STEPS)
@@ -118,14 +119,7 @@ def value(numbers: dict, which: np.ndarray) -> jax.Array:
     tilted = jnp.array([0.0, 0.0, 1.0]) + numbers["axes"]
     axes = jnp.stack([jnp.array(EAST), tilted / jnp.sqrt(jnp.sum(tilted**2))])
     geometry = Geometry(axes, np.eye(3), np.eye(3)[None], numbers["latitude"][0], np.asarray(9.8))
-    number = np.asarray(_PLAN.pieces.move)
-    moving = TableMotion(
-        plan.trajectory(),
-        np.array([s.axis for s in _STEPS])[number],
-        np.zeros(len(number), int),
-        geometry,
-        numbers["start"],
-    )
+    moving = replace(_START, line=plan.trajectory(), geometry=geometry, start_angles=numbers["start"])
     channels = [gyro(i, drift=((1e-6, 100.0),), std=_FLAT) for i in range(3)]
     channels += [accelerometer(i, drift=((1e-4, 100.0),), std=_FLAT) for i in range(3)]
 
@@ -148,7 +142,7 @@ def value(numbers: dict, which: np.ndarray) -> jax.Array:
         ],
         model.EncoderNoise(numbers["offset"], numbers["reading"], np.full(2, 1.7)),
     )
-    nodes = trajectory.body_nodes(moving, _NODES)
+    nodes = trajectory.body_nodes(moving, POINTS)
     steps, columns = unit_system(moving, of, nodes)
     info = SquareRootInformation(*whitened_factor(steps, columns, jnp.asarray(of.prior_rows())))
     found = info.deviations(jnp.eye(of.size)[which])
@@ -185,7 +179,7 @@ def test_both_array_libraries_compute_the_same_unit():
     nodes = nodes_of(scene, moving)
     steps, columns = unit_system(moving, of, nodes)
     traced = of_jax((moving, of))
-    again = trajectory.body_nodes(traced[0], trajectory.nodes_per_piece(moving, highest_order(scene)))
+    again = trajectory.body_nodes(traced[0], POINTS)
     their_steps, their_columns = unit_system(*traced, again)
     assert isinstance(their_columns, jax.Array)
     # An integral of gravity over a segment carries rounding of 1e-13, whatever is left of it in a column.

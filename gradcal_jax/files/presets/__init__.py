@@ -1,24 +1,34 @@
 """Commented specs to start from. Sensor figures are typical of a class of devices, of no vendor's."""
 
 from importlib import resources
+from importlib.resources.abc import Traversable
 
 from gradcal_jax.files.problems import nearest
 
 
 def names() -> tuple[str, ...]:
-    """The presets, in alphabetical order."""
-    files = resources.files(__name__).iterdir()
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in files if entry.name.endswith(".toml")))
+    """The presets of one gyro axis, in alphabetical order."""
+    return _in(resources.files(__name__))
+
+
+def unit_names() -> tuple[str, ...]:
+    """The presets of a whole unit, gyros and accelerometers, in alphabetical order."""
+    return _in(resources.files(__name__) / "units")
+
+
+def _in(folder: Traversable) -> tuple[str, ...]:
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
 
 def text(name: str) -> str:
     """The TOML text of a preset. Raises `ValueError` with the nearest right spelling."""
-    known = names()
-    if name not in known:
-        close = nearest(name, known)
-        ending = f'; nearest: "{close}"' if close else f"; known: {', '.join(known)}"
+    known, of_units = names(), unit_names()
+    if name not in (*known, *of_units):
+        close = nearest(name, (*known, *of_units))
+        ending = f'; nearest: "{close}"' if close else f"; known: {', '.join((*known, *of_units))}"
         raise ValueError(f'there is no preset named "{name}"{ending}')
-    return (resources.files(__name__) / f"{name}.toml").read_text(encoding="utf-8")
+    folder = resources.files(__name__)
+    return ((folder if name in known else folder / "units") / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def title(name: str) -> str:

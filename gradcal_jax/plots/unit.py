@@ -1,0 +1,81 @@
+"""Pictures of a whole unit's plan: what it leaves of every quantity, and where the unit points at rest."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.figure import Figure
+
+from gradcal_jax.api.unit_build import assemble_unit, rest_poses
+from gradcal_jax.api.unit_prediction import posterior_of_unit
+from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.plots.style import colour_map, from_zero, style_of
+
+_PANEL = (5.2, 3.4)
+_COLUMNS = 2
+
+
+def draw_unit(spec: UnitSpec) -> Figure:
+    """A panel for each requirement, a curve for each of its elements, and the poses on the sphere."""
+    built = assemble_unit(spec)
+    known = posterior_of_unit(built)
+    count = len(spec.requirement) + 1
+    rows = -(-count // _COLUMNS)
+    figure = Figure(figsize=(_PANEL[0] * _COLUMNS, _PANEL[1] * rows), layout="constrained")
+    for k, requirement in enumerate(spec.requirement):
+        ax = figure.add_subplot(rows, _COLUMNS, k + 1)
+        found = unit_residual(built, known, requirement)
+        by_rate = isinstance(requirement, GyroScaleFactorRequirement)
+        for i, (label, values) in enumerate(zip(found.labels, found.values, strict=True)):
+            across = np.degrees(found.rates) if by_rate else found.temperatures
+            shown = np.max(values, axis=0) if by_rate else values[:, 0]
+            ax.plot(across, np.where(np.isfinite(shown), shown, np.nan), label=label, **style_of(i))
+        if requirement.target is not None:
+            target = float(requirement.target) * found.si
+            ax.axhline(target, color="black", linewidth=0.8, linestyle=":")
+            ax.annotate("target", (0.01, target), xycoords=("axes fraction", "data"), va="bottom", fontsize=8)
+        what = "largest over temperature, " if by_rate else ""
+        ax.set(
+            xlabel="rate, deg/s" if by_rate else "temperature, °C",
+            ylabel=f"{what}1σ, {found.unit}",
+            title=requirement.name,
+        )
+        from_zero(ax)
+        if len(found.labels) > 1:
+            ax.legend(fontsize=8, ncols=3)
+    draw_poses(spec, ax=figure.add_subplot(rows, _COLUMNS, count, projection="mollweide"))
+    if spec.title:
+        figure.suptitle(spec.title)
+    return figure
+
+
+def draw_poses(spec: UnitSpec, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
+    """Where up is, seen from the unit, at every rest: longitude about its z axis, colour by time, area by duration."""
+    if ax is None:
+        ax = Figure(figsize=(6.4, 3.6), layout="constrained").add_subplot(projection="mollweide")
+    poses = rest_poses(assemble_unit(spec))
+    up = poses.up
+    longitude, latitude = np.arctan2(up[:, 1], up[:, 0]), np.arcsin(np.clip(up[:, 2], -1.0, 1.0))
+    # Points of one direction are spread by a hair, in order of time, so that none hides all others.
+    order = np.argsort(poses.start)
+    turn = np.linspace(0.0, 12.0 * np.pi, len(order))
+    spread = 0.06 * np.linspace(0.2, 1.0, len(order))
+    inside = np.clip(latitude[order] + spread * np.sin(turn), -1.5, 1.5)
+    dots = ax.scatter(
+        longitude[order] + spread * np.cos(turn) * (np.abs(latitude[order]) < 1.5),
+        inside,
+        s=4.0 + 1.5 * np.sqrt(poses.duration[order]),
+        c=poses.start[order] / 60.0,
+        cmap=colour_map(),
+        linewidths=0.0,
+        alpha=0.7,
+    )
+    names = {"+x": (0.0, 0.0), "+y": (np.pi / 2, 0.0), "−y": (-np.pi / 2, 0.0), "+z": (0.0, 1.45), "−z": (0.0, -1.45)}
+    for name, place in names.items():
+        ax.annotate(name, place, xytext=(4, 6), textcoords="offset points", fontsize=8)
+    ax.figure.colorbar(dots, ax=ax, label="time, min", shrink=0.7)
+    ax.set_title("which way is up, seen from the unit, at rest")
+    ax.set_xticklabels([])
+    ax.grid(visible=True, linewidth=0.4)
+    return ax, dots

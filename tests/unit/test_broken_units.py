@@ -107,7 +107,7 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     (f"{_MOVES}.0.pose", {"tilt": "0 s"}, f"{_MOVES}[0].pose.tilt", "angle"),
     (f"{_MOVES}.5", {"rest": "2 s"}, _MOVES, "must return"),
     (f"{_MOVES}.2.axis", "spin", f"{_MOVES}[2].axis", "rest is of all axes"),
-    (f"{_MOVES}.3.peak_rate", "400 deg/s", f"{_MOVES}[3]", "goes up to"),
+    (f"{_MOVES}.3.peak_rate", "400 deg/s", f"{_MOVES}[3].peak_rate", "goes up to"),
     (f"{_MOVES}.3", {"trun": "90 deg", "axis": "spin"}, f"{_MOVES}[3].trun", 'nearest: "turn"'),
     (f"{_MOVES}.3", {}, f"{_MOVES}[3]", "expected a rest"),
     (f"{_MOVES}.0.rest", "2 h", "plan.cycle", "longest stretch"),
@@ -163,6 +163,30 @@ def test_faults_of_several_keys_together(edits, words):
     with pytest.raises(SpecError) as caught:
         unit_spec_of(document)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("requirement", "kind", "axes", "words"),
+    [
+        ({"quantity": "heading", "turn": "90 deg", "rate": "10 deg/s"}, "gyro", ["x", "y"], "gyro z"),
+        ({"quantity": "position", "after": "60 s"}, "accelerometer", ["y", "z"], "accelerometer x"),
+        ({"quantity": "position", "after": "60 s", "axis": "x"}, "gyro", ["x", "z"], "gyro y"),
+        ({"quantity": "tilt"}, "accelerometer", ["z"], "accelerometer x, accelerometer y"),
+        ({"quantity": "gyro_misalignment", "relative_to": "internal"}, "gyro", ["x", "y"], "gyro z"),
+    ],
+    ids=lambda v: str(v)[:30],
+)
+def test_a_sensor_that_is_not_there_is_no_perfect_one(requirement, kind, axes, words):
+    """A quantity that several sensors make needs them all: one that is absent would count as known exactly."""
+    document = copy.deepcopy(GOOD)
+    document["requirement"] = [requirement | {"name": "r", "temperature": ["20 degC", "30 degC"]}]
+    assert unit_spec_of(document).requirement
+    document["sensor"][kind]["axes"] = axes
+    with pytest.raises(SpecError) as caught:
+        unit_spec_of(document)
+    (problem,) = caught.value.problems
+    assert problem.dotted == "requirement[0].quantity"
+    assert f"needs {words}, which the unit has not" in problem.message
 
 
 # --- slips ------------------------------------------------------------------------------------------------------------

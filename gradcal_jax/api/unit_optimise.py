@@ -17,6 +17,8 @@ from gradcal_jax.formulas import repetitions
 from gradcal_jax.information import Posterior, unit_system, whiten
 
 EVALUATIONS = 600
+# By how much worse a plan may be that is still taken at the beginning, of the logarithm: less, from a good plan.
+WARMEST = 0.05
 _SEARCH_GRID = 21
 
 
@@ -36,9 +38,12 @@ def optimise_unit(
     *,
     evaluations: int = EVALUATIONS,
     seed: int | None = None,
+    warmest: float = WARMEST,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[PoseState | UnitOptimum]:
     """Yields the state of the search after every evaluation, and the optimum at the end.
+
+    `evaluations`: plans that are tried; `warmest`: see `design.pose_search.anneal`.
 
     Errors: `ValueError` where there is no requirement, or the plan's turns are no whole numbers of the angle step.
     """
@@ -48,10 +53,8 @@ def optimise_unit(
     limits = _limits(spec, design)
     value = _Value(spec, design)
     made = 0
-    state = None
-    for state in anneal(
-        _items(spec, design), value, limits, evaluations=evaluations, seed=design.seed if seed is None else seed
-    ):
+    state, seed = None, design.seed if seed is None else seed
+    for state in anneal(_items(spec, design), value, limits, evaluations=evaluations, seed=seed, warmest=warmest):
         made += 1
         yield state
         if stop():

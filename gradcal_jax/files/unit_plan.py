@@ -282,6 +282,9 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
         axis = rig.table.axis[axes[name]]
         try:
             if isinstance(item, QuickTurn):
+                if item.peak_rate is not None and item.peak_rate > axis.max_rate * (1.0 + _SLACK):
+                    message = f'axis "{axis.name}" goes up to {axis.max_rate}; lower it, or leave it out'
+                    problems.append(Problem((*key, "peak_rate"), message, str(item.peak_rate)))
                 move = replace(quickest_turn(item.angle, axis, item.peak_rate), repeat=item.repeat)
             else:
                 move = cast("Any", item.move).resolve(float(axis.max_acceleration))

@@ -65,6 +65,9 @@ class UnitSpec(Section):
             if missing is not None:
                 message = f"needs [sensor.{missing}], which the spec does not estimate"
                 problems.append(Problem(("requirement", i, "quantity"), message, requirement.quantity))
+            elif absent := [f"{kind} {a}" for kind, a in _needed_axes(requirement) if a not in self._axes_of(kind)]:
+                message = f"needs {', '.join(absent)}, which the unit has not"
+                problems.append(Problem(("requirement", i, "quantity"), message, requirement.quantity))
             elif requirement.axis in ("x", "y", "z"):
                 triad = self.sensor.gyro if wanted[0].startswith("gyro") else self.sensor.accelerometer
                 assert triad is not None
@@ -91,6 +94,10 @@ class UnitSpec(Section):
                     problems.append(Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg"))
         return problems
 
+    def _axes_of(self, kind: str) -> tuple[str, ...]:
+        triad = getattr(self.sensor, kind)
+        return () if triad is None else triad.axes
+
     def _absent(self, dotted: str) -> bool:
         value: Any = self.sensor
         for name in dotted.split("."):
@@ -103,6 +110,20 @@ class UnitSpec(Section):
     def schedule(self) -> UnitSchedule:
         """The plan in SI."""
         return unit_schedule(self.plan, self.rig)
+
+
+def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:
+    """Sensors without which a requirement's quantity would count as known exactly."""
+    if isinstance(requirement, TurnRequirement):
+        return [("gyro", "z")]
+    if isinstance(requirement, TiltRequirement):
+        return [("accelerometer", a) for a in "xy"]
+    if isinstance(requirement, PositionRequirement):
+        return [(kind, a) for kind in ("gyro", "accelerometer") for a in "xy"]
+    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
+        kinds = ("gyro", "accelerometer") if requirement.quantity.startswith("accelerometer") else ("gyro",)
+        return [(kind, a) for kind in kinds for a in "xyz"]
+    return []
 
 
 def _needs(requirement: UnitRequirement) -> tuple[str, ...]:

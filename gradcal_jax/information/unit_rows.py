@@ -29,6 +29,10 @@ from gradcal_jax.model import BodyGroup, BodyNodes, UnitModel
 from gradcal_jax.trajectory import TableMotion
 
 
+# Of the largest column of its unit: what is below is no signal.
+_ROUNDING = 1e-11
+
+
 class Segments(NamedTuple):
     """Rests and moves of a motion, `S` of them: `first` and `last` piece, the `axis` that turns (−1: none); and the
     rows `(R,)` in order of time, each a channel's of a segment. A segment that nobody reads has one not `used`.
@@ -86,7 +90,18 @@ def _columns(model: UnitModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray
         parts.append(((rows, slice(begin, end)), at.sums(block)[segment]))
         parts.append(((rows, slice(calibrated, None)), shared[segment, c.index]))
         begin = end
-    return placed((len(at.row_channel), model.size), *parts)
+    return _without_rounding(placed((len(at.row_channel), model.size), *parts), model.units())
+
+
+def _without_rounding(columns: Float[AnyArray, "R p"], units: list[str]) -> Float[AnyArray, "R p"]:
+    """The columns with zeros for those that are rounding beside others of the same unit: scaled to unit length, as the
+    information is, they would count as seen.
+    """
+    xp = namespace(columns)
+    size = xp.max(xp.abs(columns), axis=0)
+    _, kind = np.unique(units, return_inverse=True)
+    largest = xp.max(xp.where(kind[:, None] == kind[None, :], size[None, :], 0.0), axis=1)
+    return xp.where((size > _ROUNDING * largest)[None, :], columns, 0.0)
 
 
 def _joint_steps(

@@ -58,8 +58,10 @@ class BaseTilt(InstallationTerm):
         return ["tilt_east", "tilt_north", "azimuth"]
 
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 3"]:
-        # Column j of Rᵀ is row j of R.
-        return nodes.integrals(lambda g: g.integral(seen(g, g.attitude, g.earth[..., None, :])), (6, 3))
+        # Column j of Rᵀ is row j of R. A turn about the vertical changes no force: not even rounding may tell of it.
+        whole = np.ones((1, 1, 6, 3))
+        whole[..., 3:, 2] = 0.0
+        return nodes.integrals(lambda g: g.integral(whole * seen(g, g.attitude, g.earth[..., None, :])), (6, 3))
 
 
 class NonOrthogonality(InstallationTerm):

@@ -6,6 +6,7 @@ from typing import Final
 OF_THE_FIELD: Final[dict[str, str]] = {
     "angle random walk": "White noise of the rate; the angle integrated from it wanders as √time. In deg/√h.",
     "axis": "A direction of sensing or of turning: x, y or z. Each axis of a sensor is a channel of its own.",
+    "attitude": "How a unit stands: the rotation from its own axes to East, North and up.",
     "B-spline": "Smooth pieces of polynomials between knots: a basis that bends where the data do.",
     "basis": "The functions that a map is a sum of: polynomials, B-splines or bins.",
     "bias instability": "Slow wandering of the bias in a run: first-order Gauss–Markov drifts of a size and a time.",
@@ -98,7 +99,7 @@ OF_THE_PROGRAM: Final[dict[str, str]] = {
     "clock": "Of the sensor or of the computer; the sensor's own rate error looks like a scale factor.",
     "column map": "A file that says what the columns of another program's recording mean, and in which units.",
     "confidence": "The share of cases in which the true value lies within an interval.",
-    "contract": "A form of JSON that other programs may rely on: gradcal-timeline/2 and gradcal-prediction/1.",
+    "contract": "A form of JSON that other programs may rely on, such as gradcal-timeline/2 and gradcal-prediction/1.",
     "Dask": "A program that spreads work over the machines of a cluster.",
     "delta": "How long the average lasts that the Direct Bound counts drift from.",
     "design": "A spec's [design] says what `optimise` minimises and which numbers of the plan are free.",

@@ -51,6 +51,7 @@ def draw_unit_residual(requirement: UnitRequirement, found: Residual, *, ax: Axe
         title=requirement.name,
     )
     from_zero(ax)
+    ax.set_ylim(top=1.08 * ax.get_ylim()[1])
     if len(found.labels) > 1:
         ax.legend(fontsize=8, ncols=3)
     return ax
@@ -79,9 +80,10 @@ def draw_poses(spec: UnitSpec, *, ax: Axes | None = None) -> tuple[Axes, PathCol
     )
     names = {"+x": (0.0, 0.0), "+y": (np.pi / 2, 0.0), "−y": (-np.pi / 2, 0.0), "+z": (0.0, 1.45), "−z": (0.0, -1.45)}
     for name, place in names.items():
-        ax.annotate(name, place, xytext=(4, 6), textcoords="offset points", fontsize=8)
+        # Inside the map: beyond the upper pole stands the title.
+        ax.annotate(name, place, xytext=(5, -11 if name == "+z" else 6), textcoords="offset points", fontsize=8)
     ax.figure.colorbar(dots, ax=ax, label="time, min", shrink=0.7)
-    ax.set_title("which way is up, seen from the unit, at rest")
+    ax.set_title("which way is up, seen from the unit, at rest", pad=14.0)
     ax.set_xticklabels([])
     ax.grid(visible=True, linewidth=0.4)
     return ax, dots

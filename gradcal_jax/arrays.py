@@ -40,6 +40,27 @@ def put(into: Any, where: Any, values: Any) -> Any:
     return result
 
 
+def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
+    """Zeros with `[where] = values` for each part, in order; NumPy's are written in place."""
+    if namespace([values for _, values in parts]) is jnp:
+        result = jnp.zeros(shape)
+        for where, values in parts:
+            result = result.at[where].set(values, mode="drop")
+        return result
+    result = np.zeros(shape)
+    for where, values in parts:
+        result[where] = values
+    return result
+
+
+def summed(values: Any, first: np.ndarray) -> Any:
+    """Sums of the rows from each of the places `first` (the first is 0) to the next one."""
+    if namespace(values) is np:
+        return np.add.reduceat(values, first, axis=0)
+    number = np.repeat(np.arange(len(first)), np.diff(first, append=values.shape[0]))
+    return jax.ops.segment_sum(values, number, num_segments=len(first), indices_are_sorted=True)
+
+
 def fixed(x: Any) -> Any:
     """The value without its derivative."""
     return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x

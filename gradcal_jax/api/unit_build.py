@@ -6,12 +6,12 @@ import numpy as np
 
 from gradcal_jax import model, trajectory
 from gradcal_jax.api.build import basis, bias_map, or_infinite, scale_factor_map
-from gradcal_jax.files.unit_plan import UnitStep
+from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
 from gradcal_jax.files.unit_rig import UnitRig
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import segments_of
-from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Polynomial, SignalMap, Term, UnitModel
+from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Map, Polynomial, SignalMap, Term, UnitModel
 from gradcal_jax.trajectory import Geometry, Move, TableMotion
 
 # Names by which requirements and sentences find terms; a gyro's maps have the names of a single axis.
@@ -20,26 +20,30 @@ G_SENSITIVITY = "g_sensitivity_{}"
 SPECIFIC_FORCE_BIAS = "bias"
 SECOND_ORDER = "second_order"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
+_ROUGH = 16
 
 
 class AssembledUnit(NamedTuple):
-    """A unit's spec in the core's terms. `nodes`: how many integrate a piece that moves."""
+    """A unit's spec in the core's terms. `points`: at how many along a piece functions of temperature are known."""
 
     spec: UnitSpec
     model: UnitModel
     motion: TableMotion
-    nodes: int
+    points: int
 
     def body_nodes(self) -> BodyNodes:
         """The nodes on which the terms are integrated."""
-        return trajectory.body_nodes(self.motion, self.nodes)
+        return trajectory.body_nodes(self.motion, self.points)
 
 
 def assemble_unit(spec: UnitSpec) -> AssembledUnit:
     """Model and motion of a unit's spec."""
-    motion = _motion(spec)
-    orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
-    return AssembledUnit(spec, unit_model(spec), motion, trajectory.nodes_per_piece(motion, max(orders, default=0)))
+    model_ = unit_model(spec)
+    bases = [t.temperature for c in model_.channels for t in c.model.terms if isinstance(t, Map | SignalMap)]
+    degree = max(b.degree if isinstance(b, Polynomial) else _ROUGH for b in bases)
+    # A lagging unit's exponentials and a spline's pieces are no polynomials.
+    points = max(degree + 1, _ROUGH if spec.sensor.thermal_lag is not None else 1)
+    return AssembledUnit(spec, model_, motion_of(spec.schedule, spec), points)
 
 
 def unit_model(spec: UnitSpec) -> UnitModel:
@@ -216,8 +220,8 @@ def _move(step: UnitStep) -> Move:
     )  # fmt: skip
 
 
-def _motion(spec: UnitSpec) -> TableMotion:
-    plan = spec.schedule
+def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
+    """The motion of a plan on a spec's rig."""
     segments = plan.segments
     course = trajectory.programme(segments[0].temperature_start, [(s.duration, s.slope) for s in segments])
     ends = np.array([s.start for s in segments] + [plan.duration])
@@ -233,4 +237,7 @@ def _motion(spec: UnitSpec) -> TableMotion:
     # Between two stretches the table goes back to where the cycle begins, and the unit is hung anew.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
-    return TableMotion(line, axis, mounting, geometry(spec.rig), np.array(plan.start))
+    orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
+    return trajectory.table_motion(
+        line, axis, mounting, geometry(spec.rig), np.array(plan.start), max(orders, default=0)
+    )

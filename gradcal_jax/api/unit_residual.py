@@ -14,7 +14,7 @@ from gradcal_jax.files.unit_requirement import (
     TurnRequirement,
     UnitRequirement,
 )
-from gradcal_jax.information import STATISTICS, Posterior, residual, statistic
+from gradcal_jax.information import STATISTICS, Posterior, contrasts, statistic
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Map, SignalMap, UnitModel
 from gradcal_jax.trajectory import EARTH_RATE
@@ -50,21 +50,62 @@ class Residual(NamedTuple):
     si: float
 
 
-def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> Residual:
-    """What is left of a requirement's quantity."""
+class Element(NamedTuple):
+    """A linear function of a unit's parameters on `g` points: `rows` `(g, k)` of those in `where`. `alone`, `variance`:
+    of the part that no calibration carries, whose own is taken off and its prior's put in place (None: no such part).
+    """
+
+    label: str
+    where: slice
+    rows: np.ndarray
+    alone: np.ndarray | None = None
+    variance: np.ndarray | None = None
+
+    def deviations(self, known: Posterior) -> np.ndarray:
+        """Standard deviation on the points."""
+        part = Posterior(known.spread[self.where], known.hidden[self.where])
+        found = part.deviations(self.rows)
+        if self.alone is None:
+            return found
+        return np.sqrt(found**2 - part.deviations(self.alone) ** 2 + self.variance)
+
+
+class Quantity(NamedTuple):
+    """A requirement's quantity on its grid, whatever the plan: what `Residual` is made from."""
+
+    requirement: UnitRequirement
+    temperatures: np.ndarray
+    rates: np.ndarray
+    elements: tuple[Element, ...]
+    beside: float
+
+    def residual(self, known: Posterior) -> Residual:
+        """What is left of it."""
+        shape = len(self.elements), len(self.temperatures), len(self.rates)
+        found = np.stack([element.deviations(known) for element in self.elements]).reshape(shape)
+        if self.beside:
+            found = np.hypot(found, self.beside)
+        unit, factor = UNIT_OF_QUANTITY[self.requirement.quantity]
+        labels = tuple(element.label for element in self.elements)
+        return Residual(labels, self.temperatures, self.rates, found * factor, unit, factor)
+
+
+def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> Quantity:
+    """A requirement's quantity. `beside`: what the case's mounting adds to a misalignment counted from the table."""
     cold, warm = (float(t) for t in requirement.temperature)
-    temperatures = np.linspace(cold, warm, requirement.grid[0])
-    rates = np.zeros(1)
+    temperatures, rates, beside = np.linspace(cold, warm, requirement.grid[0]), np.zeros(1), 0.0
     if isinstance(requirement, GyroScaleFactorRequirement):
         rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
-    unit, factor = UNIT_OF_QUANTITY[requirement.quantity]
-    labels, values = zip(*_elements(built, known, requirement, temperatures, rates), strict=True)
-    found = np.stack(values).reshape(len(labels), len(temperatures), len(rates))
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":
-            found = np.hypot(found, float(built.spec.rig.table.mounting[0].accuracy))
-    return Residual(labels, temperatures, rates, found * factor, unit, factor)
+            beside = float(built.spec.rig.table.mounting[0].accuracy)
+    return Quantity(requirement, temperatures, rates, tuple(_elements(built, requirement, temperatures, rates)), beside)
+
+
+def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> Residual:
+    """What is left of a requirement's quantity."""
+    return quantity_of(built, requirement).residual(known)
 
 
 def summed_up(requirement: UnitRequirement, found: Residual) -> dict[str, float | None]:
@@ -90,23 +131,25 @@ def worst_axis(requirement: UnitRequirement, found: Residual) -> str | None:
 
 
 def _elements(
-    built: AssembledUnit, known: Posterior, requirement: UnitRequirement, temperatures: np.ndarray, rates: np.ndarray
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Labels and standard deviations (SI), temperatures first, of each element of a quantity."""
+    built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray, rates: np.ndarray
+) -> Iterator[Element]:
+    """Each element of a quantity, temperatures first."""
     model = built.model
     if isinstance(requirement, PositionRequirement | TiltRequirement | TurnRequirement):
         for label, rows in _navigation(built, requirement, temperatures):
-            yield label, known.deviations(rows)
+            if requirement.axis in ("all", "worst", label):
+                yield Element(label, slice(None), rows)
     elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         for label, rows in _internal(model, requirement, temperatures):
-            yield label, known.deviations(rows)
+            if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
+                yield Element(label, slice(None), rows)
     else:
         kind, terms = _TERMS[requirement.quantity]
         for c in model.channels:
             axis = AXIS_NAMES[c.axis]
             if c.kind == kind and requirement.axis in ("all", "worst", axis):
                 for term, label in terms(axis):
-                    yield label, _of_term(model, known, c, term, temperatures, rates)
+                    yield _of_term(model, c, term, label, temperatures, rates)
 
 
 _TERMS = {
@@ -125,14 +168,15 @@ _TERMS = {
 
 
 def _of_term(
-    model: UnitModel, known: Posterior, channel: Channel, term: str, temperatures: np.ndarray, rates: np.ndarray
-) -> np.ndarray:
-    """Standard deviation of one term of a channel on the grid."""
+    model: UnitModel, channel: Channel, term: str, label: str, temperatures: np.ndarray, rates: np.ndarray
+) -> Element:
+    """One term of a channel on the grid."""
     of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
-    part = Posterior(known.spread[own], known.hidden[own])
     if isinstance(of, Map):
-        return residual(part, channel.model, cast("Any", term), temperatures, rates)
-    return part.deviations(_signal_rows(channel, term, temperatures))
+        points = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
+        rows, alone, variance = contrasts(channel.model, cast("Any", term), *points)
+        return Element(label, own, rows) if of.beyond is None else Element(label, own, rows, alone, variance)
+    return Element(label, own, _signal_rows(channel, term, temperatures))
 
 
 def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
     from gradcal_jax.api.optimise import Optimised, Step
+    from gradcal_jax.files.unit_spec import UnitSpec
 
 
 def register(app: App) -> None:
@@ -36,7 +37,8 @@ def optimise(
 ) -> int:
     """Change a plan by gradient descent until it leaves as little as sensor, rig and time allow; write it as a recipe.
 
-    The spec's [design] says what to minimise and what is free. Ctrl-C once keeps the best so far and finishes it; twice
+    The spec's [design] says what to minimise and what is free. Of a whole unit, poses, moves and rests are changed one
+    at a time, and the best cycle is written as a spec. Ctrl-C once keeps the best so far and finishes it; twice
     stops at once. The exit status is 1 where the search did not converge.
 
     Parameters
@@ -50,7 +52,7 @@ def optimise(
     plot
         Draw the residual before and after into this file (.png, .svg, .pdf).
     steps
-        Iterations of each start.
+        Iterations of each start; of a whole unit, plans that are tried in all.
     resume
         Go on from where an interrupted search of the same spec stopped; it is kept beside the output.
     force
@@ -58,14 +60,17 @@ def optimise(
     """
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import write_toml
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.unit_spec import UnitSpec
 
     writable(output, force or resume)
     drawable(plot)
     if steps < 20:
         raise ValueError(f"--steps: expected at least 20, got {steps}")
-    found = spec_in(spec)
+    found = any_spec_in(spec)
     use_float64()
+    if isinstance(found, UnitSpec):
+        return _of_unit(found, output, json=json, plot=plot, evaluations=steps)
     from gradcal_jax import api
     from gradcal_jax.api import checkpoints
     from gradcal_jax.api import optimise as room
@@ -154,3 +159,42 @@ class _Interrupt:
         self.asked = True
         complain("stopping with the best so far; Ctrl-C again stops at once")
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _of_unit(spec: "UnitSpec", output: Path, *, json: bool, plot: Path | None, evaluations: int) -> int:
+    """Search a unit's cycle and write the spec with the best one."""
+    import math
+    import time
+
+    from gradcal_jax.api.unit_optimise import UnitOptimum, optimise_unit
+    from gradcal_jax.files import write_toml
+
+    best: UnitOptimum | None = None
+    begun, first = time.monotonic(), None
+    with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
+        for event in optimise_unit(spec, evaluations=evaluations, stop=lambda: interrupt.asked):
+            if isinstance(event, UnitOptimum):
+                best = event
+                continue
+            first = event.current if first is None else first
+            left = (time.monotonic() - begun) * (1.0 / event.share - 1.0)
+            gain = math.exp(first - event.value)
+            line.show(f"{event.share:4.0%}  {gain:.2f} times better  ({len(event.best)} moves, {left:.0f} s left)")
+    assert best is not None
+    write_toml(best.spec, output, header="Made by gradcal optimise, from the poses and moves of a unit's plan.")
+    if json:
+        rows = [dict(zip(("name", "unit", "before", "now"), row, strict=True)) for row in best.rows]
+        print(as_json({"requirements": rows, "gain": best.gain, "evaluations": best.evaluations, "spec": str(output)}))
+    else:
+        shown = [(name, amount(before, unit), amount(now, unit)) for name, unit, before, now in best.rows]
+        print(columns([("requirement", "before", "now"), *shown], indent=""))
+        print(f"{best.gain:.2f} times better in the geometric mean, after {best.evaluations} plans")
+        print(f"wrote {output}; see it with: gradcal check {output}")
+    if plot is not None:
+        from gradcal_jax.plots import draw_unit
+
+        save_figure(draw_unit(best.spec), plot, quiet=json)
+    if interrupt.asked:
+        complain("interrupted: the best so far was written")
+        return INTERRUPTED
+    return DONE

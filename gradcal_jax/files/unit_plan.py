@@ -2,7 +2,8 @@
 
 A pose says where axes are to stand; it becomes one move of each axis that is elsewhere, outermost first, as fast as the
 rig allows (or at `peak_rate`), with cosine ramps. A turn moves one axis by an angle, in any of the shapes of a single
-axis; without a shape it has cosine ramps, and without rate and duration it is as fast as the rig allows.
+axis; without a shape it has cosine ramps, and without rate and duration it is as fast as the rig allows. A `peak_rate`
+without shape and duration is one at most: a short turn does not reach it.
 """
 
 import math
@@ -17,13 +18,14 @@ from pydantic_core import CoreSchema
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import Course
 from gradcal_jax.files.problems import Problem, SpecError, nearest
-from gradcal_jax.files.quantity import Angle, PositiveRate, Quantity, Text, Time
+from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, a_table, refuse
 from gradcal_jax.files.unit_rig import TableAxis, UnitRig
 
 _SLACK = 1e-6
 _FULL_TURN = 2.0 * math.pi
+_MOST = 1e6 * _FULL_TURN
 # A quarter of a period of cosine ramps: peak acceleration times ramp over peak rate.
 _STEEPNESS = math.pi / 2.0
 
@@ -34,6 +36,31 @@ class Pose(Section):
     pose: dict[Text, Angle]
     peak_rate: PositiveRate | None = None
     rest: Time | None = None
+
+
+class QuickTurn(Section):
+    """A turn of one axis with cosine ramps, as fast as the axis goes, or at `peak_rate` where it gets that far."""
+
+    turn: Angle | None = None
+    turns: Number | None = None
+    axis: Text | None = None
+    peak_rate: PositiveRate | None = None
+    repeat: Count = 1
+
+    @model_validator(mode="after")
+    def _turns(self) -> "QuickTurn":
+        key = "turn" if self.turns is None else "turns"
+        if self.turn is not None and self.turns is not None:
+            refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
+        if not self.angle or abs(self.angle) > _MOST:
+            message = "must not be zero, nor beyond a million turns; a rest is written { rest = … }"
+            refuse(Problem((key,), message, self.turn or self.turns))
+        return self
+
+    @property
+    def angle(self) -> float:
+        """In rad."""
+        return _FULL_TURN * self.turns if self.turns is not None else float(self.turn or 0.0)
 
 
 class AxisMove(Section):
@@ -47,8 +74,6 @@ class AxisMove(Section):
         """The table of the file: the move's own keys beside "axis", without what stands for itself."""
         tables: dict[str, Any] = handler(self)
         move: dict[str, Any] = tables.pop("move")
-        if move.get("peak_rate") == FASTEST.text:
-            del move["peak_rate"]
         if move.get("shape") == "cosine ramps":
             del move["shape"]
         return move | tables
@@ -82,9 +107,9 @@ def _choose(value: object) -> object:
                 message = f'this key is unknown; nearest: "{close[1]}"'
                 raise SpecError([Problem((close[0],), message, table[close[0]], "unknown")])
             raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
+        if not {"duration", "ramp"} & set(table):
+            return QuickTurn.model_validate(dict(a_table(value)))
         table["shape"] = "cosine ramps"
-    if table.get("shape") in ("cosine ramps", "linear ramps") and not {"peak_rate", "duration"} & set(table):
-        table["peak_rate"] = FASTEST.text
     tables: dict[str, Any] = {"move": table}
     try:
         return AxisMove.model_validate(tables if axis is None else {**tables, "axis": axis})
@@ -97,9 +122,7 @@ def _without_wrapping(problem: Problem) -> Problem:
     return replace(problem, key=problem.key[1:]) if problem.key[:1] == ("move",) else problem
 
 
-FASTEST = Quantity(1e3, "1000 rad/s", "angular rate")
-"""Stands for "as fast as the rig allows"."""
-UnitMove = Annotated[Pose | AxisMove, BeforeValidator(_choose)]
+UnitMove = Annotated[Pose | QuickTurn | AxisMove, BeforeValidator(_choose)]
 
 
 class UnitCycle(Section):
@@ -241,9 +264,9 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
                     steps.append(UnitStep(k, quickest_turn(float(goal) - here[k], axis, item.peak_rate), i))
                     here[k] = float(goal)
             if item.rest is not None:
-                steps.append(UnitStep(-1, ResolvedMove("rest", "x", float(item.rest)), i))
+                steps.append(rest_step(float(item.rest), i))
             continue
-        if isinstance(item.move, Rest):
+        if isinstance(item, AxisMove) and isinstance(item.move, Rest):
             if item.axis is not None:
                 problems.append(Problem((*key, "axis"), "a rest is of all axes; leave this key out", item.axis))
             steps.append(UnitStep(-1, item.move.resolve(math.inf), i))
@@ -258,7 +281,10 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
             continue
         axis = rig.table.axis[axes[name]]
         try:
-            move = _resolved(item.move, axis)
+            if isinstance(item, QuickTurn):
+                move = replace(quickest_turn(item.angle, axis, item.peak_rate), repeat=item.repeat)
+            else:
+                move = cast("Any", item.move).resolve(float(axis.max_acceleration))
         except SpecError as error:
             problems += [p.under(*key) for p in error.problems]
             continue
@@ -275,6 +301,11 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
                 )
                 problems.append(Problem(("cycle", "moves"), message))
     return tuple(steps), tuple(start), problems
+
+
+def rest_step(duration: float, source: int) -> UnitStep:
+    """A rest of `duration` s."""
+    return UnitStep(-1, ResolvedMove("rest", "x", duration), source)
 
 
 def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None) -> ResolvedMove:
@@ -297,15 +328,6 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
         low=min(0.0, angle),
         high=max(0.0, angle),
     )
-
-
-def _resolved(move: Move, axis: TableAxis) -> ResolvedMove:
-    """A move that a file tells, completed; "as fast as the rig allows" where it says no more than the angle."""
-    fastest = getattr(move, "peak_rate", None)
-    if fastest is not None and fastest.text == FASTEST.text:
-        angle = cast("Any", move).angle
-        return replace(quickest_turn(float(angle), axis), repeat=move.repeat)
-    return cast("Any", move).resolve(float(axis.max_acceleration))
 
 
 def _limits(move: ResolvedMove, axis: TableAxis) -> list[Problem]:

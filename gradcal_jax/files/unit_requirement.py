@@ -25,6 +25,7 @@ Over = Literal["mean", "max", "rms"]
 
 
 Elements = Literal["all", "worst", "x", "y", "z"]
+Horizontal = Literal["all", "worst", "x", "y"]
 
 
 class _OfUnit(Section):
@@ -110,6 +111,7 @@ class PositionRequirement(_OfUnit):
     """Horizontal position after free-inertial navigation at rest, level, for `after`: the calibration's part."""
 
     quantity: Literal["position"]
+    axis: Horizontal = "worst"
     after: Time
     grid: tuple[Points] = (101,)
     statistic: Over = "mean"
@@ -120,6 +122,7 @@ class TiltRequirement(_OfUnit):
     """Error of the vertical that levelled accelerometers give, the worse of two directions."""
 
     quantity: Literal["tilt"]
+    axis: Horizontal = "worst"
     grid: tuple[Points] = (101,)
     statistic: Over = "mean"
     target: PositiveAngle | None = None
@@ -129,6 +132,7 @@ class TurnRequirement(_OfUnit):
     """Heading error after a level turn by `turn` at the rate `rate`, about the body's z axis."""
 
     quantity: Literal["heading"]
+    axis: Literal["all", "worst", "z"] = "worst"
     turn: PositiveAngle
     rate: PositiveRate
     grid: tuple[Points] = (101,)

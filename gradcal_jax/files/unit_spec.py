@@ -9,10 +9,11 @@ from pydantic import ValidationError, model_validator
 
 from gradcal_jax.files.checks import course_within
 from gradcal_jax.files.document import format_problem, read_text, read_toml
-from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec import FORMAT
+from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, unit_schedule
 from gradcal_jax.files.unit_requirement import (
     GyroScaleFactorRequirement,
@@ -40,6 +41,7 @@ class UnitSpec(Section):
     rig: UnitRig
     requirement: UnitRequirements = ()
     plan: UnitPlan
+    design: UnitDesign | None = None
 
     @model_validator(mode="after")
     def _together(self) -> "UnitSpec":
@@ -72,6 +74,12 @@ class UnitSpec(Section):
         if accelerometer is not None and not any(step.axis < 0 for step in self.schedule.steps):
             message = "never rests, and accelerometers are read at rest alone; add { rest = … }"
             problems.append(Problem(("plan", "cycle", "moves"), message))
+        if self.design is not None and self.design.minimise not in (ALL, WORST, *names):
+            close = nearest(self.design.minimise, [ALL, WORST, *names])
+            message = f"expected {one_of([ALL, WORST])}, or a requirement's name" + (
+                f'; nearest: "{close}"' if close else ""
+            )
+            problems.append(Problem(("design", "minimise"), message, self.design.minimise))
         several = len(self.rig.table.mounting) > 1
         if several and (frame is None or frame.fixed_by != "case"):
             message = 'with several mountings the frame is the case\'s; expected fixed_by = "case"'

@@ -21,11 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gradcal_jax.arrays import AnyArray, namespace, put
+from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
 from gradcal_jax.information.noise_steps import NoiseSteps, constant_drive, drive_rates, varying_drive
 from gradcal_jax.information.posterior import SquareRootInformation, square_root
 from gradcal_jax.information.whitening import whiten
-from gradcal_jax.model import KINDS, BodyGroup, BodyNodes, UnitModel
+from gradcal_jax.model import BodyGroup, BodyNodes, UnitModel
 from gradcal_jax.trajectory import TableMotion
 
 
@@ -43,11 +43,7 @@ class Segments(NamedTuple):
 
     def sums(self, of_pieces: AnyArray) -> AnyArray:
         """Sums over the pieces of each segment, `(P, …) -> (S, …)`."""
-        xp = namespace(of_pieces)
-        total = xp.concatenate([xp.zeros((1, *of_pieces.shape[1:])), xp.cumsum(of_pieces, axis=0)])
-        if xp is np:
-            return np.add.reduceat(of_pieces, self.first, axis=0)
-        return total[self.last + 1] - total[self.first]
+        return summed(of_pieces, self.first)
 
 
 def segments_of(motion: TableMotion, model: UnitModel) -> Segments:
@@ -73,10 +69,24 @@ def unit_information(motion: TableMotion, model: UnitModel, nodes: BodyNodes) ->
 def unit_system(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> tuple[NoiseSteps, Float[AnyArray, "R p"]]:
     """Noise steps and regressors of all rows."""
     at = segments_of(motion, model)
-    columns = at.sums(model.columns(nodes))[at.row_segment, at.row_channel]
     steps, row = _joint_steps(motion, model, nodes, at)
+    columns = _columns(model, nodes, at)
     xp = namespace(columns)
     return steps, columns if len(row) == len(columns) else xp.where((row >= 0)[:, None], columns[row], 0.0)
+
+
+def _columns(model: UnitModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray, "R p"]:
+    """Regressors of every row."""
+    own, shared = model.columns(nodes)
+    shared = at.sums(shared[nodes.kind])
+    parts, begin, calibrated = [], 0, model.calibrated
+    for i, (c, block) in enumerate(zip(model.channels, own, strict=True)):
+        rows = np.flatnonzero(at.row_channel == i)
+        segment, end = at.row_segment[rows], begin + c.model.size
+        parts.append(((rows, slice(begin, end)), at.sums(block)[segment]))
+        parts.append(((rows, slice(calibrated, None)), shared[segment, c.index]))
+        begin = end
+    return placed((len(at.row_channel), model.size), *parts)
 
 
 def _joint_steps(
@@ -93,59 +103,65 @@ def _joint_steps(
     count = duration.shape[0]
     begins = np.zeros(count, bool)
     begins[at.first if by_pieces else slice(None)] = True
-    transition, covariance = xp.zeros((count, n, n)), xp.zeros((count, n, n))
-    everything, initial = slice(None), xp.zeros((n, n))
+    everything = slice(None)
+    transition: list[tuple] = []
+    covariance: list[tuple] = []
+    initial: list[tuple] = []
+    # The direction about which each piece turns.
+    along = xp.sum(xp.where(motion.turns[..., None], nodes.axes_before[nodes.kind], 0.0), axis=1)
     state = channels
     for i, c in enumerate(model.channels):
         p = c.model.processes
         states = np.arange(state, state + p.count)
         state += p.count
-        rates = seen = xp.zeros(count)
-        if by_pieces:
-            seen = xp.sum(xp.where(_own(motion)[..., None], nodes.axes_before, 0.0), axis=1)[:, c.axis]
-            rates = seen * line.end_rate()
+        rates = along[:, c.axis] * line.end_rate() if by_pieces else xp.zeros(count)
         to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, rates)
         if by_pieces and (varying := line.varying_pieces).shape[0]:
-            driven = varying_drive(p, duration[varying], drive_rates(line, varying) * seen[varying][:, None])
+            driven = varying_drive(p, duration[varying], drive_rates(line, varying) * along[varying, c.axis][:, None])
             by_rate = (p.rate_gain != 0.0)[None, :]
             to_integral, q_integral, q_cross = (
                 put(x, varying, xp.where(by_rate, y, x[varying]))
                 for x, y in zip((to_integral, q_integral, q_cross), driven, strict=True)
             )
         walk = c.model.angle_random_walk**2 * duration + xp.sum(q_integral, axis=1)
-        transition = put(transition, (everything, i, i), xp.asarray(np.where(begins, 0.0, 1.0)))
-        covariance = put(covariance, (everything, i, i), walk)
-        if p.count:
-            transition = put(transition, (everything, i, states), to_integral)
-            transition = put(transition, (everything, states, states), xp.exp(-p.decay[None] * duration[:, None]))
-            covariance = put(put(covariance, (everything, i, states), q_cross), (everything, states, i), q_cross)
-            covariance = put(covariance, (everything, states, states), q_self)
-            initial = put(initial, (states, states), p.initial_std**2)
+        transition += [
+            ((everything, i, i), np.where(begins, 0.0, 1.0)),
+            ((everything, i, states), to_integral),
+            ((everything, states, states), xp.exp(-p.decay[None] * duration[:, None])),
+        ]
+        covariance += [
+            ((everything, i, i), walk),
+            ((everything, i, states), q_cross),
+            ((everything, states, i), q_cross),
+            ((everything, states, states), q_self),
+        ]
+        initial.append(((states, states), p.initial_std**2))
     start, lasting = line.start[at.first], at.sums(line.duration)
     step_of_segment = at.first if by_pieces else np.arange(len(at.first))
     for k in range(axes):
         now, before = channels + m + k, channels + m + axes + k
         moves = np.zeros(count, bool)
         moves[step_of_segment] = at.axis == k
-        kept = xp.where(xp.asarray(moves), 0.0, 1.0)
-        transition = put(transition, (everything, now, now), kept)
-        transition = put(transition, (everything, before, before), kept)
-        transition = put(transition, (everything, before, now), 1.0 - kept)
+        kept = np.where(moves, 0.0, 1.0)
+        transition += [
+            ((everything, now, now), kept),
+            ((everything, before, before), kept),
+            ((everything, before, now), 1.0 - kept),
+        ]
         spread, first = _standstills(model.encoder, k, at.axis == k, start, lasting)
-        covariance = put(covariance, (step_of_segment, now, now), spread)
-        initial = put(initial, (now, now), first)
+        covariance.append(((step_of_segment, now, now), spread))
+        initial.append(((now, now), first))
     observation = _observations(motion, nodes, at, model, n, channels + m)
     # Rows of one segment follow one another without a step; what is within a segment has none of its own.
     source, row = _order(at, by_pieces)
     fresh = xp.asarray(np.diff(source, prepend=-1) > 0)[:, None, None]
-    steps = xp.where(fresh, transition[source], xp.eye(n)), xp.where(fresh, covariance[source], 0.0)
-    observed = xp.where(xp.asarray(row >= 0)[:, None], observation[row], 0.0)
-    return NoiseSteps(*steps, observed, xp.zeros(len(row)), at.used[row] & (row >= 0), initial), row
-
-
-def _own(motion: TableMotion) -> np.ndarray:
-    """`(P, L)`: which axis every piece turns."""
-    return np.asarray(motion.axis)[:, None] == np.arange(motion.geometry.axis_count)
+    steps = (
+        xp.where(fresh, placed((count, n, n), *transition)[source], xp.eye(n)),
+        xp.where(fresh, placed((count, n, n), *covariance)[source], 0.0),
+    )
+    observed = observation if len(row) == len(observation) else xp.where((row >= 0)[:, None], observation[row], 0.0)
+    used = at.used[row] & (row >= 0)
+    return NoiseSteps(*steps, observed, xp.zeros(len(row)), used, placed((n, n), *initial)), row
 
 
 def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -173,29 +189,30 @@ def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
 
 def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: UnitModel, n: int, encoders: int):
     """H of every row, `(R, n)`."""
-    xp, axes = namespace(motion, nodes), motion.geometry.axis_count
+    xp, axes = namespace(nodes.axes_before, motion.line.duration), motion.geometry.axis_count
     before, after = motion.angles()
-    piece_segment = np.repeat(np.arange(len(at.first)), at.last - at.first + 1)
-    began = before[at.first][piece_segment]
-    whole = (after[at.last] - before[at.first])[piece_segment]
+    # Of an example of each kind: where its segment began, and how far it goes.
+    segment = np.repeat(np.arange(len(at.first)), at.last - at.first + 1)[motion.example]
+    began, whole = before[at.first[segment]], (after[at.last] - before[at.first])[segment]
 
     def of_group(g: BodyGroup):
-        begin, span = began[g.pieces][:, None], whole[g.pieces][:, None]
+        begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
         # How far the axis is on its way: what its error is between those of its two standstills.
-        turns = _own(motion)[g.pieces][:, None, :]
-        share = xp.where(turns, (g.angle - begin) / xp.where(xp.asarray(turns), span, 1.0), 1.0)
-        both = xp.stack(
-            [xp.concatenate([xp.cross(g.outer, g.axes), xp.cross(g.force[..., None, :], g.axes)], axis=-1)] * 2, axis=2
-        )
-        return g.integral(both * xp.stack([share, 1.0 - share], axis=2)[..., None])
+        turns = motion.turns[motion.example[g.kinds]][:, None, :]
+        share = xp.where(turns, (g.angle - begin) / xp.where(turns & (span != 0.0), span, 1.0), 1.0)
+        both = xp.concatenate([xp.cross(g.outer, g.axes), xp.cross(g.force[..., None, :], g.axes)], axis=-1)
+        return g.integral(both[:, :, None] * xp.stack([share, 1.0 - share], axis=2)[..., None])
 
-    slow = at.sums(nodes.integrals(of_group, (2, axes, 6)))
-    along = xp.where((at.axis[:, None] == np.arange(axes))[..., None], nodes.axes_before[at.first], 0.0)
+    slow = at.sums(nodes.integrals(of_group, (2, axes, 6))[nodes.kind])
+    along = xp.where((at.axis[:, None] == np.arange(axes))[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)
     along = xp.concatenate([along, xp.zeros(along.shape)], axis=-1)
     slow = slow + xp.stack([along, -along], axis=1)
-    index = np.array([c.axis + 3 * KINDS.index(c.kind) for c in model.channels])[at.row_channel]
+    index = np.array([c.index for c in model.channels])[at.row_channel]
     of_encoder = slow[at.row_segment, :, :, index]
-    rows = np.arange(len(index))
-    observation = put(xp.zeros((len(index), n)), (rows, at.row_channel), xp.ones(len(index)))
-    observation = put(observation, (slice(None), np.arange(encoders, encoders + axes)), of_encoder[:, 0])
-    return put(observation, (slice(None), np.arange(encoders + axes, n)), of_encoder[:, 1])
+    count = len(index)
+    return placed(
+        (count, n),
+        ((np.arange(count), at.row_channel), np.ones(count)),
+        ((slice(None), np.arange(encoders, encoders + axes)), of_encoder[:, 0]),
+        ((slice(None), np.arange(encoders + axes, n)), of_encoder[:, 1]),
+    )

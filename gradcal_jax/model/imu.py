@@ -39,6 +39,11 @@ class Channel(eqx.Module):
     def name(self) -> str:
         return f"{self.kind}_{AXIS_NAMES[self.axis]}"
 
+    @property
+    def index(self) -> int:
+        """Its place among three gyros and three accelerometers."""
+        return self.axis + 3 * KINDS.index(self.kind)
+
 
 class EncoderNoise(eqx.Module):
     """One draw for each standstill of each of `L` axes, rad: variance `offset² + reading²/n`, n readings in it.
@@ -106,28 +111,23 @@ class UnitModel(eqx.Module):
             begin = end
         return matrix
 
-    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P C p"]:
-        """What each parameter's unit adds to the integral of each of the C channels over each piece, rad or m/s."""
-        shared = [term.columns(nodes) for term in self.installation]
-        xp, rows, begin = namespace(nodes, self), [], 0
-        for c in self.channels:
-            own = c.model.columns(nodes.channel(c.kind, c.axis))
-            count = own.shape[0]
-            index = c.axis + 3 * KINDS.index(c.kind)
-            end = begin + c.model.size
-            blocks = [xp.zeros((count, begin)), own, xp.zeros((count, self.calibrated - end))]
-            rows.append(xp.concatenate([*blocks, *(s[:, index] for s in shared)], axis=1))
-            begin = end
-        return xp.stack(rows, axis=1)
+    def columns(self, nodes: BodyNodes) -> tuple[list[AnyArray], Float[AnyArray, "K 6 i"]]:
+        """What each parameter's unit adds, rad or m/s: of each channel `(P, own)` over every piece, of the installation
+        over a piece of each kind.
+        """
+        own = [c.model.columns(nodes.channel(c.kind, c.axis)) for c in self.channels]
+        xp = namespace(own, nodes.angle_before)
+        none = xp.zeros((len(nodes.axis), 6, 0))
+        return own, xp.concatenate([none, *(term.columns(nodes) for term in self.installation)], axis=-1)
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
         """Whitened rows of everything known beforehand."""
-        xp, rows, begin = namespace(self), [], 0
+        xp, rows, begin, whole = namespace(self), [], 0, self.size
         blocks = [c.model.prior_rows() for c in self.channels]
         blocks += [xp.diag(1.0 / term.stds) for term in self.installation]
         sizes = [c.model.size for c in self.channels] + [term.size for term in self.installation]
         for block, size in zip(blocks, sizes, strict=True):
-            after = self.size - begin - size
+            after = whole - begin - size
             zeros = xp.zeros((block.shape[0], begin)), xp.zeros((block.shape[0], after))
             rows.append(xp.concatenate([zeros[0], xp.asarray(block), zeros[1]], axis=1))
             begin += size

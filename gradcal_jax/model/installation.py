@@ -2,7 +2,7 @@
 
 Each is a small rotation p (body components) inserted at a stage of the table (`trajectory.geometry`), which adds
 `ω_outer × p + ṗ` to the rate and `f × p` to the specific force, or a common scale. Their columns are shared by all
-channels: `(P, 6, size)`, three gyros and three accelerometers along the body's axes.
+channels: `(K, 6, size)`, three gyros and three accelerometers along the body's axes.
 """
 
 from abc import abstractmethod
@@ -34,12 +34,12 @@ class InstallationTerm(eqx.Module):
         """Names of the parameters."""
 
     @abstractmethod
-    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P 6 size"]:
-        """What each parameter's unit adds to the integrals of all channels over each piece, rad and m/s."""
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 size"]:
+        """What each parameter's unit adds to the integrals of all channels over a piece of each kind, rad and m/s."""
 
 
-def seen(group: BodyGroup, p: Float[AnyArray, "k q m 3"], outer: Float[AnyArray, "k q #m 3"]) -> AnyArray:
-    """What inserted rotations add to rate and force at the nodes, `(k, q, 6, m)`; ṗ apart."""
+def seen(group: BodyGroup, p: Float[AnyArray, "U q m 3"], outer: Float[AnyArray, "U q #m 3"]) -> AnyArray:
+    """What inserted rotations add to rate and force at the nodes, `(U, q, 6, m)`; ṗ apart."""
     xp = namespace(p, outer)
     both = xp.concatenate([xp.cross(outer, p), xp.cross(group.force[..., None, :], p)], axis=-1)
     return xp.swapaxes(both, -1, -2)
@@ -57,7 +57,7 @@ class BaseTilt(InstallationTerm):
     def names(self) -> list[str]:
         return ["tilt_east", "tilt_north", "azimuth"]
 
-    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P 6 3"]:
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 3"]:
         # Column j of Rᵀ is row j of R.
         return nodes.integrals(lambda g: g.integral(seen(g, g.attitude, g.earth[..., None, :])), (6, 3))
 
@@ -75,7 +75,7 @@ class NonOrthogonality(InstallationTerm):
     def names(self) -> list[str]:
         return [f"orthogonality_{a}_{b}" for a, b in zip(self.axis_names, self.axis_names[1:], strict=False)]
 
-    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P 6 J"]:
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 J"]:
         def of_group(g: BodyGroup):
             outer = (g.outer + g.joint[..., None] * g.axes)[..., :-1, :]
             return g.integral(seen(g, g.crosses, outer))
@@ -100,10 +100,10 @@ class AxisHarmonics(InstallationTerm):
 
     def _waves(self, angle: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s m"]:
         xp = namespace(angle)
-        phase = angle[..., None] * np.array(self.orders, dtype=float)
+        phase = xp.stack([order * angle for order in self.orders], axis=-1)
         return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
 
-    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P 6 m"]:
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 m"]:
         k = self.axis
 
         def of_group(g: BodyGroup):
@@ -113,7 +113,7 @@ class AxisHarmonics(InstallationTerm):
         inserted = nodes.integrals(of_group, (6, self.size))
         xp = namespace(inserted)
         change = self._waves(nodes.angle_after[:, k]) - self._waves(nodes.angle_before[:, k])
-        along = xp.where(nodes.axis == k, 1.0, 0.0)[:, None] * nodes.axes_before[:, k]
+        along = np.where(nodes.axis == k, 1.0, 0.0)[:, None] * nodes.axes_before[:, k]
         return inserted + xp.concatenate([along, xp.zeros(along.shape)], axis=1)[:, :, None] * change[:, None, :]
 
 
@@ -132,13 +132,13 @@ class MountingError(InstallationTerm):
     def names(self) -> list[str]:
         return [f"mounting{k + 1}_{axis}" for k in range(self.size // 3) for axis in AXIS_NAMES]
 
-    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P 6 m"]:
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 m"]:
         xp = namespace(nodes)
 
         def of_group(g: BodyGroup):
             p = xp.broadcast_to(xp.eye(3), (*g.weight.shape, 3, 3))
             once = g.integral(seen(g, p, g.rate[..., None, :]))
-            number = nodes.mounting[g.pieces]
+            number = nodes.mounting[g.kinds]
             return xp.concatenate(
                 [xp.where((number == k)[:, None, None], once, 0.0) for k in range(self.size // 3)], axis=-1
             )
@@ -163,7 +163,7 @@ class CommonScale(InstallationTerm):
     def names(self) -> list[str]:
         return [self.of]
 
-    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "P 6 1"]:
+    def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 1"]:
         def of_group(g: BodyGroup):
             xp = namespace(g.rate)
             parts = [xp.zeros(g.rate.shape), g.up] if self.of == "gravity" else [g.rate, g.force]

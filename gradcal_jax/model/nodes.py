@@ -9,13 +9,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from gradcal_jax.arrays import AnyArray, namespace, put
+from gradcal_jax.arrays import AnyArray, namespace, placed, put
 
 
 class GaussNodes(eqx.Module):
     """Nodes of the `k` given `pieces`, `q` each: `weight` s, `rate` rad/s, `temperature` °C.
 
-    Where `moving` is false the rate is zero throughout. `signals`: what else a channel sees, by name (`SignalMap`).
+    Where `moving` is false the rate is zero throughout.
     """
 
     pieces: Int[AnyArray, " k"]
@@ -23,7 +23,6 @@ class GaussNodes(eqx.Module):
     rate: Float[AnyArray, "k q"]
     temperature: Float[AnyArray, "k q"]
     moving: bool = eqx.field(static=True)
-    signals: dict[str, Float[AnyArray, "k q"]] = eqx.field(default_factory=dict)
 
     def sums(self, first: Float[AnyArray, "k q a"], second: Float[AnyArray, "k q b"]) -> Float[AnyArray, "k ab"]:
         """Weighted sums over each piece of all products of two sets of functions, the second fastest."""
@@ -52,13 +51,41 @@ class SampleNodes(eqx.Module):
         return np.add.reduceat(products.reshape(len(first), -1), self.starts, axis=0)
 
 
+class SharedNodes(eqx.Module):
+    """Nodes of `k` given pieces that are alike in `U` ways: what they see is of their kind, the temperature their own.
+
+    Temperature runs smoothly along a piece, so functions of it are known by their values at `m` points, and a kind has
+    for each signal a weight at each of these: `share` `(q, m)` are the points' interpolating polynomials at the nodes.
+    """
+
+    pieces: Int[AnyArray, " k"]
+    kind: Int[AnyArray, " k"]
+    temperature: Float[AnyArray, "k m"]
+    weight: Float[AnyArray, "U q"]
+    rate: Float[AnyArray, "U q"]
+    signals: dict[str, Float[AnyArray, "U q"]]
+    share: Float[np.ndarray, "q m"]
+    moving: bool = eqx.field(static=True, default=True)
+
+    def sums(self, first: Float[AnyArray, "k m a"], second: Float[AnyArray, "U q b"]) -> Float[AnyArray, "k ab"]:
+        """As of `GaussNodes`."""
+        xp = namespace(first, second)
+        weights = xp.swapaxes(second * self.weight[..., None], -1, -2) @ self.share
+        return xp.reshape(
+            xp.swapaxes(weights[self.kind] @ first, -1, -2), (first.shape[0], first.shape[2] * second.shape[2])
+        )
+
+
+NodeGroup = GaussNodes | SampleNodes | SharedNodes
+
+
 class Nodes(eqx.Module):
     """All nodes of `count` pieces, and what terms that are no integrals need of each piece.
 
     `temperature_change` K over the piece; `angle_before`, `angle_after`: the table's angle at its ends, rad.
     """
 
-    groups: tuple[GaussNodes | SampleNodes, ...]
+    groups: tuple[NodeGroup, ...]
     temperature_change: Float[AnyArray, " P"]
     angle_before: Float[AnyArray, " P"]
     angle_after: Float[AnyArray, " P"]
@@ -69,7 +96,7 @@ class Nodes(eqx.Module):
 
     def integrals(self, of_group, size: int, *, moving_only: bool = False) -> Float[AnyArray, "P size"]:
         """`of_group(group) -> (k, size)` of every group in the pieces' places; zero where there is none."""
-        result = namespace(self).zeros((self.count, size))
+        result = namespace(self.temperature_change).zeros((self.count, size))
         for group in self.groups:
             if group.pieces.shape[0] and (group.moving or not moving_only):
                 result = put(result, group.pieces, of_group(group))
@@ -77,70 +104,74 @@ class Nodes(eqx.Module):
 
 
 class BodyGroup(eqx.Module):
-    """Nodes of the `k` given pieces of a motion on `L` table axes, as the body on it sees them, `q` each.
+    """Nodes of `U` kinds of pieces of a motion on `L` table axes, as the body on it sees them, `q` each.
 
-    `weight` s, `temperature` °C; `rate` rad/s and `force` m/s² in body components, the Earth's rate and gravity in
-    them; `earth` rad/s and `up`, the Earth's rate and the vertical; `attitude`: body to East-North-Up. `axes`: the
-    axes' directions; `crosses`: see `trajectory.geometry`; `outer`: the rate of all that stands outside each axis;
-    `joint`: rate (rad/s) and `angle` (rad) of each axis.
+    `kinds`: their numbers; `pieces`, `kind`, `temperature`, `share`: see `SharedNodes`. `weight` s; `rate` rad/s and
+    `force` m/s² in body components, the Earth's rate and gravity in them; `earth` rad/s and `up`, the Earth's rate and
+    the vertical; `attitude`: body to East-North-Up. `axes`: the axes' directions; `crosses`: see `trajectory.geometry`;
+    `outer`: the rate of all that stands outside each axis; `joint`: rate (rad/s) and `angle` (rad) of each axis.
     """
 
-    pieces: Int[AnyArray, " k"]
-    weight: Float[AnyArray, "k q"]
-    temperature: Float[AnyArray, "k q"]
-    rate: Float[AnyArray, "k q 3"]
-    force: Float[AnyArray, "k q 3"]
-    earth: Float[AnyArray, "k q 3"]
-    up: Float[AnyArray, "k q 3"]
-    attitude: Float[AnyArray, "k q 3 3"]
-    axes: Float[AnyArray, "k q L 3"]
-    crosses: Float[AnyArray, "k q J 3"]
-    outer: Float[AnyArray, "k q L 3"]
-    joint: Float[AnyArray, "k q L"]
-    angle: Float[AnyArray, "k q L"]
+    kinds: Int[np.ndarray, " U"]
+    pieces: Int[np.ndarray, " k"]
+    kind: Int[np.ndarray, " k"]
+    temperature: Float[AnyArray, "k m"]
+    share: Float[np.ndarray, "q m"]
+    weight: Float[AnyArray, "U q"]
+    rate: Float[AnyArray, "U q 3"]
+    force: Float[AnyArray, "U q 3"]
+    earth: Float[AnyArray, "U q 3"]
+    up: Float[AnyArray, "U q 3"]
+    attitude: Float[AnyArray, "U q 3 3"]
+    axes: Float[AnyArray, "U q L 3"]
+    crosses: Float[AnyArray, "U q J 3"]
+    outer: Float[AnyArray, "U q L 3"]
+    joint: Float[AnyArray, "U q L"]
+    angle: Float[AnyArray, "U q L"]
 
-    def integral(self, values: Float[AnyArray, "k q *s"]) -> Float[AnyArray, " k *s"]:
-        """`∫ … dt` over each piece."""
+    def integral(self, values: Float[AnyArray, "U q *s"]) -> Float[AnyArray, " U *s"]:
+        """`∫ … dt` over a piece of each kind."""
         xp = namespace(values)
-        return xp.sum(xp.reshape(self.weight, (*self.weight.shape, *(1,) * (values.ndim - 2))) * values, axis=1)
+        flat = xp.reshape(values, (*self.weight.shape, -1))
+        return xp.reshape((self.weight[:, None, :] @ flat)[:, 0], (values.shape[0], *values.shape[2:]))
 
 
 class BodyNodes(eqx.Module):
-    """All nodes of `P` pieces, and the joints' angles (rad) and directions `(P, L, 3)` as each piece begins.
-
-    `axis`: which joint a piece turns; −1: none. `mounting`: which one. `angle_after`: as it ends.
+    """All nodes of `P` pieces of `K` kinds. Of each kind, as a piece of it begins: `angle_before` rad of the joints and
+    their directions `axes_before`; `angle_after`: as it ends. `axis`: which joint it turns, −1: none; `mounting`: which
+    one. `kind`: of every piece.
     """
 
     groups: tuple[BodyGroup, ...]
+    kind: Int[np.ndarray, " P"]
     temperature_change: Float[AnyArray, " P"]
-    angle_before: Float[AnyArray, "P L"]
-    angle_after: Float[AnyArray, "P L"]
-    axes_before: Float[AnyArray, "P L 3"]
-    axis: Int[AnyArray, " P"]
-    mounting: Int[AnyArray, " P"]
+    angle_before: Float[AnyArray, "K L"]
+    angle_after: Float[AnyArray, "K L"]
+    axes_before: Float[AnyArray, "K L 3"]
+    axis: Int[np.ndarray, " K"]
+    mounting: Int[np.ndarray, " K"]
 
-    def integrals(self, of_group, shape: tuple[int, ...]) -> Float[AnyArray, " P *shape"]:
-        """`of_group(group) -> (k, *shape)` of every group in the pieces' places."""
-        result = namespace(self).zeros((self.axis.shape[0], *shape))
-        for group in self.groups:
-            result = put(result, group.pieces, of_group(group))
-        return result
+    def integrals(self, of_group, shape: tuple[int, ...]) -> Float[AnyArray, " K *shape"]:
+        """`of_group(group) -> (U, *shape)` of every group in its kinds' places."""
+        return placed((len(self.axis), *shape), *((g.kinds, of_group(g)) for g in self.groups))
 
     def channel(self, kind: str, index: int) -> Nodes:
         """What a gyro or accelerometer along the body's axis `index` has for its own signal, the other axes beside."""
         own = {"gyro": "rate", "accelerometer": "force"}[kind]
         groups = tuple(
-            GaussNodes(
+            SharedNodes(
                 g.pieces,
+                g.kind,
+                g.temperature,
                 g.weight,
                 getattr(g, own)[..., index],
-                g.temperature,
-                True,
                 {f"{name} {AXIS_NAMES[k]}": getattr(g, name)[..., k] for name in ("rate", "force") for k in range(3)},
+                g.share,
             )
             for g in self.groups
         )
-        return Nodes(groups, self.temperature_change, self.angle_before[:, 0], self.angle_after[:, 0])
+        none = namespace(self.temperature_change).zeros(self.temperature_change.shape)
+        return Nodes(groups, self.temperature_change, none, none)
 
 
 AXIS_NAMES = ("x", "y", "z")

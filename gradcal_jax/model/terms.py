@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
-from gradcal_jax.model.nodes import GaussNodes, Nodes, SampleNodes
+from gradcal_jax.model.nodes import NodeGroup, Nodes, SampleNodes, SharedNodes
 
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
@@ -103,7 +103,7 @@ class Discrepancy(Term):
         return namespace(temperature).concatenate(factors, axis=-1)
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(group: GaussNodes | SampleNodes):
+        def of_group(group: NodeGroup):
             drive = 1.0 if self.rate is None else group.rate[..., None]
             pairs = self._factors(group.temperature, group.rate)
             parts = [group.sums(t, w * drive) for t, w in pairs if t.shape[-1] and w.shape[-1]]
@@ -200,7 +200,7 @@ class Map(Term):
         return (reported - shrink * (np.outer(v, v) / square @ reported)) / self.prior_std
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(group: GaussNodes | SampleNodes):
+        def of_group(group: NodeGroup):
             t = self.temperature(group.temperature)
             if self.rate is None:
                 return group.sums(t, namespace(t).ones((*group.rate.shape, 1)))
@@ -208,7 +208,7 @@ class Map(Term):
 
         return nodes.integrals(of_group, self.size, moving_only=self.rate is not None)
 
-    def _driven(self, group: GaussNodes | SampleNodes):
+    def _driven(self, group: NodeGroup):
         """`χ(ω)·ω` at the nodes.
 
         A sampled rate has noise (errors in variables): the mean of `g(ω̃)` exceeds `g(ω)` by ½σ²g''(ω) + …, and that of
@@ -221,7 +221,7 @@ class Map(Term):
         def driven(rate):
             return basis(rate) * rate[..., None]
 
-        if isinstance(group, GaussNodes) or group.noise <= _NO_NOISE * np.max(np.abs(group.rate), initial=0.0):
+        if not isinstance(group, SampleNodes) or group.noise <= _NO_NOISE * np.max(np.abs(group.rate), initial=0.0):
             return driven(group.rate)
         return 2.0 * driven(group.rate) - 0.5 * (driven(group.rate + group.noise) + driven(group.rate - group.noise))
 
@@ -269,8 +269,8 @@ class SignalMap(Term):
         return xp.asarray(self.to_reported) / self.std if self.has_prior else xp.zeros((0, self.size))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(group: GaussNodes | SampleNodes):
-            assert isinstance(group, GaussNodes)
+        def of_group(group):
+            assert isinstance(group, SharedNodes), "signals are of a body's nodes"
             product = namespace(group.weight).ones(group.weight.shape)
             for name in self.signals:
                 signal = group.signals[name.strip("|")]

@@ -5,7 +5,7 @@ from gradcal_jax.trajectory.geometry import EARTH_RATE, Frames, Geometry, frames
 from gradcal_jax.trajectory.motion import Move, rest, turn
 from gradcal_jax.trajectory.programme import Programme, programme
 from gradcal_jax.trajectory.schedule import Schedule, channels_of, gradient_plan, standard_plan
-from gradcal_jax.trajectory.table_motion import TableMotion, body_nodes, nodes_per_piece
+from gradcal_jax.trajectory.table_motion import TableMotion, body_nodes, table_motion
 from gradcal_jax.trajectory.trajectory import Trajectory, held, quadrature
 
 __all__ = [
@@ -24,12 +24,12 @@ __all__ = [
     "gauss_nodes",
     "gradient_plan",
     "held",
-    "nodes_per_piece",
     "programme",
     "quadrature",
     "rest",
     "rotation",
     "rule_of",
     "standard_plan",
+    "table_motion",
     "turn",
 ]

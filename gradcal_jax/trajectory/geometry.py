@@ -91,6 +91,7 @@ def rotation(axis: Float[AnyArray, " 3"], angle: Float[AnyArray, "*s"]) -> Float
             xp.stack([-axis[1], axis[0], zero]),
         ]
     )
-    outer = axis[:, None] * axis[None, :]
+    lead = (1,) * np.ndim(angle)
+    cross, outer, one = (xp.reshape(m, (*lead, 3, 3)) for m in (cross, axis[:, None] * axis[None, :], np.eye(3)))
     c, s = xp.cos(angle)[..., None, None], xp.sin(angle)[..., None, None]
-    return c * np.eye(3) + s * cross + (1.0 - c) * outer
+    return c * one + s * cross + (1.0 - c) * outer

@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, namespace, size_class
 from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory.geometry import Geometry, frames
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
@@ -16,81 +16,113 @@ from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 # Nodes that integrate polynomials of a cubic's degree in temperature and rate, and those that a turn needs besides:
 # sines of an angle that goes through `x` rad within a piece want about half of x, with a margin.
 _LEAST_NODES = 12
+_FEWEST = 16
 _NODES_PER_RAD = 0.75
 # Fastest wave in a column, in cycles a turn: squares of the force's components, or harmonics times a direction.
 _WAVES = 3
-_STANDING_NODES = 4
+# Angles that differ by less (rad) are the same pose.
+_SAME_POSE = 1e-9
 
 
 class TableMotion(eqx.Module):
     """`line`: the pieces, `(P,)`; `axis`: which axis each turns (−1: all stand); `mounting`: how the unit hangs then.
 
-    `start_angles` rad: of the axes as the motion begins.
+    `start_angles` rad: of the axes as the motion begins. Pieces of one `kind` differ in temperature and by whole turns
+    alone; `example` is one of each of the `K` kinds, and `nodes` how many integrate it.
     """
 
     line: Trajectory
-    axis: Int[AnyArray, " P"]
-    mounting: Int[AnyArray, " P"]
+    axis: Int[np.ndarray, " P"]
+    mounting: Int[np.ndarray, " P"]
     geometry: Geometry
     start_angles: Float[AnyArray, " L"]
+    kind: Int[np.ndarray, " P"]
+    example: Int[np.ndarray, " K"]
+    nodes: Int[np.ndarray, " K"]
 
     def angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
         """Angles of all axes (rad) as each piece begins and as it ends."""
-        xp = namespace(self.line, self.start_angles)
-        own = self.axis[:, None] == np.arange(self.geometry.axis_count)
-        after = xp.cumsum(xp.where(own, self.line.turned()[:, None], 0.0), axis=0) + self.start_angles
+        xp = namespace(self.line.duration, self.line.terms, self.start_angles)
+        after = xp.cumsum(xp.where(self.turns, self.line.turned()[:, None], 0.0), axis=0) + self.start_angles[None]
         return xp.concatenate([self.start_angles[None], after[:-1]]), after
 
-
-def nodes_per_piece(motion: TableMotion, harmonics: int = 0) -> int:
-    """How many nodes integrate every column on the pieces that move, whose numbers are known; `harmonics`: the highest
-    order of an encoder's error.
-    """
-    fastest = float(np.max(np.abs(np.asarray(motion.line.turned())), initial=0.0))
-    return _LEAST_NODES + int(np.ceil(_NODES_PER_RAD * fastest * max(_WAVES, harmonics + 1)))
+    @property
+    def turns(self) -> np.ndarray:
+        """`(P, L)`: which axis every piece turns."""
+        return self.axis[:, None] == np.arange(self.geometry.axis_count)
 
 
-def body_nodes(motion: TableMotion, moving_nodes: int) -> BodyNodes:
-    """The nodes on which a unit's terms are integrated, `moving_nodes` on every piece that moves."""
-    line, xp = motion.line, namespace(motion)
-    before, after = motion.angles()
-    moving = np.asarray(motion.axis) >= 0
+def table_motion(
+    line: Trajectory,
+    axis: Int[np.ndarray, " P"],
+    mounting: Int[np.ndarray, " P"],
+    geometry: Geometry,
+    start_angles: Float[np.ndarray, " L"],
+    harmonics: int = 0,
+) -> TableMotion:
+    """A motion whose numbers are known. `harmonics`: the highest order of an encoder's error."""
+    each = np.arange(line.piece_count)
+    before, _ = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
+    pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
+    of_motion = np.round(np.column_stack([line.duration, line.u_start, line.u_end, line.terms]) / _SAME_POSE)
+    key = np.column_stack([axis, mounting, line.moving, pose, of_motion])
+    _, example, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    waves = max(_WAVES, harmonics + 1)
+    turned = np.abs(line.turned()[example])
+    nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * waves).astype(int)
+    # What stands sees one direction throughout.
+    # Few sizes: what is done for each costs more than a few nodes too many.
+    sizes = np.array([_FEWEST, *(size_class(4 * _FEWEST * 2**k) for k in range(12))])
+    nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)])
+    return TableMotion(line, axis, mounting, geometry, start_angles, np.reshape(kind, -1), example, nodes)
+
+
+def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
+    """The nodes on which a unit's terms are integrated, functions of temperature known by `points` along each piece."""
+    example = motion.example
+    before, after = (angle[example] for angle in motion.angles())
+    begin, end = motion.line.ends()
     groups = tuple(
-        _group(motion, np.flatnonzero(which), nodes, before)
-        for which, nodes in ((~moving, _STANDING_NODES), (moving, moving_nodes))
-        if which.any()
+        _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, before) for n in np.unique(motion.nodes)
     )
-    begin, end = line.ends()
     return BodyNodes(
         groups,
+        motion.kind,
         end - begin,
         before,
         after,
-        frames(motion.geometry, before, xp.asarray(motion.mounting)).axes,
-        motion.axis,
-        motion.mounting,
+        frames(motion.geometry, before, motion.mounting[example]).axes,
+        motion.axis[example],
+        motion.mounting[example],
     )
 
 
-def _group(motion: TableMotion, pieces, count: int, before) -> BodyGroup:
-    line, geometry = motion.line, motion.geometry
-    xp = namespace(motion)
+def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before) -> BodyGroup:
+    line, geometry, xp = motion.line, motion.geometry, namespace(before, motion.line.duration, motion.geometry)
+    example = motion.example[kinds]
     x, w = quadrature(count)
-    v = xp.broadcast_to(xp.asarray(x), (len(pieces), count))
-    weight = xp.asarray(w)[None] * line.duration[pieces][:, None]
-    own = (motion.axis[pieces][:, None] == np.arange(geometry.axis_count))[:, None, :]
-    since, rate = line.angle(v, pieces), line.rate(v, pieces)
-    angle = before[pieces][:, None, :] + xp.where(own, since[..., None], 0.0)
+    v = xp.broadcast_to(xp.asarray(x), (len(kinds), count))
+    own = motion.turns[example][:, None, :]
+    since, rate = line.angle(v, example), line.rate(v, example)
+    angle = before[kinds][:, None, :] + xp.where(own, since[..., None], 0.0)
     joint = xp.where(own, rate[..., None], 0.0)
-    mounting = xp.broadcast_to(xp.asarray(motion.mounting)[pieces][:, None], v.shape)
+    mounting = np.broadcast_to(motion.mounting[example][:, None], v.shape)
     stages = frames(geometry, angle, mounting)
     earth, up = (geometry.earth_rate()[None, :] @ stages.attitude)[..., 0, :], stages.attitude[..., 2, :]
     turning = joint[..., None] * stages.axes
     below = xp.cumsum(turning, axis=-2)
+    pieces = np.flatnonzero(np.isin(motion.kind, kinds))
+    at, of_points = quadrature(points)
+    temperatures = line.temperature(xp.broadcast_to(xp.asarray(at), (len(pieces), points)), pieces)
+    # A single node stands for what is constant along the piece.
+    share = of_points[None] if count == 1 else _lagrange(at, x)
     return BodyGroup(
+        kinds,
         pieces,
-        weight,
-        line.temperature(v, pieces),
+        np.searchsorted(kinds, motion.kind[pieces]),
+        temperatures,
+        share,
+        xp.asarray(w)[None] * line.duration[example][:, None],
         earth + below[..., -1, :],
         geometry.gravity * up,
         earth,
@@ -102,3 +134,12 @@ def _group(motion: TableMotion, pieces, count: int, before) -> BodyGroup:
         joint,
         angle,
     )
+
+
+def _lagrange(points: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The interpolating polynomials of `points` `(m,)`, at the places `at` `(q,)`: `(q, m)`."""
+    apart = points[:, None] - points[None, :] + np.eye(len(points))
+    others = np.where(
+        np.eye(len(points), dtype=bool)[None], 1.0, (at[:, None, None] - points[None, None, :]) / apart[None]
+    )
+    return np.prod(others, axis=-1)

@@ -9,7 +9,7 @@ Times in s, rates in rad/s, temperatures in °C. What moves one axis is rest for
 trajectory of its own.
 """
 
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
@@ -55,13 +55,13 @@ class Trajectory(eqx.Module):
     def piece_count(self) -> int:
         return self.duration.shape[0]
 
-    def rate(self, v: Float[AnyArray, "k q"], pieces=Everything) -> Float[AnyArray, "k q"]:
+    def rate(self, v: Float[AnyArray, "k q"], pieces: Any = Everything) -> Float[AnyArray, "k q"]:
         """Rate (rad/s) at fractions `v` of each piece, or of each of the `k` given ones."""
         u_start, u_end = self.u_start[pieces][:, None], self.u_end[pieces][:, None]
         family = formulas.motion_rate(u_start + (u_end - u_start) * v)
         return (family @ self.terms[pieces][:, :, None])[..., 0]
 
-    def angle(self, v: Float[AnyArray, "k q"], pieces=Everything) -> Float[AnyArray, "k q"]:
+    def angle(self, v: Float[AnyArray, "k q"], pieces: Any = Everything) -> Float[AnyArray, "k q"]:
         """Angle (rad) turned since the piece began, at fractions `v` of each piece, or of each of the `k` given."""
         u_start = self.u_start[pieces][:, None]
         span = self.u_end[pieces][:, None] - u_start
@@ -70,7 +70,7 @@ class Trajectory(eqx.Module):
         shares = self.duration[pieces][:, None] / xp.where(span > 0.0, span, 1.0)
         return (family @ self.terms[pieces][:, :, None])[..., 0] * shares
 
-    def temperature(self, v: Float[AnyArray, "k q"], pieces=Everything) -> Float[AnyArray, "k q"]:
+    def temperature(self, v: Float[AnyArray, "k q"], pieces: Any = Everything) -> Float[AnyArray, "k q"]:
         """Sensor temperature (°C) at fractions `v` of each piece, or of each of the `k` given ones."""
         since, level, slope, excess = (f[pieces][:, None] for f in (self.duration, self.level, self.slope, self.excess))
         return formulas.lagged_temperature(v * since, level, slope, excess, self.lag_rate)

@@ -1,0 +1,183 @@
+"""`optimise` of a whole unit: the cycle of poses, moves and rests that leaves the least of several requirements."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
+from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, Quantity, quantity_of, summed_up
+from gradcal_jax.design.pose_search import Cycle, CycleItem, PoseLimits, PoseState, anneal
+from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
+from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
+from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.formulas import repetitions
+from gradcal_jax.information import Posterior, unit_system, whiten
+
+EVALUATIONS = 600
+_SEARCH_GRID = 21
+
+
+class UnitOptimum(NamedTuple):
+    """An optimised unit spec, and its requirements before and after, in people's units: `rows` of (name, unit, before,
+    now); None: not observable. `gain`: geometric mean of before over now.
+    """
+
+    spec: UnitSpec
+    rows: tuple[tuple[str, str, float | None, float | None], ...]
+    gain: float
+    evaluations: int
+
+
+def optimise_unit(
+    spec: UnitSpec,
+    *,
+    evaluations: int = EVALUATIONS,
+    seed: int | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Iterator[PoseState | UnitOptimum]:
+    """Yields the state of the search after every evaluation, and the optimum at the end.
+
+    Errors: `ValueError` where there is no requirement, or the plan's turns are no whole numbers of the angle step.
+    """
+    if not spec.requirement:
+        raise ValueError("what is to be minimised? Give the spec a [[requirement]]")
+    design = spec.design or UnitDesign()
+    limits = _limits(spec, design)
+    value = _Value(spec, design)
+    made = 0
+    state = None
+    for state in anneal(
+        _items(spec, design), value, limits, evaluations=evaluations, seed=design.seed if seed is None else seed
+    ):
+        made += 1
+        yield state
+        if stop():
+            break
+    assert state is not None
+    tables = spec.model_dump(mode="json", exclude_unset=True)
+    tables["plan"]["cycle"]["moves"] = value.moves_in_words(state.best)
+    found = unit_spec_of(tables)
+    fine = tuple(quantity_of(value.built, r) for r in spec.requirement)
+    before, after = (_values(assemble_unit(s), value.prior, fine) for s in (spec, found))
+    rows = tuple(
+        (r.name, UNIT_OF_QUANTITY[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
+    )
+    ratios = [math.log(b / a) for b, a in zip(before, after, strict=True) if a and b]
+    yield UnitOptimum(found, rows, math.exp(float(np.mean(ratios))) if ratios else 1.0, made)
+
+
+class _Value:
+    """What the search minimises, of a cycle: the logarithm of residual over target, on a coarse grid."""
+
+    def __init__(self, spec: UnitSpec, design: UnitDesign):
+        coarse = tuple(
+            r.model_copy(update={"grid": tuple(min(g, _SEARCH_GRID) for g in r.grid)}) for r in spec.requirement
+        )
+        if design.minimise not in (ALL, WORST):
+            coarse = tuple(r for r in coarse if r.name == design.minimise)
+        self.built, self.schedule, self.design = assemble_unit(spec), spec.schedule, design
+        self.quantities, self.worst = tuple(quantity_of(self.built, r) for r in coarse), design.minimise == WORST
+        self.prior = _gram(self.built.model.prior_rows())
+
+    def __call__(self, cycle: Cycle) -> float:
+        plan = self.plan(cycle)
+        if plan is None:
+            return math.inf
+        built = self.built._replace(motion=motion_of(plan, self.built.spec))
+        values = _values(built, self.prior, self.quantities)
+        logs = [
+            math.log(v / (1.0 if r.target is None else float(r.target) * UNIT_OF_QUANTITY[r.quantity][1]))
+            if v
+            else math.inf
+            for (r, *_), v in zip(self.quantities, values, strict=True)
+        ]
+        return max(logs) if self.worst else float(np.mean(logs))
+
+    def plan(self, cycle: Cycle) -> UnitSchedule | None:
+        """The whole plan of a cycle; None where it does not fit."""
+        axes, steps = self.built.spec.rig.table.axis, []
+        for k, item in enumerate(cycle):
+            if item.steps:
+                angle = item.steps * float(self.design.angle_step)
+                steps.append(UnitStep(item.axis, quickest_turn(angle, axes[item.axis], math.radians(item.rate)), k))
+            if item.rest:
+                steps.append(rest_step(item.rest, k))
+        period = math.fsum(s.move.duration for s in steps)
+        stretches = []
+        for stretch in self.schedule.stretches:
+            cycles, left = repetitions(stretch.duration, period, period)
+            if not cycles:
+                return None
+            stretches.append(replace(stretch, cycles=cycles, leftover=left))
+        return replace(self.schedule, stretches=tuple(stretches), steps=tuple(steps))
+
+    def moves_in_words(self, cycle: Cycle) -> list[dict[str, str]]:
+        """The cycle as a file has it."""
+        axes, moves = self.built.spec.rig.table.axis, []
+        for item in cycle:
+            if item.steps:
+                angle = item.steps * math.degrees(float(self.design.angle_step))
+                moves.append(
+                    {"turn": f"{angle:g} deg", "axis": axes[item.axis].name, "peak_rate": f"{item.rate:g} deg/s"}
+                )
+            if item.rest:
+                moves.append({"rest": f"{item.rest:g} s"})
+        return moves
+
+
+def _gram(rows: np.ndarray) -> np.ndarray:
+    return rows.T @ rows
+
+
+def _values(built: AssembledUnit, prior: np.ndarray, quantities: tuple[Quantity, ...]) -> list[float | None]:
+    """Every requirement's statistic in people's units. By the product of the rows, whose columns, scaled, are far from
+    parallel where all is observed.
+    """
+    gram = prior + _gram(whiten(*unit_system(built.motion, built.model, built.body_nodes())))
+    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
+    seen = values > 1e-13 * values[-1]
+    known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
+    return [summed_up(q.requirement, q.residual(known))[q.requirement.statistic] for q in quantities]
+
+
+def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:
+    step, axes = float(design.angle_step), spec.rig.table.axis
+    per_turn = 2.0 * math.pi / step
+    if abs(per_turn - round(per_turn)) > 1e-6:
+        raise ValueError(
+            f"design.angle_step = {design.angle_step}: a turn must be a whole number of steps, such as 45 deg"
+        )
+    return PoseLimits(
+        round(per_turn),
+        tuple(math.floor(math.degrees(float(a.max_rate)) * 10.0) / 10.0 for a in axes),
+        tuple(float(a.travel) / step for a in axes),
+        float(design.shortest_rest),
+        float(design.longest_rest),
+        design.moves,
+    )
+
+
+def _items(spec: UnitSpec, design: UnitDesign) -> Cycle:
+    """The spec's own cycle, to begin with."""
+    step, items = float(design.angle_step), []
+    for s in spec.schedule.steps:
+        for _ in range(s.move.repeat):
+            if s.axis < 0:
+                rest = round(s.move.duration, 1)
+                if items and not items[-1].rest:
+                    items[-1] = items[-1]._replace(rest=rest)
+                else:
+                    items.append(CycleItem(0, 0, math.degrees(float(spec.rig.table.axis[0].max_rate)), rest))
+                continue
+            count = s.move.angle / step
+            if abs(count - round(count)) > 1e-6:
+                raise ValueError(
+                    f"the plan turns by {math.degrees(s.move.angle):.6g} deg, which is no whole number of "
+                    f"design.angle_step, {design.angle_step}: change one of them"
+                )
+            items.append(CycleItem(s.axis, round(count), round(math.degrees(s.move.fastest), 1), 0.0))
+    return tuple(items)

@@ -1,0 +1,155 @@
+"""Search over poses and moves by simulated annealing: which axis turns, how far, how fast, how long to rest, in what
+order (Kirkpatrick and others, 1983).
+
+A *cycle* is a tuple of `CycleItem`s, each a turn of one axis by a whole number of angle steps followed by a rest. Every
+cycle ends where it began, up to whole turns, so that it can repeat. All figures are those that a controller takes
+(tenths of a second, of a degree a second): what is found is what is executed.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+# Sizes of a change, in angle steps of 45°: to the next pose, a quarter, half a turn, whole turns.
+_TURNS = (1, 2, 3, 4, 8, 16, 24)
+_FACTORS = (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)
+_NO_VALUE = math.inf
+
+
+class CycleItem(NamedTuple):
+    """A turn of `axis` by `steps` angle steps (0: none) at `rate` (deg/s at most), then `rest` s of it (0: none)."""
+
+    axis: int
+    steps: int
+    rate: float
+    rest: float
+
+
+Cycle = tuple[CycleItem, ...]
+
+
+class PoseLimits(NamedTuple):
+    """What a cycle may be: `per_turn` angle steps in a turn; of each axis the fastest `rates` (deg/s) and the `travel`
+    each way, in angle steps; rests (s) from `shortest` to `longest`; at most `most` items.
+    """
+
+    per_turn: int
+    rates: tuple[float, ...]
+    travel: tuple[float, ...]
+    shortest: float
+    longest: float
+    most: int
+
+
+class PoseState(NamedTuple):
+    """How far a search is: the best cycle and its value, where it stands now, and the share that is done."""
+
+    best: Cycle
+    value: float
+    current: float
+    share: float
+
+
+def anneal(
+    start: Cycle,
+    value: Callable[[Cycle], float],
+    limits: PoseLimits,
+    *,
+    evaluations: int,
+    seed: int,
+    warmest: float = 0.05,
+    coldest: float = 0.002,
+) -> Iterator[PoseState]:
+    """Yields after every evaluation. `value`: what is minimised; infinite for a cycle that cannot be.
+
+    `warmest`, `coldest`: by how much worse (in the value's unit) a step may be that is often still taken, at the
+    beginning and at the end.
+    """
+    rng = np.random.default_rng(seed)
+    here, now = start, value(start)
+    best, least = here, now
+    for k in range(evaluations):
+        share = (k + 1) / evaluations
+        temperature = warmest * (coldest / warmest) ** share
+        there = closed(neighbour(here, limits, rng), limits)
+        then = value(there) if feasible(there, limits) else _NO_VALUE
+        if then <= now or rng.random() < math.exp(-(then - now) / temperature):
+            here, now = there, then
+        if now < least:
+            best, least = here, now
+        # Far from the best it goes on from there.
+        if now > least + 6.0 * temperature:
+            here, now = best, least
+        yield PoseState(best, least, now, share)
+
+
+def neighbour(cycle: Cycle, limits: PoseLimits, rng: np.random.Generator) -> Cycle:
+    """A cycle with one thing changed."""
+    items, k = list(cycle), int(rng.integers(len(cycle)))
+    item = items[k]
+    what = rng.choice(["rest", "rate", "turn", "axis", "swap", "insert", "delete", "rests", "copy"], p=_SHARES)
+    if what == "rest":
+        items[k] = item._replace(rest=_rest(item.rest * float(rng.choice(_FACTORS)), limits))
+    elif what == "rate":
+        items[k] = item._replace(rate=_rate(item.rate * float(rng.choice(_FACTORS)), item.axis, limits))
+    elif what == "turn":
+        change = int(rng.choice(_TURNS)) * int(rng.choice([-1, 1]))
+        items[k] = item._replace(steps=-item.steps if rng.random() < 0.3 else item.steps + change)
+    elif what == "axis":
+        axis = int(rng.integers(len(limits.rates)))
+        items[k] = item._replace(axis=axis, rate=_rate(item.rate, axis, limits))
+    elif what == "swap":
+        other = int(rng.integers(len(items)))
+        items[k], items[other] = items[other], items[k]
+    elif what == "insert" and len(items) < limits.most:
+        axis = int(rng.integers(len(limits.rates)))
+        steps = int(rng.choice(_TURNS)) * int(rng.choice([-1, 1]))
+        rate = _rate(limits.rates[axis] * rng.random(), axis, limits)
+        items.insert(k, CycleItem(axis, steps, rate, _rest(item.rest or limits.shortest, limits)))
+    elif what == "delete" and len(items) > 2:
+        del items[k]
+    elif what == "rests":
+        factor = float(rng.choice(_FACTORS))
+        items = [i._replace(rest=_rest(i.rest * factor, limits) if i.rest else 0.0) for i in items]
+    elif what == "copy" and len(items) < limits.most:
+        # There and back: a move and its opposite, which cancels drift.
+        items[k + 1 : k + 1] = [item._replace(steps=-item.steps)]
+    return tuple(items)
+
+
+_SHARES = (0.2, 0.15, 0.2, 0.06, 0.1, 0.1, 0.11, 0.03, 0.05)
+
+
+def closed(cycle: Cycle, limits: PoseLimits) -> Cycle:
+    """The cycle with the last turn of each axis changed so that it ends where it began, up to whole turns (on an axis
+    of limited travel, exactly). Items without turn and rest are left out."""
+    items = list(cycle)
+    for axis, travel in enumerate(limits.travel):
+        net = sum(i.steps for i in items if i.axis == axis)
+        left = net if math.isfinite(travel) else (net + limits.per_turn // 2) % limits.per_turn - limits.per_turn // 2
+        if not left:
+            continue
+        last = max((k for k, i in enumerate(items) if i.axis == axis and i.steps), default=None)
+        if last is None:
+            continue
+        items[last] = items[last]._replace(steps=items[last].steps - left)
+    return tuple(i for i in items if i.steps or i.rest)
+
+
+def feasible(cycle: Cycle, limits: PoseLimits) -> bool:
+    """Whether a cycle stays within the travel of every axis."""
+    for axis, travel in enumerate(limits.travel):
+        path = np.cumsum([i.steps for i in cycle if i.axis == axis])
+        if path.size and np.max(np.abs(path)) > travel:
+            return False
+    return bool(cycle)
+
+
+def _rest(seconds: float, limits: PoseLimits) -> float:
+    return round(min(max(seconds, limits.shortest), limits.longest), 1)
+
+
+def _rate(rate: float, axis: int, limits: PoseLimits) -> float:
+    return round(min(max(rate, 0.02 * limits.rates[axis]), limits.rates[axis]), 1)

@@ -105,11 +105,12 @@ def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS
     return list(frontiers.frontier(expect_spec(spec), list(motion_s), steps=steps))
 
 
-def sensitivity(spec: Spec) -> Sensitivities:
+def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:
     """What one per cent more of every figure of sensor, rig and plan changes, in per cent of each residual.
 
     `rows` of (requirement, figure, percent), the largest first; `residuals` of (value, unit) by requirement, in ppm or
-    deg/h. For an optimised plan it is also what is left once the plan is optimised again (envelope theorem).
+    deg/h. For an optimised plan it is also what is left once the plan is optimised again (envelope theorem). Of a whole
+    unit they are central differences of the prediction, two predictions a figure.
 
     Errors: `ValueError` where nothing is required, or where the plan cannot observe what is.
     """

@@ -5,8 +5,6 @@ differentiation through timeline, whitening and statistic, at the plan as it is:
 remains after it is optimised again, to first order (envelope theorem).
 """
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,9 +13,12 @@ import numpy as np
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import FIGURES, scaled
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
+from gradcal_jax.api.sensitivity_rows import Elasticity, Sensitivities
+from gradcal_jax.api.unit_sensitivity import unit_sensitivities
 from gradcal_jax.design import Criterion, criterion
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information
 from gradcal_jax.model import Discrepancy, EncoderHarmonics, SensorModel
 from gradcal_jax.trajectory import Rule, Schedule, rule_of
@@ -28,25 +29,12 @@ _INTEGRATION, _LAG = "integration time", "thermal lag"
 _ENCODER, _DISCREPANCY = "encoder's error by angle", "model discrepancy"
 
 
-class Elasticity(NamedTuple):
-    """`percent`: by how much the requirement's residual changes for one per cent more of `figure`."""
-
-    requirement: str
-    figure: str
-    percent: float
-
-
-class Sensitivities(NamedTuple):
-    """Elasticities, and the residual of each requirement in its unit."""
-
-    rows: tuple[Elasticity, ...]
-    residuals: dict[str, tuple[float, str]]
-
-
-def sensitivities(spec: Spec) -> Sensitivities:
-    """The elasticities of every requirement of a spec, on the axis where it leaves the most. Errors: `ValueError` where
-    nothing is required or observed.
+def sensitivities(spec: Spec | UnitSpec) -> Sensitivities:
+    """The elasticities of every requirement of a spec, on the axis where it leaves the most; of a whole unit by central
+    differences. Errors: `ValueError` where nothing is required or observed.
     """
+    if isinstance(spec, UnitSpec):
+        return unit_sensitivities(spec)
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
     built = assemble(spec)

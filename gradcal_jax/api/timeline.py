@@ -1,26 +1,16 @@
 """The contract gradcal-timeline/2, filled from a spec: segments, readings and the sensor's model."""
 
-from typing import Literal, cast
+from typing import cast, overload
 
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.contract_rows import map_row, shape_row
+from gradcal_jax.api.unit_timeline import unit_timeline
 from gradcal_jax.files import Spec, Timeline
-from gradcal_jax.files.bases import (
-    RateBasis,
-    RatePolynomial,
-    RateSpline,
-    TemperatureBasis,
-    TemperaturePolynomial,
-    TemperatureSpline,
-)
 from gradcal_jax.files.contracts import (
-    BasisRow,
-    DiscrepancyRow,
-    Functions,
     GradientSensitivityRow,
     HarmonicRow,
-    MapRow,
     ProcessRow,
     ReadingRow,
     SegmentRow,
@@ -31,15 +21,23 @@ from gradcal_jax.files.contracts import (
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import Bias, ScaleFactor, ScaleFactorDiscrepancy, Sensor
-from gradcal_jax.trajectory import Move
+from gradcal_jax.files.sensor import Sensor
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_timeline import UnitTimeline
 
 
-def timeline(spec: Spec) -> Timeline:
+@overload
+def timeline(spec: Spec) -> Timeline: ...
+@overload
+def timeline(spec: UnitSpec) -> UnitTimeline: ...
+def timeline(spec: Spec | UnitSpec) -> Timeline | UnitTimeline:
     """Every segment and reading of a spec's plan in SI, axes one after the other; temperatures (°C) are the chamber's.
 
-    Enough for another program to work out the covariance alone: contract gradcal-timeline/2. Errors: none.
+    Enough for another program to work out the covariance alone: contract gradcal-timeline/2, or of a whole unit, with
+    the angles of all axes and attitudes, gradcal-unit-timeline/1. Errors: none.
     """
+    if isinstance(spec, UnitSpec):
+        return unit_timeline(spec)
     built = assemble(spec)
     segments: list[SegmentRow] = []
     readings: list[ReadingRow] = []
@@ -119,7 +117,7 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
         move, own = (built.moves[index] if index < len(built.moves) else None), {}
         if line.moving[first]:
             assert move is not None
-            own = _shape(move, float(turned[pieces].sum()))
+            own = shape_row(move, float(turned[pieces].sum()))
             standstill += 1
         readings += [reading(float(end[k]), standstill if line.at_rest[k] else None) for k in pieces if line.read[k]]
         # A gap in which the chamber bends has several pieces, but the angle is read once, at its end.
@@ -140,20 +138,6 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
             )
         )
     return segments, readings
-
-
-def _shape(move: Move, angle: float) -> dict:
-    """The shape's own parameters of a move, as the contract names them."""
-    row: dict = {"shape": move.shape, "peak_rate": float(move.peak_rate), "angle": angle}
-    if move.shape in ("cosine ramps", "linear ramps"):
-        row["ramp"] = float(move.ramp)
-    elif move.shape == "sinusoid":
-        row["cycles"] = move.cycles
-    elif move.shape == "spline":
-        row["controls"] = tuple(float(c) for c in move.controls)
-    elif move.shape == "hand":
-        row["unevenness"] = float(move.unevenness)
-    return row
 
 
 def _standard_rows(built: Assembled, plan: StandardSchedule) -> tuple[list[SegmentRow], list[ReadingRow]]:
@@ -222,8 +206,8 @@ def _sensor_row(spec: Spec) -> SensorRow:
             scale_factor_slope=_plain(error.scale_factor_slope),
         ),
         bias_temperature_gradient=None if gradient is None else GradientSensitivityRow(prior=_plain(gradient.prior)),
-        bias=None if sensor.bias is None else _map_row(sensor.bias),
-        scale_factor=None if sensor.scale_factor is None else _map_row(sensor.scale_factor),
+        bias=None if sensor.bias is None else map_row(sensor.bias),
+        scale_factor=None if sensor.scale_factor is None else map_row(sensor.scale_factor),
     )
 
 
@@ -237,54 +221,6 @@ def _starts_row(sensor: Sensor) -> StartsRow:
         sample_clock_error="constant" if sensor.sample_clock_error else None,
         turn_on_bias=None if not sensor.turn_on_bias else "constant" if sensor.bias is None else "prior",
     )
-
-
-def _map_row(section: Bias | ScaleFactor) -> MapRow:
-    beyond, smooth = section.discrepancy, section.smoothness is not None
-    by_rate = isinstance(section, ScaleFactor)
-    return MapRow(
-        temperature=_basis_row(section.temperature, smooth),
-        rate=_basis_row(section.rate, smooth) if by_rate else None,
-        prior=_plain(section.prior),
-        smoothness=_plain(section.smoothness),
-        smoothness_along=_along(section) if smooth else (),
-        discrepancy=None
-        if beyond is None
-        else DiscrepancyRow(
-            sigma=float(beyond.standard_deviation),
-            functions="legendre",
-            temperature_degree=beyond.temperature_degree,
-            rate_degree=beyond.rate_degree if isinstance(beyond, ScaleFactorDiscrepancy) else None,
-        ),
-    )
-
-
-def _along(section: Bias | ScaleFactor) -> tuple[Literal["temperature", "rate"], ...]:
-    """The axes whose coefficients have neighbours: those of a polynomial have none."""
-    found: list[Literal["temperature", "rate"]] = []
-    if not isinstance(section.temperature, TemperaturePolynomial):
-        found.append("temperature")
-    if isinstance(section, ScaleFactor) and not isinstance(section.rate, RatePolynomial):
-        found.append("rate")
-    return tuple(found)
-
-
-def _basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:
-    """`smooth`: whether a smoothness prior is on the map's coefficients, which are the reported ones."""
-    if isinstance(section, TemperaturePolynomial | RatePolynomial):
-        return BasisRow(
-            basis="polynomial",
-            degree=section.degree,
-            centre=float(section.centre),
-            scale=float(section.scale),
-            prior_functions="monomial",
-            smoothness_functions="monomial" if smooth else None,
-        )
-    own: Functions = section.basis
-    alike: dict = {"basis": own, "prior_functions": own, "smoothness_functions": own if smooth else None}
-    if isinstance(section, TemperatureSpline | RateSpline):
-        return BasisRow(degree=section.degree, knots=tuple(float(k) for k in section.knots), **alike)
-    return BasisRow(edges=tuple(float(e) for e in section.edges), **alike)
 
 
 def _plain(value: float | None) -> float | None:

@@ -24,7 +24,7 @@ def predict_unit(spec: UnitSpec) -> Prediction:
         duration_s=schedule.duration,
         soak_s=schedule.soak,
         motion_s=schedule.motion,
-        requirements=tuple(_row(built, known, requirement) for requirement in spec.requirement),
+        requirements=tuple(requirement_row(built, known, requirement) for requirement in spec.requirement),
         parameters=tuple(
             ParameterRow(name=names[i], axis="unit", std=float(d) if seen[i] else None, unit=units[i])
             for i, d in enumerate(deviations)
@@ -41,7 +41,8 @@ def posterior_of_unit(built: AssembledUnit) -> Posterior:
     return posterior(unit_information(built.motion, built.model, built.body_nodes()))
 
 
-def _row(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> RequirementRow:
+def requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> RequirementRow:
+    """What is left of one requirement, in people's units."""
     found = unit_residual(built, known, requirement)
     values = summed_up(requirement, found)
     unit, factor = UNIT_OF_QUANTITY[requirement.quantity]

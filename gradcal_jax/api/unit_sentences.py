@@ -49,6 +49,8 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     """
     names = [name for name, _ in unobserved_parameters(built, known)]
     said = _cures(built, set(names))
+    if any(".m_" in name for name in names) or _orthogonality_is_hidden(built, known):
+        said += _reversals(built)
     groups: dict[str, list[str]] = {}
     for name in names:
         channel, _, symbol = name.partition(".")
@@ -100,16 +102,26 @@ def _cures(built: AssembledUnit, names: set[str]) -> list[str]:
                 "the directions that point up while the table rests lie in one plane, so bias and acceleration "
                 "sensitivity cannot be told apart: four directions are needed that do not"
             )
-    return said + _reversals(built, axes, names)
+    return said
 
 
-def _reversals(built: AssembledUnit, axes: np.ndarray, names: set[str]) -> list[str]:
+def _orthogonality_is_hidden(built: AssembledUnit, known: Posterior) -> bool:
+    """Whether gyros' misalignments stand beside an angle between two axes of which the plan says nothing."""
+    model, gyro = built.model, built.spec.sensor.gyro
+    at = [i for i, name in enumerate(model.names()) if name.startswith("orthogonality_")]
+    if gyro is None or gyro.misalignment is None or not at:
+        return False
+    after, before = known.deviations(model.to_reported[at]), _prior_deviations(built)[at]
+    return bool(np.any(after > NOT_OBSERVED * before))
+
+
+def _reversals(built: AssembledUnit) -> list[str]:
     """Turns of an outer axis of which no two are seen from opposite sides: the misalignment towards the inner axis
     hides behind the non-orthogonality of the two.
     """
     motion, table = built.motion, built.spec.rig.table
-    if not any(".m_" in name for name in names) or len(table.axis) < 2:
-        return []
+    before, _ = motion.angles()
+    axes = frames(motion.geometry, before, motion.mounting).axes
     said: list[str] = []
     for k in range(len(table.axis) - 1):
         turning = np.unique(np.round(axes[motion.axis == k][:, k], 6), axis=0)

@@ -144,7 +144,9 @@ def text(prediction: "Prediction", name: str) -> str:
     else:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
     if any(row.axis == "unit" for row in prediction.parameters):
-        lines += ["", columns(_parameters_of_unit(prediction), indent="", right=(1, 2, 3))]
+        from gradcal_jax.pages.unit import parameter_table
+
+        lines += ["", columns(parameter_table(prediction), indent="", right=(1, 2, 3))]
     else:
         lines += ["", columns(_parameters(prediction), indent="", right=(1,))]
     several = len({row.axis for row in prediction.notices}) > 1
@@ -240,14 +242,6 @@ _SHOWN = {
     "1": ("ppm", units.PPM),
     "rad/K": ("deg/h/(K/min)", units.DEG_PER_H / 60.0),
 }
-_SHOWN_OF_UNIT = _SHOWN | {
-    "rad": ("urad", 1e6),
-    "m/s^2": ("ug", 1e6 / units.G),
-    "rad/s/(m/s^2)": ("deg/h/g", units.DEG_PER_H * units.G),
-    "rad/s/(m/s^2)^2": ("deg/h/g^2", units.DEG_PER_H * units.G**2),
-    "1/(m/s^2)": ("ug/g^2", 1e6 * units.G),
-    "1/(m/s^2)^2": ("ug/g^3", 1e6 * units.G**2),
-}
 
 
 def _parameters(prediction: "Prediction") -> list[tuple[str, ...]]:
@@ -258,22 +252,6 @@ def _parameters(prediction: "Prediction") -> list[tuple[str, ...]]:
         name = f"{row.name}, axis {row.axis}" if several else row.name
         rows.append((name, "not observable" if row.std is None else f"{row.std * factor:.4g}", unit))
     return rows
-
-
-def _parameters_of_unit(prediction: "Prediction") -> list[tuple[str, ...]]:
-    """A row for each coefficient, with a column for each axis."""
-    table: dict[tuple[str, str, str], dict[str, str]] = {}
-    for row in prediction.parameters:
-        channel, _, symbol = row.name.partition(".")
-        kind, _, axis = channel.rpartition("_")
-        unit, factor = _SHOWN_OF_UNIT.get(row.unit, (row.unit, 1.0))
-        value = "not observable" if row.std is None else f"{row.std * factor:.4g}"
-        table.setdefault((kind, symbol, unit), {})[axis] = value
-    rows: list[tuple[str, ...]] = [("parameter, 1σ", "x", "y", "z", "unit")]
-    return rows + [
-        (f"{kind} {symbol}", *(values.get(axis, "") for axis in "xyz"), unit)
-        for (kind, symbol, unit), values in table.items()
-    ]
 
 
 def _simulated(rows, tests, runs: int, seed: int) -> str:

@@ -29,13 +29,13 @@ def report(
     force: Flag = False,
     json: Json = False,
 ) -> int:
-    """Make one HTML page of a recipe, a run or a calibration: nothing is fetched by it, and it prints well.
+    """Make one HTML page of a recipe, a run, a calibration or a unit's plan: nothing is fetched, and it prints well.
 
     Parameters
     ----------
     sources
         The folder of a run, a recipe, a calibration, or those of them that belong together. A calibration.toml in the
-        folder of a run is taken with it.
+        folder of a run is taken with it. Of a whole unit, its spec.
     output
         The page (.html).
     before

@@ -33,10 +33,10 @@ def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
         Draw them as bars into this file.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import any_spec_in
 
     drawable(plot)
-    found = spec_in(spec)
+    found = any_spec_in(spec)
     use_float64()
     from gradcal_jax.api.sensitivity import sensitivities
 

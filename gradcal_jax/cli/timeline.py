@@ -14,7 +14,11 @@ from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from gradcal_jax.files import Timeline
+    from gradcal_jax.files.section import Section
+    from gradcal_jax.files.unit_timeline import UnitTimeline
 
 _MOST_ROWS = 60
 
@@ -39,7 +43,8 @@ def timeline(
     spec
         The spec file.
     json
-        Print gradcal-timeline/2: segments, readings and the sensor's model, in SI.
+        Print gradcal-timeline/2: segments, readings and the sensor's model, in SI; of a whole unit
+        gradcal-unit-timeline/1, with the angles of all axes and the attitude.
     csv
         Print the rows as comma-separated values, in SI.
     rows
@@ -48,30 +53,45 @@ def timeline(
     if json and csv:
         raise ValueError("--json or --csv: choose one")
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.unit_spec import UnitSpec
 
-    found = spec_in(spec)
+    found = any_spec_in(spec)
     use_float64()
     from gradcal_jax import api
 
+    if isinstance(found, UnitSpec):
+        if rows == "readings":
+            raise ValueError("of a whole unit every segment says which channels have a row of it: leave --rows out")
+        unit = api.timeline(found)
+        if json:
+            print(unit.model_dump_json(exclude_none=True))
+        else:
+            _as_csv(unit.segments) if csv else print(_table_of_unit(unit))
+        return DONE
     written = api.timeline(found)
     if json:
         print(written.model_dump_json(indent=2, exclude_none=True))
     elif csv:
-        _as_csv(written, rows)
+        _as_csv(written.segments if rows == "segments" else written.readings)
     else:
         print(_table(written, rows))
     return DONE
 
 
-def _as_csv(written: "Timeline", rows: str) -> None:
-    entries = written.segments if rows == "segments" else written.readings
+def _as_csv(entries: "Sequence[Section]") -> None:
     names = list(type(entries[0]).model_fields)
     writer = comma_separated.writer(sys.stdout, lineterminator="\n")
     writer.writerow(names)
     for entry in entries:
-        values = (getattr(entry, name) for name in names)
-        writer.writerow(["" if v is None else " ".join(map(str, v)) if isinstance(v, tuple) else v for v in values])
+        writer.writerow([_cell(getattr(entry, name)) for name in names])
+
+
+def _cell(value: object) -> object:
+    """Lists, and those within them, as words with spaces between."""
+    if isinstance(value, tuple):
+        return " ".join("-" if v is None else str(_cell(v)) for v in value)
+    return "" if value is None else value
 
 
 def _table(written: "Timeline", rows: str) -> str:
@@ -95,3 +115,26 @@ def _table(written: "Timeline", rows: str) -> str:
         lines.append(f"… and {len(table) - _MOST_ROWS - 1} more: --csv or --json gives all")
     lines.append(f"{len(written.segments)} segments, {len(written.readings)} readings")
     return "\n".join(lines)
+
+
+def _table_of_unit(unit: "UnitTimeline") -> str:
+    axes = [f"{axis.name}, deg" for axis in unit.table]
+    table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the unit", "chamber, degC", "read")]
+    for s in unit.segments[:_MOST_ROWS]:
+        what = s.shape if s.axis is None else f"{s.axis}: {s.shape}, {math.degrees(s.angle):+.4g} deg"
+        pairs = zip(s.angles_before, s.angles_after, strict=True)
+        angles = (_degrees(a) + (f" -> {_degrees(b)}" if a != b else "") for a, b in pairs)
+        up = " ".join(f"{round(v, 2) + 0.0:+.2f}" for v in s.attitude[2]) if s.axis is None else ""
+        chamber = f"{s.temperature_start:.2f} -> {s.temperature_end:.2f}"
+        kinds = dict.fromkeys(name.rpartition("_")[0] + "s" for name in s.read)
+        table.append((time_text(s.start), what, time_text(s.duration), *angles, up, chamber, ", ".join(kinds)))
+    lines = [columns(table, indent="")]
+    if len(unit.segments) > _MOST_ROWS:
+        lines.append(f"… and {len(unit.segments) - _MOST_ROWS} more: --csv or --json gives all")
+    rows = sum(len(s.read) for s in unit.segments)
+    lines.append(f"{len(unit.segments)} segments, {rows} rows of {len(unit.channels)} channels")
+    return "\n".join(lines)
+
+
+def _degrees(angle: float) -> str:
+    return f"{round(math.degrees(angle), 6) + 0.0:.7g}"

@@ -16,6 +16,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "unit-spec": ("unit_spec", "UnitSpec"),
     "rig": ("rig", "RigFile"),
     "timeline": ("contracts", "Timeline"),
+    "unit-timeline": ("unit_timeline", "UnitTimeline"),
     "prediction": ("contracts", "Prediction"),
     "columns": ("importers", "ColumnMap"),
     "points": ("points", "PointMap"),

@@ -101,7 +101,7 @@ def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
         # Another kind or version of file: the rest would only be noise.
         raise SpecError([problem], source)
     if is_of_unit(document):
-        message = "is of a whole unit (gyros, accelerometers); this serves one gyro axis: use check, predict or compare"
+        message = "is of a whole unit (gyros, accelerometers); this serves one gyro axis alone"
         raise SpecError([Problem(("sensor",), message)], source)
     try:
         return Spec.model_validate(document)

@@ -30,14 +30,15 @@ from pydantic import Field, model_validator
 
 from gradcal_jax import units
 from gradcal_jax.files import presets
-from gradcal_jax.files.changes import changed, split_key
+from gradcal_jax.files.changes import any_spec_of, changed, split_key
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import is_recipe, recipe_of
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import Spec, parse_spec, spec_of
+from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 FORMAT: Final = "gradcal-sweep/1"
 MOST_POINTS: Final = 1_000_000
@@ -265,7 +266,7 @@ class Sweep:
 
     file: SweepFile
     text: str
-    base: Spec
+    base: Spec | UnitSpec
 
 
 def read_sweep(path: str | Path) -> Sweep:
@@ -280,7 +281,10 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
     with with_lines(text):
         file = model_of(SweepFile, read_toml(text, source), FORMAT, source)
-    base = named_spec(file.base, Path(folder), source)
+    tables, place = _named(file.base, Path(folder), source)
+    base = recipe_of(tables, place).spec if is_recipe(tables) else any_spec_of(tables, place)
+    if isinstance(base, UnitSpec) and file.do == "optimise":
+        raise SpecError([Problem(("do",), 'a whole unit is predicted in sweeps; expected "predict"', file.do)], source)
     try:
         if file.change:
             base = changed(base, file.change)
@@ -293,16 +297,20 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
 
 def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
+    tables, place = _named(name, folder, source)
+    return recipe_of(tables, place).spec if is_recipe(tables) else spec_of(tables, place)
+
+
+def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:
     path = folder / name
-    if not path.suffix and not path.exists():
-        if name in presets.names():
-            return parse_spec(presets.text(name), name)
-        raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal new --list')], source)
-    document = read_toml(read_text(path), str(path))
-    return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
+    if path.suffix or path.exists():
+        return read_toml(read_text(path), str(path)), str(path)
+    if name in (*presets.names(), *presets.unit_names()):
+        return read_toml(presets.text(name), name), name
+    raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal new --list')], source)
 
 
-def _known(axis: Axis, base: Spec) -> None:
+def _known(axis: Axis, base: Spec | UnitSpec) -> None:
     """A key that no spec has is a slip, and is said at once, not a thousand times."""
     trial = {key: axis.at(0.0) for key in axis.changes}
     try:

@@ -28,7 +28,6 @@ from gradcal_jax.information.whitening import whiten
 from gradcal_jax.model import BodyGroup, BodyNodes, UnitModel
 from gradcal_jax.trajectory import TableMotion
 
-
 # Of the largest column of its unit: what is below is no signal.
 _ROUNDING = 1e-11
 

@@ -11,7 +11,7 @@ from gradcal_jax.files import to_toml
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf, save_netcdf
 from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.jobs.points import Points
-from gradcal_jax.jobs.results import STATISTICS, UNIT_OF, Result
+from gradcal_jax.jobs.results import OVER_RATE, STATISTICS, UNIT_OF, Result
 
 if TYPE_CHECKING:
     import xarray
@@ -69,7 +69,7 @@ def dataset_of(job: Sweep, points: Points, results: tuple[Result, ...], identity
         taken.add(name)
         unit = UNIT_OF[requirement.quantity]
         for s, statistic in enumerate(STATISTICS):
-            if requirement.quantity == "bias" and statistic == "mean of max":
+            if requirement.quantity not in OVER_RATE and statistic == "mean of max":
                 continue
             column = [[_number(t.get((i, c)), s) for c in channels] for t in tables]
             what = f"{requirement.name}: {statistic} of the residual {requirement.quantity.replace('_', ' ')}, 1 sigma"

@@ -11,8 +11,12 @@ import numpy as np
 
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.posterior_of_plan import posterior_of_plan, residual_map, verdict
-from gradcal_jax.files import Spec, changed, spec_of, to_toml
+from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.unit_prediction import posterior_of_unit, requirement_row
+from gradcal_jax.files import Spec, changed, to_toml
+from gradcal_jax.files.changes import any_spec_of
 from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, statistic
 from gradcal_jax.jobs.results import Residual, Result, one_line
 
@@ -30,7 +34,7 @@ def optimise_points(base: Mapping[str, Any], points: list[tuple[int, Changes]]) 
 
 
 def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> list[Result]:
-    spec = spec_of(base)
+    spec = any_spec_of(base)
     results: list[Result] = []
     for index, changes in points:
         try:
@@ -40,7 +44,18 @@ def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> lis
     return results
 
 
-def _predicted(index: int, spec: Spec) -> Result:
+def _predicted(index: int, spec: Spec | UnitSpec) -> Result:
+    if isinstance(spec, UnitSpec):
+        unit = assemble_unit(spec)
+        known_unit = posterior_of_unit(unit)
+        of_unit = [requirement_row(unit, known_unit, requirement) for requirement in spec.requirement]
+        found = tuple(
+            # How a unit's axes are summed up is the requirement's affair: it has one value, under the first channel.
+            Residual(i, "x", (row.mean_of_max, row.max, row.mean, row.rms), row.verdict or "")
+            for i, row in enumerate(of_unit)
+        )
+        times = spec.schedule
+        return Result(index, "", times.duration, times.soak, times.motion, found)
     built = assemble(spec)
     known = {channel: posterior_of_plan(built, channel) for channel in built.channels}
     rows = tuple(

@@ -1,16 +1,33 @@
 """What is kept of a point; plain data, without JAX, for whoever hands out the work."""
 
 import json
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 STATISTICS: Final = ("mean of max", "max", "mean", "rms")
 """The order of a residual's values: `information.STATISTICS`."""
-UNIT_OF: Final[dict[str, Literal["ppm", "deg/h"]]] = {"scale_factor": "ppm", "bias": "deg/h"}
+UNIT_OF: Final = {
+    "scale_factor": "ppm",
+    "bias": "deg/h",
+    "gyro_bias": "deg/h",
+    "gyro_scale_factor": "ppm",
+    "gyro_misalignment": "urad",
+    "g_sensitivity": "deg/h/g",
+    "accelerometer_bias": "ug",
+    "accelerometer_scale_factor": "ppm",
+    "accelerometer_misalignment": "urad",
+    "second_order": "ug/g^2",
+    "position": "m",
+    "tilt": "urad",
+    "heading": "deg",
+}
+"""Of every quantity the unit of its residuals, of one axis and of a whole unit."""
+OVER_RATE: Final = ("scale_factor", "gyro_scale_factor")
+"""Quantities that have a "mean of max"."""
 
 
 class Residual(NamedTuple):
     """One requirement on one channel: the statistics by the order of `STATISTICS` (None: none, or not observable), in
-    ppm or deg/h, and the verdict: "met", "missed", "unobservable" or "" without a target.
+    the unit of `UNIT_OF`, and the verdict: "met", "missed", "unobservable" or "" without a target.
     """
 
     requirement: int

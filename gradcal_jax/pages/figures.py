@@ -57,7 +57,7 @@ def map_pictures(facts: Sequence[MapFact]) -> list[list[Picture]]:
             continue
         drawn.append(fact)
         where = fact.name if len({f.axis for f in facts}) == 1 else f"{fact.name}, axis {fact.axis}"
-        key = f"{_key(fact.name)}-{fact.axis}-{fact.quantity}"
+        key = f"{picture_key(fact.name)}-{fact.axis}-{fact.quantity}"
         if fact.quantity == "bias":
             found.append([_curves(fact, f"{key}-curves", where)])
             continue
@@ -81,11 +81,11 @@ def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture
         caption = "Temperature of the chamber on the plan's clock."
         if course is not None:
             caption = "Temperature: planned, on the plan's clock, and done, on the run's, which counts waiting too."
-        found.append(_picture("temperature", caption, temperatures, _LOW))
+        found.append(picture("temperature", caption, temperatures, _LOW))
         for axis in turned_axes(recipe):
             words = f"Rate of table axis {axis} as planned."
             found.append(
-                _picture(f"planned-{axis}", words, lambda ax, a=axis: draw_planned_rate(recipe, a, ax=ax), _LOW)
+                picture(f"planned-{axis}", words, lambda ax, a=axis: draw_planned_rate(recipe, a, ax=ax), _LOW)
             )
     if course is not None:
         for axis, (time, angle) in course.angles.items():
@@ -98,7 +98,7 @@ def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture
                 ax.set(xlabel="time since the run began, h", ylabel="rate, deg/s")
 
             words = f"Rate of table axis {axis} as done: the mean between two readings of its angle."
-            found.append(_picture(f"done-{axis}", words, rates, _LOW))
+            found.append(picture(f"done-{axis}", words, rates, _LOW))
     return found
 
 
@@ -114,7 +114,7 @@ def found_pictures(calibration: Calibration) -> list[Picture]:
             words = f"Bias of axis {axis.name} as found; the band is one standard deviation."
             draw.append(("bias", words, lambda a, ax: draw_found_bias(a, ax=ax)))
         found += [
-            _picture(f"found-{name}-{axis.name}", words, lambda ax, a=axis, d=function: d(a, ax), _HIGH)
+            picture(f"found-{name}-{axis.name}", words, lambda ax, a=axis, d=function: d(a, ax), _HIGH)
             for name, words, function in draw
         ]
     return found
@@ -169,7 +169,7 @@ def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture
     caption = f"{where}: residual {label}, one standard deviation."
     if not np.all(np.isfinite(box.values)):
         caption += " Blank: not observable."
-    return _picture(key, caption, draw, _HIGH)
+    return picture(key, caption, draw, _HIGH)
 
 
 def _label(ax: Axes, contours: QuadContourSet) -> None:
@@ -221,24 +221,27 @@ def _curves(fact: MapFact, key: str, where: str) -> Picture:
         ax.legend()
 
     words = "over temperature" if bias else "the worst over temperature, against rate"
-    return _picture(key, f"{where}: residual, {words}, one standard deviation.", draw, _HIGH)
+    return picture(key, f"{where}: residual, {words}, one standard deviation.", draw, _HIGH)
 
 
 def _tick(value: float, _place: int) -> str:
     return figures(value)
 
 
-def _key(name: str) -> str:
+def picture_key(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "requirement"
 
 
 # ----------------------------------------------------------------------------------------------------------------- SVG
 
 
-def _picture(key: str, caption: str, draw: Callable[[Axes], object], height: float) -> Picture:
+def picture(
+    key: str, caption: str, draw: Callable[[Axes], object], height: float, *, projection: str | None = None
+) -> Picture:
+    """What `draw` draws, in a column's width and so many inches of height."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDE, height), layout="constrained")
-        draw(figure.add_subplot())
+        draw(figure.add_subplot(projection=projection))
         return Picture(key, caption, svg_of(figure, key))
 
 

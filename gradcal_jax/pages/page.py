@@ -16,6 +16,7 @@ from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
+from gradcal_jax.pages.unit import unit_pictures, unit_words
 from gradcal_jax.units import time_text
 
 
@@ -29,14 +30,20 @@ def page(sources: Sources, facts: Facts) -> str:
     room = resources.files(__name__.rsplit(".", 1)[0])
     template = environment.from_string((room / "page.html").read_text(encoding="utf-8"))
     recipe, calibration = sources.recipe, sources.calibration
+    left, tracks = map_pictures(facts.maps), track_pictures(recipe, facts.course)
+    words = _words(facts, recipe)
+    if sources.unit is not None:
+        left, tracks = unit_pictures(sources)
+        words["unit"] = unit_words(sources, facts)
+        words |= {name: words["unit"][name] for name in words["unit"] if name in words}
     given: dict[str, Any] = {
         "facts": facts,
         "recipe": recipe,
         "calibration_name": sources.calibration_name,
         "css": (room / "style.css").read_text(encoding="utf-8"),
-        "words": _words(facts, recipe),
-        "map_groups": map_pictures(facts.maps),
-        "tracks": track_pictures(recipe, facts.course),
+        "words": words,
+        "map_groups": left,
+        "tracks": tracks,
         "found": [] if calibration is None else found_pictures(calibration),
         "chamber_head": ["segment", *CHAMBER_HEAD[1:]],
         "chamber": [] if recipe is None else chamber_rows(recipe),
@@ -57,6 +64,7 @@ def sentence(text: str) -> str:
 def _words(facts: Facts, recipe: Recipe | None) -> dict[str, Any]:
     """Rows of cells and sentences for the template."""
     return {
+        "unit": None,
         "verdict": _verdict(facts),
         "times": "" if recipe is None else _times(recipe),
         "chamber": [] if recipe is None else chamber_words(recipe),
@@ -108,7 +116,7 @@ def _against(rows: list[RequirementFact]) -> str:
 
 def _requirements(facts: Facts) -> dict[str, Any]:
     rows = facts.requirements
-    several = len({row.axis for row in rows}) > 1
+    several = len({row.axis for row in rows} & set("xyz")) > 1
     kept = {
         "before": any(row.before is not None for row in rows),
         "predicted": any(row.predicted is not None for row in rows),

@@ -7,6 +7,7 @@ from gradcal_jax.files.writing import write_whole
 from gradcal_jax.pages.facts import Facts, facts_of
 from gradcal_jax.pages.page import page
 from gradcal_jax.pages.sources import Sources, read_sources
+from gradcal_jax.pages.unit import unit_facts
 
 
 def report(
@@ -16,11 +17,12 @@ def report(
     before: str | Path | None = None,
     limits: str | Path | None = None,
 ) -> Facts:
-    """Make one HTML page of a recipe, a run or a calibration: planned, predicted, done, found, how to apply it.
+    """Make one HTML page of a recipe, a run or a calibration, planned, predicted, done, found, how to apply it; or of
+    the plan of a whole unit.
 
     `sources`: the folder of a run (its calibration.toml is taken with it), a recipe, a calibration, or those of them
-    that belong together. `before`: a spec or recipe whose plan to compare with. `limits`: what `gradcal limit --json`
-    printed. The page replaces `output`; it fetches nothing.
+    that belong together; or the spec of a whole unit alone. `before`: a spec or recipe whose plan to compare with.
+    `limits`: what `gradcal limit --json` printed. The page replaces `output`; it fetches nothing.
 
     Returns every number of the page, once (`pages.facts.Facts`): ppm, deg/h, °C and deg/s, 1σ. Terms are those of IEEE
     952, 1431 and 1780. Errors: `ValueError` for sources that cannot be read or do not belong on one page.
@@ -36,6 +38,6 @@ def report(
 
 def write_page(sources: Sources, output: str | Path) -> Facts:
     """The page of sources that are read already."""
-    facts = facts_of(sources)
+    facts = facts_of(sources) if sources.unit is None else unit_facts(sources)
     write_whole(output, page(sources, facts))
     return facts

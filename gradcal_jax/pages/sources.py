@@ -12,6 +12,8 @@ from gradcal_jax.files.calibration import FORMAT as CALIBRATION
 from gradcal_jax.files.calibration import Calibration, read_calibration
 from gradcal_jax.files.document import read_text, read_toml
 from gradcal_jax.files.recipe import Recipe, is_recipe, recipe_of, spec_in
+from gradcal_jax.files.spec import is_of_unit
+from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.hardware.run_folder import RunFolder
 
 CALIBRATION_IN_RUN = "calibration.toml"
@@ -19,10 +21,11 @@ CALIBRATION_IN_RUN = "calibration.toml"
 
 @dataclass(frozen=True)
 class Sources:
-    """What was read. `limits`: what no plan can leave less than, by requirement. `paths`: name and SHA-256 of each
-    file; `notes`: what does not fit.
+    """What was read. `unit`: the spec of a whole unit, which stands alone. `limits`: what no plan can leave less than,
+    by requirement. `paths`: name and SHA-256 of each file; `notes`: what does not fit.
     """
 
+    unit: UnitSpec | None = None
     recipe: Recipe | None = None
     run: RunFolder | None = None
     calibration: Calibration | None = None
@@ -58,7 +61,9 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
             take("run", folder, path)
             continue
         document = read_toml(read_text(path), str(path))
-        if is_recipe(document):
+        if is_of_unit(document):
+            take("unit", unit_spec_of(document, str(path)), path)
+        elif is_recipe(document):
             take("recipe", recipe_of(document, str(path)), path)
         elif document.get("format") == CALIBRATION:
             take("calibration", read_calibration(path), path)
@@ -77,8 +82,10 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
             take("calibration", read_calibration(own), own)
             found["calibration_name"] = str(own)
         found["hidden_truth"] = _hidden_truth(run)
+    if "unit" in found and (len(found) > 1 or before is not None or limits is not None):
+        raise ValueError("the page of a unit's plan is made of its spec alone; to compare plans: gradcal compare")
     if not found:
-        raise ValueError("a report of what? Name the folder of a run, a recipe, or a calibration")
+        raise ValueError("a report of what? Name the folder of a run, a recipe, a calibration, or the spec of a unit")
     if before is not None:
         found["before"], found["before_name"] = spec_in(before), before.name
         named.append((before.name, hashlib.sha256(before.read_bytes()).hexdigest()))

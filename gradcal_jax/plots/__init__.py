@@ -5,7 +5,7 @@ from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_wor
 from gradcal_jax.plots.spec import draw_comparison, draw_prediction
 from gradcal_jax.plots.style import save, style_of
 from gradcal_jax.plots.timeline import draw_temperature
-from gradcal_jax.plots.unit import draw_poses, draw_unit
+from gradcal_jax.plots.unit import draw_poses, draw_unit, draw_unit_residual
 
 __all__ = [
     "draw_comparison",
@@ -17,6 +17,7 @@ __all__ = [
     "draw_sensitivities",
     "draw_temperature",
     "draw_unit",
+    "draw_unit_residual",
     "draw_worst_over_temperature",
     "save",
     "style_of",

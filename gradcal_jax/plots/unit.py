@@ -7,10 +7,10 @@ from matplotlib.figure import Figure
 
 from gradcal_jax.api.unit_build import assemble_unit, rest_poses
 from gradcal_jax.api.unit_prediction import posterior_of_unit
-from gradcal_jax.api.unit_residual import unit_residual
-from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement
+from gradcal_jax.api.unit_residual import Residual, unit_residual
+from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.plots.style import colour_map, from_zero, style_of
+from gradcal_jax.plots.style import colour_map, from_zero, new_axes, style_of
 
 _PANEL = (5.2, 3.4)
 _COLUMNS = 2
@@ -24,30 +24,37 @@ def draw_unit(spec: UnitSpec) -> Figure:
     rows = -(-count // _COLUMNS)
     figure = Figure(figsize=(_PANEL[0] * _COLUMNS, _PANEL[1] * rows), layout="constrained")
     for k, requirement in enumerate(spec.requirement):
-        ax = figure.add_subplot(rows, _COLUMNS, k + 1)
         found = unit_residual(built, known, requirement)
-        by_rate = isinstance(requirement, GyroScaleFactorRequirement)
-        for i, (label, values) in enumerate(zip(found.labels, found.values, strict=True)):
-            across = np.degrees(found.rates) if by_rate else found.temperatures
-            shown = np.max(values, axis=0) if by_rate else values[:, 0]
-            ax.plot(across, np.where(np.isfinite(shown), shown, np.nan), label=label, **style_of(i))
-        if requirement.target is not None:
-            target = float(requirement.target) * found.si
-            ax.axhline(target, color="black", linewidth=0.8, linestyle=":")
-            ax.annotate("target", (0.01, target), xycoords=("axes fraction", "data"), va="bottom", fontsize=8)
-        what = "largest over temperature, " if by_rate else ""
-        ax.set(
-            xlabel="rate, deg/s" if by_rate else "temperature, °C",
-            ylabel=f"{what}1σ, {found.unit}",
-            title=requirement.name,
-        )
-        from_zero(ax)
-        if len(found.labels) > 1:
-            ax.legend(fontsize=8, ncols=3)
+        draw_unit_residual(requirement, found, ax=figure.add_subplot(rows, _COLUMNS, k + 1))
     draw_poses(spec, ax=figure.add_subplot(rows, _COLUMNS, count, projection="mollweide"))
     if spec.title:
         figure.suptitle(spec.title)
     return figure
+
+
+def draw_unit_residual(requirement: UnitRequirement, found: Residual, *, ax: Axes | None = None) -> Axes:
+    """What is left of each element of a requirement's quantity, over temperature, or of the scale factor over rate."""
+    ax = new_axes(ax)
+    by_rate = isinstance(requirement, GyroScaleFactorRequirement)
+    for i, (label, values) in enumerate(zip(found.labels, found.values, strict=True)):
+        across = np.degrees(found.rates) if by_rate else found.temperatures
+        shown = np.max(values, axis=0) if by_rate else values[:, 0]
+        ax.plot(across, np.where(np.isfinite(shown), shown, np.nan), label=label, **style_of(i))
+    if requirement.target is not None:
+        target = float(requirement.target) * found.si
+        ax.axhline(target, color="black", linewidth=0.8, linestyle=":")
+        ax.annotate("target", (0.01, target), xycoords=("axes fraction", "data"), va="bottom", fontsize=8)
+    what = "largest over temperature, " if by_rate else ""
+    ax.set(
+        xlabel="rate, deg/s" if by_rate else "temperature, °C",
+        ylabel=f"{what}1σ, {found.unit}",
+        title=requirement.name,
+    )
+    from_zero(ax)
+    ax.set_ylim(top=1.08 * ax.get_ylim()[1])
+    if len(found.labels) > 1:
+        ax.legend(fontsize=8, ncols=3)
+    return ax
 
 
 def draw_poses(spec: UnitSpec, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
@@ -73,9 +80,10 @@ def draw_poses(spec: UnitSpec, *, ax: Axes | None = None) -> tuple[Axes, PathCol
     )
     names = {"+x": (0.0, 0.0), "+y": (np.pi / 2, 0.0), "−y": (-np.pi / 2, 0.0), "+z": (0.0, 1.45), "−z": (0.0, -1.45)}
     for name, place in names.items():
-        ax.annotate(name, place, xytext=(4, 6), textcoords="offset points", fontsize=8)
+        # Inside the map: beyond the upper pole stands the title.
+        ax.annotate(name, place, xytext=(5, -11 if name == "+z" else 6), textcoords="offset points", fontsize=8)
     ax.figure.colorbar(dots, ax=ax, label="time, min", shrink=0.7)
-    ax.set_title("which way is up, seen from the unit, at rest")
+    ax.set_title("which way is up, seen from the unit, at rest", pad=14.0)
     ax.set_xticklabels([])
     ax.grid(visible=True, linewidth=0.4)
     return ax, dots

@@ -83,7 +83,12 @@ def test_new_prints_and_lists(capsys):
     assert capsys.readouterr().out == presets.text("paper-static-gradient")
     assert main(["new", "--list"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split(" ")[0] for line in lines] == [*presets.names(), *presets.unit_names(), "column-map", "point-map"]
+    assert [line.split(" ")[0] for line in lines] == [
+        *presets.names(),
+        *presets.unit_names(),
+        "column-map",
+        "point-map",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,8 @@ COMMANDS = [name for name in build() if not name.startswith("-")]
 # What the help itself is set with, and how it writes quantities.
 NOTATION = re.compile(
     r"\[(required|default: [^\]]*|choices: [^\]]*|OPTIONS|ARGS\.*)\]|\b(STR|INT|FLOAT|PATH|CHOICE)\b|"
-    r"\"[^\"]*\"|`[^`]*`|\S+\.(toml|npz|nc|json|html|csv|md)\b|gradcal-\w+/\d|tcp://\S+|[\d.]+ ?[A-Za-z%/]+|\b[QNBK]\b"
+    r"\"[^\"]*\"|`[^`]*`|\S+\.(toml|npz|nc|json|html|csv|md)\b|gradcal-[\w-]+/\d|tcp://\S+|"
+    r"[\d.]+ ?[A-Za-z%/]+|\b[QNBK]\b"
 )
 
 

@@ -1,0 +1,83 @@
+"""Parts that the contracts of a single axis and of a whole unit share: maps, bases, shapes of moves."""
+
+from typing import Any, Literal
+
+from gradcal_jax.files.bases import (
+    RateBasis,
+    RatePolynomial,
+    RateSpline,
+    TemperatureBasis,
+    TemperaturePolynomial,
+    TemperatureSpline,
+)
+from gradcal_jax.files.contracts import BasisRow, DiscrepancyRow, Functions, MapRow
+from gradcal_jax.files.moves import ResolvedMove
+from gradcal_jax.files.sensor import Bias, ScaleFactor, ScaleFactorDiscrepancy
+from gradcal_jax.trajectory import Move
+
+
+def shape_row(move: Move | ResolvedMove, angle: float) -> dict[str, Any]:
+    """The shape's own parameters of a move, as the contract names them."""
+    row: dict[str, Any] = {"shape": move.shape, "peak_rate": float(move.peak_rate), "angle": angle}
+    if move.shape in ("cosine ramps", "linear ramps"):
+        row["ramp"] = float(move.ramp)
+    elif move.shape == "sinusoid":
+        row["cycles"] = move.cycles
+    elif move.shape == "spline":
+        row["controls"] = tuple(float(c) for c in move.controls)
+    elif move.shape == "hand":
+        row["unevenness"] = float(move.unevenness)
+    return row
+
+
+def map_row(section: Bias | ScaleFactor) -> MapRow:
+    """A gyro's bias or scale factor as the contracts have it."""
+    beyond, smooth = section.discrepancy, section.smoothness is not None
+    by_rate = isinstance(section, ScaleFactor)
+    return MapRow(
+        temperature=basis_row(section.temperature, smooth),
+        rate=basis_row(section.rate, smooth) if by_rate else None,
+        prior=_plain(section.prior),
+        smoothness=_plain(section.smoothness),
+        smoothness_along=_along(section) if smooth else (),
+        discrepancy=None
+        if beyond is None
+        else DiscrepancyRow(
+            sigma=float(beyond.standard_deviation),
+            functions="legendre",
+            temperature_degree=beyond.temperature_degree,
+            rate_degree=beyond.rate_degree if isinstance(beyond, ScaleFactorDiscrepancy) else None,
+        ),
+    )
+
+
+def _along(section: Bias | ScaleFactor) -> tuple[Literal["temperature", "rate"], ...]:
+    """The axes whose coefficients have neighbours: those of a polynomial have none."""
+    found: list[Literal["temperature", "rate"]] = []
+    if not isinstance(section.temperature, TemperaturePolynomial):
+        found.append("temperature")
+    if isinstance(section, ScaleFactor) and not isinstance(section.rate, RatePolynomial):
+        found.append("rate")
+    return tuple(found)
+
+
+def basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:
+    """`smooth`: whether a smoothness prior is on the map's coefficients, which are the reported ones."""
+    if isinstance(section, TemperaturePolynomial | RatePolynomial):
+        return BasisRow(
+            basis="polynomial",
+            degree=section.degree,
+            centre=float(section.centre),
+            scale=float(section.scale),
+            prior_functions="monomial",
+            smoothness_functions="monomial" if smooth else None,
+        )
+    own: Functions = section.basis
+    alike: dict = {"basis": own, "prior_functions": own, "smoothness_functions": own if smooth else None}
+    if isinstance(section, TemperatureSpline | RateSpline):
+        return BasisRow(degree=section.degree, knots=tuple(float(k) for k in section.knots), **alike)
+    return BasisRow(edges=tuple(float(e) for e in section.edges), **alike)
+
+
+def _plain(value: float | None) -> float | None:
+    return None if value is None else float(value)

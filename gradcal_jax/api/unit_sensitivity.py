@@ -1,0 +1,138 @@
+"""What one per cent of every figure of a unit's sensor, rig and plan is worth: central differences of the prediction.
+
+The figures are changed in the spec itself, by a thousandth up and down. Faster turns may fit another number of cycles
+into the ramp; the side that does is left out, and where both do there is no such row. Where all lasts longer, there are
+as many readings as before: whole numbers have no slope.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from gradcal_jax.api.sensitivity_rows import Elasticity, Sensitivities
+from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.unit_prediction import posterior_of_unit
+from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, summed_up, unit_residual
+from gradcal_jax.files.changes import changed, tables_of
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.units import dimension_of, format_quantity, parse, unit_of
+
+_STEP = 1e-3
+TIME = "time: ramp, rests and turns last longer"
+RATES = "rates: all turns faster"
+# Keys, and by which power of its factor a figure changes each; names that people use.
+_FIGURES: tuple[tuple[str, str], ...] = (
+    (r"sensor\.(gyro|accelerometer)\.(angle|velocity|rate)_random_walk", "{0}: {1} random walk"),
+    (r"sensor\.(gyro|accelerometer)\.drift\[\d+\]\.standard_deviation", "{0}: drift"),
+    (r"sensor\.(gyro|accelerometer)\.drift\[\d+\]\.correlation_time", "{0}: drift's correlation time"),
+    (r"sensor\.gyro\.scale_factor_instability\[\d+\]\.standard_deviation", "gyro: scale-factor instability"),
+    (r"sensor\.gyro\.scale_factor_instability\[\d+\]\.correlation_time", "gyro: its correlation time"),
+    (r"sensor\.(gyro|accelerometer)\.(\w+)\.prior", "{0}: prior of {1}"),
+    (r"sensor\.(gyro|accelerometer)\.(\w+)\.discrepancy\.standard_deviation", "{0}: discrepancy of {1}"),
+    (r"sensor\.(gyro|accelerometer)\.(\w+)\.smoothness", "{0}: smoothness of {1}"),
+    (r"sensor\.(thermal_lag|sample_clock_error)", "{0}"),
+    (r"rig\.site\.gravity_accuracy", "accuracy of gravity"),
+    (r"rig\.table\.(tilt|azimuth)", "{0} of the base"),
+    (r"rig\.table\.axis\[\d+\]\.orthogonality", "angle between the table's axes"),
+    (r"rig\.table\.axis\[\d+\]\.angle\.(reading_noise|standstill_offset)", "table: {0}"),
+    (r"rig\.table\.axis\[\d+\]\.angle\.harmonics\[\d+\]\.amplitude", "table: encoder's error by angle"),
+    (r"rig\.table\.mounting\[\d+\]\.accuracy", "accuracy of the mounting"),
+)
+# Powers of a common factor of time: what is a time, a rate, a slope of temperature, an acceleration.
+_POWERS = {"time": 1, "angular rate": -1, "temperature slope": -1, "angular acceleration": -2}
+_RIG = r"rig\.(table\.axis\[\d+\]\.max_(rate|acceleration)|chamber\.max_(heating|cooling))"
+_PLAN = r"plan\.(gradient|soak\.duration|programme\[\d+\]\.(soak|rate))"
+_MOVES = r"plan\.cycle\.moves\[\d+\]\.(rest|duration|peak_rate|period|ramp)"
+
+
+def unit_sensitivities(spec: UnitSpec) -> Sensitivities:
+    """The elasticities of every requirement of a unit's spec. Errors: `ValueError` where nothing is required or
+    observed.
+    """
+    if not spec.requirement:
+        raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
+    nominal = _residuals(spec)
+    hidden = [r.name for r, value in zip(spec.requirement, nominal, strict=True) if not np.isfinite(value)]
+    if hidden:
+        names = ", ".join(hidden)
+        raise ValueError(f"the plan cannot observe {names}, so nothing can be said of its sensitivity: see check")
+    rows: list[Elasticity] = []
+    for figure, powers in figures_of(spec).items():
+        percent = _elasticity(spec, powers, nominal)
+        if percent is not None:
+            rows += [Elasticity(r.name, figure, float(p)) for r, p in zip(spec.requirement, percent, strict=True)]
+    rows.sort(key=lambda row: (row.requirement, -abs(row.percent)))
+    units = {r.name: UNIT_OF_QUANTITY[r.quantity][0] for r in spec.requirement}
+    residuals = {name: (float(value), unit) for (name, unit), value in zip(units.items(), nominal, strict=True)}
+    return Sensitivities(tuple(rows), residuals)
+
+
+def figures_of(spec: UnitSpec) -> dict[str, dict[str, int]]:
+    """The figures that a spec has, by the names that people use; of each its keys, with powers of the factor."""
+    found: dict[str, dict[str, int]] = {}
+    time = {f"rig.table.axis[{k}].angle.read_every": 1 for k in range(len(spec.rig.table.axis))}
+    rates: dict[str, int] = {}
+    for key, text in _texts(tables_of(spec), ""):
+        for pattern, name in _FIGURES:
+            if (match := re.fullmatch(pattern, key)) is not None and _number(text) != 0.0:
+                words = (group.replace("_", " ") for group in match.groups())
+                found.setdefault(name.format(*words), {})[key] = 1
+        if re.fullmatch(f"{_RIG}|{_PLAN}|{_MOVES}", key):
+            time[key] = _POWERS[dimension_of(unit_of(text))]
+            if not re.fullmatch(_PLAN, key) and not key.endswith(".rest") and "chamber" not in key:
+                rates[key] = -time[key]
+    moving = any(step.axis >= 0 for step in spec.schedule.steps)
+    return found | {TIME: time} | ({RATES: rates} if moving else {})
+
+
+def _texts(value: Any, key: str) -> Iterator[tuple[str, str]]:
+    if isinstance(value, Mapping):
+        for name, entry in cast("Mapping[str, Any]", value).items():
+            yield from _texts(entry, f"{key}.{name}" if key else name)
+    elif isinstance(value, list):
+        for k, entry in enumerate(cast("list[Any]", value)):
+            yield from _texts(entry, f"{key}[{k}]")
+    elif isinstance(value, str):
+        yield key, value
+
+
+def _number(text: str) -> float:
+    return parse(text, dimension_of(unit_of(text)))
+
+
+def _scaled(text: str, factor: float) -> str:
+    return format_quantity(_number(text) * factor, unit_of(text))
+
+
+def _elasticity(spec: UnitSpec, powers: Mapping[str, int], nominal: np.ndarray) -> np.ndarray | None:
+    """d ln(residuals)/d ln(figure), central where both sides have the plan's cycles."""
+    texts, cycles = dict(_texts(tables_of(spec), "")), _cycles(spec)
+    for k, axis in enumerate(spec.rig.table.axis):
+        texts.setdefault(f"rig.table.axis[{k}].angle.read_every", str(axis.angle.read_every))
+    logs: list[np.ndarray] = []
+    places: list[float] = []
+    for step in (-_STEP, _STEP):
+        scaled = {key: _scaled(texts[key], (1.0 + step) ** power) for key, power in powers.items()}
+        other = changed(spec, scaled)
+        if _cycles(other) == cycles:
+            logs.append(np.log(_residuals(other)))
+            places.append(np.log1p(step))
+    if not logs:
+        return None
+    if len(logs) == 1:
+        logs, places = [np.log(nominal), *logs], [0.0, *places]
+    return (logs[1] - logs[0]) / (places[1] - places[0])
+
+
+def _cycles(spec: UnitSpec) -> Sequence[int]:
+    return [stretch.cycles for stretch in spec.schedule.stretches]
+
+
+def _residuals(spec: UnitSpec) -> np.ndarray:
+    """Of every requirement its decisive value; infinite where it is not observed."""
+    built = assemble_unit(spec)
+    known = posterior_of_unit(built)
+    values = [summed_up(r, unit_residual(built, known, r))[r.statistic] for r in spec.requirement]
+    return np.array([np.inf if value is None else value for value in values])

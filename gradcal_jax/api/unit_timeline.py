@@ -1,0 +1,184 @@
+"""The contract gradcal-unit-timeline/1, filled from the spec of a whole unit."""
+
+from typing import Any, cast
+
+import numpy as np
+
+from gradcal_jax import model
+from gradcal_jax.api.contract_rows import basis_row, map_row, shape_row
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
+from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow, ProcessRow
+from gradcal_jax.files.sensor import Bias, ScaleFactor
+from gradcal_jax.files.unit_plan import UnitStep
+from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_timeline import (
+    ChannelRow,
+    InstallationRow,
+    Matrix3,
+    MountingRow,
+    SiteRow,
+    TableAxisRow,
+    UnitSegmentRow,
+    UnitTermRow,
+    UnitTimeline,
+    Vector3,
+)
+from gradcal_jax.information import segments_of
+from gradcal_jax.model import AXIS_NAMES, Channel, Map, SignalMap
+from gradcal_jax.trajectory import frames
+
+_CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
+
+
+def unit_timeline(spec: UnitSpec) -> UnitTimeline:
+    """Every segment of a unit's plan with attitudes, what each channel is made of, and all priors. Errors: none."""
+    built = assemble_unit(spec)
+    geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
+    return UnitTimeline(
+        title=spec.title,
+        frame="table axes" if sensor.frame is None else sensor.frame.fixed_by,
+        site=SiteRow(
+            latitude=float(geometry.latitude),
+            gravity=float(geometry.gravity),
+            earth_rate=_vector(geometry.earth_rate()),
+        ),
+        table=tuple(
+            TableAxisRow(
+                name=axis.name,
+                direction=_vector(axis.unit_vector),
+                reading_noise=float(axis.angle.reading_noise),
+                standstill_offset=float(axis.angle.standstill_offset),
+                read_every=float(axis.angle.read_every),
+                harmonics=tuple(HarmonicRow(order=h.order, sigma=float(h.amplitude)) for h in axis.angle.harmonics),
+            )
+            for axis in table.axis
+        ),
+        standing=table.standing,
+        mountings=tuple(
+            MountingRow(name=m.name, rotation=_matrix(rotation))
+            for m, rotation in zip(table.mounting, np.asarray(geometry.mountings), strict=True)
+        ),
+        thermal_lag=None if sensor.thermal_lag is None else float(sensor.thermal_lag),
+        channels=tuple(
+            _channel(c, sensor.gyro if c.kind == "gyro" else sensor.accelerometer) for c in built.model.channels
+        ),
+        installation=tuple(_installation(term) for term in built.model.installation),
+        segments=tuple(_segments(built)),
+    )
+
+
+def _vector(values) -> Vector3:
+    return cast("Vector3", tuple(float(v) for v in values))
+
+
+def _matrix(values) -> Matrix3:
+    return cast("Matrix3", tuple(_vector(row) for row in values))
+
+
+def _channel(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> ChannelRow:
+    assert triad is not None
+    processes: Any = lambda rows: tuple(  # noqa: E731
+        ProcessRow(sigma=float(r.standard_deviation), tau=float(r.correlation_time)) for r in rows
+    )
+    own: dict[str, Any] = {"white": float(channel.model.angle_random_walk), "drift": processes(triad.drift)}
+    if isinstance(triad, GyroTriad):
+        own["rate_random_walk"] = float(triad.rate_random_walk or 0.0)
+        own["scale_factor_instability"] = processes(triad.scale_factor_instability)
+    terms = [_term(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
+    axis = AXIS_NAMES[channel.axis]
+    return ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
+
+
+def _term(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> UnitTermRow:
+    key = next(k for k in type(triad).model_fields if term.name.startswith(k) or k == "cross_coupling")
+    section = getattr(triad, key)
+    if isinstance(section, Bias | ScaleFactor):
+        row = map_row(section)
+        signals = () if isinstance(section, Bias) else (f"rate {AXIS_NAMES[channel.axis]}",)
+    else:
+        assert isinstance(term, SignalMap)
+        over = _CONSTANT if section.temperature is None else basis_row(section.temperature, smooth=False)
+        row, signals = (
+            MapRow(temperature=over, prior=None if section.prior is None else float(section.prior)),
+            term.signals,
+        )
+    names = tuple(f"{channel.name}.{name}" for name in term.names())
+    fields = {name: getattr(row, name) for name in MapRow.model_fields}
+    return UnitTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
+
+
+_KINDS = {
+    model.BaseTilt: "base",
+    model.NonOrthogonality: "orthogonality",
+    model.AxisHarmonics: "harmonics",
+    model.MountingError: "mounting",
+}
+
+
+def _installation(term: model.InstallationTerm) -> InstallationRow:
+    harmonics = isinstance(term, model.AxisHarmonics)
+    return InstallationRow(
+        kind=cast("Any", term.of if isinstance(term, model.CommonScale) else _KINDS[type(term)]),
+        parameters=tuple(term.names()),
+        stds=tuple(float(s) for s in term.stds),
+        unit=term.unit,
+        axis=term.axis_name if harmonics else None,
+        orders=term.orders if harmonics else None,
+    )
+
+
+def _segments(built: AssembledUnit) -> list[UnitSegmentRow]:
+    motion, plan = built.motion, built.spec.schedule
+    line, at = motion.line, segments_of(motion, built.model)
+    before, after = (np.asarray(a) for a in motion.angles())
+    attitude = np.asarray(frames(motion.geometry, before[at.first], motion.mounting[at.first]).attitude)
+    begin, lasting = np.asarray(line.start)[at.first], at.sums(np.asarray(line.duration))
+    ends = [s.start for s in plan.segments] + [plan.duration]
+    chamber = [s.temperature_start for s in plan.segments] + [plan.segments[-1].temperature_end]
+    steps = [step for step in plan.steps for _ in range(step.move.repeat)]
+    axes = [axis.name for axis in built.spec.rig.table.axis]
+    rows: list[UnitSegmentRow] = []
+    stands = [0] * len(axes)
+
+    def add(start: float, duration: float, step: UnitStep | None, k: int | None, **more: Any) -> None:
+        moving = -1 if step is None else step.axis
+        shape = {"shape": "rest"} if step is None or moving < 0 else shape_row(step.move, float(step.move.angle))
+        if moving >= 0:
+            stands[moving] += 1
+        first = at.first[0] if k is None else at.first[k]
+        last = first if k is None else at.last[k]
+        low, high = np.interp([start, start + duration], ends, chamber)
+        inside = [(t, c) for t, c in zip(ends, chamber, strict=True) if start + 1e-6 < t < start + duration - 1e-6]
+        rows.append(
+            UnitSegmentRow(
+                start=start,
+                duration=duration,
+                axis=None if moving < 0 else axes[moving],
+                angles_before=tuple(float(a) for a in before[first]),
+                angles_after=tuple(float(a) for a in (before[first] if k is None else after[last])),
+                attitude=_matrix(attitude[0 if k is None else k]),
+                mounting=int(motion.mounting[first]),
+                standstill_ids=tuple(None if l == moving else n for l, n in enumerate(stands)),
+                temperature_start=float(low),
+                temperature_end=float(high),
+                temperature_bends=tuple(inside) or None,
+                **shape,
+                **more,
+            )
+        )
+
+    if begin[0] > 0.0:
+        add(0.0, float(begin[0]), None, None, read=(), used=False)
+    made, stretch = 0, 0
+    names = [c.name for c in built.model.channels]
+    for k in range(len(at.first)):
+        read = tuple(names[c] for c in at.row_channel[(at.row_segment == k) & at.used])
+        gap = bool(line.gap[at.first[k]])
+        step = None
+        if gap:
+            made, stretch = 0, stretch + 1
+        elif made < plan.stretches[stretch].cycles * len(steps):
+            step, made = steps[made % len(steps)], made + 1
+        add(float(begin[k]), float(lasting[k]), step, k, read=read, used=not gap)
+    return rows

@@ -1,0 +1,99 @@
+"""Sensitivities of a unit's plan: homogeneous in all sizes together, known limits, and the prediction itself."""
+
+import json
+import math
+
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.api.unit_sensitivity import RATES, TIME, figures_of
+from gradcal_jax.cli import main
+from gradcal_jax.files import presets
+
+SIX = gj.parse_unit_spec(presets.text("accelerometer-six-positions"))
+BARE = {
+    "sensor.accelerometer.drift": None, "sensor.accelerometer.second_order": None, "rig.table.tilt": None,
+    "rig.table.azimuth": None, "rig.table.axis[0].orthogonality": None, "rig.table.axis[0].angle": None,
+    "rig.table.axis[1].angle": None, "rig.site.gravity_accuracy": None, "requirement[3].quantity": "tilt",
+    "requirement[3].target": None,
+} | {f"sensor.accelerometer.{name}.prior": None for name in ("bias", "scale_factor", "misalignment")}  # fmt: skip
+
+
+def by_figure(found, requirement):
+    return {row.figure: row.percent for row in found.rows if row.requirement == requirement}
+
+
+# Ferraris' gyros alone.
+TURNS = gj.changed(
+    gj.parse_unit_spec(presets.text("ferraris")),
+    {
+        "sensor.accelerometer": None,
+        "rig.site.gravity_accuracy": None,
+        "requirement": gj.tables_of(gj.parse_unit_spec(presets.text("ferraris")))["requirement"][:3],
+    },
+)
+
+
+@pytest.mark.parametrize("spec", [SIX, TURNS], ids=["accelerometers", "gyros"])
+def test_all_sizes_one_per_cent_larger_leave_one_per_cent_more(spec):
+    found = gj.sensitivity(spec)
+    assert len(found.residuals) == len({row.requirement for row in found.rows})
+    for requirement in found.residuals:
+        figures = by_figure(found, requirement)
+        sizes = [v for k, v in figures.items() if k not in (TIME, RATES) and "correlation time" not in k]
+        assert math.fsum(sizes) == pytest.approx(1.0, abs=1e-5)
+        assert all(value > -1e-6 for value in sizes)
+
+
+def test_white_noise_falls_with_the_root_of_time_and_turns_do_not_matter_to_it():
+    bare = gj.changed(SIX, BARE)
+    found = gj.sensitivity(bare)
+    for requirement in ("accelerometer bias", "accelerometer scale factor"):
+        figures = by_figure(found, requirement)
+        assert set(figures) == {"accelerometer: velocity random walk", TIME, RATES}
+        assert figures["accelerometer: velocity random walk"] == pytest.approx(1.0, abs=1e-5)
+        assert figures[TIME] == pytest.approx(-0.5, abs=1e-5)
+        # The last face is held for what the turns leave.
+        assert abs(figures[RATES]) < 0.01
+
+
+def test_a_figure_s_row_is_what_the_prediction_says_of_it():
+    key, figure = "sensor.accelerometer.drift[0].correlation_time", "accelerometer: drift's correlation time"
+    found = gj.sensitivity(SIX)
+    low, high = (gj.predict(gj.changed(SIX, {key: f"{t} s"})) for t in (198.0, 202.0))
+    for a, b in zip(low.requirements, high.requirements, strict=True):
+        slope = math.log(b.decisive / a.decisive) / math.log(202.0 / 198.0)
+        assert by_figure(found, a.name)[figure] == pytest.approx(slope, abs=1e-4)
+        assert found.residuals[a.name][0] == pytest.approx(math.sqrt(a.decisive * b.decisive), rel=1e-3)
+
+
+def test_figures_are_those_that_the_spec_has_and_keys_of_one_kind_go_together():
+    figures = figures_of(gj.parse_unit_spec(presets.text("heat-and-cool")))
+    assert {"gyro: angle random walk", "thermal lag", "sample clock error", "accuracy of gravity", TIME} <= set(figures)
+    assert list(figures["table: reading noise"]) == [f"rig.table.axis[{k}].angle.reading_noise" for k in (0, 1)]
+    assert figures[TIME]["plan.programme[1].rate"] == -1
+    assert figures[TIME]["plan.programme[0].soak"] == 1
+    assert figures[TIME]["rig.table.axis[0].max_acceleration"] == -2
+    assert figures[RATES]["rig.table.axis[0].max_acceleration"] == 2
+    assert not [key for key in figures[RATES] if "programme" in key or "chamber" in key or key.endswith("rest")]
+    by_hand = figures_of(gj.parse_unit_spec(presets.text("gimbal-by-hand")))
+    assert by_hand[RATES]["plan.cycle.moves[1].duration"] == -1
+
+
+def test_what_cannot_be_observed_or_is_not_required_is_said():
+    flat = {f"sensor.accelerometer.{name}.prior": None for name in ("bias", "scale_factor", "misalignment")}
+    blind = gj.changed(SIX, flat | {"plan.cycle.moves": [{"rest": "60 s"}]})
+    with pytest.raises(ValueError, match="cannot observe accelerometer bias, accelerometer scale factor"):
+        gj.sensitivity(blind)
+    with pytest.raises(ValueError, match=r"no \[\[requirement\]\]"):
+        gj.sensitivity(gj.changed(SIX, {"requirement": None}))
+
+
+def test_the_command_prints_and_draws_them(tmp_path, capsys):
+    path, picture = tmp_path / "six.toml", tmp_path / "six.svg"
+    gj.write_toml(SIX, path)
+    assert main(["sensitivity", str(path), "--json", "--plot", str(picture)]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["residuals"]["accelerometer bias"] == [pytest.approx(81.8, rel=1e-2), "ug"]
+    assert {"requirement", "figure", "percent"} == set(said["percent_per_percent"][0])
+    assert "tilt of the base" in picture.read_text(encoding="utf-8") or "<svg" in picture.read_text(encoding="utf-8")

@@ -1,0 +1,52 @@
+"""Sweeps over the spec of a whole unit: the numbers are predict's, with their units; what is not swept is said."""
+
+import numpy as np
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY
+from gradcal_jax.files import presets
+from gradcal_jax.files.sweep import named_spec, parse_sweep
+from gradcal_jax.jobs.dataset import dataset_of
+from gradcal_jax.jobs.evaluate import predict_points
+from gradcal_jax.jobs.points import Points
+from gradcal_jax.jobs.results import UNIT_OF
+from gradcal_jax.jobs.sweep import identity_of
+
+FILE = """format = "gradcal-sweep/1"
+base = "accelerometer-six-positions"
+[[axis]]
+key = "rig.table.tilt"
+values = ["10 urad", "1 mrad", "a lot"]
+"""
+
+
+def test_a_sweep_predicts_the_points_of_a_unit_and_says_which_cannot_be():
+    job = parse_sweep(FILE)
+    assert isinstance(job.base, gj.UnitSpec)
+    points = Points(job)
+    results = predict_points(gj.tables_of(job.base), [(i, points.changes(i)) for i in range(len(points))])
+    assert "rig.table.tilt" in results[2].failure
+    data = dataset_of(job, points, tuple(results), identity_of(job))
+    for i, tilt in enumerate(("10 urad", "1 mrad")):
+        for row in gj.predict(gj.changed(job.base, {"rig.table.tilt": tilt})).requirements:
+            variable = data[f"{row.name.replace(' ', '_')}_{row.statistic}"]
+            assert variable.attrs["units"] == row.unit
+            assert float(variable.values[i]) == pytest.approx(row.decisive, rel=1e-12)
+            assert data[f"{row.name.replace(' ', '_')}_verdict"].values[i] == row.verdict
+    assert np.isnan(data["accelerometer_bias_mean"].values[2])
+    assert "accelerometer_bias_mean_of_max" not in data
+
+
+def test_units_of_results_are_those_of_predictions():
+    assert {quantity: UNIT_OF[quantity] for quantity in UNIT_OF_QUANTITY} == {
+        quantity: unit for quantity, (unit, _) in UNIT_OF_QUANTITY.items()
+    }
+
+
+def test_plans_of_units_are_not_optimised_in_sweeps_or_catalogues_and_that_is_said(tmp_path):
+    with pytest.raises(gj.SpecError, match="a whole unit is predicted in sweeps"):
+        parse_sweep(FILE.replace("[[axis]]", 'do = "optimise"\n[[axis]]'))
+    with pytest.raises(gj.SpecError, match="of a whole unit"):
+        named_spec("ferraris", tmp_path)
+    assert presets.title("ferraris")

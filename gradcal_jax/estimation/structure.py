@@ -12,7 +12,7 @@ hidden map `Σ y²` is χ². Of σ²:
   ends of an interval that covers 95 % exactly, whatever k and σ are.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
@@ -109,9 +109,11 @@ def size_of(every: list[Components]) -> Size | None:
     grid = np.linspace(-12.0, np.log(top), 400)
     values = [short(x) for x in grid]
     best = int(np.argmin(values))
-    at = optimize.minimize_scalar(short, bounds=(grid[max(best - 1, 0)], grid[min(best + 1, 399)]), method="bounded").x
+    around = (grid[max(best - 1, 0)], grid[min(best + 1, 399)])
+    found: Any = optimize.minimize_scalar(short, bounds=around, method="bounded")
+    at = float(found.x)
     none = float(np.sum(squares))
-    estimate = 0.0 if none <= short(float(at)) else float(np.exp(at))
+    estimate = 0.0 if none <= short(at) else float(np.exp(at))
 
     def pivot(variance: float) -> float:
         return float(np.sum(squares / (1.0 + variance * m)))
@@ -124,7 +126,8 @@ def size_of(every: list[Components]) -> Size | None:
         elif pivot(top) > quantile:
             ends.append(None)
         else:
-            ends.append(float(optimize.brentq(lambda v, q=quantile: pivot(v) - q, 0.0, top, xtol=1e-12)))
+            end: Any = optimize.brentq(lambda v, q=quantile: pivot(v) - q, 0.0, top, xtol=1e-12)
+            ends.append(float(end))
     low, high = ends
     root = lambda v: float(np.sqrt(v / scale))  # noqa: E731
     return Size(root(estimate), root(0.0 if low is None else low), None if high is None else root(high))

@@ -81,7 +81,7 @@ class Design(Section):
     @model_validator(mode="before")
     @classmethod
     def _gone(cls, value: object) -> object:
-        table = cast("Mapping[str, object]", value) if isinstance(value, Mapping) else {}
+        table = dict(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else dict[str, object]()
         if "min_distinct_rates" in table:
             message = (
                 "is gone: distinct rates do not make a plan notice a wrong model; say what it must notice, such as "

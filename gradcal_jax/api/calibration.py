@@ -81,7 +81,7 @@ class EstimateReport(NamedTuple):
     """By unit."""
     messages: dict[str, tuple[str, ...]]
     """By unit: what the calibration should not be used without having read."""
-    discrepancies: tuple[MeasuredDiscrepancy, ...]
+    discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
     """By axis and map, of all units together."""
 
     @property

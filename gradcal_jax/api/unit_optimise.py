@@ -9,7 +9,7 @@ import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, Quantity, quantity_of, summed_up
-from gradcal_jax.design.pose_search import Cycle, CycleItem, PoseLimits, PoseState, anneal
+from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
 from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
@@ -85,7 +85,7 @@ class _Value:
         self.quantities, self.worst = tuple(quantity_of(self.built, r) for r in coarse), design.minimise == WORST
         self.prior = _gram(self.built.model.prior_rows())
 
-    def __call__(self, cycle: Cycle) -> float:
+    def __call__(self, cycle: PoseCycle) -> float:
         plan = self.plan(cycle)
         if plan is None:
             return math.inf
@@ -99,7 +99,7 @@ class _Value:
         ]
         return max(logs) if self.worst else float(np.mean(logs))
 
-    def plan(self, cycle: Cycle) -> UnitSchedule | None:
+    def plan(self, cycle: PoseCycle) -> UnitSchedule | None:
         """The whole plan of a cycle; None where it does not fit."""
         axes, steps = self.built.spec.rig.table.axis, []
         for k, item in enumerate(cycle):
@@ -117,7 +117,7 @@ class _Value:
             stretches.append(replace(stretch, cycles=cycles, leftover=left))
         return replace(self.schedule, stretches=tuple(stretches), steps=tuple(steps))
 
-    def moves_in_words(self, cycle: Cycle) -> list[dict[str, str]]:
+    def moves_in_words(self, cycle: PoseCycle) -> list[dict[str, str]]:
         """The cycle as a file has it."""
         axes, moves = self.built.spec.rig.table.axis, []
         for item in cycle:
@@ -164,7 +164,7 @@ def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:
     )
 
 
-def _items(spec: UnitSpec, design: UnitDesign) -> Cycle:
+def _items(spec: UnitSpec, design: UnitDesign) -> PoseCycle:
     """The spec's own cycle, to begin with."""
     step, items = float(design.angle_step), []
     for s in spec.schedule.steps:

@@ -27,7 +27,7 @@ class CycleItem(NamedTuple):
     rest: float
 
 
-Cycle = tuple[CycleItem, ...]
+PoseCycle = tuple[CycleItem, ...]
 
 
 class PoseLimits(NamedTuple):
@@ -46,15 +46,15 @@ class PoseLimits(NamedTuple):
 class PoseState(NamedTuple):
     """How far a search is: the best cycle and its value, where it stands now, and the share that is done."""
 
-    best: Cycle
+    best: PoseCycle
     value: float
     current: float
     share: float
 
 
 def anneal(
-    start: Cycle,
-    value: Callable[[Cycle], float],
+    start: PoseCycle,
+    value: Callable[[PoseCycle], float],
     limits: PoseLimits,
     *,
     evaluations: int,
@@ -85,7 +85,7 @@ def anneal(
         yield PoseState(best, least, now, share)
 
 
-def neighbour(cycle: Cycle, limits: PoseLimits, rng: np.random.Generator) -> Cycle:
+def neighbour(cycle: PoseCycle, limits: PoseLimits, rng: np.random.Generator) -> PoseCycle:
     """A cycle with one thing changed."""
     items, k = list(cycle), int(rng.integers(len(cycle)))
     item = items[k]
@@ -122,7 +122,7 @@ def neighbour(cycle: Cycle, limits: PoseLimits, rng: np.random.Generator) -> Cyc
 _SHARES = (0.2, 0.15, 0.2, 0.06, 0.1, 0.1, 0.11, 0.03, 0.05)
 
 
-def closed(cycle: Cycle, limits: PoseLimits) -> Cycle:
+def closed(cycle: PoseCycle, limits: PoseLimits) -> PoseCycle:
     """The cycle with the last turn of each axis changed so that it ends where it began, up to whole turns (on an axis
     of limited travel, exactly). Items without turn and rest are left out."""
     items = list(cycle)
@@ -138,7 +138,7 @@ def closed(cycle: Cycle, limits: PoseLimits) -> Cycle:
     return tuple(i for i in items if i.steps or i.rest)
 
 
-def feasible(cycle: Cycle, limits: PoseLimits) -> bool:
+def feasible(cycle: PoseCycle, limits: PoseLimits) -> bool:
     """Whether a cycle stays within the travel of every axis."""
     for axis, travel in enumerate(limits.travel):
         path = np.cumsum([i.steps for i in cycle if i.axis == axis])

@@ -1,10 +1,11 @@
 """`[[requirement]]` of a whole unit: which quantity, of which axis, over which temperatures, summed up how."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax.files.bases import increasing
+from gradcal_jax.files.problems import Problem, one_of
 from gradcal_jax.files.quantity import (
     PositiveAccelerationSensitivity,
     PositiveAngle,
@@ -25,17 +26,21 @@ Over = Literal["mean", "max", "rms"]
 
 
 Elements = Literal["all", "worst", "x", "y", "z"]
-Horizontal = Literal["all", "worst", "x", "y"]
 
 
 class _OfUnit(Section):
+    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
+
     name: Text
     temperature: tuple[Temperature, Temperature]
     axis: Elements = "worst"
 
     @model_validator(mode="after")
     def _ordered(self) -> "_OfUnit":
-        refuse(*increasing(self.temperature, "temperature"))
+        problems = increasing(self.temperature, "temperature")
+        if self.axis not in self.ELEMENTS:
+            problems.append(Problem(("axis",), f"expected {one_of(self.ELEMENTS)}", self.axis))
+        refuse(*problems)
         return self
 
 
@@ -110,8 +115,9 @@ class SecondOrderRequirement(_OverTemperature):
 class PositionRequirement(_OfUnit):
     """Horizontal position after free-inertial navigation at rest, level, for `after`: the calibration's part."""
 
+    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
+
     quantity: Literal["position"]
-    axis: Horizontal = "worst"
     after: Time
     grid: tuple[Points] = (101,)
     statistic: Over = "mean"
@@ -121,8 +127,9 @@ class PositionRequirement(_OfUnit):
 class TiltRequirement(_OfUnit):
     """Error of the vertical that levelled accelerometers give, the worse of two directions."""
 
+    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
+
     quantity: Literal["tilt"]
-    axis: Horizontal = "worst"
     grid: tuple[Points] = (101,)
     statistic: Over = "mean"
     target: PositiveAngle | None = None
@@ -131,8 +138,9 @@ class TiltRequirement(_OfUnit):
 class TurnRequirement(_OfUnit):
     """Heading error after a level turn by `turn` at the rate `rate`, about the body's z axis."""
 
+    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "z")
+
     quantity: Literal["heading"]
-    axis: Literal["all", "worst", "z"] = "worst"
     turn: PositiveAngle
     rate: PositiveRate
     grid: tuple[Points] = (101,)

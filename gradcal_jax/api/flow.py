@@ -114,7 +114,7 @@ def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:
 
     Errors: `ValueError` where nothing is required, or where the plan cannot observe what is.
     """
-    return sensitivities(expect_spec(spec))
+    return sensitivities(spec if isinstance(spec, UnitSpec) else expect_spec(spec))
 
 
 def instability(

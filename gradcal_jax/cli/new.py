@@ -60,7 +60,7 @@ def new(
 
     writable(Path(output), force)
     write_whole(output, text)
-    if preset not in (_COLUMN_MAP, _POINT_MAP):
+    if preset in presets.names():
         from gradcal_jax.files import parse_spec
         from gradcal_jax.files.absent import absent_terms
 

@@ -49,6 +49,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
     "optimised": "Of a plan: changed by gradient descent until it leaves as little as sensor, rig and time allow.",
     "parameter": "A coefficient of B or M: a0, a1, … and b{power of rate}{power of temperature}, as in the paper.",
     "plan": "What chamber and table do, and when the table's angle is read.",
+    "pose": "How a unit is held still: the angles of all table axes.",
     "prediction": "The residual that a plan will leave, as a covariance, before anything is run.",
     "prior": "What is known of a coefficient before the calibration: its standard deviation. Absent: nothing.",
     "ramp": "A stretch in which the temperature changes steadily.",

@@ -72,8 +72,10 @@ def rule_of(model: SensorModel, trajectory: Trajectory) -> Rule:
     standing = _LAGGED_NODES if lagged else of_time // 2 + 1
     moving = _MOVING_NODES + 2 * max(0, degree - _CUBIC)
     # Ramps and free forms are polynomials in time, which few nodes integrate exactly.
-    powers = np.flatnonzero(np.any(np.asarray(trajectory.terms) != 0.0, axis=0))
-    if not lagged and np.all(powers < _POWERS):
+    present = np.asarray(trajectory.terms)[np.asarray(trajectory.moving)] != 0.0
+    powers = np.flatnonzero(np.any(present, axis=0))
+    # Of a move that does not turn here, and may where the rule is used, the shape is not known.
+    if not lagged and np.all(np.any(present, axis=1)) and np.all(powers < _POWERS):
         exact = ((degree + 1) * int(np.max(powers, initial=0)) + of_time) // 2 + 1
         moving = min(moving, exact)
     driven = bool(np.any(np.asarray(model.processes.rate_gain) != 0.0))

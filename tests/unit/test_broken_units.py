@@ -132,7 +132,9 @@ def test_the_unbroken_spec_is_sound_and_the_corpus_is_there():
     assert len(BROKEN) >= 60
 
 
-@pytest.mark.parametrize(("where", "value", "key", "words"), BROKEN, ids=lambda v: "absent" if v is GONE else str(v)[:40])
+@pytest.mark.parametrize(
+    ("where", "value", "key", "words"), BROKEN, ids=lambda v: "absent" if v is GONE else str(v)[:40]
+)
 def test_every_fault_is_named_by_its_key_and_said_in_words(where, value, key, words):
     document = copy.deepcopy(GOOD)
     place(document, where, value)

@@ -40,6 +40,9 @@ from gradcal_jax.files.log import write_log as write_log
 from gradcal_jax.files.recipe import read_recipe as read_recipe
 from gradcal_jax.files.rig import read_rig as read_rig
 from gradcal_jax.files.sweep import read_sweep as read_sweep
+from gradcal_jax.files.unit_spec import UnitSpec as UnitSpec
+from gradcal_jax.files.unit_spec import parse_unit_spec as parse_unit_spec
+from gradcal_jax.files.unit_spec import read_unit_spec as read_unit_spec
 from gradcal_jax.hardware.execute import log as log
 from gradcal_jax.hardware.execute import resume as resume
 from gradcal_jax.hardware.execute import run as run

@@ -72,14 +72,10 @@ class ResolvedCycle:
         return self.moving + self.other + self.idle
 
 
-@dataclass(frozen=True)
-class GradientSchedule:
-    """A gradient plan in SI. `read_every`: spacing of readings of a standing axis; None where there is a cycle."""
+class CourseTimes:
+    """How long a course of the chamber lasts."""
 
     segments: tuple[TemperatureSegment, ...]
-    stretches: tuple[Stretch, ...]
-    cycle: ResolvedCycle | None
-    read_every: float | None
 
     @property
     def duration(self) -> float:
@@ -95,6 +91,16 @@ class GradientSchedule:
     def motion(self) -> float:
         """Time of changing temperature (s); `max_motion` of [design] limits it."""
         return self.duration - self.soak
+
+
+@dataclass(frozen=True)
+class GradientSchedule(CourseTimes):
+    """A gradient plan in SI. `read_every`: spacing of readings of a standing axis; None where there is a cycle."""
+
+    segments: tuple[TemperatureSegment, ...]
+    stretches: tuple[Stretch, ...]
+    cycle: ResolvedCycle | None
+    read_every: float | None
 
     @property
     def cycles(self) -> int:

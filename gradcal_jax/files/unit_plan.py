@@ -19,7 +19,7 @@ from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import Course
 from gradcal_jax.files.problems import Problem, SpecError, nearest
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
-from gradcal_jax.files.schedule import Stretch, TemperatureSegment, programme_of
+from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, a_table, refuse
 from gradcal_jax.files.unit_rig import TableAxis, UnitRig
 
@@ -155,7 +155,7 @@ class UnitStep:
 
 
 @dataclass(frozen=True)
-class UnitSchedule:
+class UnitSchedule(CourseTimes):
     """A unit's plan in SI: the chamber's segments, stretches of used data, and the cycle's steps.
 
     `start`: angles of the axes (rad) as each stretch begins.
@@ -165,21 +165,6 @@ class UnitSchedule:
     stretches: tuple[Stretch, ...]
     steps: tuple[UnitStep, ...]
     start: tuple[float, ...]
-
-    @property
-    def duration(self) -> float:
-        """Of the whole plan (s)."""
-        return math.fsum(segment.duration for segment in self.segments)
-
-    @property
-    def soak(self) -> float:
-        """Time at constant temperature (s)."""
-        return math.fsum(segment.duration for segment in self.segments if segment.kind == "soak")
-
-    @property
-    def motion(self) -> float:
-        """Time of changing temperature (s)."""
-        return self.duration - self.soak
 
     @property
     def period(self) -> float:

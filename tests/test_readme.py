@@ -95,7 +95,7 @@ def test_lines_that_begin_a_users_work_run_as_they_stand(tmp_path, monkeypatch, 
     assert len(quick) >= 4
     for words in quick:
         assert main(words) == 0, words
-    assert {path.name for path in tmp_path.iterdir()} == {"paper.toml", "my.toml", "rig.toml"}
+    assert {path.name for path in tmp_path.iterdir()} == {"paper.toml", "my.toml", "rig.toml", "unit.toml"}
     assert "the spec is sound" in capsys.readouterr().out
 
 

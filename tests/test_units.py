@@ -82,6 +82,9 @@ IDIOMS = [
     ("3 deg/(h·K)", "bias slope", 3 * DEG / 3600),
     ("2 deg/h/(K/min)", "bias temperature-gradient sensitivity", 2 * DEG / 3600 * 60),
     ("10 °/h/g", "acceleration-sensitive drift", 10 * DEG / 3600 / 9.80665),
+    ("2 °/h/g²", "acceleration-squared-sensitive drift", 2 * DEG / 3600 / 9.80665**2),
+    ("50 µg/g²", "second order", 50e-6 / 9.80665),
+    ("5 ug/g^3", "third order", 5e-6 / 9.80665**2),
     ("10 mg", "acceleration", 0.0980665),
     ("10 m/s^2", "acceleration", 10.0),
     ("1 g", "acceleration", 9.80665),
@@ -198,6 +201,9 @@ UNITS = {
     "frequency": ["Hz", "kHz", "1/s"],
     "length": ["m", "mm", "µm"],
     "acceleration-sensitive drift": ["deg/h/g", "dps/g"],
+    "acceleration-squared-sensitive drift": ["deg/h/g^2"],
+    "second order": ["ug/g^2", "mg/g^2"],
+    "third order": ["ug/g^3"],
 }
 PAIRS = [(dimension, unit) for dimension, known in UNITS.items() for unit in known]
 finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e250, max_value=1e250).filter(

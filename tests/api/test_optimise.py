@@ -186,7 +186,9 @@ def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, 
 
 def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):
     """Steps of an hour leave no turn: the plan as it was is kept, and it is said why."""
-    coarse = changed(spec, {"rig.resolution": {"angle": "3000 turn"}, "design.starts": 1, "rig.table.travel": "60 turn"})
+    coarse = changed(
+        spec, {"rig.resolution": {"angle": "3000 turn"}, "design.starts": 1, "rig.table.travel": "60 turn"}
+    )
     *_, best = optimise(coarse, steps=20)
     assert isinstance(best, Optimised)
     assert not best.converged

@@ -12,6 +12,7 @@ from jobs_small import GRID, SPEC, written
 
 import gradcal_jax as gj
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY
 from gradcal_jax.files import presets
 from gradcal_jax.files.sweep import read_sweep
 from gradcal_jax.information import STATISTICS
@@ -96,7 +97,7 @@ def test_a_worker_predicts_as_predict_does(base, changes):
 
 def test_results_name_statistics_and_units_as_the_prediction_does():
     assert results.STATISTICS == STATISTICS
-    assert {quantity: unit for quantity, (unit, _) in UNIT_OF.items()} == results.UNIT_OF
+    assert {quantity: unit for quantity, (unit, _) in (UNIT_OF | UNIT_OF_QUANTITY).items()} == results.UNIT_OF
 
 
 def test_results_carry_their_units_their_file_and_their_failures(done):

@@ -302,6 +302,6 @@ def test_files_that_do_not_belong_together_are_named(made, tmp_path, capsys):
 
 def test_the_glossary_explains_what_is_asked(capsys):
     assert main(["glossary", "standstill", "offset"]) == 0
-    assert "each time it comes to rest" in capsys.readouterr().out
+    assert "each time it comes to rest" in " ".join(capsys.readouterr().out.split())
     assert main(["glossary", "warp", "drive"]) == 2
     assert "warp drive" in capsys.readouterr().err

@@ -172,9 +172,10 @@ def test_gradients_in_every_kind_of_number_against_central_differences():
         assert ours == pytest.approx(finite, rel=2e-6, abs=1e-7 * at(0.0)), name
 
 
+@pytest.mark.evidence
 def test_both_array_libraries_compute_the_same_unit():
     """The rows that JAX traces are those that NumPy computes."""
-    scene = random_scene(71, 2, length=14)
+    scene = random_scene(71, 2, length=6)
     moving, of = motion(scene), unit_of(scene)
     nodes = nodes_of(scene, moving)
     steps, columns = unit_system(moving, of, nodes)

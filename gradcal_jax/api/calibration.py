@@ -9,7 +9,7 @@ import gradcal_jax
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF, residual_map, rule_of, target_of, verdict
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF, decision_rule, residual_map, target_of, verdict
 from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
@@ -179,7 +179,7 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
         # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
         values = residual_map(built, channel.found.known[0], requirement)[2] * max(1.0, _excess(channel))
         value, worst = (_finite(statistic(name, values)) for name in (requirement.statistic, "max"))
-        judged = verdict(requirement, values), rule_of(requirement), requirement.coverage
+        judged = verdict(requirement, values), decision_rule(requirement), requirement.coverage
         unit = UNIT_OF[requirement.quantity][0]
         rows.append(Verdict(requirement, channel.axis, value, worst, unit, target_of(requirement), *judged))
     return rows

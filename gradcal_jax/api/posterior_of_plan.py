@@ -95,7 +95,7 @@ def limit_of(requirement: Requirement) -> tuple[Statistic, float] | None:
     return "max", target / coverage_of_risk(float(requirement.risk))
 
 
-def rule_of(requirement: Requirement) -> str:
+def decision_rule(requirement: Requirement) -> str:
     """The decision rule of a target, in words. Empty without one."""
     if requirement.target is None:
         return ""

@@ -6,7 +6,15 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import error_budget, limited_by
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, posterior_of_plan, residual_map, rule_of, target_of, verdict
+from gradcal_jax.api.posterior_of_plan import (
+    UNIT_OF,
+    box,
+    decision_rule,
+    posterior_of_plan,
+    residual_map,
+    target_of,
+    verdict,
+)
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.unit_prediction import predict_unit
@@ -30,9 +38,8 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     `limits`: also say of each requirement what it is limited by, and between what it lies where noise figures are
     `uncertain`. `notices`: also say which hidden structure of the maps the plan would notice. `outlook`: also the
     chance that a unit keeps a target, and what is left with every absent error term at what is typical. The covariance
-    is the exact one of
-    generalised least squares under the spec's noise (`gradcal_jax.information`). What cannot be observed is None, with
-    a warning. Errors: none; whatever is wrong with a file, `read_spec` has refused already.
+    is the exact one of generalised least squares under the spec's noise (`gradcal_jax.information`). What cannot be
+    observed is None, with a warning. Errors: none; whatever is wrong with a file, `read_spec` has refused already.
     """
     if isinstance(spec, UnitSpec):
         return predict_unit(spec)
@@ -111,7 +118,7 @@ def _requirement_row(built: Assembled, known: Posterior, requirement: Requiremen
         target=target,
         verdict=verdict(requirement, values),
         coverage=requirement.coverage,
-        rule=rule_of(requirement) or None,
+        rule=decision_rule(requirement) or None,
         specific_risk=None if target is None or worst is None else specific_risk(0.0, worst, target),
     )
 

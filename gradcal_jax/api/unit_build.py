@@ -234,7 +234,7 @@ def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
     line = schedule.trajectory(lag)
     count = len(schedule.duration) - len(steps)
     axis = np.array([step.axis for step in steps] + [-1] * count)[np.asarray(schedule.pieces.move)]
-    # Between two stretches the table goes back to where the cycle begins, and the unit is hung anew.
+    # Between two stretches the table stands where the cycle began, up to whole turns, and the unit is hung anew.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
     orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
-from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, Quantity, quantity_of, summed_up
+from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, RequiredQuantity, quantity_of, summed_up
 from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
 from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
@@ -54,7 +54,9 @@ def optimise_unit(
     value = _Value(spec, design)
     made = 0
     state, seed = None, design.seed if seed is None else seed
-    for state in anneal(_items(spec, design), value, limits, evaluations=evaluations, seed=seed, warmest=warmest):
+    # A plan beyond a gyro's full scale begins the search slowed down to it.
+    start = tuple(item._replace(rate=min(item.rate, limits.rates[item.axis])) for item in _items(spec, design))
+    for state in anneal(start, value, limits, evaluations=evaluations, seed=seed, warmest=warmest):
         made += 1
         yield state
         if stop():
@@ -135,7 +137,7 @@ def _gram(rows: np.ndarray) -> np.ndarray:
     return rows.T @ rows
 
 
-def _values(built: AssembledUnit, prior: np.ndarray, quantities: tuple[Quantity, ...]) -> list[float | None]:
+def _values(built: AssembledUnit, prior: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[float | None]:
     """Every requirement's statistic in people's units. By the product of the rows, whose columns, scaled, are far from
     parallel where all is observed.
     """
@@ -154,9 +156,11 @@ def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:
         raise ValueError(
             f"design.angle_step = {design.angle_step}: a turn must be a whole number of steps, such as 45 deg"
         )
+    gyro = spec.sensor.gyro
+    usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
     return PoseLimits(
         round(per_turn),
-        tuple(math.floor(math.degrees(float(a.max_rate)) * 10.0) / 10.0 for a in axes),
+        tuple(math.floor(math.degrees(min(float(a.max_rate), usable)) * 10.0) / 10.0 for a in axes),
         tuple(float(a.travel) / step for a in axes),
         float(design.shortest_rest),
         float(design.longest_rest),

@@ -36,7 +36,7 @@ UNIT_OF_QUANTITY = {
 """Of each quantity the unit that people read, and that many of it are one in SI."""
 
 
-class Residual(NamedTuple):
+class UnitResidual(NamedTuple):
     """Standard deviations of one quantity in people's `unit`: of each of the `m` elements `labels`, on the temperatures
     (°C) and, of the scale factor, the rates (rad/s) of a requirement: `values` `(m, n_T, n_ω)`. `si`: how many of the
     unit are one in SI.
@@ -50,7 +50,7 @@ class Residual(NamedTuple):
     si: float
 
 
-class Element(NamedTuple):
+class QuantityElement(NamedTuple):
     """A linear function of a unit's parameters on `g` points: `rows` `(g, k)` of those in `where`. `alone`, `variance`:
     of the part that no calibration carries, whose own is taken off and its prior's put in place (None: no such part).
     """
@@ -70,16 +70,16 @@ class Element(NamedTuple):
         return np.sqrt(found**2 - part.deviations(self.alone) ** 2 + self.variance)
 
 
-class Quantity(NamedTuple):
-    """A requirement's quantity on its grid, whatever the plan: what `Residual` is made from."""
+class RequiredQuantity(NamedTuple):
+    """A requirement's quantity on its grid, whatever the plan: what `UnitResidual` is made from."""
 
     requirement: UnitRequirement
     temperatures: np.ndarray
     rates: np.ndarray
-    elements: tuple[Element, ...]
+    elements: tuple[QuantityElement, ...]
     beside: float
 
-    def residual(self, known: Posterior) -> Residual:
+    def residual(self, known: Posterior) -> UnitResidual:
         """What is left of it."""
         shape = len(self.elements), len(self.temperatures), len(self.rates)
         found = np.stack([element.deviations(known) for element in self.elements]).reshape(shape)
@@ -87,10 +87,10 @@ class Quantity(NamedTuple):
             found = np.hypot(found, self.beside)
         unit, factor = UNIT_OF_QUANTITY[self.requirement.quantity]
         labels = tuple(element.label for element in self.elements)
-        return Residual(labels, self.temperatures, self.rates, found * factor, unit, factor)
+        return UnitResidual(labels, self.temperatures, self.rates, found * factor, unit, factor)
 
 
-def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> Quantity:
+def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> RequiredQuantity:
     """A requirement's quantity. `beside`: what the case's mounting adds to a misalignment counted from the table."""
     cold, warm = (float(t) for t in requirement.temperature)
     temperatures, rates, beside = np.linspace(cold, warm, requirement.grid[0]), np.zeros(1), 0.0
@@ -100,15 +100,17 @@ def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> Quantity:
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":
             beside = float(built.spec.rig.table.mounting[0].accuracy)
-    return Quantity(requirement, temperatures, rates, tuple(_elements(built, requirement, temperatures, rates)), beside)
+    return RequiredQuantity(
+        requirement, temperatures, rates, tuple(_elements(built, requirement, temperatures, rates)), beside
+    )
 
 
-def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> Residual:
+def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> UnitResidual:
     """What is left of a requirement's quantity."""
     return quantity_of(built, requirement).residual(known)
 
 
-def summed_up(requirement: UnitRequirement, found: Residual) -> dict[str, float | None]:
+def summed_up(requirement: UnitRequirement, found: UnitResidual) -> dict[str, float | None]:
     """The statistics by name; None where the plan cannot tell. Each element has its own over temperature (and rate);
     of several the worst counts, or of "all" the root mean square.
     """
@@ -123,7 +125,7 @@ def summed_up(requirement: UnitRequirement, found: Residual) -> dict[str, float 
     return result
 
 
-def worst_axis(requirement: UnitRequirement, found: Residual) -> str | None:
+def worst_axis(requirement: UnitRequirement, found: UnitResidual) -> str | None:
     """Which element decides, where one does."""
     if requirement.axis == "all" or len(found.labels) < 2:
         return None
@@ -132,17 +134,17 @@ def worst_axis(requirement: UnitRequirement, found: Residual) -> str | None:
 
 def _elements(
     built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray, rates: np.ndarray
-) -> Iterator[Element]:
+) -> Iterator[QuantityElement]:
     """Each element of a quantity, temperatures first."""
     model = built.model
     if isinstance(requirement, PositionRequirement | TiltRequirement | TurnRequirement):
         for label, rows in _navigation(built, requirement, temperatures):
             if requirement.axis in ("all", "worst", label):
-                yield Element(label, slice(None), rows)
+                yield QuantityElement(label, slice(None), rows)
     elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         for label, rows in _internal(model, requirement, temperatures):
             if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
-                yield Element(label, slice(None), rows)
+                yield QuantityElement(label, slice(None), rows)
     else:
         kind, terms = _TERMS[requirement.quantity]
         for c in model.channels:
@@ -169,14 +171,18 @@ _TERMS = {
 
 def _of_term(
     model: UnitModel, channel: Channel, term: str, label: str, temperatures: np.ndarray, rates: np.ndarray
-) -> Element:
+) -> QuantityElement:
     """One term of a channel on the grid."""
     of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
     if isinstance(of, Map):
         points = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
         rows, alone, variance = contrasts(channel.model, cast("Any", term), *points)
-        return Element(label, own, rows) if of.beyond is None else Element(label, own, rows, alone, variance)
-    return Element(label, own, _signal_rows(channel, term, temperatures))
+        return (
+            QuantityElement(label, own, rows)
+            if of.beyond is None
+            else QuantityElement(label, own, rows, alone, variance)
+        )
+    return QuantityElement(label, own, _signal_rows(channel, term, temperatures))
 
 
 def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.ndarray:

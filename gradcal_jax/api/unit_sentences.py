@@ -56,7 +56,26 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
         channel, _, symbol = name.partition(".")
         groups.setdefault(channel, []).append(symbol)
     said += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
-    return said + _beyond(built)
+    return said + _saturated(built) + _beyond(built)
+
+
+def _saturated(built: AssembledUnit) -> list[str]:
+    """Gyros that a turn takes beyond their full scale, less its margin: what they deliver then is no reading."""
+    gyro, motion = built.spec.sensor.gyro, built.motion
+    if gyro is None or gyro.usable_rate is None:
+        return []
+    before, _ = motion.angles()
+    moves = np.flatnonzero(motion.axis >= 0)
+    axes = frames(motion.geometry, before, motion.mounting).axes[moves, motion.axis[moves]]
+    halves = np.broadcast_to([0.0, 0.5, 1.0], (len(moves), 3))
+    fastest = np.max(np.abs(motion.line.rate(halves, moves)), axis=1, initial=0.0)
+    seen = np.max(np.abs(axes) * fastest[:, None], axis=0, initial=0.0)
+    return [
+        f"gyro {name} sees up to {np.degrees(rate):.4g} deg/s, beyond its full scale less the margin, "
+        f"{np.degrees(gyro.usable_rate):.4g} deg/s: turn more slowly"
+        for name, rate in zip(AXIS_NAMES, seen, strict=True)
+        if name in gyro.axes and rate > gyro.usable_rate * (1.0 + 1e-6)
+    ]
 
 
 def _beyond(built: AssembledUnit) -> list[str]:

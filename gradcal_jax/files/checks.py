@@ -11,7 +11,7 @@ from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.bench import Chamber, Rig
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.moves import AXES, ResolvedMove
-from gradcal_jax.files.plan import Course, GradientPlan, RampItem, StandardPlan
+from gradcal_jax.files.plan import ChamberCourse, GradientPlan, RampItem, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import BiasRequirement, ScaleFactorRequirement
@@ -154,7 +154,9 @@ def _gradient(plan: GradientPlan, rig: Rig, sensor: Sensor | None) -> list[Probl
     return problems
 
 
-def course_within(plan: Course, chamber: Chamber, segments: tuple[TemperatureSegment, ...] | None) -> Iterator[Problem]:
+def course_within(
+    plan: ChamberCourse, chamber: Chamber, segments: tuple[TemperatureSegment, ...] | None
+) -> Iterator[Problem]:
     """Where a course leaves the chamber's range or exceeds its slopes; keys relative to the plan."""
     low, high = chamber.range
     if plan.programme is not None:

@@ -143,7 +143,7 @@ def _slopes_as_text(value: Quantity | tuple[Quantity, ...]) -> str | list[str]:
 Slopes = Annotated[Quantity | tuple[Quantity, ...], _Slopes()]
 
 
-class Course(Section):
+class ChamberCourse(Section):
     """The chamber's course, in one of the three ways. `gradient`: one size, or one signed slope for each cycle."""
 
     temperature: Annotated[tuple[Temperature, ...], Field(min_length=1, max_length=2)] | None = None
@@ -184,7 +184,7 @@ class Course(Section):
         return problems
 
 
-class GradientPlan(Course):
+class GradientPlan(ChamberCourse):
     """The gradient method. `read_every`: without a cycle."""
 
     method: Literal["gradient"]

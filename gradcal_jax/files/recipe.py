@@ -22,7 +22,7 @@ from gradcal_jax.files.rounding import ControllerSteps
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
 
 FORMAT: Final = "gradcal-recipe/1"
 
@@ -137,8 +137,8 @@ def spec_in(path: str | Path) -> Spec:
 
 def any_spec_in(path: str | Path) -> Spec | UnitSpec:
     """As `spec_in`, and the spec of a whole unit, too."""
-    document = read_toml(read_text(path), str(path))
-    return unit_spec_of(document, str(path)) if is_of_unit(document) else spec_in(path)
+    text = read_text(path)
+    return parse_unit_spec(text, str(path)) if is_of_unit(read_toml(text, str(path))) else spec_in(path)
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:

@@ -11,7 +11,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 from gradcal_jax.files.bench import Chamber, Rig
 from gradcal_jax.files.moves import ResolvedMove
-from gradcal_jax.files.plan import Course, Cycle, GradientPlan, RampItem, SoakItem, StandardPlan
+from gradcal_jax.files.plan import ChamberCourse, Cycle, GradientPlan, RampItem, SoakItem, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.formulas import reading_count, repetitions
 
@@ -258,14 +258,14 @@ class _Repeats(Protocol):
 
 
 def programme_of(
-    plan: Course, chamber: Chamber, cycle: _Repeats | None
+    plan: ChamberCourse, chamber: Chamber, cycle: _Repeats | None
 ) -> tuple[tuple[TemperatureSegment, ...], tuple[Stretch, ...]]:
     """The chamber's segments, and the stretches of used data with the cycles that fit. Raises `SpecError`."""
     segments = _programme(plan, chamber) if plan.programme is not None else _ramp(plan, cycle)
     return segments, _stretches(segments, cycle)
 
 
-def _ramp(plan: Course, cycle: _Repeats | None) -> tuple[TemperatureSegment, ...]:
+def _ramp(plan: ChamberCourse, cycle: _Repeats | None) -> tuple[TemperatureSegment, ...]:
     assert plan.temperature is not None
     assert plan.gradient is not None
     segments: list[TemperatureSegment] = []
@@ -285,7 +285,7 @@ def _ramp(plan: Course, cycle: _Repeats | None) -> tuple[TemperatureSegment, ...
     return tuple(segments)
 
 
-def _programme(plan: Course, chamber: Chamber) -> tuple[TemperatureSegment, ...]:
+def _programme(plan: ChamberCourse, chamber: Chamber) -> tuple[TemperatureSegment, ...]:
     assert plan.programme is not None
     segments: list[TemperatureSegment] = []
     problems: list[Problem] = []

@@ -7,7 +7,7 @@ without shape and duration is one at most: a short turn does not reach it.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, cast
 
@@ -16,7 +16,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
-from gradcal_jax.files.plan import Course
+from gradcal_jax.files.plan import ChamberCourse
 from gradcal_jax.files.problems import Problem, SpecError, nearest
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
@@ -26,12 +26,13 @@ from gradcal_jax.files.unit_rig import TableAxis, UnitRig
 _SLACK = 1e-6
 _FULL_TURN = 2.0 * math.pi
 _MOST = 1e6 * _FULL_TURN
+_ONE_ROW = "a rest of a unit gives one reading of every channel, at its end; leave this key out"
 # A quarter of a period of cosine ramps: peak acceleration times ramp over peak rate.
 _STEEPNESS = math.pi / 2.0
 
 
 class Pose(Section):
-    """Go where the named axes stand at these angles; `settle`: rest there (a row for each channel)."""
+    """Go where the named axes stand at these angles; `rest`: and stay there."""
 
     pose: dict[Text, Angle]
     peak_rate: PositiveRate | None = None
@@ -132,7 +133,7 @@ class UnitCycle(Section):
     start: dict[Text, Angle] = Field(default_factory=dict)
 
 
-class UnitPlan(Course):
+class UnitPlan(ChamberCourse):
     """The plan of a whole unit. With several mountings each used stretch of the course has the next one; a single ramp
     is made once with each, and the chamber returns in between."""
 
@@ -200,7 +201,15 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     if sum(s.cycles for s in stretches) * len(steps) > 200_000:
         raise SpecError([Problem(("cycle",), "makes more than 200000 moves in all; lengthen its rests or turns")])
     schedule = UnitSchedule(segments, stretches, steps, start)
-    if problems := _travel(schedule, rig):
+    problems = _travel(schedule, rig)
+    if len(stretches) > 1:
+        ends = [
+            math.fsum([angle, *(s.move.repeat * s.move.angle for s in steps if s.axis == k)])
+            for k, angle in enumerate(start)
+        ]
+        names = [axis.name for axis in rig.table.axis]
+        problems += _unclosed(ends, start, names, "it begins anew in every stretch of used data")
+    if problems:
         raise SpecError(problems)
     return schedule
 
@@ -252,8 +261,16 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
                 steps.append(rest_step(float(item.rest), i))
             continue
         if isinstance(item, AxisMove) and isinstance(item.move, Rest):
-            if item.axis is not None:
-                problems.append(Problem((*key, "axis"), "a rest is of all axes; leave this key out", item.axis))
+            problems += [
+                Problem((*key, name), message, str(value))
+                for name, value, message in (
+                    ("axis", item.axis, "a rest is of all axes; leave this key out"),
+                    ("read", item.move.read, _ONE_ROW),
+                    ("read_every", item.move.read_every, _ONE_ROW),
+                    ("other_axes", item.move.other_axes or None, "a rest is of all axes; leave this key out"),
+                )
+                if value is not None
+            ]
             steps.append(UnitStep(-1, item.move.resolve(math.inf), i))
             continue
         if item.axis is None and len(axes) > 1:
@@ -280,15 +297,21 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
         steps.append(UnitStep(axes[name], move, i))
         here[axes[name]] += move.repeat * move.angle
     if poses:
-        for name, k in axes.items():
-            off = (here[k] - start[k]) / _FULL_TURN
-            if abs(off - round(off)) > 1e-6:
-                message = (
-                    f'the cycle begins with axis "{name}" at {_degrees(start[k])} and ends at {_degrees(here[k])}: '
-                    "poses count from zero, so a cycle must return (or end a whole turn away); add a pose"
-                )
-                problems.append(Problem(("cycle", "moves"), message))
+        problems += _unclosed(here, start, axes, "poses count from zero")
     return tuple(steps), tuple(start), problems
+
+
+def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str], why: str) -> list[Problem]:
+    """Axes that a cycle leaves elsewhere than it found them."""
+    return [
+        Problem(
+            ("cycle", "moves"),
+            f'the cycle begins with axis "{name}" at {_degrees(begin)} and ends at {_degrees(end)}: {why}, so a cycle '
+            "must return (or end a whole turn away); add a pose",
+        )
+        for name, begin, end in zip(axes, start, ends, strict=True)
+        if abs((end - begin) / _FULL_TURN - round((end - begin) / _FULL_TURN)) > 1e-6
+    ]
 
 
 def rest_step(duration: float, source: int) -> UnitStep:
@@ -332,7 +355,7 @@ def _limits(move: ResolvedMove, axis: TableAxis) -> list[Problem]:
 
 def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
     """Every axis must stay within its travel either way of zero, in every cycle."""
-    cycles = max(stretch.cycles for stretch in schedule.stretches)
+    cycles = sum(stretch.cycles for stretch in schedule.stretches)
     problems: list[Problem] = []
     for k, axis in enumerate(rig.table.axis):
         if math.isinf(axis.travel):

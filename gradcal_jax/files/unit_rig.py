@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal, cast
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from gradcal_jax.files.bench import Chamber, Harmonic, Resolution
+from gradcal_jax.files.bench import Chamber, Harmonic
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     Angle,
@@ -78,7 +78,7 @@ class TableAxis(Section):
         return tuple(c / length for c in self.direction)
 
 
-class Mounting(Section):
+class UnitMounting(Section):
     """`[rig.table.mounting]`: along which axes of the innermost table axis's frame the body's x, y and z point, turned
     on by the rotation vector `rotation` (body); `accuracy`: of each of the three angles."""
 
@@ -90,7 +90,7 @@ class Mounting(Section):
     accuracy: SizeOfAngle = NO_ANGLE
 
     @model_validator(mode="after")
-    def _right_handed(self) -> "Mounting":
+    def _right_handed(self) -> "UnitMounting":
         if self.determinant != 1.0:
             said = f"x = {self.x}, y = {self.y}, z = {self.z}"
             refuse(Problem((), "the body's axes must be three different ones and right-handed (x × y = z)", said))
@@ -119,8 +119,8 @@ class UnitTable(Section):
     tilt: SizeOfAngle = NO_ANGLE
     azimuth: SizeOfAngle = NO_ANGLE
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
-    mounting: Annotated[tuple[Mounting, ...], BeforeValidator(_one_or_more), Field(min_length=1, max_length=12)] = (
-        Mounting(),
+    mounting: Annotated[tuple[UnitMounting, ...], BeforeValidator(_one_or_more), Field(min_length=1, max_length=12)] = (
+        UnitMounting(),
     )
 
     @model_validator(mode="after")
@@ -147,4 +147,3 @@ class UnitRig(Section):
     site: Site
     table: UnitTable
     chamber: Chamber
-    resolution: Resolution | None = None

@@ -103,6 +103,11 @@ class GyroTriad(Section):
     g_sensitivity: AccelerationSensitivity | None = None
     g_squared: SquaredSensitivity | None = None
 
+    @property
+    def usable_rate(self) -> float | None:
+        """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
+        return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
+
 
 class AccelerometerTriad(Section):
     """`[sensor.accelerometer]`: what is the same for every accelerometer of the unit; read where the table stands."""

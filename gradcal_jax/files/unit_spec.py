@@ -9,6 +9,7 @@ from pydantic import ValidationError, model_validator
 
 from gradcal_jax.files.checks import course_within
 from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section, refuse
@@ -161,7 +162,8 @@ def read_unit_spec(path: str | Path) -> UnitSpec:
 
 def parse_unit_spec(text: str, source: str = "") -> UnitSpec:
     """A unit's spec from the text of a TOML file; `source` names it in messages. Errors: `SpecError`."""
-    return unit_spec_of(read_toml(text, source), source)
+    with with_lines(text):
+        return unit_spec_of(read_toml(text, source), source)
 
 
 def unit_spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from gradcal_jax.api.unit_build import assemble_unit, rest_poses
 from gradcal_jax.api.unit_prediction import posterior_of_unit
-from gradcal_jax.api.unit_residual import Residual, unit_residual
+from gradcal_jax.api.unit_residual import UnitResidual, unit_residual
 from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.plots.style import colour_map, from_zero, new_axes, style_of
@@ -32,7 +32,7 @@ def draw_unit(spec: UnitSpec) -> Figure:
     return figure
 
 
-def draw_unit_residual(requirement: UnitRequirement, found: Residual, *, ax: Axes | None = None) -> Axes:
+def draw_unit_residual(requirement: UnitRequirement, found: UnitResidual, *, ax: Axes | None = None) -> Axes:
     """What is left of each element of a requirement's quantity, over temperature, or of the scale factor over rate."""
     ax = new_axes(ax)
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)

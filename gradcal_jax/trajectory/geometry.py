@@ -27,7 +27,7 @@ class Geometry(eqx.Module):
 
     `axes`: directions at zero, each in the frame that the axis outside it carries (the first: that of the base).
     `base`: base to East-North-Up. `mountings`: body to the innermost axis, one after the other. `latitude` rad,
-    `gravity` m/s². Where the site does not matter, a latitude of 90° and a gravity of 0.
+    `gravity` m/s².
     """
 
     axes: Float[AnyArray, "L 3"]

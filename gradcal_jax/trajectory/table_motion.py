@@ -62,10 +62,17 @@ def table_motion(
 ) -> TableMotion:
     """A motion whose numbers are known. `harmonics`: the highest order of an encoder's error."""
     each = np.arange(line.piece_count)
-    before, _ = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
+    before, after = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
     pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
     of_motion = np.round(np.column_stack([line.duration, line.u_start, line.u_end, line.terms]) / _SAME_POSE)
-    key = np.column_stack([axis, mounting, line.moving, pose, of_motion])
+    # The encoder's error goes from one standstill's to the next's over the whole move that a piece belongs to.
+    first = np.flatnonzero(np.diff(line.segment, prepend=line.segment[0] - 1))
+    segment = np.repeat(np.arange(len(first)), np.diff(first, append=line.piece_count))
+    ends = np.append(first[1:], line.piece_count) - 1
+    of_move = np.round(
+        np.column_stack([before - before[first][segment], (after[ends] - before[first])[segment]]) / _SAME_POSE
+    )
+    key = np.column_stack([axis, mounting, line.moving, pose, of_motion, of_move])
     _, example, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
     waves = max(_WAVES, harmonics + 1)
     turned = np.abs(line.turned()[example])

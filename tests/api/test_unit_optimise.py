@@ -6,9 +6,10 @@ import math
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.unit_optimise import UnitOptimum, optimise_unit
+from gradcal_jax.api.unit_optimise import UnitOptimum, _limits, optimise_unit
 from gradcal_jax.cli import main
 from gradcal_jax.design.pose_search import PoseState
+from gradcal_jax.files.unit_design import UnitDesign
 
 
 def small(**changes) -> gj.UnitSpec:
@@ -67,3 +68,16 @@ def test_the_command_writes_a_spec_that_is_read_again(tmp_path, capsys):
 def test_what_cannot_be_searched_is_said(changes, words):
     with pytest.raises(ValueError, match=words):
         next(optimise_unit(small(**changes)))
+
+
+def test_a_gyro_beyond_its_full_scale_is_said_and_not_searched():
+    spec = gj.read_unit_spec("experiments/imu/hand.toml")
+    narrow = gj.changed(spec, {"sensor.gyro.full_scale": "250 deg/s", "sensor.gyro.full_scale_margin": "10 %"})
+    said = [s for s in gj.check(narrow) if "full scale" in s]
+    assert [s.split()[1] for s in said] == ["x", "y", "z"]
+    assert all("300 deg/s" in s and "225 deg/s" in s for s in said)
+    assert not [s for s in gj.check(spec) if "full scale" in s]
+    first = next(optimise_unit(narrow, evaluations=1, seed=0))
+    limits = _limits(narrow, UnitDesign())
+    assert limits.rates == (225.0, 225.0)
+    assert max(item.rate for item in first.best) <= 225.0

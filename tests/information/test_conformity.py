@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal, norm
 
 import gradcal_jax as gj
 from gradcal_jax.api import assemble, posterior_of_plan
-from gradcal_jax.api.posterior_of_plan import limit_of, rule_of, verdict
+from gradcal_jax.api.posterior_of_plan import decision_rule, limit_of, verdict
 from gradcal_jax.information.conformity import (
     acceptance_limit,
     chance_of_keeping,
@@ -138,7 +138,7 @@ def test_a_verdict_follows_its_rule_and_says_it(keys, said):
     keys = {"target": "2.6 ppm", "coverage": None} | keys
     requirement = gj.changed(spec, {f"requirement[0].{k}": v for k, v in keys.items()}).requirement[0]
     assert verdict(requirement, MAP) == said
-    assert ("guarded" if "risk" in keys else "simple acceptance") in rule_of(requirement)
+    assert ("guarded" if "risk" in keys else "simple acceptance") in decision_rule(requirement)
     name, limit = limit_of(requirement)
     assert (name == "max") == ("risk" in keys)
     assert limit == pytest.approx(

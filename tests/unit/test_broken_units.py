@@ -2,6 +2,7 @@
 
 import copy
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.files import SpecError
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.unit_spec import UnitSpec, read_unit_spec, unit_spec_of
 
 GOOD = shipped("hand")
 GOOD["plan"]["temperature"] = ["20 degC", "30 degC"]
@@ -269,3 +270,35 @@ def test_slips_give_a_spec_or_a_spec_error_and_nothing_else(slips, other):
         said = ["it is a spec"] if math.isfinite(spec.schedule.duration) and spec.schedule.steps else []
     assert said
     assert all(len(sentence) > 10 for sentence in said)
+
+
+def test_what_would_be_without_effect_is_refused():
+    """A rest is one reading of every channel, and the controllers' steps are not a unit's."""
+    for keys in ({"read_every": "1 s"}, {"read": "none"}, {"other_axes": True}):
+        document = copy.deepcopy(GOOD)
+        document["plan"]["cycle"]["moves"].append({"rest": "5 s"} | keys)
+        with pytest.raises(SpecError, match="leave this key out"):
+            unit_spec_of(document)
+    document = copy.deepcopy(GOOD)
+    document["rig"]["resolution"] = {"angle": "1 deg"}
+    with pytest.raises(SpecError, match="this key is unknown"):
+        unit_spec_of(document)
+
+
+def test_a_cycle_of_several_stretches_returns():
+    document = copy.deepcopy(GOOD)
+    plan = {"method": "gradient", "programme": [{"soak": "10 min", "at": "20 degC", "used": True}]}
+    plan["programme"] += [{"soak": "1 min"}, {"soak": "10 min", "used": True}]
+    document["plan"] = plan | {"cycle": {"moves": [{"rest": "5 s"}, {"turn": "90 deg", "axis": "spin"}]}}
+    with pytest.raises(SpecError, match="begins anew in every stretch"):
+        unit_spec_of(document)
+    document["plan"]["cycle"]["moves"].append({"turn": "-90 deg", "axis": "spin"})
+    assert len(unit_spec_of(document).schedule.stretches) == 2
+
+
+def test_the_line_of_a_fault_is_said(tmp_path):
+    path = tmp_path / "unit.toml"
+    shipped_text = Path("experiments/imu/hand.toml").read_text(encoding="utf-8")
+    path.write_text(shipped_text.replace("max_rate ", "max_rte "), encoding="utf-8")
+    with pytest.raises(SpecError, match=r"max_rte.*\(line \d+\)"):
+        read_unit_spec(path)

@@ -1,5 +1,6 @@
 """How much memory a spec's prediction takes, known from the file, so that nobody waits for a machine that runs out."""
 
+import contextlib
 import os
 from typing import Final
 
@@ -20,7 +21,12 @@ def needed_bytes(spec: Spec) -> float:
 
 
 def available_bytes() -> float:
-    """Memory of this machine that is free; infinite where it does not say."""
+    """Memory that this machine can give; infinite where it does not say."""
+    # Linux keeps files in memory that is not in use, and gives it back: "free" alone would be far too little.
+    with contextlib.suppress(OSError, ValueError), open("/proc/meminfo", encoding="ascii") as lines:
+        for name, amount, *_ in map(str.split, lines):
+            if name == "MemAvailable:":
+                return 1024.0 * float(amount)
     try:
         return float(os.sysconf("SC_AVPHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):

@@ -120,7 +120,7 @@ class Laboratory(Section):
     operator: Text | None = None
 
 
-class Reference(Section):
+class TraceableReference(Section):
     """`[[reference]]`: what a certificate's values are traced to; `due`: until when its own certificate holds."""
 
     device: Literal["table", "encoder", "chamber", "thermometer", "clock"]
@@ -138,7 +138,7 @@ class RigFile(Section):
     axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
     laboratory: Laboratory | None = None
-    reference: Annotated[tuple[Reference, ...], Field(max_length=20)] = ()
+    reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> "RigFile":

@@ -29,6 +29,15 @@ from gradcal_jax.estimation.structure import (
     structure_test,
 )
 from gradcal_jax.estimation.temperature import SMOOTHED_OVER_S, smoothed_temperature
+from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, executed_unit, nodes_of_rows
+from gradcal_jax.estimation.unit_solve import (
+    Installed,
+    UnitEstimate,
+    UnitReadings,
+    estimate_unit,
+    installed,
+    readings_of,
+)
 
 __all__ = [
     "HUBER",
@@ -37,7 +46,9 @@ __all__ = [
     "Consistency",
     "Estimate",
     "Executed",
+    "ExecutedUnit",
     "Group",
+    "Installed",
     "Move",
     "Observations",
     "Plateaus",
@@ -47,6 +58,9 @@ __all__ = [
     "Split",
     "StructureTest",
     "Test",
+    "UnitEstimate",
+    "UnitReadings",
+    "UnitRows",
     "Whitened",
     "chi_squared",
     "choose_smoothness",
@@ -56,15 +70,20 @@ __all__ = [
     "distinct_readings",
     "estimate",
     "estimate_robustly",
+    "estimate_unit",
     "executed",
+    "executed_unit",
     "find_standstills",
+    "installed",
     "integrated_error",
     "momentary_stops",
     "moves_between_rests",
     "nees_band",
+    "nodes_of_rows",
     "normalised_errors",
     "on_trajectory",
     "plateaus",
+    "readings_of",
     "sample_nodes",
     "size_of",
     "smoothed_temperature",

@@ -3,6 +3,7 @@
     unit      the sensors on one table, by serial number or name          [unit]
     time      one clock for all of them, strictly increasing, s           [time]
     rate      integrated or sampled angular rate, rad/s                   [unit, time, axis]
+    specific_force  of the accelerometers, m/s^2, where there are any     [unit, time, force_axis]
 
 A log never loses a row silently: `rows_read` is what the source held, `rows_removed` counts the rows that could not be
 kept (by reason), and `status` says of every row that was kept whether it is usable, for each unit, and if not, why.
@@ -27,6 +28,7 @@ FORMAT: Final = "gradcal-log/1"
 _UNITS: Final = {
     "time": "s",
     "rate": "rad s-1",
+    "specific_force": "m s-2",
     "temperature": "degC",
     "table_angle": "rad",
     "table_rate": "rad s-1",
@@ -95,9 +97,12 @@ class Log:
     time_s: Floats
     """[time]"""
     rate_rad_per_s: Floats
-    """[unit, time, axis]"""
+    """[unit, time, axis]; no axis where the unit has accelerometers alone."""
     units: tuple[str, ...]
     axes: tuple[str, ...]
+    specific_force_m_per_s2: Floats | None = None
+    """[unit, time, force axis]; +1 g along an axis that points up at rest."""
+    force_axes: tuple[str, ...] = ()
     temperature_c: Floats | None = None
     """[unit, time]"""
     table_axes: tuple[str, ...] = ()
@@ -127,9 +132,10 @@ class Log:
             raise LogError(f"a log needs at least two rows, not {rows}")
         if not (np.isfinite(self.time_s).all() and np.all(np.diff(self.time_s) > 0)):
             raise LogError("the times of a log must increase from row to row")
-        if self.rate_rad_per_s.shape != shape or 0 in shape:
+        if self.rate_rad_per_s.shape != shape or 0 in (*shape[:2], shape[2] + len(self.force_axes)):
             raise LogError(f"the rates have the shape {self.rate_rad_per_s.shape}, where [unit, time, axis] is {shape}")
         expected: dict[str, tuple[NDArray[Any] | None, tuple[int, ...]]] = {
+            "specific force": (self.specific_force_m_per_s2, (*shape[:2], len(self.force_axes))),
             "temperature": (self.temperature_c, shape[:2]),
             "table angle": (self.table_angle_rad, (rows, len(self.table_axes))),
             "table rate": (self.table_rate_rad_per_s, (rows, len(self.table_axes))),
@@ -140,7 +146,8 @@ class Log:
         for name, (array, wanted) in expected.items():
             if array is not None and array.shape != wanted:
                 raise LogError(f"the {name} has the shape {array.shape} instead of {wanted}")
-        for name, labels in (("unit", self.units), ("axis", self.axes), ("table axis", self.table_axes)):
+        labelled = ("unit", self.units), ("axis", self.axes), ("force axis", self.force_axes)
+        for name, labels in (*labelled, ("table axis", self.table_axes)):
             if len(set(labels)) != len(labels):
                 raise LogError(f"two of the log's {name} labels are the same: {', '.join(labels)}")
         starts = self.stretch_starts
@@ -183,7 +190,9 @@ class Log:
     def fingerprint(self, unit: str | int = 0) -> str:
         """SHA-256 of a unit's times and rates: the same for the same recording, under whatever name."""
         digest = hashlib.sha256(np.ascontiguousarray(self.time_s).tobytes())
-        digest.update(np.ascontiguousarray(self.rate_rad_per_s[self.unit_index(unit)]).tobytes())
+        for values in (self.rate_rad_per_s, self.specific_force_m_per_s2):
+            if values is not None:
+                digest.update(np.ascontiguousarray(values[self.unit_index(unit)]).tobytes())
         return digest.hexdigest()
 
     def counts(self, unit: str | int = 0) -> dict[str, int]:
@@ -252,6 +261,7 @@ def part_of(
         log,
         time_s=of(log.time_s),
         rate_rad_per_s=by_unit(log.rate_rad_per_s),
+        specific_force_m_per_s2=by_unit(log.specific_force_m_per_s2),
         temperature_c=by_unit(log.temperature_c),
         table_angle_rad=of(log.table_angle_rad),
         table_rate_rad_per_s=of(log.table_rate_rad_per_s),
@@ -272,6 +282,7 @@ def write_log(log: Log, path: str | Path) -> None:
 
     contents: tuple[tuple[str, tuple[str, ...], NDArray[Any] | None, str], ...] = (
         ("rate", ("unit", "time", "axis"), log.rate_rad_per_s, "angular rate of the sensor"),
+        ("specific_force", ("unit", "time", "force_axis"), log.specific_force_m_per_s2, "specific force"),
         ("temperature", ("unit", "time"), log.temperature_c, "temperature of the sensor"),
         ("table_angle", ("time", "table_axis"), log.table_angle_rad, "angle of the table, not wrapped"),
         ("table_rate", ("time", "table_axis"), log.table_rate_rad_per_s, "rate of the table"),
@@ -290,8 +301,9 @@ def write_log(log: Log, path: str | Path) -> None:
         "unit": ("unit", list(log.units)),
         "axis": ("axis", list(log.axes)),
     }
-    if log.table_axes:
-        coordinates["table_axis"] = ("table_axis", list(log.table_axes))
+    for name, labels in (("force_axis", log.force_axes), ("table_axis", log.table_axes)):
+        if labels:
+            coordinates[name] = (name, list(labels))
     attributes = {
         "format": FORMAT,
         "rows_read": log.rows_read,
@@ -357,6 +369,8 @@ def _from_dataset(dataset: Any) -> Log:
         rate_rad_per_s=array("rate", ("unit", "time", "axis"), np.float64, needed=True),
         units=labels("unit"),
         axes=labels("axis"),
+        specific_force_m_per_s2=array("specific_force", ("unit", "time", "force_axis"), np.float64),
+        force_axes=labels("force_axis"),
         temperature_c=array("temperature", ("unit", "time"), np.float64),
         table_axes=labels("table_axis"),
         table_angle_rad=array("table_angle", ("time", "table_axis"), np.float64),

@@ -30,6 +30,8 @@ from gradcal_jax.trajectory import TableMotion
 
 # Of the largest column of its unit: what is below is no signal.
 _ROUNDING = 1e-11
+# rad: a move that ends so near to where it began has no angle to share the encoder's change by.
+_RETURNS = 1e-3
 
 
 class Segments(NamedTuple):
@@ -213,7 +215,9 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
         begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
         # How far the axis is on its way: what its error is between those of its two standstills.
         turns = motion.turns[motion.example[g.kinds]][:, None, :]
-        share = xp.where(turns, (g.angle - begin) / xp.where(turns & (span != 0.0), span, 1.0), 1.0)
+        away = turns & (abs(span) > _RETURNS)
+        gone = xp.clip((g.angle - begin) / xp.where(away, span, 1.0), 0.0, 1.0)
+        share = xp.where(turns, xp.where(away, gone, 0.5), 1.0)
         both = xp.concatenate([xp.cross(g.outer, g.axes), xp.cross(g.force[..., None, :], g.axes)], axis=-1)
         return g.integral(both[:, :, None] * xp.stack([share, 1.0 - share], axis=2)[..., None])
 

@@ -5,7 +5,7 @@ from gradcal_jax.trajectory.geometry import EARTH_RATE, Frames, Geometry, frames
 from gradcal_jax.trajectory.motion import Move, rest, turn
 from gradcal_jax.trajectory.programme import Programme, programme
 from gradcal_jax.trajectory.schedule import Schedule, channels_of, gradient_plan, standard_plan
-from gradcal_jax.trajectory.table_motion import TableMotion, body_nodes, table_motion
+from gradcal_jax.trajectory.table_motion import TableMotion, body_group, body_nodes, lagrange, table_motion
 from gradcal_jax.trajectory.trajectory import Trajectory, held, quadrature
 
 __all__ = [
@@ -18,12 +18,14 @@ __all__ = [
     "Schedule",
     "TableMotion",
     "Trajectory",
+    "body_group",
     "body_nodes",
     "channels_of",
     "frames",
     "gauss_nodes",
     "gradient_plan",
     "held",
+    "lagrange",
     "programme",
     "quadrature",
     "rest",

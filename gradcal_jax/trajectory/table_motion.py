@@ -114,22 +114,40 @@ def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, befo
     angle = before[kinds][:, None, :] + xp.where(own, since[..., None], 0.0)
     joint = xp.where(own, rate[..., None], 0.0)
     mounting = np.broadcast_to(motion.mounting[example][:, None], v.shape)
-    stages = frames(geometry, angle, mounting)
-    earth, up = (geometry.earth_rate()[None, :] @ stages.attitude)[..., 0, :], stages.attitude[..., 2, :]
-    turning = joint[..., None] * stages.axes
-    below = xp.cumsum(turning, axis=-2)
     pieces = np.flatnonzero(np.isin(motion.kind, kinds))
     at, of_points = quadrature(points)
     temperatures = line.temperature(xp.broadcast_to(xp.asarray(at), (len(pieces), points)), pieces)
     # A single node stands for what is constant along the piece.
-    share = of_points[None] if count == 1 else _lagrange(at, x)
+    share = of_points[None] if count == 1 else lagrange(at, x)
+    kind = np.searchsorted(kinds, motion.kind[pieces])
+    weight = xp.asarray(w)[None] * line.duration[example][:, None]
+    return body_group(geometry, (kinds, pieces, kind), temperatures, share, weight, angle, joint, mounting)
+
+
+def body_group(
+    geometry: Geometry,
+    pieces: tuple[np.ndarray, np.ndarray, np.ndarray],
+    temperature: Float[AnyArray, "k m"],
+    share: Float[np.ndarray, "q m"],
+    weight: Float[AnyArray, "U q"],
+    angle: Float[AnyArray, "U q L"],
+    joint: Float[AnyArray, "U q L"],
+    mounting: Int[np.ndarray, "U q"],
+) -> BodyGroup:
+    """What a body sees at nodes where the table's axes stand at `angle` (rad) and turn at `joint` (rad/s).
+
+    `pieces`: numbers of the kinds, of the pieces, and of each piece's kind among the former. The rest: see `BodyGroup`.
+    """
+    xp = namespace(geometry, angle, joint)
+    stages = frames(geometry, angle, mounting)
+    earth, up = (geometry.earth_rate()[None, :] @ stages.attitude)[..., 0, :], stages.attitude[..., 2, :]
+    turning = joint[..., None] * stages.axes
+    below = xp.cumsum(turning, axis=-2)
     return BodyGroup(
-        kinds,
-        pieces,
-        np.searchsorted(kinds, motion.kind[pieces]),
-        temperatures,
+        *pieces,
+        temperature,
         share,
-        xp.asarray(w)[None] * line.duration[example][:, None],
+        weight,
         earth + below[..., -1, :],
         geometry.gravity * up,
         earth,
@@ -143,7 +161,7 @@ def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, befo
     )
 
 
-def _lagrange(points: np.ndarray, at: np.ndarray) -> np.ndarray:
+def lagrange(points: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The interpolating polynomials of `points` `(m,)`, at the places `at` `(q,)`: `(q, m)`."""
     apart = points[:, None] - points[None, :] + np.eye(len(points))
     others = np.where(

@@ -1,0 +1,326 @@
+"""What a table of several axes really did with a unit on it: a log's standstills and moves as a `TableMotion`.
+
+Between two standstills of the whole table one axis after the other turns. Which one turns when is read from the gyros:
+where the table stops for an instant between two moves their rate has a valley, and what they integrate to between two
+valleys points along the axis that turned. Where an axis stands then is what its encoder read on the average between two
+of its own moves. How a move went in between, the gyros say too, drawn to the encoder's angles at its ends.
+
+Row `i` of a log stands for the time from row `i − 1` to itself.
+"""
+
+import itertools
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from scipy.signal import find_peaks
+
+from gradcal_jax.formulas import runs
+from gradcal_jax.model import BodyGroup, BodyNodes
+from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
+
+# A rest is one row of each channel; one that lasts longer is divided, since bias and drift change in it.
+LONGEST_REST_S = 60.0
+# A valley of the rate this many times below both its sides is a stop; what is this much below the fastest is noise.
+_DIP = 10.0
+_SLOWEST = 1e-3
+# An axis that stands at angles less than this apart (rad) has not been turned.
+_LEAST_TURN = np.radians(0.05)
+# What gyros integrate to a move is within this share of the table's angle, and this angle (rad): biases, scale factors.
+_FOLLOWS, _BIAS = 0.05, np.radians(3.0)
+# A node of a move spans this angle at most (rad).
+_NODE = np.radians(2.0)
+_FEWEST_NODES = 16
+# An axis of which the gyros see less than this share of its rate is not seen.
+_SEEN = 0.3
+
+
+class UnitRows(NamedTuple):
+    """One unit's rows of a log, `(n,)` unless said. `rates` `(n, 3)` rad/s and `force` `(n, 3)` m/s² along the body's
+    axes, NaN of those that it has not; `angles` `(n, L)` rad of the table's axes; `standing`: all of them stand;
+    `usable`: the row may be integrated; `mounting`: how the unit hangs.
+    """
+
+    time_s: np.ndarray
+    rates: np.ndarray
+    force: np.ndarray
+    temperature_c: np.ndarray
+    angles: np.ndarray
+    standing: np.ndarray
+    usable: np.ndarray
+    mounting: np.ndarray
+
+
+class ExecutedUnit(NamedTuple):
+    """`motion` of `P` pieces, a rest or a move each; `rows` `(P + 1,)`: piece k is the log's rows `rows[k] + 1 …
+    rows[k+1]`; `travelled`: of every move the angle (rad) since its beginning, at the edges of equal parts of its time.
+    """
+
+    motion: TableMotion
+    rows: np.ndarray
+    travelled: tuple[np.ndarray | None, ...]
+
+
+def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
+    """The motion that a log's rows show.
+
+    Errors: `ValueError` where the table never stands, where its angles are not known there, or where what the gyros
+    say of a move is no turn of one axis after the other.
+    """
+    spans = [(first, end - 1) for first, end in runs(log.standing) if end - first > 1]
+    if len(spans) < 2:
+        raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
+    known = np.isfinite(log.angles).all(axis=1)
+    means = [_mean_angles(log, known, first, last) for first, last in spans]
+    legs = _legs(log, geometry, spans, means)
+    angles = _own_angles(log, known, spans, legs)
+    return _pieces(log, geometry, spans, legs, angles)
+
+
+class _Leg(NamedTuple):
+    """A move of one axis (−1: nobody knows which, or none), rows `begin + 1 … end`, after standstill `span`."""
+
+    span: int
+    axis: int
+    begin: int
+    end: int
+
+
+def _mean_angles(log: UnitRows, known: np.ndarray, first: int, last: int) -> np.ndarray:
+    here = slice(first, last + 1)
+    if not known[here].any():
+        raise ValueError(f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log")
+    return np.mean(log.angles[here][known[here]], axis=0)
+
+
+def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means: list[np.ndarray]) -> list[_Leg]:
+    """Every move between standstills."""
+    step = np.diff(log.time_s, prepend=log.time_s[0])
+    seen = np.flatnonzero(np.isfinite(log.rates).any(axis=0))
+    quiet = np.array([np.nanmean(log.rates[a : b + 1], axis=0) for a, b in spans]) if len(seen) else None
+    found: list[_Leg] = []
+    for k, ((_, last), (first, _)) in enumerate(itertools.pairwise(spans)):
+        change = means[k + 1] - means[k]
+        turned = np.flatnonzero(np.abs(change) > _LEAST_TURN)
+        if quiet is None or not log.usable[last + 1 : first + 1].all() or log.mounting[last] != log.mounting[first]:
+            # Nothing is read of this move: only where it led to counts.
+            found.append(_Leg(k, int(turned[0]) if len(turned) == 1 else -1, last, first))
+            continue
+        rates = (log.rates - 0.5 * (quiet[k] + quiet[k + 1]))[last + 1 : first + 1, seen]
+        where = _valleys(np.linalg.norm(rates, axis=1)) if len(turned) != 1 else []
+        edges = [last, *(last + 1 + w for w in where), first]
+        at, legs = means[k].copy(), []
+        for a, b in itertools.pairwise(edges):
+            total = step[a + 1 : b + 1] @ rates[a - last : b - last]
+            axis, angle = _which(geometry, at, int(log.mounting[last]), total, seen)
+            if len(turned) == 1 and len(edges) == 2:
+                axis, angle = int(turned[0]), float(change[turned[0]])
+            at[axis] += angle
+            if legs and legs[-1].axis == axis:
+                legs[-1] = legs[-1]._replace(end=b)
+            else:
+                legs.append(_Leg(k, axis, a, b))
+        size = max(float(step[last + 1 : first + 1] @ np.linalg.norm(rates, axis=1)), 1e-9)
+        if np.max(np.abs(at - means[k + 1])) > _FOLLOWS * size + _BIAS:
+            raise ValueError(
+                f"between {log.time_s[last]:.6g} and {log.time_s[first]:.6g} s the gyros and the table's angles do not "
+                "say the same: one axis after the other must turn; is the table of the spec the one of the log, with "
+                "its axes in that order, and the unit mounted as the spec says?"
+            )
+        found += legs
+    return found
+
+
+def _valleys(speed: np.ndarray) -> list[int]:
+    """Rows at which the table stops for an instant."""
+    top = float(np.max(speed, initial=0.0))
+    if top == 0.0:
+        return []
+    # Noise at the bottom of a valley must not make two of it.
+    width = max(len(speed) // 400, 1)
+    smooth = np.convolve(np.pad(speed, width, mode="edge"), np.ones(2 * width + 1) / (2 * width + 1), mode="valid")
+    depth = -np.log(np.maximum(smooth, _SLOWEST * top))
+    return find_peaks(depth, prominence=np.log(_DIP))[0].tolist()
+
+
+def _which(geometry: Geometry, at: np.ndarray, mounting: int, total: np.ndarray, seen: np.ndarray) -> tuple[int, float]:
+    """The axis along which the gyros' integral points, and the angle (rad)."""
+    axes = frames(geometry, at[None], np.array([mounting])).axes[0][:, seen]
+    angle = (axes @ total) / np.maximum(np.sum(axes**2, axis=1), _SEEN**2)
+    missed = np.linalg.norm(total[None] - angle[:, None] * axes, axis=1)
+    best = int(np.argmin(missed))
+    return best, float(angle[best])
+
+
+def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], legs: list[_Leg]) -> list[np.ndarray]:
+    """Of each axis, its angles (rad) before its first move, and after each of its moves: means of what was read from
+    the end of one to the beginning of the next, whatever others did then.
+    """
+    result: list[np.ndarray] = []
+    for axis in range(log.angles.shape[1]):
+        own = [leg for leg in legs if leg.axis in (axis, -1)]
+        begins = [spans[0][0], *(leg.end for leg in own)]
+        ends = [*(leg.begin for leg in own), spans[-1][1]]
+        values = []
+        for a, b in zip(begins, ends, strict=True):
+            rows = np.arange(a, max(b, a) + 1)
+            good = rows[known[rows]]
+            values.append(float(np.mean(log.angles[good if len(good) else rows[:1], axis])))
+        result.append(np.array(values))
+    return result
+
+
+def _pieces(
+    log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], legs: list[_Leg], angles: list[np.ndarray]
+) -> ExecutedUnit:
+    rows, axis, segment, lost, mean = [spans[0][0]], [], [], [], []
+    travelled: list[np.ndarray | None] = []
+    of_span: dict[int, list[_Leg]] = {}
+    for leg in legs:
+        of_span.setdefault(leg.span, []).append(leg)
+    moved = np.zeros(len(angles), int)
+    at = np.array([own[0] for own in angles])
+    start = at.copy()
+    bad = np.flatnonzero(~log.usable)
+
+    def whole(first: int, last: int) -> bool:
+        return bool(np.searchsorted(bad, first, side="right") == np.searchsorted(bad, last, side="right"))
+
+    def add(row: int, turns: int, number: int, gap: bool, way: np.ndarray | None) -> None:
+        rows.append(row)
+        axis.append(turns)
+        segment.append(number)
+        lost.append(gap)
+        travelled.append(way)
+        lasts = log.time_s[row] - log.time_s[rows[-2]]
+        mean.append(0.0 if way is None or lasts <= 0.0 else way[-1] / lasts)
+
+    number = 0
+    for k, (first, last) in enumerate(spans):
+        count = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / LONGEST_REST_S - 1e-9)))
+        goals = np.linspace(log.time_s[first], log.time_s[last], count + 1)[1:]
+        for row in dict.fromkeys((np.searchsorted(log.time_s[: last + 1], goals - 1e-9)).tolist()):
+            if row > rows[-1]:
+                add(min(row, last), -1, number, not whole(rows[-1], min(row, last)), None)
+                number += 1
+        for leg in of_span.get(k, []):
+            gap = not whole(leg.begin, leg.end) or log.mounting[leg.begin] != log.mounting[leg.end]
+            if leg.axis < 0:
+                # Several axes, or none: nothing of it is read; every axis is where it stands next.
+                share = np.linspace(log.time_s[leg.begin], log.time_s[leg.end], len(angles) + 1)[1:]
+                for l, until in enumerate(share):
+                    moved[l] += 1
+                    to = float(angles[l][moved[l]])
+                    row = leg.end if l + 1 == len(angles) else int(np.searchsorted(log.time_s, until))
+                    add(row, l, number, True, np.linspace(0.0, to - at[l], _FEWEST_NODES + 1))
+                    at[l], number = to, number + 1
+                continue
+            moved[leg.axis] += 1
+            to = float(angles[leg.axis][moved[leg.axis]])
+            add(leg.end, leg.axis, number, gap, _way(log, geometry, at, leg, to - at[leg.axis]))
+            at[leg.axis] = to
+            number += 1
+    return ExecutedUnit(
+        _motion(
+            log, geometry, np.array(rows), np.array(axis), np.array(segment), np.array(lost), np.array(mean), start
+        ),
+        np.array(rows),
+        tuple(travelled),
+    )
+
+
+def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float) -> np.ndarray:
+    """The angle (rad) that a move has turned, at the edges of equal parts of its time, few enough degrees each: the
+    gyros', drawn to the encoder's.
+    """
+    time = log.time_s[leg.begin : leg.end + 1]
+    direction = frames(geometry, at[None], log.mounting[[leg.begin]]).axes[0][leg.axis]
+    rates = log.rates[leg.begin + 1 : leg.end + 1]
+    direction = np.where(np.isfinite(rates).all(axis=0), direction, 0.0)
+    size = float(direction @ direction)
+    speed = np.nan_to_num(rates) @ direction / size if size > _SEEN**2 else np.full(len(rates), whole)
+    turned = np.concatenate([[0.0], np.cumsum(speed * np.diff(time))])
+    path = np.concatenate([[0.0], np.cumsum(np.abs(speed) * np.diff(time))])
+    if path[-1] > 0.0:
+        turned = turned + (whole - turned[-1]) * path / path[-1]
+    count = _FEWEST_NODES
+    while count * _NODE < path[-1]:
+        count *= 2
+    return np.interp(np.linspace(time[0], time[-1], count + 1), time, turned)
+
+
+def _motion(log, geometry, rows, axis, segment, lost, mean, start) -> TableMotion:
+    at = log.temperature_c[rows]
+    line = held(
+        log.time_s[rows[:-1]],
+        np.diff(log.time_s[rows]),
+        mean,
+        at[:-1],
+        at[1:],
+        read=~lost,
+        at_rest=axis < 0,
+        moving=axis >= 0,
+        gap=lost,
+    )
+    line = eqx.tree_at(lambda x: x.segment, line, segment)
+    each = np.arange(len(axis))
+    # The unit is hung anew while nothing is read.
+    return TableMotion(line, axis, log.mounting[rows[1:]], geometry, start, each, each, each)
+
+
+def nodes_of_rows(
+    done: ExecutedUnit, log: UnitRows, geometry: Geometry, points: int, temperature_c: np.ndarray, error_of=None
+) -> BodyNodes:
+    """The nodes of what was done, with the table as `geometry` says. `temperature_c` `(n,)`: what the maps follow.
+
+    `error_of(axis, angle) -> (error, its derivative)`, rad: what every axis stands beyond its encoder's angle.
+    """
+    motion = eqx.tree_at(lambda m: m.geometry, done.motion, geometry)
+    before, after = motion.angles()
+    seen_before, seen_after = (angle + _errors(error_of, angle)[0] for angle in (before, after))
+    sizes = np.array([1 if way is None else len(way) - 1 for way in done.travelled])
+    groups = tuple(
+        _group(done, log, motion, np.flatnonzero(sizes == n), int(n), points, temperature_c, before, error_of)
+        for n in np.unique(sizes)
+    )
+    begin, end = temperature_c[done.rows[:-1]], temperature_c[done.rows[1:]]
+    return BodyNodes(
+        groups,
+        motion.kind,
+        end - begin,
+        seen_before,
+        seen_after,
+        frames(geometry, seen_before, motion.mounting).axes,
+        motion.axis,
+        motion.mounting,
+    )
+
+
+def _errors(error_of, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of all axes (the last one of `angle`): errors and their derivatives."""
+    if error_of is None:
+        return np.zeros(angle.shape), np.zeros(angle.shape)
+    both = [error_of(axis, angle[..., axis]) for axis in range(angle.shape[-1])]
+    return np.stack([b[0] for b in both], axis=-1), np.stack([b[1] for b in both], axis=-1)
+
+
+def _group(done, log, motion, kinds, count, points, temperature_c, before, error_of) -> BodyGroup:
+    geometry, line = motion.geometry, motion.line
+    duration = line.duration[kinds]
+    own = motion.turns[kinds][:, None, :]
+    if count == 1:
+        since, speed = np.zeros((len(kinds), 1)), np.zeros((len(kinds), 1))
+    else:
+        ways = np.stack([done.travelled[k] for k in kinds])
+        since = 0.5 * (ways[:, 1:] + ways[:, :-1])
+        speed = np.diff(ways, axis=1) * count / np.where(duration > 0.0, duration, 1.0)[:, None]
+    angle = before[kinds][:, None, :] + np.where(own, since[..., None], 0.0)
+    error, slope = _errors(error_of, angle)
+    joint = np.where(own, speed[..., None], 0.0) * (1.0 + slope)
+    mounting = np.broadcast_to(motion.mounting[kinds][:, None], since.shape)
+    x, w = quadrature(points)
+    temperature = np.interp(line.start[kinds][:, None] + duration[:, None] * x, log.time_s, temperature_c)
+    share = w[None] if count == 1 else lagrange(x, (np.arange(count) + 0.5) / count)
+    weight = np.broadcast_to(duration[:, None] / count, since.shape)
+    own_kinds = kinds, kinds, np.arange(len(kinds))
+    return body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting)

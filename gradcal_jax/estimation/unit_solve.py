@@ -1,0 +1,198 @@
+"""The estimate of a whole unit: Gauss–Newton with the Jacobian and the noise of the prediction, kept as they are.
+
+The readings are not linear in everything: what a sensor's error does depends on how the table really stands. So the
+forward model goes through the finite geometry, base, axes, mounting and encoders as far off as was estimated, and the
+channels' terms are taken at what they then see:
+
+    r = y − h(β),    δ = argmin |W r − W J δ|² + |P (β + δ)|²,    β ← β + δ
+
+with the whitened Jacobian `W J` at the drawing. The steps contract by the size of what they correct: an installation
+that is off by 1 mrad gains three digits a step.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, nodes_of_rows
+from gradcal_jax.information import Posterior, SquareRootInformation, posterior, segments_of, unit_system, whiten
+from gradcal_jax.information.posterior import OBSERVABLE
+from gradcal_jax.model import (
+    AxisHarmonics,
+    BaseTilt,
+    BodyNodes,
+    CommonScale,
+    MountingError,
+    NonOrthogonality,
+    UnitModel,
+)
+from gradcal_jax.trajectory import Geometry, rotation
+
+_ROUNDS = 12
+# A step that moves nothing by more than this share of its standard deviation is the last.
+_SETTLED = 1e-3
+
+
+class Installed(NamedTuple):
+    """A table as it was found: `geometry`, `error_of(axis, angle)` of the encoders and its derivative, rad, and by how
+    much the sample clock is off.
+    """
+
+    geometry: Geometry
+    error_of: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]] | None
+    clock: float
+
+
+def installed(geometry: Geometry, model: UnitModel, values: np.ndarray) -> Installed:
+    """The table with the installation's errors `values` (SI, in the model's order) put in, finite.
+
+    A non-orthogonality between two axes turns all that is inside it: `E·Rot(e, θ) = Rot(E e, θ)·E`.
+    """
+    base, axes, mountings, gravity = geometry.base, geometry.axes.copy(), geometry.mountings.copy(), geometry.gravity
+    waves: list[tuple[AxisHarmonics, np.ndarray]] = []
+    clock, begin = 0.0, 0
+    for term in model.installation:
+        own = np.asarray(values[begin : begin + term.size])
+        begin += term.size
+        if isinstance(term, BaseTilt):
+            base = _small(own) @ base
+        elif isinstance(term, NonOrthogonality):
+            inside = np.eye(3)
+            for l, angle in enumerate(own):
+                inside = inside @ _small(angle * np.cross(geometry.axes[l + 1], geometry.axes[l]))
+                axes[l + 1] = inside @ geometry.axes[l + 1]
+            mountings = inside @ mountings
+        elif isinstance(term, MountingError):
+            mountings = mountings @ np.stack([_small(own[3 * k : 3 * k + 3]) for k in range(len(mountings))])
+        elif isinstance(term, AxisHarmonics):
+            waves.append((term, own))
+        elif isinstance(term, CommonScale):
+            gravity, clock = (gravity + own[0], clock) if term.of == "gravity" else (gravity, float(own[0]))
+        else:
+            raise TypeError(f"no finite form of {type(term).__name__} is known")
+
+    def error_of(axis: int, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        error, slope = np.zeros(angle.shape), np.zeros(angle.shape)
+        for term, own in waves:
+            if term.axis == axis:
+                for k, order in enumerate(term.orders):
+                    c, s = np.cos(order * angle), np.sin(order * angle)
+                    error += own[2 * k] * c + own[2 * k + 1] * s
+                    slope += order * (own[2 * k + 1] * c - own[2 * k] * s)
+        return error, slope
+
+    changed = eqx.tree_at(
+        lambda g: (g.base, g.axes, g.mountings, g.gravity), geometry, (base, axes, mountings, np.asarray(gravity))
+    )
+    return Installed(changed, error_of if waves else None, clock)
+
+
+def _small(vector: np.ndarray) -> np.ndarray:
+    size = float(np.linalg.norm(vector))
+    return np.eye(3) if size == 0.0 else rotation(vector / size, np.asarray(size))
+
+
+class UnitReadings(NamedTuple):
+    """What a unit's rows say, ready to be compared with any table: `observed` `(R,)`, integrals in rad and m/s."""
+
+    model: UnitModel
+    done: ExecutedUnit
+    log: UnitRows
+    temperature_c: np.ndarray
+    points: int
+    observed: np.ndarray
+
+    def expected(self, parameters: np.ndarray) -> np.ndarray:
+        """`h(β)` `(R,)` of the parameters in the engine's coordinates."""
+        model = self.model
+        table = installed(self.done.motion.geometry, model, parameters[model.calibrated :])
+        nodes = nodes_of_rows(self.done, self.log, table.geometry, self.points, self.temperature_c, table.error_of)
+        at = segments_of(self.done.motion, model)
+        ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
+        result, begin = np.zeros(len(at.row_segment)), 0
+        for i, c in enumerate(model.channels):
+            own = parameters[begin : begin + c.model.size]
+            begin += c.model.size
+            said = ideal[nodes.kind, c.index] + c.model.columns(nodes.channel(c.kind, c.axis)) @ own
+            rows = at.row_channel == i
+            result[rows] = at.sums(said)[at.row_segment[rows]]
+        return result * (1.0 + table.clock)
+
+    def nominal(self) -> BodyNodes:
+        """The nodes with everything as it is drawn."""
+        return nodes_of_rows(self.done, self.log, self.done.motion.geometry, self.points, self.temperature_c)
+
+
+def readings_of(
+    model: UnitModel, done: ExecutedUnit, log: UnitRows, temperature_c: np.ndarray, points: int
+) -> UnitReadings:
+    """The integrals of every channel over the segments that it is read in."""
+    at = segments_of(done.motion, model)
+    step = np.diff(log.time_s, prepend=log.time_s[0])
+    first, last = done.rows[at.first], done.rows[at.last + 1]
+    observed = np.zeros(len(at.row_segment))
+    for i, c in enumerate(model.channels):
+        values = (log.rates if c.kind == "gyro" else log.force)[:, c.axis]
+        total = np.concatenate([[0.0], np.cumsum(np.where(np.isfinite(values), values, 0.0) * step)])
+        whole = total[last + 1] - total[first + 1]
+        rows = at.row_channel == i
+        observed[rows] = whole[at.row_segment[rows]]
+    return UnitReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0))
+
+
+class UnitEstimate(NamedTuple):
+    """`parameters` `(p,)` in the engine's coordinates and what is `known` of them; whitened `residuals` `(R,)` of the
+    rows `used`; `chi_squared` counts the priors' rows, too; `moved`: by how many of its σ the last step went.
+    """
+
+    parameters: np.ndarray
+    known: Posterior
+    residuals: np.ndarray
+    used: np.ndarray
+    chi_squared: float
+    degrees: int
+    moved: float
+    rounds: int
+
+
+def estimate_unit(readings: UnitReadings, weights: np.ndarray | None = None) -> UnitEstimate:
+    """Parameters of a unit and its installation from its rows. `weights` `(R,)`: factors on the whitened rows.
+
+    Errors: `ValueError` where a row that is used is not finite.
+    """
+    model = readings.model
+    steps, columns = unit_system(readings.done.motion, model, readings.nominal())
+    at = segments_of(readings.done.motion, model)
+    if not np.isfinite(readings.observed[at.used]).all():
+        raise ValueError("a reading that is used is not finite")
+    used = np.asarray(steps.used)
+    factor = np.where(used, 1.0 if weights is None else weights, 0.0)
+    jacobian = whiten(steps, columns) * factor[:, None]
+    prior = model.prior_rows()
+    design = np.concatenate([jacobian, prior])
+    norm = np.linalg.norm(design, axis=0)
+    scale = np.where(norm > 0.0, norm, 1.0)
+    left, spread, right = np.linalg.svd(design / scale, full_matrices=False)
+    seen = spread > OBSERVABLE * spread[0]
+    triangle = np.linalg.qr(design / scale, mode="r")
+    known = posterior(SquareRootInformation(triangle, scale))  # pyright: ignore[reportArgumentType]
+    deviation = known.deviations(np.eye(model.size))
+    beta, moved, rounds = np.zeros(model.size), np.inf, 0
+
+    def left_over() -> np.ndarray:
+        apart = np.where(at.used, readings.observed - readings.expected(beta), 0.0)
+        return np.asarray(whiten(steps, apart[:, None]))[:, 0] * factor
+
+    rest = left_over()
+    while moved > _SETTLED and rounds < _ROUNDS:
+        data = np.concatenate([rest, -prior @ beta])
+        step = (right[seen].T @ ((left[:, seen].T @ data) / spread[seen])) / scale
+        beta = beta + step
+        counted = np.isfinite(deviation) & (deviation > 0.0)
+        moved = float(np.max(np.abs(step[counted]) / deviation[counted], initial=0.0))
+        rest, rounds = left_over(), rounds + 1
+    chi_squared = float(rest @ rest + np.sum((prior @ beta) ** 2))
+    degrees = int(np.count_nonzero(factor)) + len(prior) - int(np.count_nonzero(seen))
+    return UnitEstimate(beta, known, rest, used, chi_squared, degrees, moved, rounds)

@@ -13,7 +13,7 @@ from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF, decision_
 from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
-from gradcal_jax.estimation import StructureTest, size_of
+from gradcal_jax.estimation import Consistency, StructureTest, size_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (
@@ -177,7 +177,7 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
     rows: list[Verdict] = []
     for requirement in spec.requirement:
         # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
-        values = residual_map(built, channel.found.known[0], requirement)[2] * max(1.0, _excess(channel))
+        values = residual_map(built, channel.found.known[0], requirement)[2] * excess_of(channel.consistency)
         value, worst = (_finite(statistic(name, values)) for name in (requirement.statistic, "max"))
         judged = verdict(requirement, values), decision_rule(requirement), requirement.coverage
         unit = UNIT_OF[requirement.quantity][0]
@@ -185,10 +185,9 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
     return rows
 
 
-def _excess(channel: UnitChannel) -> float:
+def excess_of(tests: Consistency) -> float:
     """What the noise must be multiplied by where the fit is worse than chance leaves it, otherwise 1."""
-    fit = channel.consistency.fit
-    return channel.consistency.noise_scale if not fit.passed and fit.degrees > 0 else 1.0
+    return max(1.0, tests.noise_scale) if not tests.fit.passed and tests.fit.degrees > 0 else 1.0
 
 
 def words(channel: UnitChannel, several: bool = False) -> list[str]:
@@ -333,7 +332,7 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
     names = model.names()[:count]
     deviations = known.deviations(reported)
     seen = np.flatnonzero(np.isfinite(deviations))
-    covariance = known.covariance(reported) * max(1.0, _excess(channel)) ** 2
+    covariance = known.covariance(reported) * excess_of(channel.consistency) ** 2
     low, high = channel.valid_temperature_c
     slow, fast = channel.valid_rate_rad_per_s
     given: dict[str, Any] = {}

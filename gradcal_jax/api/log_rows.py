@@ -33,14 +33,14 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
     messages: list[str] = []
     time = log.time_s
     if options.clock == "host":
-        time, said = _host_time(log)
+        time, said = host_time(log)
         messages.append(said)
     usable = log.usable(unit).copy()
     usable[log.stretch_starts] = False  # what lay before the row was not recorded
     raw = log.rate_rad_per_s[unit, :, log.axis_index(axis)]
     rate = np.where(np.isfinite(raw), raw, 0.0)
     usable &= np.isfinite(raw)
-    temperature = estimation.smoothed_temperature(time, _temperature(log, unit, options.temperature_c))
+    temperature = estimation.smoothed_temperature(time, bridged_temperature(log, unit, options.temperature_c))
     table = table_axis_of(log, axis, options.table_axis)
     angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
     table_rate = None if table is None or log.table_rate_rad_per_s is None else log.table_rate_rad_per_s[:, table]
@@ -75,7 +75,7 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
     )
 
 
-def _host_time(log: Log) -> tuple[np.ndarray, str]:
+def host_time(log: Log) -> tuple[np.ndarray, str]:
     """The sensor's stamps in seconds of the computer: by straight lines through both, of one slope.
 
     Each unbroken stretch has a line of its own: in a break the sensor's stamps may have been laid on the computer's.
@@ -123,7 +123,7 @@ def _centred(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
     return above - np.repeat(np.add.reduceat(above, starts) / counts, counts)
 
 
-def _temperature(log: Log, unit: int, said: float | None) -> np.ndarray:
+def bridged_temperature(log: Log, unit: int, said: float | None) -> np.ndarray:
     """The thermometer's, bridged by straight lines, or the one that was said: a calibration holds at some."""
     values = None if log.temperature_c is None else log.temperature_c[unit]
     if values is None or not (known := np.isfinite(values)).any():

@@ -142,7 +142,8 @@ def _elements(
             if requirement.axis in ("all", "worst", label):
                 yield QuantityElement(label, slice(None), rows)
     elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
-        for label, rows in _internal(model, requirement, temperatures):
+        kind: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
+        for label, rows in internal_misalignments(model, kind, temperatures):
             if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
                 yield QuantityElement(label, slice(None), rows)
     else:
@@ -203,11 +204,12 @@ def _row(model: UnitModel, kind: ChannelKind, axis: int, term: str, temperatures
     return rows
 
 
-def _internal(model: UnitModel, requirement: MisalignmentRequirement, temperatures: np.ndarray):
-    """What no rotation of the unit changes: sums of opposite misalignments; of the accelerometers also the rotation of
-    their triad against the gyros'.
+def internal_misalignments(
+    model: UnitModel, kind: ChannelKind, temperatures: np.ndarray
+) -> Iterator[tuple[str, np.ndarray]]:
+    """What no rotation of the unit changes, by name, `(n_T, p)`: sums of opposite misalignments; of the accelerometers
+    also the rotation of their triad against the gyros'.
     """
-    kind: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
 
     def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
         return _row(model, which, i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures)

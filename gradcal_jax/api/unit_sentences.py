@@ -22,7 +22,7 @@ def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[tuple[
     model = built.model
     reported = model.to_reported[: model.calibrated]
     after = known.deviations(reported)
-    priors = _prior_deviations(built)[: model.calibrated]
+    priors = prior_deviations(built)[: model.calibrated]
     found = []
     for name, std, prior in zip(model.names(), after, priors, strict=False):
         ratio = np.inf if not np.isfinite(std) else std / prior if np.isfinite(prior) else 0.0
@@ -31,7 +31,7 @@ def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[tuple[
     return found
 
 
-def _prior_deviations(built: AssembledUnit) -> np.ndarray:
+def prior_deviations(built: AssembledUnit) -> np.ndarray:
     """Prior standard deviation of every reported parameter; `inf` where flat."""
     rows, reported = built.model.prior_rows(), built.model.to_reported
     precision = rows.T @ rows
@@ -130,7 +130,7 @@ def _orthogonality_is_hidden(built: AssembledUnit, known: Posterior) -> bool:
     at = [i for i, name in enumerate(model.names()) if name.startswith("orthogonality_")]
     if gyro is None or gyro.misalignment is None or not at:
         return False
-    after, before = known.deviations(model.to_reported[at]), _prior_deviations(built)[at]
+    after, before = known.deviations(model.to_reported[at]), prior_deviations(built)[at]
     return bool(np.any(after > NOT_OBSERVED * before))
 
 

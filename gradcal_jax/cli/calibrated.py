@@ -34,7 +34,7 @@ def apply(
     force: Flag = False,
     json: Json = False,
 ) -> int:
-    """Correct the rates of a log by a calibration, and write them as a log.
+    """Correct the rates (of a whole unit: and specific forces) of a log by a calibration, and write them as a log.
 
     The exit status is 1 where rows lie outside what the calibration covers; there its value at the edge holds.
 
@@ -53,14 +53,19 @@ def apply(
     json
         Print what was written, and how many rows lie outside, as JSON.
     """
-    from gradcal_jax.files.calibration import read_calibration
     from gradcal_jax.files.correction import apply as correct
     from gradcal_jax.files.log import write_log
+    from gradcal_jax.files.unit_calibration import UnitCalibration, read_any_calibration
+    from gradcal_jax.files.unit_correction import apply_unit
 
-    found = read_calibration(calibration)
+    found = read_any_calibration(calibration)
     writable(output, force)
     recorded = load(log, source, unit=unit)
-    corrected = correct(found, recorded, _unit(recorded, found.serial_number, unit))
+    number = _unit(recorded, found.serial_number, unit)
+    if isinstance(found, UnitCalibration):
+        corrected = apply_unit(found, recorded, number)
+    else:
+        corrected = correct(found, recorded, number)
     write_log(corrected.log, output)
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
     if json:
@@ -110,12 +115,12 @@ def validate(
     json
         Print all numbers as JSON.
     """
-    from gradcal_jax.files.calibration import read_calibration
+    from gradcal_jax.files.unit_calibration import expect_axes, read_any_calibration
 
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
-    found = read_calibration(calibration)
+    found = expect_axes(read_any_calibration(calibration), "gradcal validate")
     recorded = load(log, source, unit=unit)
     from gradcal_jax.cli.precision import use_float64
 
@@ -155,11 +160,11 @@ def export(
     calibration
         The calibration file.
     format
-        ardupilot, px4, kalibr, c-header or csv.
+        ardupilot, px4, kalibr, c-header or csv; of a whole unit matrices, too.
     output
         Write here; without it the text is printed, and the report goes to stderr.
     temperature
-        For kalibr, whose file is for one temperature: such as "25 degC".
+        For kalibr and matrices, which are for one temperature: such as "25 degC".
     instance
         Number of the sensor on the controller: 1 to 3 for ArduPilot, 0 to 3 for PX4.
     device_id
@@ -172,15 +177,22 @@ def export(
         Print text, losses and notes as JSON.
     """
     from gradcal_jax.files import exports
-    from gradcal_jax.files.calibration import read_calibration
+    from gradcal_jax.files.unit_calibration import UnitCalibration, read_any_calibration
+    from gradcal_jax.files.unit_exports import export_unit
     from gradcal_jax.files.writing import write_whole
 
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
-    found = read_calibration(calibration)
+    found = read_any_calibration(calibration)
     if output is not None:
         writable(output, force)
     number = (0 if format == "px4" else 1) if instance is None else instance
-    done = exports.export(found, format, temperature_c=at, instance=number, device_id=device_id, zeroed=zero)
+    chosen = {"temperature_c": at, "instance": number, "device_id": device_id}
+    if isinstance(found, UnitCalibration):
+        if zero:
+            raise ValueError("--zero is for calibrations of a gyro's axes, and this one is of a whole unit")
+        done = export_unit(found, format, **chosen)
+    else:
+        done = exports.export(found, format, **chosen, zeroed=zero)
     if output is not None:
         write_whole(output, done.text)
     if json:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gradcal_jax.api.calibration import EstimateReport, MeasuredDiscrepancy
     from gradcal_jax.api.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
+    from gradcal_jax.files.unit_spec import UnitSpec
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
@@ -31,6 +32,7 @@ def register(app: App) -> None:
 
 def estimate(
     log: Path,
+    more: tuple[Path, ...] = (),
     /,
     *,
     spec: Path | None = None,
@@ -66,6 +68,8 @@ def estimate(
     ----------
     log
         A log (.nc), a flight log, or another program's table with --columns.
+    more
+        Of a whole unit that is hung on the table in several ways: the logs of the other mountings, in the spec's order.
     spec
         The spec: noise, table and maps of the sensor. What was done is read from the log itself.
     recipe
@@ -109,8 +113,31 @@ def estimate(
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
+    from gradcal_jax.files.unit_spec import UnitSpec
+
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
     model = None if spec is None and recipe is None else _spec(spec, recipe)
+    if isinstance(model, UnitSpec):
+        alone = {"--axis": axis, "--table-axis": table_axis, "--earth-rate": earth_rate, "--latitude": latitude}
+        alone |= {"--smoothness": smoothness != "spec", "--robust": robust, "--neighbours": neighbours}
+        alone |= {"--parameters": parameters, "--points": points}
+        if used := [name for name, value in alone.items() if value]:
+            raise ValueError(f"{', '.join(used)}: for one gyro axis alone, and the spec is of a whole unit")
+        logs = [load(path, source) for path in (log, *more)]
+        files = _files(output, unit or logs[0].units)
+        for path in files.values():
+            writable(path, force)
+        drawable(plot)
+        from gradcal_jax.cli.precision import use_float64
+        from gradcal_jax.cli.unit_estimate import estimate_of_units
+
+        use_float64()
+        return estimate_of_units(
+            model, logs, [str(p) for p in (log, *more)], unit, options=options, files=files, plot=plot, json=json,
+            sources={"log": ", ".join(p.name for p in (log, *more)), "spec": (spec or recipe or Path()).name},
+        )  # fmt: skip
+    if more:
+        raise ValueError("several logs are for a whole unit in several mountings; give one log")
     table_of_points = None
     if points is not None:
         from gradcal_jax.files.points import read_points
@@ -216,15 +243,13 @@ def _options(
     return told | {"read_every": every, "neighbours_k": width, "temperature_c": at}
 
 
-def _spec(spec: Path | None, recipe: Path | None) -> "Spec":
-    from gradcal_jax.files import read_spec
-
+def _spec(spec: Path | None, recipe: Path | None) -> "Spec | UnitSpec":
     if (spec is None) == (recipe is None):
         raise ValueError("give the spec with --spec, or the recipe that was run with --recipe: one of them")
-    if spec is not None:
-        return read_spec(spec)
-    from gradcal_jax.files.recipe import read_recipe
+    from gradcal_jax.files.recipe import any_spec_in, read_recipe
 
+    if spec is not None:
+        return any_spec_in(spec)
     assert recipe is not None
     return read_recipe(recipe).spec
 

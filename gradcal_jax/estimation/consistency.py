@@ -57,7 +57,8 @@ class Consistency(NamedTuple):
     splits: tuple[Split, ...]
 
 
-def _test(statistic: float, degrees: int) -> Test:
+def chi_squared_test(statistic: float, degrees: int) -> Test:
+    """A statistic against χ² with so many degrees of freedom; none of them: passed."""
     if degrees <= 0:
         return Test(float(statistic), 0, 1.0)
     return Test(float(statistic), int(degrees), float(stats.chi2.sf(statistic, degrees)))
@@ -69,7 +70,7 @@ def consistency(
     """All tests of one unit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`."""
     residual = found.residuals[unit]
     degrees = int(found.degrees[unit])
-    fit = _test(float(found.chi_squared[unit]), degrees)
+    fit = chi_squared_test(float(found.chi_squared[unit]), degrees)
     single = white.of_unit(unit)
     splits = [split(single, name, subset, to_reported) for name, subset in subsets.items()]
     return Consistency(
@@ -91,7 +92,7 @@ def whiteness(residual: np.ndarray, lags: int = _LAGS) -> Test:
         return Test(0.0, 0, 1.0)
     correlations = np.array([residual[k:] @ residual[:-k] for k in range(1, lags + 1)]) / power
     weights = count * (count + 2.0) / (count - np.arange(1, lags + 1))
-    return _test(float(np.sum(weights * correlations**2)), lags)
+    return chi_squared_test(float(np.sum(weights * correlations**2)), lags)
 
 
 def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarray) -> Split | None:
@@ -105,8 +106,8 @@ def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarra
     without = [solve(part._replace(prior=part.prior[:0])) for part in three]
     squares = [float(s.chi_squared[0]) for s in without]
     ranks = [part.data.shape[1] - int(s.degrees[0]) for part, s in zip(three, without, strict=True)]
-    agreement = _test(max(squares[2] - squares[0] - squares[1], 0.0), ranks[0] + ranks[1] - ranks[2])
-    held_out = _test(float(both.chi_squared[0] - first.chi_squared[0]), int((~subset).sum()))
+    agreement = chi_squared_test(max(squares[2] - squares[0] - squares[1], 0.0), ranks[0] + ranks[1] - ranks[2])
+    held_out = chi_squared_test(float(both.chi_squared[0] - first.chi_squared[0]), int((~subset).sum()))
     apart = to_reported @ (first.parameters[0] - second.parameters[0])
     variance = first.known[0].deviations(to_reported) ** 2 + second.known[0].deviations(to_reported) ** 2
     seen = np.isfinite(variance) & (variance > 0.0)

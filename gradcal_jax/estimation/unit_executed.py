@@ -21,6 +21,7 @@ from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, he
 
 # A rest is one row of each channel; one that lasts longer is divided, since bias and drift change in it.
 LONGEST_REST_S = 60.0
+_GUARD_S = 0.1
 # A valley of the rate this many times below both its sides is a stop; what is this much below the fastest is noise.
 _DIP = 10.0
 _SLOWEST = 1e-3
@@ -29,7 +30,7 @@ _LEAST_TURN = np.radians(0.05)
 # What gyros integrate to a move is within this share of the table's angle, and this angle (rad): biases, scale factors.
 _FOLLOWS, _BIAS = 0.05, np.radians(3.0)
 # A node of a move spans this angle at most (rad).
-_NODE = np.radians(2.0)
+_NODE = np.radians(3.0)
 _FEWEST_NODES = 16
 # An axis of which the gyros see less than this share of its rate is not seen.
 _SEEN = 0.3
@@ -67,10 +68,10 @@ def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
     Errors: `ValueError` where the table never stands, where its angles are not known there, or where what the gyros
     say of a move is no turn of one axis after the other.
     """
-    spans = [(first, end - 1) for first, end in runs(log.standing) if end - first > 1]
+    spans = [_inner(log.time_s, int(a), int(b) - 1) for a, b in runs(log.standing) if b - a > 1]
     if len(spans) < 2:
         raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
-    known = np.isfinite(log.angles).all(axis=1)
+    known = np.atleast_1d(np.isfinite(log.angles).all(axis=1))
     means = [_mean_angles(log, known, first, last) for first, last in spans]
     legs = _legs(log, geometry, spans, means)
     angles = _own_angles(log, known, spans, legs)
@@ -84,6 +85,15 @@ class _Leg(NamedTuple):
     axis: int
     begin: int
     end: int
+
+
+def _inner(time: np.ndarray, first: int, last: int) -> tuple[int, int]:
+    """A standstill without its ends: a row that is called standing may hold the beginning of a move, some µrad at 25
+    rows/s, which its encoder counts to the move. What of rest is counted to a move instead costs nothing.
+    """
+    rows = last - first
+    guard = min(max(1, int(np.searchsorted(time[first : last + 1] - time[first], _GUARD_S))), rows // 10)
+    return first + guard, last - guard
 
 
 def _mean_angles(log: UnitRows, known: np.ndarray, first: int, last: int) -> np.ndarray:
@@ -112,7 +122,7 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
         at, legs = means[k].copy(), []
         for a, b in itertools.pairwise(edges):
             total = step[a + 1 : b + 1] @ rates[a - last : b - last]
-            axis, angle = _which(geometry, at, int(log.mounting[last]), total, seen)
+            axis, angle = _which(geometry, at, means[k + 1] - at, int(log.mounting[last]), total, seen)
             if len(turned) == 1 and len(edges) == 2:
                 axis, angle = int(turned[0]), float(change[turned[0]])
             at[axis] += angle
@@ -143,12 +153,17 @@ def _valleys(speed: np.ndarray) -> list[int]:
     return find_peaks(depth, prominence=np.log(_DIP))[0].tolist()
 
 
-def _which(geometry: Geometry, at: np.ndarray, mounting: int, total: np.ndarray, seen: np.ndarray) -> tuple[int, float]:
-    """The axis along which the gyros' integral points, and the angle (rad)."""
+def _which(
+    geometry: Geometry, at: np.ndarray, left: np.ndarray, mounting: int, total: np.ndarray, seen: np.ndarray
+) -> tuple[int, float]:
+    """The axis along which the gyros' integral points, and the angle (rad). Of several that do, as where the outer one
+    is parallel to the inner one, the one that has this angle `left` to go.
+    """
     axes = frames(geometry, at[None], np.array([mounting])).axes[0][:, seen]
     angle = (axes @ total) / np.maximum(np.sum(axes**2, axis=1), _SEEN**2)
     missed = np.linalg.norm(total[None] - angle[:, None] * axes, axis=1)
-    best = int(np.argmin(missed))
+    along = missed <= np.min(missed) + _FOLLOWS * np.linalg.norm(total)
+    best = int(np.argmin(np.where(along, np.abs(angle - left), np.inf)))
     return best, float(angle[best])
 
 
@@ -170,63 +185,63 @@ def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], 
     return result
 
 
+class _Builder:
+    """Pieces as they are found, one after the other."""
+
+    def __init__(self, log: UnitRows, angles: list[np.ndarray], begin: int):
+        self.log, self.angles = log, angles
+        self.rows, self.axis, self.lost, self.travelled = [begin], [], [], []
+        self.moved = np.zeros(len(angles), int)
+        self.at = np.array([own[0] for own in angles])
+        self._bad = np.flatnonzero(~log.usable)
+
+    def add(self, row: int, axis: int = -1, way: np.ndarray | None = None, *, read: bool = True) -> None:
+        """The piece up to a row."""
+        before = self.rows[-1]
+        whole = np.searchsorted(self._bad, before, side="right") == np.searchsorted(self._bad, row, side="right")
+        hung_anew = self.log.mounting[before] != self.log.mounting[row]
+        self.lost.append(not read or not whole or bool(hung_anew))
+        self.rows.append(row)
+        self.axis.append(axis)
+        self.travelled.append(way)
+
+    def next_angle(self, axis: int) -> float:
+        """By how much (rad) an axis goes on to its next standstill."""
+        self.moved[axis] += 1
+        return float(self.angles[axis][self.moved[axis]] - self.at[axis])
+
+    def passed(self, axis: int, angle: float) -> None:
+        """An axis stands so much further on."""
+        self.at[axis] += angle
+
+
 def _pieces(
     log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], legs: list[_Leg], angles: list[np.ndarray]
 ) -> ExecutedUnit:
-    rows, axis, segment, lost, mean = [spans[0][0]], [], [], [], []
-    travelled: list[np.ndarray | None] = []
+    made, axes = _Builder(log, angles, spans[0][0]), len(angles)
+    start = made.at.copy()
     of_span: dict[int, list[_Leg]] = {}
     for leg in legs:
         of_span.setdefault(leg.span, []).append(leg)
-    moved = np.zeros(len(angles), int)
-    at = np.array([own[0] for own in angles])
-    start = at.copy()
-    bad = np.flatnonzero(~log.usable)
-
-    def whole(first: int, last: int) -> bool:
-        return bool(np.searchsorted(bad, first, side="right") == np.searchsorted(bad, last, side="right"))
-
-    def add(row: int, turns: int, number: int, gap: bool, way: np.ndarray | None) -> None:
-        rows.append(row)
-        axis.append(turns)
-        segment.append(number)
-        lost.append(gap)
-        travelled.append(way)
-        lasts = log.time_s[row] - log.time_s[rows[-2]]
-        mean.append(0.0 if way is None or lasts <= 0.0 else way[-1] / lasts)
-
-    number = 0
     for k, (first, last) in enumerate(spans):
-        count = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / LONGEST_REST_S - 1e-9)))
-        goals = np.linspace(log.time_s[first], log.time_s[last], count + 1)[1:]
-        for row in dict.fromkeys((np.searchsorted(log.time_s[: last + 1], goals - 1e-9)).tolist()):
-            if row > rows[-1]:
-                add(min(row, last), -1, number, not whole(rows[-1], min(row, last)), None)
-                number += 1
+        parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / LONGEST_REST_S - 1e-9)))
+        goals = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
+        for row in [*np.searchsorted(log.time_s[:last], goals - 1e-9).tolist(), last]:
+            if row > made.rows[-1]:
+                made.add(row)
         for leg in of_span.get(k, []):
-            gap = not whole(leg.begin, leg.end) or log.mounting[leg.begin] != log.mounting[leg.end]
-            if leg.axis < 0:
-                # Several axes, or none: nothing of it is read; every axis is where it stands next.
-                share = np.linspace(log.time_s[leg.begin], log.time_s[leg.end], len(angles) + 1)[1:]
-                for l, until in enumerate(share):
-                    moved[l] += 1
-                    to = float(angles[l][moved[l]])
-                    row = leg.end if l + 1 == len(angles) else int(np.searchsorted(log.time_s, until))
-                    add(row, l, number, True, np.linspace(0.0, to - at[l], _FEWEST_NODES + 1))
-                    at[l], number = to, number + 1
+            if leg.axis >= 0:
+                angle = made.next_angle(leg.axis)
+                made.add(leg.end, leg.axis, _way(log, geometry, made.at, leg, angle))
+                made.passed(leg.axis, angle)
                 continue
-            moved[leg.axis] += 1
-            to = float(angles[leg.axis][moved[leg.axis]])
-            add(leg.end, leg.axis, number, gap, _way(log, geometry, at, leg, to - at[leg.axis]))
-            at[leg.axis] = to
-            number += 1
-    return ExecutedUnit(
-        _motion(
-            log, geometry, np.array(rows), np.array(axis), np.array(segment), np.array(lost), np.array(mean), start
-        ),
-        np.array(rows),
-        tuple(travelled),
-    )
+            # Several axes, or none: nothing of it is read; every axis is where it stands next.
+            ends = np.linspace(leg.begin, leg.end, axes + 1).round().astype(int).tolist()[1:]
+            for l, row in enumerate(ends):
+                angle = made.next_angle(l)
+                made.add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
+                made.passed(l, angle)
+    return ExecutedUnit(_motion(log, geometry, made, start), np.array(made.rows), tuple(made.travelled))
 
 
 def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float) -> np.ndarray:
@@ -249,20 +264,14 @@ def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: fl
     return np.interp(np.linspace(time[0], time[-1], count + 1), time, turned)
 
 
-def _motion(log, geometry, rows, axis, segment, lost, mean, start) -> TableMotion:
-    at = log.temperature_c[rows]
+def _motion(log: UnitRows, geometry: Geometry, made: _Builder, start: np.ndarray) -> TableMotion:
+    rows, axis, lost = np.array(made.rows), np.array(made.axis), np.array(made.lost)
+    duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
+    turned = np.array([0.0 if way is None else way[-1] for way in made.travelled])
+    mean = turned / np.where(duration > 0.0, duration, 1.0)
     line = held(
-        log.time_s[rows[:-1]],
-        np.diff(log.time_s[rows]),
-        mean,
-        at[:-1],
-        at[1:],
-        read=~lost,
-        at_rest=axis < 0,
-        moving=axis >= 0,
-        gap=lost,
+        log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=~lost, at_rest=axis < 0, moving=axis >= 0, gap=lost
     )
-    line = eqx.tree_at(lambda x: x.segment, line, segment)
     each = np.arange(len(axis))
     # The unit is hung anew while nothing is read.
     return TableMotion(line, axis, log.mounting[rows[1:]], geometry, start, each, each, each)

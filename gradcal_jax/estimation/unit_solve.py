@@ -16,6 +16,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
+from gradcal_jax.estimation.solve import Estimate, Whitened
 from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, nodes_of_rows
 from gradcal_jax.information import Posterior, SquareRootInformation, posterior, segments_of, unit_system, whiten
 from gradcal_jax.information.posterior import OBSERVABLE
@@ -143,56 +144,65 @@ def readings_of(
 
 
 class UnitEstimate(NamedTuple):
-    """`parameters` `(p,)` in the engine's coordinates and what is `known` of them; whitened `residuals` `(R,)` of the
-    rows `used`; `chi_squared` counts the priors' rows, too; `moved`: by how many of its σ the last step went.
+    """Of one unit: the `estimate` (`U` = 1) and the `white` rows it stands on, linear about it: of those of the `R`
+    rows that are `used`. `leverage`: how much of each of them the parameters take up, which its residual lacks.
+    `moved`: by how many of its σ the last of the `rounds` went.
     """
 
-    parameters: np.ndarray
-    known: Posterior
-    residuals: np.ndarray
+    estimate: Estimate
+    white: Whitened
     used: np.ndarray
-    chi_squared: float
-    degrees: int
+    leverage: np.ndarray
     moved: float
     rounds: int
 
+    @property
+    def parameters(self) -> np.ndarray:
+        """`(p,)`, in the engine's coordinates."""
+        return self.estimate.parameters[0]
 
-def estimate_unit(readings: UnitReadings, weights: np.ndarray | None = None) -> UnitEstimate:
-    """Parameters of a unit and its installation from its rows. `weights` `(R,)`: factors on the whitened rows.
+    @property
+    def known(self) -> Posterior:
+        """What they are uncertain by."""
+        return self.estimate.known[0]
+
+
+def estimate_unit(readings: UnitReadings) -> UnitEstimate:
+    """Parameters of a unit and its installation from its rows. What cannot be observed gets the smallest parameters.
 
     Errors: `ValueError` where a row that is used is not finite.
     """
     model = readings.model
     steps, columns = unit_system(readings.done.motion, model, readings.nominal())
-    at = segments_of(readings.done.motion, model)
-    if not np.isfinite(readings.observed[at.used]).all():
+    used = np.asarray(segments_of(readings.done.motion, model).used)
+    if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a reading that is used is not finite")
-    used = np.asarray(steps.used)
-    factor = np.where(used, 1.0 if weights is None else weights, 0.0)
-    jacobian = whiten(steps, columns) * factor[:, None]
-    prior = model.prior_rows()
+    jacobian, prior = np.asarray(whiten(steps, columns))[used], model.prior_rows()
     design = np.concatenate([jacobian, prior])
     norm = np.linalg.norm(design, axis=0)
     scale = np.where(norm > 0.0, norm, 1.0)
-    left, spread, right = np.linalg.svd(design / scale, full_matrices=False)
-    seen = spread > OBSERVABLE * spread[0]
-    triangle = np.linalg.qr(design / scale, mode="r")
+    orthogonal, triangle = np.linalg.qr(design / scale)
     known = posterior(SquareRootInformation(triangle, scale))  # pyright: ignore[reportArgumentType]
+    left, spread, right = np.linalg.svd(triangle)
+    seen = spread > OBSERVABLE * spread[0]
     deviation = known.deviations(np.eye(model.size))
+    counted = np.isfinite(deviation) & (deviation > 0.0)
     beta, moved, rounds = np.zeros(model.size), np.inf, 0
 
     def left_over() -> np.ndarray:
-        apart = np.where(at.used, readings.observed - readings.expected(beta), 0.0)
-        return np.asarray(whiten(steps, apart[:, None]))[:, 0] * factor
+        apart = np.where(used, readings.observed - readings.expected(beta), 0.0)
+        return np.asarray(whiten(steps, apart[:, None]))[used, 0]
 
     rest = left_over()
     while moved > _SETTLED and rounds < _ROUNDS:
-        data = np.concatenate([rest, -prior @ beta])
-        step = (right[seen].T @ ((left[:, seen].T @ data) / spread[seen])) / scale
+        rotated = left.T @ (orthogonal.T @ np.concatenate([rest, -prior @ beta]))
+        step = (right[seen].T @ (rotated[seen] / spread[seen])) / scale
         beta = beta + step
-        counted = np.isfinite(deviation) & (deviation > 0.0)
         moved = float(np.max(np.abs(step[counted]) / deviation[counted], initial=0.0))
         rest, rounds = left_over(), rounds + 1
-    chi_squared = float(rest @ rest + np.sum((prior @ beta) ** 2))
-    degrees = int(np.count_nonzero(factor)) + len(prior) - int(np.count_nonzero(seen))
-    return UnitEstimate(beta, known, rest, used, chi_squared, degrees, moved, rounds)
+    chi_squared = np.array([rest @ rest + np.sum((prior @ beta) ** 2)])
+    degrees = np.array([len(design) - np.count_nonzero(seen)])
+    leverage = np.sum(orthogonal[: len(jacobian)] ** 2, axis=1)
+    found = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
+    white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
+    return UnitEstimate(found, white, used, leverage, moved, rounds)

@@ -34,12 +34,12 @@ def write(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list[
     count = len(calibration.axis)
     temperature, raw, out = _self_test(calibration)
     head = [
-        "/* gyro calibration of " + _comment(calibration.serial_number) + ", made by gradcal",
-        *(" * " + _comment(f"{name}: {text}") for name, text in calibration.provenance.items()),
+        "/* gyro calibration of " + comment(calibration.serial_number) + ", made by gradcal",
+        *(" * " + comment(f"{name}: {text}") for name, text in calibration.provenance.items()),
         *([" * SIMULATED: made from simulated data, of no real unit."] if calibration.simulated else []),
-        *([" * set to zero, since they did not pass: " + _comment(", ".join(left_out))] if left_out else []),
+        *([" * set to zero, since they did not pass: " + comment(", ".join(left_out))] if left_out else []),
         " * measured = (1 + M(T, rate)) * rate + B(T), on each axis alone, in the sensor's own frame:",
-        " * " + ", ".join(f"[{k}] {_comment(axis.name)}" for k, axis in enumerate(calibration.axis)),
+        " * " + ", ".join(f"[{k}] {comment(axis.name)}" for k, axis in enumerate(calibration.axis)),
         " * temperature in degC, rates in rad/s. Outside its range the calibration holds its value at the edge.",
         " */",
         "#ifndef GRADCAL_CALIBRATION_H",
@@ -55,10 +55,10 @@ def write(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list[
     tables += ["};", ""]
     test = [
         "/* self-test: gradcal_correct(GRADCAL_TEST_T, raw, out) must give these within GRADCAL_TEST_TOLERANCE */",
-        f"#define GRADCAL_TEST_T {_f(temperature)}",
-        f"static const float gradcal_test_raw[GRADCAL_AXES] = {{{', '.join(_f(v) for v in raw)}}};",
-        f"static const float gradcal_test_out[GRADCAL_AXES] = {{{', '.join(_f(v) for v in out)}}};",
-        f"#define GRADCAL_TEST_TOLERANCE {_f(max(2e-6 * float(np.max(np.abs(out))), 1e-9))}",
+        f"#define GRADCAL_TEST_T {literal(temperature)}",
+        f"static const float gradcal_test_raw[GRADCAL_AXES] = {{{', '.join(literal(v) for v in raw)}}};",
+        f"static const float gradcal_test_out[GRADCAL_AXES] = {{{', '.join(literal(v) for v in out)}}};",
+        f"#define GRADCAL_TEST_TOLERANCE {literal(max(2e-6 * float(np.max(np.abs(out))), 1e-9))}",
         "",
         "#endif",
     ]
@@ -147,8 +147,8 @@ def _constants(axis: AxisCalibration, number: int) -> list[str]:
     _, _, b = normalised_bias(axis)
     *_, table = normalised_scale_factor(axis)
     return [
-        f"static const float gradcal_b{number}[] = {{{', '.join(_f(v) for v in b)}}};",
-        f"static const float gradcal_m{number}[] = {{{', '.join(_f(v) for v in table.ravel())}}};",
+        f"static const float gradcal_b{number}[] = {{{', '.join(literal(v) for v in b)}}};",
+        f"static const float gradcal_m{number}[] = {{{', '.join(literal(v) for v in table.ravel())}}};",
     ]
 
 
@@ -157,9 +157,10 @@ def _initialiser(axis: AxisCalibration, number: int) -> list[str]:
     (mt0, mts), (mw0, mws), table = normalised_scale_factor(axis)
     t, w = axis.valid_temperature, axis.valid_rate
     row = [
-        ", ".join(_f(v) for v in (t[0], t[1], w[0], w[1])),
-        f"{_f(bt0)}, {_f(bts)}, {len(b)}, gradcal_b{number}",
-        f"{_f(mt0)}, {_f(mts)}, {_f(mw0)}, {_f(mws)}, {table.shape[0]}, {table.shape[1]}, gradcal_m{number}",
+        ", ".join(literal(v) for v in (t[0], t[1], w[0], w[1])),
+        f"{literal(bt0)}, {literal(bts)}, {len(b)}, gradcal_b{number}",
+        ", ".join(literal(v) for v in (mt0, mts, mw0, mws))
+        + f", {table.shape[0]}, {table.shape[1]}, gradcal_m{number}",
     ]
     return ["    {" + ",\n     ".join(row) + "},"]
 
@@ -186,11 +187,12 @@ def _self_test(calibration: Calibration) -> tuple[float, list[float], list[float
     return at, raw, out
 
 
-def _f(value: float) -> str:
+def literal(value: float) -> str:
+    """A number as C has it in float32."""
     text = f"{np.float32(value):.9g}"
     return (text if any(c in text for c in ".en") else text + ".0") + "f"
 
 
-def _comment(text: str) -> str:
+def comment(text: str) -> str:
     """Text that cannot end a comment."""
     return text.replace("*/", "* /").replace("\n", " ")

@@ -171,19 +171,19 @@ def _of_bias(calibration: Calibration, target: str) -> dict[str, AxisCalibration
     return triad
 
 
-def _single(value: float) -> str:
+def single(value: float) -> str:
     """A number that reads back as the same float32."""
     return f"{np.float32(value):.9g}"
 
 
-def _cubic(axis: AxisCalibration, about: float) -> Floats:
+def cubic(axis: AxisCalibration, about: float) -> Floats:
     """B(T) in powers of (T − about), K, degree three: exact for a cubic, otherwise fitted over the range."""
     return bias_polynomial(axis, about, 3)
 
 
 # --- ArduPilot --------------------------------------------------------------------------------------------------------
 
-_ARDUPILOT_REFERENCE: Final = 35.0
+ARDUPILOT_REFERENCE: Final = 35.0
 
 
 def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
@@ -198,15 +198,15 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     at = 0.5 * (low + high)
     rows = [
         (f"INS_TCAL{number}_ENABLE", "1"),
-        (f"INS_TCAL{number}_TMIN", _single(low)),
-        (f"INS_TCAL{number}_TMAX", _single(high)),
+        (f"INS_TCAL{number}_TMIN", single(low)),
+        (f"INS_TCAL{number}_TMAX", single(high)),
     ]
     offset_prefix = "INS_GYROFFS" if number == 1 else f"INS_GYR{number}OFFS"
     for name, axis in triad.items():
-        b = _cubic(axis, _ARDUPILOT_REFERENCE)
-        rows += [(f"INS_TCAL{number}_GYR{k}_{name.upper()}", _single(1e6 * b[k])) for k in (1, 2, 3)]
-        rows.append((f"{offset_prefix}_{name.upper()}", _single(float(np.polynomial.polynomial.polyval(at - 35.0, b)))))
-    rows.append((f"INS_GYR{number}_CALTEMP", _single(at)))
+        b = cubic(axis, ARDUPILOT_REFERENCE)
+        rows += [(f"INS_TCAL{number}_GYR{k}_{name.upper()}", single(1e6 * b[k])) for k in (1, 2, 3)]
+        rows.append((f"{offset_prefix}_{name.upper()}", single(float(np.polynomial.polynomial.polyval(at - 35.0, b)))))
+    rows.append((f"INS_GYR{number}_CALTEMP", single(at)))
     parameters = {name: float(value) for name, value in rows}
     losses, notes = _bias_only(triad, lambda name, t: ardupilot_correction(parameters, name, t, number), low, high)
     absent = [n for n in _TRIAD if n not in triad]
@@ -226,7 +226,7 @@ def ardupilot_correction(parameters: Mapping[str, float], axis: str, temperature
     prefix = "INS_GYROFFS" if number == 1 else f"INS_GYR{number}OFFS"
 
     def polynomial(t: Any) -> Any:
-        d = np.clip(t, low, high) - single(_ARDUPILOT_REFERENCE)
+        d = np.clip(t, low, high) - single(ARDUPILOT_REFERENCE)
         return (d * c1 + d * d * c2 + d * d * d * c3) * single(1e-6)
 
     at = polynomial(value[f"INS_GYR{number}_CALTEMP"])
@@ -270,13 +270,13 @@ def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     rows: list[tuple[str, str, int]] = [
         ("TC_G_ENABLE", "1", 6),
         (f"TC_G{number}_ID", str(0 if identity is None else int(identity)), 6),
-        (f"TC_G{number}_TREF", _single(about), 9),
-        (f"TC_G{number}_TMIN", _single(low), 9),
-        (f"TC_G{number}_TMAX", _single(high), 9),
+        (f"TC_G{number}_TREF", single(about), 9),
+        (f"TC_G{number}_TMIN", single(low), 9),
+        (f"TC_G{number}_TMAX", single(high), 9),
     ]
     for name, axis in triad.items():
-        b = _cubic(axis, about)
-        rows += [(f"TC_G{number}_X{k}_{_TRIAD.index(name)}", _single(b[k]), 9) for k in range(4)]
+        b = cubic(axis, about)
+        rows += [(f"TC_G{number}_X{k}_{_TRIAD.index(name)}", single(b[k]), 9) for k in range(4)]
     parameters = {name: float(value) for name, value, _ in rows}
     losses, notes = _bias_only(triad, lambda name, t: px4_correction(parameters, name, t, number), low, high)
     for axis in triad.values():
@@ -385,7 +385,9 @@ def _csv(calibration: Calibration, options: Mapping[str, Any]) -> Export:
             rate = getattr(part, "rate", None)
             for name, value in part.coefficients.items():
                 error = repr(std[name]) if name in std else ""
-                writer.writerow((axis.name, name, repr(value), error, unit, _words(part.temperature), _words(rate)))
+                writer.writerow(
+                    (axis.name, name, repr(value), error, unit, basis_words(part.temperature), basis_words(rate))
+                )
         if axis.bias_temperature_gradient is not None:
             name = "bias_temperature_gradient"
             error = repr(std[name]) if name in std else ""
@@ -393,7 +395,8 @@ def _csv(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     return Export(stream.getvalue(), (), ())
 
 
-def _words(basis: Any) -> str:
+def basis_words(basis: Any) -> str:
+    """A basis in one line."""
     if basis is None:
         return ""
     parts = [f"{key}={value}" for key, value in basis.model_dump(mode="json").items() if key != "internal"]

@@ -67,7 +67,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Bench:
-    """Table, site and noise, SI. `axes` outermost first, `mounting` body to the innermost axis. `drift`: (σ, τ) by kind,
+    """Table, site and noise, SI. `axes` outermost first, `mounting` body to the innermost axis. `drift`: (σ, τ) and
     `white` by kind. `offset`, `reading`, `every`: of each axis's encoder; `centre`, `scale`, `pace`: of the maps.
     """
 
@@ -117,6 +117,9 @@ def commanded(legs: list[Leg], start, t: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def turned(leg: Leg, t: np.ndarray) -> np.ndarray:
+    if leg.ramp == 0.0:  # a hand: a raised cosine, whatever the plan calls it
+        return leg.angle * (t / leg.duration - np.sin(2.0 * np.pi * t / leg.duration) / (2.0 * np.pi))
+
     def up(x):
         return 0.5 * leg.peak * (x - leg.ramp / np.pi * np.sin(np.pi * x / leg.ramp))
 
@@ -126,6 +129,8 @@ def turned(leg: Leg, t: np.ndarray) -> np.ndarray:
 
 
 def speed(leg: Leg, t: np.ndarray) -> np.ndarray:
+    if leg.ramp == 0.0:
+        return leg.angle / leg.duration * (1.0 - np.cos(2.0 * np.pi * t / leg.duration))
     near = np.clip(np.minimum(t, leg.duration - t), 0.0, leg.ramp)
     return 0.5 * leg.peak * (1.0 - np.cos(np.pi * near / leg.ramp))
 
@@ -141,17 +146,18 @@ def record(
     rate_hz: float = 50.0,
     noisy: bool = True,
     names: tuple[str, ...] = (),
+    number: int = 1,
 ) -> Recorded:
     """A recording of one unit whose errors are `truth`, by the names of the calibration's coefficients (SI).
 
-    `temperature_of(t)` °C. `names`: of the axes, for the installation's errors.
+    `temperature_of(t)` °C. `names`: of the axes, for the installation's errors; `number`: of the mounting.
     """
     whole = sum(leg.duration for leg in legs)
     count = int(whole * rate_hz)
     time = (np.arange(count + 1)) / rate_hz
     dt = 1.0 / rate_hz
     nodes = (time[:-1, None] + dt * _X).ravel()
-    angles, rates, number = commanded(legs, start, nodes)
+    angles, rates, leg_of = commanded(legs, start, nodes)
     draws, readings = _encoders(bench, legs, start, time, rng if noisy else None)
     # An axis stands beyond its encoder's angle by what repeats, and by the draw of its standstill.
     true, pace = angles.copy(), rates.copy()
@@ -163,7 +169,7 @@ def record(
                 f, g = (np.cos, lambda x: -np.sin(x)) if wave.startswith("cos") else (np.sin, np.cos)
                 true[:, l] += value * f(order * angles[:, l])
                 pace[:, l] += value * order * g(order * angles[:, l]) * rates[:, l]
-        extra, slope = _slow(draws[l], legs, l, number, angles[:, l], rates[:, l], start)
+        extra, slope = _slow(draws[l], legs, l, leg_of, angles[:, l], rates[:, l], start)
         true[:, l] += extra
         pace[:, l] += slope
     attitude = of_vector([truth.get(k, 0.0) for k in ("tilt_east", "tilt_north", "azimuth")])
@@ -176,7 +182,7 @@ def record(
             delta = truth.get(f"orthogonality_{names[l]}_{names[l + 1]}", 0.0)
             stage = times(stage, of_vector(delta * np.cross(bench.axes[l + 1], axis)))
     stage = times(stage, from_matrix(bench.mounting))
-    stage = times(stage, of_vector([truth.get(f"mounting1_{a}", 0.0) for a in "xyz"]))
+    stage = times(stage, of_vector([truth.get(f"mounting{number}_{a}", 0.0) for a in "xyz"]))
     earth = OMEGA * np.array([0.0, np.cos(bench.latitude), np.sin(bench.latitude)])
     omega = into_body(stage, np.broadcast_to(earth, (len(nodes), 3)))
     for l, axis in enumerate(bench.axes):
@@ -295,3 +301,62 @@ def _slow(draws, legs, axis: int, number, angle, rate, start):
             here += leg.angle
             passed += 1
     return extra, slope
+
+
+# --- recordings of a spec's plan --------------------------------------------------------------------------------------
+
+
+def legs_of(steps, cycles: int) -> list[Leg]:
+    """The legs of a plan's cycle (`files.unit_plan`), so many times."""
+    once = []
+    for step in steps:
+        move = step.move
+        turns = Leg(step.axis, move.duration, move.angle, move.peak_rate or 0.0, move.ramp or 0.0)
+        once += [turns if step.axis >= 0 else Leg(-1, move.duration)] * move.repeat
+    return once * cycles
+
+
+def bench_of(spec, mounting: int = 0) -> Bench:
+    """The table and noise of a unit's spec, as numbers."""
+    table, sensor = spec.rig.table, spec.sensor
+    white, drift = {"gyro": 0.0, "accelerometer": 0.0}, {"gyro": (0.0, 1.0), "accelerometer": (0.0, 1.0)}
+    for kind, key in (("gyro", "angle_random_walk"), ("accelerometer", "velocity_random_walk")):
+        if (triad := getattr(sensor, kind)) is not None:
+            white[kind] = float(getattr(triad, key))
+            assert len(triad.drift) < 2
+            for process in triad.drift:
+                drift[kind] = float(process.standard_deviation), float(process.correlation_time)
+    angles = [axis.angle for axis in table.axis]
+    return Bench(
+        tuple(np.array(axis.unit_vector) for axis in table.axis),
+        np.array(table.mounting[mounting].columns).T,
+        float(spec.rig.site.latitude),
+        float(spec.rig.site.gravity),
+        white,
+        drift,
+        tuple(float(a.standstill_offset) for a in angles),
+        tuple(float(a.reading_noise) for a in angles),
+        tuple(float(a.read_every) for a in angles),
+    )
+
+
+def recordings(spec, truth: dict[str, float], rng: np.random.Generator, **options) -> list[Recorded]:
+    """What a logger keeps of a spec's plan: one recording for each stretch of used data, so for each mounting."""
+    schedule, found = spec.schedule, []
+    segments = schedule.segments
+    times = [segments[0].start, *(s.start + s.duration for s in segments)]
+    course = [segments[0].temperature_start, *(s.temperature_end for s in segments)]
+    names = tuple(axis.name for axis in spec.rig.table.axis)
+    for k, stretch in enumerate(schedule.stretches):
+        mounting = min(k, len(spec.rig.table.mounting) - 1)
+        legs = legs_of(schedule.steps, stretch.cycles)
+        if stretch.leftover > 0.0:
+            legs = [*legs, Leg(-1, stretch.leftover)]
+        found.append(
+            record(
+                bench_of(spec, mounting), legs, schedule.start, truth,
+                lambda t, begin=stretch.start: np.interp(begin + t, times, course),
+                rng, names=names, number=mounting + 1, **options,
+            )
+        )  # fmt: skip
+    return found

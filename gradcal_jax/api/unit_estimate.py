@@ -1,0 +1,516 @@
+"""A log of a whole unit and its spec -> every parameter of unit and table, tests by channel, verdicts, a calibration.
+
+The spec says what the noise, the table and the terms are; what was done is read from the log.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import gradcal_jax
+from gradcal_jax import estimation
+from gradcal_jax.api.calibration import excess_of
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import bridged_temperature, host_time
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
+from gradcal_jax.api.unit_prediction import requirement_row
+from gradcal_jax.api.unit_residual import internal_misalignments
+from gradcal_jax.api.unit_sentences import NOT_OBSERVED, prior_deviations
+from gradcal_jax.estimation import Consistency, ExecutedUnit, Test, UnitEstimate, UnitReadings, UnitRows
+from gradcal_jax.files import correction
+from gradcal_jax.files.calibration import FORMAT, LOG_HASH, Covariance, FitTest
+from gradcal_jax.files.contracts import RequirementRow
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.unit_calibration import (
+    UNIT_ORDER,
+    CalibratedChannel,
+    TableError,
+    UnitCalibration,
+    UnitNoise,
+    UnitResult,
+    term_of,
+)
+from gradcal_jax.files.unit_correction import correct_unit, triad_of
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import Posterior, segments_of
+from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, Map, SignalMap
+from gradcal_jax.units import DEG_PER_H, PPM, G
+
+# Between two recordings of one unit that is hung anew, s: far longer than any drift lasts, where nothing says more.
+_REHUNG_S = 6 * 3600.0
+# Residuals so many times the noise are of another table, order of axes, or sign.
+_ABSURD = 100.0
+_PASSES = 2
+# An error of the table so many times what the spec calls its uncertainty is said.
+_CONTRADICTED = 4.0
+
+
+class InternalMisalignment(NamedTuple):
+    """What no rotation of the unit changes, rad: non-orthogonality of two axes, or of the triads to one another."""
+
+    name: str
+    value: float
+    std: float
+
+
+class UnitReport(NamedTuple):
+    """The estimate of one unit. `channels`: χ² and whiteness of each channel's own rows; `gravity`: rms of |f| − g over
+    the rests, m/s², before the calibration and after it.
+    """
+
+    unit: str
+    built: AssembledUnit
+    executed: ExecutedUnit
+    found: UnitEstimate
+    calibration: UnitCalibration
+    requirements: tuple[RequirementRow, ...]
+    consistency: Consistency
+    channels: dict[str, tuple[Test, Test]]
+    internal: tuple[InternalMisalignment, ...]
+    gravity: tuple[float, float] | None
+    messages: tuple[str, ...]
+
+    @property
+    def as_wished(self) -> bool:
+        """Every target met, everything observed, every test passed."""
+        tests = [self.consistency.fit, *(t for pair in self.channels.values() for t in pair)]
+        tests += [split.agreement for split in self.consistency.splits]
+        met = all(row.verdict in (None, "met") for row in self.requirements)
+        return met and not self.calibration.unobservable and all(test.probability > _rare(len(tests)) for test in tests)
+
+
+def _rare(tests: int) -> float:
+    """Chance below which one of so many tests counts: 1 % that any of them fires by chance alone."""
+    return 0.01 / tests
+
+
+def estimate_units(
+    spec: UnitSpec,
+    logs: Sequence[Log],
+    *,
+    units: Sequence[str] = (),
+    options: Options | None = None,
+    sources: dict[str, str] | None = None,
+) -> list[UnitReport]:
+    """The calibration of every asked unit (all, without them) in a log; with several mountings, one log for each.
+
+    **Raises:** `LogError` and `ValueError` with a sentence where the logs do not hold what the estimate needs.
+    """
+    options = options or Options()
+    mountings = len(spec.rig.table.mounting)
+    if len(logs) != mountings:
+        raise LogError(
+            f"the spec hangs the unit in {mountings} mounting(s), one after the other, and there are {len(logs)} "
+            "log(s): give one log for each, in the spec's order"
+        )
+    names = list(units) or [name for name in logs[0].units if all(name in log.units for log in logs)]
+    if not names:
+        raise LogError("no unit is in all of the logs")
+    built = assemble_unit(spec)
+    return [_report(built, logs, name, options, sources or {}) for name in names]
+
+
+def _report(
+    built: AssembledUnit, logs: Sequence[Log], name: str, options: Options, sources: dict[str, str]
+) -> UnitReport:
+    rows, messages = unit_rows(built, logs, name, options)
+    starts = np.flatnonzero(~rows.usable & (np.diff(rows.time_s, prepend=-np.inf) > 0.0))
+    lag = options.lag
+    if isinstance(lag, str):
+        raise ValueError("the lag of a whole unit is not fitted: give a time, such as --lag 90s")
+    temperature = correction.followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)
+    model = built.model
+    found, seen = None, rows
+    # How a move went is first taken from the gyros as they are, then corrected by what that gave: a scale factor of a
+    # per cent that depends on the rate is otherwise seen at the wrong rates.
+    for _ in range(_PASSES):
+        if found is not None:
+            held = tuple(_channels(built, model.to_reported @ found.parameters))
+            seen = rows._replace(rates=correct_unit(held, rows.rates, rows.force, temperature)[0])
+        try:
+            done = estimation.executed_unit(seen, built.motion.geometry)
+        except ValueError as error:
+            raise LogError(f"{name}: {error}") from None
+        readings = estimation.readings_of(model, done, rows, temperature, built.points)
+        found = estimation.estimate_unit(readings)
+        scale = float(np.sqrt(found.estimate.chi_squared[0] / max(int(found.estimate.degrees[0]), 1)))
+        if scale > _ABSURD:
+            raise LogError(
+                f"{name}: what the unit says is {scale:.3g} times further from the table than the noise explains: is "
+                "the unit mounted as the spec says, with its axes and signs, and the table's angles likewise?"
+            )
+    assert found is not None
+    at = segments_of(done.motion, model)
+    half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
+    of_segment = rows.time_s[done.rows[at.first + 1]]
+    began = temperature[done.rows[at.first]]
+    heating = temperature[done.rows[at.last + 1]] > began
+    used = found.used
+    subsets = {
+        "heating against cooling": heating[at.row_segment][used],
+        "first against second half": (of_segment < half)[at.row_segment][used],
+    }
+    few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
+    tests = estimation.consistency(found.estimate, found.white, 0, few, model.to_reported)
+    channels: dict[str, tuple[Test, Test]] = {}
+    for i, c in enumerate(model.channels):
+        own = found.estimate.residuals[0][at.row_channel[used] == i]
+        free = round(float(np.sum(1.0 - found.leverage[at.row_channel[used] == i])))
+        channels[c.name] = estimation.chi_squared_test(float(own @ own), free), estimation.whiteness(own)
+    known = Posterior(found.known.spread * excess_of(tests), found.known.hidden)
+    requirements = tuple(requirement_row(built, known, r) for r in built.spec.requirement)
+    covered = _covered(done, rows, temperature)
+    calibration = _calibration(built, logs, name, found, tests, channels, requirements, covered, options, sources)
+    report = UnitReport(
+        name,
+        built,
+        done,
+        found,
+        calibration,
+        requirements,
+        tests,
+        channels,
+        tuple(_internal(built, found, covered[0])),
+        _gravity(readings, calibration, temperature),
+        (),
+    )
+    return report._replace(messages=(*messages, *_words(report, found)))
+
+
+def unit_rows(
+    built: AssembledUnit, logs: Sequence[Log], name: str, options: Options
+) -> tuple[UnitRows, tuple[str, ...]]:
+    """One unit's rows of all its logs, one after the other, and what was done about what they have not."""
+    parts, messages, end = [], [], None
+    for k, log in enumerate(logs):
+        part, said = _rows_of_log(built, log, name, options)
+        messages += said
+        begin = part.time_s[0] if end is None else end + _REHUNG_S
+        shifted = part.time_s - part.time_s[0] + begin
+        # The unit is hung anew between two logs: no standstill goes on.
+        part.standing[0] = k == 0 and part.standing[0]
+        parts.append(part._replace(time_s=shifted, mounting=np.full(len(shifted), k)))
+        end = shifted[-1]
+    whole = UnitRows(*(np.concatenate([getattr(part, field) for part in parts]) for field in UnitRows._fields))
+    return whole, tuple(dict.fromkeys(messages))
+
+
+def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) -> tuple[UnitRows, list[str]]:
+    messages: list[str] = []
+    number, time = log.unit_index(name), log.time_s
+    if options.clock == "host":
+        time, said = host_time(log)
+        messages.append(said)
+    rates, force = triad_of(log, number)
+    usable = log.usable(number).copy()
+    usable[log.stretch_starts] = False  # what lay before the row was not recorded
+    gyros, missing = np.zeros(3, bool), []
+    for c in built.model.channels:
+        values = (rates if c.kind == "gyro" else force)[:, c.axis]
+        known = np.isfinite(values)
+        if not known.any():
+            missing.append(c.name.replace("_", " "))
+        usable &= known
+        gyros[c.axis] |= c.kind == "gyro"
+    if missing:
+        has = [f"gyro {a}" for a in log.axes] + [f"accelerometer {a}" for a in log.force_axes]
+        raise LogError(
+            f"the log has no {', '.join(missing)}, which the spec calibrates; it has {', '.join(has)}. Log axes are "
+            "named x, y, z"
+        )
+    rates[:, ~gyros] = np.nan
+    temperature = bridged_temperature(log, number, options.temperature_c)
+    angles = _table_angles(built, log)
+    if log.standstill is not None:
+        standing = log.standstill >= 0  # a new array: it is changed where logs are joined
+    elif gyros.any():
+        found = estimation.find_standstills(np.nan_to_num(rates[:, gyros]), log.sample_interval_s, valid=usable)
+        standing = found >= 0
+        messages.append(f"the log marks no standstills: {int(found.max()) + 1} were found where the rates are quiet")
+    else:
+        raise LogError("a log without gyros must mark its standstills (a column standstill in the column map)")
+    smooth = estimation.smoothed_temperature(time, temperature)
+    return UnitRows(time, rates, force, smooth, angles, standing, usable, np.zeros(len(time), int)), messages
+
+
+def _table_angles(built: AssembledUnit, log: Log) -> np.ndarray:
+    """`(n, L)` of the spec's axes, in its order."""
+    names = [axis.name for axis in built.spec.rig.table.axis]
+    if log.table_angle_rad is None:
+        raise LogError(f"the log has no angles of the table ({', '.join(names)}), which are the reference")
+    if missing := [name for name in names if name not in log.table_axes]:
+        if len(names) == len(log.table_axes) == 1:
+            return log.table_angle_rad
+        raise LogError(
+            f"the log has no table axis {', '.join(missing)}: it has {', '.join(log.table_axes) or 'none'}. Name the "
+            "axes alike in the spec's [[rig.table.axis]] and in the log's column map"
+        )
+    return log.table_angle_rad[:, [log.table_axes.index(name) for name in names]]
+
+
+def _covered(done, rows: UnitRows, temperature: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Temperatures (°C) and rates (rad/s) that the rows which count went through."""
+    inside = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
+    fastest = np.nanmax(np.abs(rows.rates[inside]), initial=0.0) if np.isfinite(rows.rates).any() else 0.0
+    at = temperature[inside]
+    return (float(at.min()), float(at.max())), (-float(fastest), float(fastest))
+
+
+# --- what the data say ------------------------------------------------------------------------------------------------
+
+
+def _internal(built: AssembledUnit, found: UnitEstimate, covered: tuple[float, float]):
+    """Non-orthogonality at the middle of the temperatures."""
+    middle = np.array([0.5 * (covered[0] + covered[1])])
+    for kind in KINDS:
+        triad = getattr(built.spec.sensor, kind)
+        if triad is not None and triad.misalignment is not None and len(triad.axes) == 3:
+            for label, row in internal_misalignments(built.model, kind, middle):
+                value, std = float(row[0] @ found.parameters), float(found.known.deviations(row)[0])
+                yield InternalMisalignment(f"{kind} {label}", value, std)
+
+
+def _gravity(
+    readings: UnitReadings, calibration: UnitCalibration, temperature: np.ndarray
+) -> tuple[float, float] | None:
+    """Rms of |f| − g over the rests: as measured, and corrected. None without three accelerometers."""
+    done, rows, model = readings.done, readings.log, readings.model
+    if sum(c.kind == "accelerometer" for c in model.channels) < 3:
+        return None
+    rests = np.flatnonzero((done.motion.axis < 0) & ~done.motion.line.gap & (done.motion.line.duration > 0.0))
+    step = np.diff(rows.time_s, prepend=rows.time_s[0])
+    first, last = done.rows[rests], done.rows[rests + 1]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        summed = np.cumsum(np.nan_to_num(values) * step[:, None], axis=0)
+        total = np.concatenate([np.zeros((1, values.shape[1])), summed])
+        return (total[last + 1] - total[first + 1]) / (rows.time_s[last] - rows.time_s[first])[:, None]
+
+    force, rate = mean(rows.force), mean(np.where(np.isfinite(rows.rates), rows.rates, 0.0))
+    at = mean(temperature[:, None])[:, 0]
+    corrected = correct_unit(calibration.channel, rate, force, at)[1]
+    g = float(done.motion.geometry.gravity)
+    before, after = (float(np.sqrt(np.mean((np.linalg.norm(f, axis=1) - g) ** 2))) for f in (force, corrected))
+    return before, after
+
+
+def _words(report: UnitReport, found: UnitEstimate) -> list[str]:
+    """What the data say of the model, in sentences."""
+    tests, said = report.consistency, []
+    rare = _rare(1 + 2 * len(report.channels) + len(tests.splits))
+    if found.moved > 1e-2:
+        said.append(
+            f"the estimate has not settled: it still moves by {found.moved:.2g} of its standard deviations a round; "
+            "the table is further from its drawing than small angles"
+        )
+    if tests.fit.probability < rare and tests.noise_scale > 1.0:
+        said.append(
+            f"the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model lacks "
+            "something, or the noise figures are too small; requirements are judged with the larger noise"
+        )
+    elif tests.fit.probability > 1.0 - 1e-3:
+        said.append(
+            f"the residuals are only {tests.noise_scale:.3g} times what the spec's noise says: its figures are larger "
+            "than this unit's"
+        )
+    for name, (size, white) in report.channels.items():
+        where = name.replace("_", " ")
+        if size.probability < rare:
+            scale = np.sqrt(size.statistic / max(size.degrees, 1))
+            said.append(f"{where}: its residuals are {scale:.3g} times what the spec's noise says")
+        if white.probability < rare:
+            said.append(f"{where}: its residuals are not white: something lasts from row to row that the spec lacks")
+    for split in tests.splits:
+        if split.agreement.probability < rare:
+            said.append(f"{split.name}: they do not say the same (chance {split.agreement.probability:.1g})")
+    for error in report.calibration.table:
+        if abs(error.value) > _CONTRADICTED * error.prior:
+            said.append(
+                f"the table's {error.name.replace('_', ' ')} came out at {error.value / error.prior:+.1f} times what "
+                "the spec calls its uncertainty: is the drawing right?"
+            )
+    if report.calibration.unobservable:
+        said.append(f"the data say nothing of {', '.join(report.calibration.unobservable)}")
+    return said
+
+
+# --- the file ---------------------------------------------------------------------------------------------------------
+
+
+def _calibration(
+    built: AssembledUnit,
+    logs: Sequence[Log],
+    name: str,
+    found: UnitEstimate,
+    tests: Consistency,
+    channels: dict[str, tuple[Test, Test]],
+    requirements: tuple[RequirementRow, ...],
+    covered: tuple[tuple[float, float], tuple[float, float]],
+    options: Options,
+    sources: dict[str, str],
+) -> UnitCalibration:
+    model, spec = built.model, built.spec
+    reported = model.to_reported
+    values, deviations = reported @ found.parameters, found.known.deviations(reported)
+    names, units = model.names(), model.units()
+    priors = prior_deviations(built)
+    own = slice(0, model.calibrated)
+    unseen = [
+        k
+        for k in range(model.calibrated)
+        if not np.isfinite(deviations[k]) or deviations[k] > NOT_OBSERVED * priors[k] < np.inf
+    ]
+    held = list(_channels(built, values))
+    kept = {f"{c.name}.{n}" for c in held for term in c.term for n in term.coefficients}
+    covariant = [k for k in range(model.calibrated) if np.isfinite(deviations[k]) and names[k] in kept]
+    matrix = found.known.covariance(reported[own])[np.ix_(covariant, covariant)]
+    frame = spec.sensor.frame
+    case = frame is not None and frame.fixed_by == "case"
+    log = logs[0]
+    section: dict[str, Any] = {
+        "format": FORMAT,
+        "title": spec.title or spec.sensor.name or f"calibration of {name}",
+        "serial_number": name,
+        "quantity": "unit",
+        "simulated": any(one.simulated for one in logs),
+        "frame": "the case, as far as its mounting is known"
+        if case
+        else "the table's axes at zero, through the nominal mounting",
+        "order": UNIT_ORDER,
+        "valid_temperature": tuple(f"{t:.2f} degC" for t in covered[0]),
+        "valid_rate": tuple(f"{np.degrees(r):.2f} deg/s" for r in covered[1]),
+        "channel": tuple(held),
+        "covariance": Covariance(
+            names=tuple(names[k] for k in covariant), matrix=tuple(tuple(float(v) for v in row) for row in matrix)
+        ),
+        "table": tuple(
+            TableError(
+                name=names[k], value=float(values[k]), standard_deviation=float(deviations[k]), prior=float(priors[k]),
+                unit=units[k],
+            )
+            for k in range(model.calibrated, model.size)
+        ),
+        "fit": tuple(_fit_tests(tests, channels)),
+        "unobservable": tuple(names[k] for k in unseen if names[k] in kept),
+        "noise": _noise(spec, log),
+        "result": tuple(_result(row) for row in requirements),
+        "provenance": {
+            "program": f"gradcal {gradcal_jax.__version__}",
+            "estimator": f"Gauss-Newton through the finite geometry, {found.rounds} rounds",
+            "rows": str(int(np.count_nonzero(found.used))),
+            **{key: text for key, text in {**log.provenance, **sources}.items() if text},
+            LOG_HASH: " ".join(one.fingerprint(name) for one in logs),
+        },
+    }  # fmt: skip
+    if options.lag:
+        section["thermal_lag"] = Quantity.of(float(options.lag), "s")
+    return UnitCalibration(**section)
+
+
+def _channels(built: AssembledUnit, values: np.ndarray) -> Iterator[CalibratedChannel]:
+    """The channels with what was found of each; reported parameters `(p,)`."""
+    begin = 0
+    for c in built.model.channels:
+        yield _channel(built.spec, c, values[begin : begin + c.model.size])
+        begin += c.model.size
+
+
+def _channel(spec: UnitSpec, channel: Channel, values: np.ndarray) -> CalibratedChannel:
+    triad = getattr(spec.sensor, channel.kind)
+    terms, axis = [], AXIS_NAMES[channel.axis]
+    for term in channel.model.terms:
+        if isinstance(term, Discrepancy):
+            continue
+        own = values[channel.model.where(term.name)]
+        coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}
+        section = getattr(triad, _section_of(term.name))
+        assert isinstance(term, Map | SignalMap)
+        signals = term.signals if isinstance(term, SignalMap) else () if term.rate is None else (f"rate {axis}",)
+        bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
+        terms.append(term_of(term.name, term.unit, signals, coefficients, **bases))
+    return CalibratedChannel(kind=channel.kind, axis=axis, term=tuple(terms))
+
+
+def _section_of(term: str) -> str:
+    """The table of [sensor.gyro] or [sensor.accelerometer] that a term is from."""
+    for prefix, section in (("cross_", "cross_coupling"), ("misalignment_", "misalignment")):
+        if term.startswith(prefix):
+            return section
+    for section in ("g_squared", "g_sensitivity"):
+        if term.startswith(section):
+            return section
+    return term
+
+
+def _fit_tests(tests: Consistency, channels: dict[str, tuple[Test, Test]]):
+    rows = [("chi-squared of the fit", tests.fit)]
+    for name, (size, white) in channels.items():
+        rows += [(f"{name}: chi-squared", size), (f"{name}: whiteness", white)]
+    rows += [(split.name, split.agreement) for split in tests.splits]
+    for name, test in rows:
+        yield FitTest(name=name, statistic=test.statistic, degrees=test.degrees, chance=test.probability)
+
+
+def _noise(spec: UnitSpec, log: Log) -> UnitNoise:
+    given: dict[str, Any] = {"sample_rate": Quantity.of(1.0 / log.sample_interval_s, "Hz")}
+    if (gyro := spec.sensor.gyro) is not None:
+        given["angle_random_walk"] = gyro.angle_random_walk
+        square = float(gyro.rate_random_walk or 0.0) ** 2
+        square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in gyro.drift)
+        if square > 0.0:
+            given["rate_random_walk"] = Quantity.of(float(np.sqrt(square)), "rad/s/sqrt(s)")
+    if (force := spec.sensor.accelerometer) is not None:
+        given["velocity_random_walk"] = force.velocity_random_walk
+    return UnitNoise(**given)
+
+
+def _result(row: RequirementRow) -> UnitResult:
+    value = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[row.statistic]
+    given = {"value": value, "target": row.target, "verdict": row.verdict}
+    return UnitResult(
+        name=row.name,
+        quantity=row.quantity,
+        axis=row.axis or "",
+        statistic=f"{row.statistic}, 1 sigma",
+        unit=row.unit,
+        **{key: v for key, v in given.items() if v is not None},
+    )
+
+
+UNITS_OF_TERMS = {
+    "rad/s": ("deg/h", DEG_PER_H),
+    "1": ("ppm", PPM),
+    "rad": ("urad", 1e6),
+    "rad/s/(m/s^2)": ("deg/h/g", DEG_PER_H * G),
+    "m/s^2": ("ug", 1e6 / G),
+    "1/(m/s^2)": ("ug/g^2", 1e6 * G),
+}
+"""Of a term's SI unit the unit that people read, and that many of it are one in SI."""
+
+
+def unit_estimate_rows(report: UnitReport) -> dict[str, Any]:
+    """All numbers of an estimate for another program, SI unless a unit stands beside them."""
+    found = report.calibration
+    deviations = {}
+    if (covariance := found.covariance) is not None:
+        diagonal = [covariance.matrix[k][k] for k in range(len(covariance.names))]
+        deviations = {name: float(np.sqrt(v)) for name, v in zip(covariance.names, diagonal, strict=True)}
+    parameters = [
+        {"name": name, "value": value, "std": deviations.get(name), "unit": term.unit}
+        for channel in found.channel
+        for term in channel.term
+        for name, value in ((f"{channel.name}.{n}", v) for n, v in term.coefficients.items())
+    ]
+    return {
+        "unit": report.unit,
+        "simulated": found.simulated,
+        "parameters": parameters,
+        "table": [row.model_dump(mode="json") for row in found.table],
+        "requirements": [row.model_dump(mode="json", exclude_none=True) for row in report.requirements],
+        "internal_misalignment": [row._asdict() for row in report.internal],
+        "gravity_rms_m_per_s2": report.gravity,
+        "tests": [row.model_dump(mode="json") for row in found.fit],
+        "messages": list(report.messages),
+    }

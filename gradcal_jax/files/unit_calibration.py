@@ -1,0 +1,210 @@
+"""gradcal-calibration/1 of a whole unit: what was found of its gyros and accelerometers, and of the table they hung on.
+
+    measured = input + Σ map(T) · signals          of each channel; rates in rad/s, specific force in m/s²
+
+A channel's terms are maps over temperature (of a gyro's scale factor over its own rate, too) times a product of
+signals: none for a bias, "rate x" for a gyro x's scale factor, "force y" for a sensitivity to acceleration. Signals are
+true inputs, in the frame that the file names. Coefficients count powers of `(T − centre)/scale`, or functions.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, model_validator
+
+from gradcal_jax.files.bases import RateBasis, TemperatureBasis
+from gradcal_jax.files.calibration import (
+    FORMAT,
+    Calibration,
+    Coefficients,
+    Covariance,
+    FitTest,
+    Frequency,
+    parse_calibration,
+)
+from gradcal_jax.files.document import model_of, read_text, read_toml
+from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.problems import Problem
+from gradcal_jax.files.quantity import (
+    AngleRandomWalk,
+    Flag,
+    Number,
+    Rate,
+    RateRandomWalk,
+    Temperature,
+    Text,
+    Time,
+    VelocityRandomWalk,
+)
+from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.unit_sensor import BodyAxis
+from gradcal_jax.files.writing import write_toml
+
+UNIT_ORDER: Final = (
+    "measured = input + sum of map(T) * signals, the signals being the true inputs; subtract the sum at the corrected "
+    "values, again until they stay (three rounds for errors of a per cent), before any rotation"
+)
+_SIGNALS: Final = {f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz"}
+_SIGNALS_AND_SIZES: Final = _SIGNALS | {f"|{signal}|" for signal in _SIGNALS}
+
+
+class CalibratedTerm(Section):
+    """One term of a channel, in `unit` (SI). Without `temperature` it is constant; `rate`: of its own rate."""
+
+    name: Text
+    unit: Text
+    signals: Annotated[tuple[Text, ...], Field(max_length=4)] = ()
+    temperature: TemperatureBasis | None = None
+    rate: RateBasis | None = None
+    coefficients: Coefficients
+
+    @model_validator(mode="after")
+    def _whole(self) -> "CalibratedTerm":
+        problems: list[Problem] = []
+        for k, signal in enumerate(self.signals):
+            if signal not in _SIGNALS_AND_SIZES:
+                message = 'is no signal; expected such as "rate x", "force z", "|force z|"'
+                problems.append(Problem(("signals", k), message, signal))
+        if len(self.coefficients) != self.size:
+            message = f"expected {self.size}, as many as the bases have functions"
+            problems.append(Problem(("coefficients",), message, len(self.coefficients)))
+        refuse(*problems)
+        return self
+
+    @property
+    def size(self) -> int:
+        """Of how many functions it is the sum."""
+        return (1 if self.temperature is None else self.temperature.size) * (1 if self.rate is None else self.rate.size)
+
+
+class CalibratedChannel(Section):
+    """A gyro or an accelerometer along an axis of the body."""
+
+    kind: Literal["gyro", "accelerometer"]
+    axis: BodyAxis
+    term: Annotated[tuple[CalibratedTerm, ...], Field(max_length=40)] = ()
+
+    @property
+    def name(self) -> str:
+        """As in `gyro_x`."""
+        return f"{self.kind}_{self.axis}"
+
+    def term_of(self, name: str) -> CalibratedTerm | None:
+        """The term of that name, if there is one."""
+        return next((term for term in self.term if term.name == name), None)
+
+
+class TableError(Section):
+    """What the run says of the *table*: one error of its installation, SI, and what was known of it before."""
+
+    name: Text
+    value: Number
+    standard_deviation: Number
+    prior: Number
+    unit: Text
+
+
+class UnitResult(Section):
+    """What a requirement of the spec came to, in `unit`."""
+
+    name: Text
+    quantity: Text
+    axis: Text
+    statistic: Text
+    value: Number | None = None
+    unit: Text
+    target: Number | None = None
+    verdict: Text | None = None
+
+
+class UnitNoise(Section):
+    """The noise that the estimate assumed, for programs that filter; random walks of drifts over short times."""
+
+    angle_random_walk: AngleRandomWalk | None = None
+    rate_random_walk: RateRandomWalk | None = None
+    velocity_random_walk: VelocityRandomWalk | None = None
+    sample_rate: Frequency | None = None
+
+
+class UnitCalibration(Section):
+    """The calibration file of a whole unit. Beyond `valid_temperature` and `valid_rate` the values at the edge hold."""
+
+    format: Literal["gradcal-calibration/1"]
+    title: Text | None = None
+    serial_number: Text
+    quantity: Literal["unit"]
+    simulated: Flag
+    frame: Text
+    order: Text
+    thermal_lag: Time | None = None
+    valid_temperature: tuple[Temperature, Temperature]
+    valid_rate: tuple[Rate, Rate]
+    channel: Annotated[tuple[CalibratedChannel, ...], Field(min_length=1, max_length=6)]
+    covariance: Covariance | None = None
+    table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
+    fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
+    unobservable: Annotated[tuple[Text, ...], Field(max_length=5000)] = ()
+    noise: UnitNoise | None = None
+    result: Annotated[tuple[UnitResult, ...], Field(max_length=1000)] = ()
+    provenance: dict[str, Text] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "UnitCalibration":
+        problems: list[Problem] = []
+        names = [channel.name for channel in self.channel]
+        if len(set(names)) < len(names):
+            problems.append(Problem(("channel",), "two channels are of one kind and axis"))
+        for key, (low, high) in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
+            if low > high:
+                problems.append(Problem((key,), "the second must not be below the first", [str(low), str(high)]))
+        if self.covariance is not None:
+            known = {f"{c.name}.{name}" for c in self.channel for term in c.term for name in term.coefficients}
+            if strange := [name for name in self.covariance.names if name not in known]:
+                text = f"names coefficients that no channel has: {', '.join(strange[:5])}"
+                problems.append(Problem(("covariance", "names"), text))
+        refuse(*problems)
+        return self
+
+    def channel_of(self, kind: str, axis: str) -> CalibratedChannel | None:
+        """The channel of that kind and axis, if it has one."""
+        return next((c for c in self.channel if (c.kind, c.axis) == (kind, axis)), None)
+
+
+def parse_any_calibration(text: str, source: str = "") -> Calibration | UnitCalibration:
+    """The calibration of a gyro's axes, or of a whole unit, in a TOML text. Raises `SpecError` with every fault."""
+    with with_lines(text):
+        document = read_toml(text, source)
+        if document.get("quantity") == "unit":
+            return model_of(UnitCalibration, document, FORMAT, source)
+    return parse_calibration(text, source)
+
+
+def read_any_calibration(path: str | Path) -> Calibration | UnitCalibration:
+    """The calibration in a file, of a gyro's axes or of a whole unit. Raises `SpecError` with every fault."""
+    return parse_any_calibration(read_text(path), str(path))
+
+
+def write_unit_calibration(calibration: UnitCalibration, path: str | Path) -> None:
+    """Write a unit's calibration, whole or not at all. Errors: `OSError` where it cannot be written."""
+    write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
+
+
+def expect_axes(calibration: Calibration | UnitCalibration, what: str) -> Calibration:
+    """The calibration, of a gyro's axes. Raises `ValueError` with what does not take a whole unit's."""
+    if isinstance(calibration, UnitCalibration):
+        raise ValueError(f"{what} is for calibrations of a gyro's axes, and this one is of a whole unit")
+    return calibration
+
+
+_HEADER: Final = """\
+What was found of a whole unit: three gyros, three accelerometers. Apply it with `gradcal apply`.
+    measured = input + sum of map(T) * signals       rates in rad/s, specific force in m/s^2
+[[channel]] has the unit's own terms, [[table]] what the run says of the table that it hung on.
+Numbers without a unit are SI: rad, s, m, degC."""
+_SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."
+
+
+def term_of(name: str, unit: str, signals: tuple[str, ...], coefficients: dict[str, float], **bases: Any):
+    """A term from plain numbers; bases that are None are left out."""
+    given = {key: value for key, value in bases.items() if value is not None}
+    return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=coefficients, **given)

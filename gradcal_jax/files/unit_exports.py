@@ -1,0 +1,460 @@
+"""A whole unit's calibration in the terms of other programs, each evaluated in the target's own arithmetic.
+
+    ardupilot   INS_TCALn_*: biases of gyros and accelerometers, cubics about 35 °C; accelerometers' scale at one T
+    px4         TC_G*, TC_A*: biases over temperature, cubics; no scale factor
+    kalibr      imu.yaml at one temperature: scale, misalignment (triangular), sensitivity of gyros to acceleration
+    matrices    YAML at one temperature: corrected = matrix · (raw − bias) for gyros and accelerometers
+    c-header    a function in float32 with everything that the calibration has (polynomials)
+    csv         every coefficient with its standard deviation; nothing is lost
+
+What a target cannot carry is said in numbers: the largest error against the calibration itself over its range.
+"""
+
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax.files import exports, unit_c_header
+from gradcal_jax.files.bases import TemperaturePolynomial
+from gradcal_jax.files.calibration import AxisCalibration, BiasMap, Calibration, Noise, ScaleFactorMap
+from gradcal_jax.files.exports import Export, Loss
+from gradcal_jax.files.unit_calibration import CalibratedChannel, CalibratedTerm, UnitCalibration
+from gradcal_jax.files.unit_correction import term_values
+from gradcal_jax.units import DEG_PER_H, G
+
+Floats = NDArray[np.float64]
+_GRID: Final = 201
+_TRIAD: Final = ("x", "y", "z")
+_MICRO_G: Final = 1e6 / G
+
+
+def export_unit(
+    calibration: UnitCalibration,
+    target: str,
+    *,
+    temperature_c: float | None = None,
+    instance: int = 1,
+    device_id: int | None = None,
+) -> Export:
+    """A unit's calibration for a target of `UNIT_FORMATS`; see `exports.export`. Errors: `ValueError`, a sentence."""
+    if target not in UNIT_FORMATS:
+        known = ", ".join(UNIT_FORMATS)
+        raise ValueError(f'there is no export format "{target}" of a whole unit: known are {known}')
+    options = {"temperature_c": temperature_c, "instance": instance, "device_id": device_id}
+    done = UNIT_FORMATS[target](calibration, options)
+    said = ("this calibration was made from SIMULATED data",) if calibration.simulated else ()
+    return done._replace(notes=(*done.notes, *said))
+
+
+# --- parts that serve the targets of single axes ----------------------------------------------------------------------
+
+
+def axes_of(calibration: UnitCalibration, kind: str) -> Calibration | None:
+    """The biases and scale factors of one kind, as a calibration of single axes; None where there is no such channel.
+
+    Of accelerometers rates stand for specific forces: rad/s for m/s².
+    """
+    axes = [_axis(calibration, c) for c in calibration.channel if c.kind == kind]
+    if not axes:
+        return None
+    noise = calibration.noise
+    given: dict[str, Any] = {}
+    if kind == "gyro" and noise is not None and noise.angle_random_walk is not None:
+        given["noise"] = Noise(
+            **{
+                key: value
+                for key in ("angle_random_walk", "rate_random_walk", "sample_rate")
+                if (value := getattr(noise, key)) is not None
+            }
+        )
+    return Calibration(
+        format="gradcal-calibration/1",
+        serial_number=calibration.serial_number,
+        quantity="gyro",
+        simulated=calibration.simulated,
+        frame=calibration.frame,
+        order=calibration.order,
+        axis=tuple(axes),
+        provenance=calibration.provenance,
+        **given,
+    )
+
+
+def _axis(calibration: UnitCalibration, channel: CalibratedChannel) -> AxisCalibration:
+    maps: dict[str, Any] = {}
+    if (bias := channel.term_of("bias")) is not None:
+        maps["bias"] = BiasMap(temperature=_basis(bias), coefficients=_renamed(bias, "a"))
+    scale = channel.term_of("scale_factor")
+    if scale is not None and scale.rate is not None:
+        maps["scale_factor"] = ScaleFactorMap(
+            temperature=_basis(scale), rate=scale.rate, coefficients=dict(scale.coefficients)
+        )
+    if calibration.thermal_lag is not None:
+        maps["thermal_lag"] = calibration.thermal_lag
+    return AxisCalibration(
+        name=channel.axis,
+        valid_temperature=calibration.valid_temperature,
+        valid_rate=calibration.valid_rate,
+        **maps,
+    )
+
+
+def _basis(term: CalibratedTerm) -> Any:
+    if term.temperature is not None:
+        return term.temperature
+    return TemperaturePolynomial.model_validate({"basis": "polynomial", "degree": 0, "scale": "50 K"})
+
+
+def _renamed(term: CalibratedTerm, letter: str) -> dict[str, float]:
+    """A constant has no number in a unit's file."""
+    return {letter + name.removeprefix(letter).rjust(1, "0"): value for name, value in term.coefficients.items()}
+
+
+class Linear(NamedTuple):
+    """A unit at one temperature, turned slowly: measured rate = `gyro` ω + `sensitivity` f + `gyro_bias`, measured
+    force = `accelerometer` f + `accelerometer_bias`; SI.
+    """
+
+    gyro: Floats
+    gyro_bias: Floats
+    sensitivity: Floats
+    accelerometer: Floats
+    accelerometer_bias: Floats
+
+
+def linear_at(calibration: UnitCalibration, temperature_c: float) -> Linear:
+    """The linear part of every channel at one temperature; what a unit has not is taken as perfect."""
+    at = np.array([temperature_c])
+    found = Linear(np.eye(3), np.zeros(3), np.zeros((3, 3)), np.eye(3), np.zeros(3))
+    for channel in calibration.channel:
+        i = _TRIAD.index(channel.axis)
+        own, bias = (
+            (found.gyro, found.gyro_bias) if channel.kind == "gyro" else (found.accelerometer, found.accelerometer_bias)
+        )
+        signal = "rate" if channel.kind == "gyro" else "force"
+        for term in channel.term:
+            value = float(term_values(term, at, np.zeros(1))[0])
+            if not term.signals:
+                bias[i] += value
+            elif len(term.signals) == 1 and not term.signals[0].startswith("|"):
+                what, axis = term.signals[0].split()
+                (own if what == signal else found.sensitivity)[i, _TRIAD.index(axis)] += value
+    return found
+
+
+def _lost(calibration: UnitCalibration, carried: Callable[[CalibratedTerm], bool]) -> list[Loss]:
+    """The largest value over its range of every term that a target does not carry: at one g, and its largest rate."""
+    low, high = (float(t) for t in calibration.valid_temperature)
+    fastest = max(abs(float(r)) for r in calibration.valid_rate)
+    temperature = np.linspace(low, high, _GRID)
+    losses: list[Loss] = []
+    for channel in calibration.channel:
+        for term in channel.term:
+            if carried(term):
+                continue
+            rates = np.linspace(-fastest, fastest, 61) if term.rate is not None else np.zeros(1)
+            t, w = (x.ravel() for x in np.meshgrid(temperature, rates, indexing="ij"))
+            largest = float(np.max(np.abs(term_values(term, t, w))))
+            unit, factor = _people(term, channel.kind)
+            words = term.name.replace("_", " ")
+            losses.append(Loss(f"{channel.kind} {channel.axis}", words, largest * factor, unit))
+    return losses
+
+
+def _people(term: CalibratedTerm, kind: str) -> tuple[str, float]:
+    forces = sum(signal.strip("|").startswith("force") for signal in term.signals)
+    if kind == "gyro" and forces:
+        return "deg/h at 1 g", DEG_PER_H * G**forces
+    if not term.signals:
+        return ("deg/h", DEG_PER_H) if kind == "gyro" else ("ug", _MICRO_G)
+    if forces > 1:
+        return "ug at 1 g", _MICRO_G * G**forces
+    return ("urad", 1e6) if term.unit == "rad" else ("ppm", 1e6)
+
+
+def _at(calibration: UnitCalibration, options: Mapping[str, Any], target: str) -> float:
+    at = options["temperature_c"]
+    low, high = (float(t) for t in calibration.valid_temperature)
+    if at is None:
+        raise ValueError(f"{target}'s file is for one temperature: say which with --temperature")
+    if not low - 1e-9 <= at <= high + 1e-9:
+        raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
+    return float(at)
+
+
+def _both(calibration: UnitCalibration, target: str, options: Mapping[str, Any]) -> tuple[list[str], list[Loss], list]:
+    """What a target of single axes takes of the gyros, where there are any."""
+    gyros = axes_of(calibration, "gyro")
+    if gyros is None:
+        return [], [], []
+    done = exports.export(
+        gyros.model_copy(update={"simulated": False}),
+        target,
+        instance=int(options["instance"]),
+        device_id=options["device_id"],
+    )
+    losses = [loss._replace(axis=f"gyro {loss.axis}") for loss in done.losses if loss.what != "scale factor"]
+    return done.text.splitlines(), losses, list(done.notes)
+
+
+# --- ArduPilot and PX4 ------------------------------------------------------------------------------------------------
+
+
+def _ardupilot(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
+    lines, losses, notes = _both(calibration, "ardupilot", options)
+    number = int(options["instance"])
+    forces = [c for c in calibration.channel if c.kind == "accelerometer"]
+    if forces:
+        parts = axes_of(calibration, "accelerometer")
+        assert parts is not None
+        low = max(float(calibration.valid_temperature[0]), -70.0)
+        high = min(float(calibration.valid_temperature[1]), 80.0)
+        if high - low < 10.0:
+            raise ValueError(f"ArduPilot needs a range of at least 10 K; this calibration covers {low:g} … {high:g} °C")
+        at, prefix = 0.5 * (low + high), "" if number == 1 else str(number)
+        if not lines:
+            lines += [f"INS_TCAL{number}_ENABLE 1", f"INS_TCAL{number}_TMIN {exports.single(low)}"]
+            lines += [f"INS_TCAL{number}_TMAX {exports.single(high)}"]
+        linear = linear_at(calibration, at)
+        parameters: dict[str, float] = {}
+        for axis in parts.axis:
+            letter, b = axis.name.upper(), exports.cubic(axis, exports.ARDUPILOT_REFERENCE)
+            for k in (1, 2, 3):
+                parameters[f"INS_TCAL{number}_ACC{k}_{letter}"] = 1e6 * b[k]
+            offset = float(np.polynomial.polynomial.polyval(at - exports.ARDUPILOT_REFERENCE, b))
+            parameters[f"INS_ACC{prefix}OFFS_{letter}"] = offset
+            own = _TRIAD.index(axis.name)
+            parameters[f"INS_ACC{prefix}SCAL_{letter}"] = 1.0 / linear.accelerometer[own, own]
+        parameters[f"INS_ACC{number}_CALTEMP"] = at
+        lines += [f"{name} {exports.single(value)}" for name, value in parameters.items()]
+        low_high = {"TMIN": low, "TMAX": high}
+        told = {name: float(np.float32(v)) for name, v in parameters.items()}
+        told |= {f"INS_TCAL{number}_{name}": value for name, value in low_high.items()}
+        losses += _accelerometer_bias_losses(parts, lambda name, t: ardupilot_offset(told, name, t, number))
+        for c in forces:
+            losses += _scale_left(calibration, c, at)
+        notes.append(
+            "accelerometers: corrected = (raw - P(T-35) + P(Tcal-35) - OFFS) * SCAL, SCAL at the middle of the range"
+        )
+    losses += _lost(
+        calibration, lambda term: term.name == "bias" or (term.name == "scale_factor" and term.rate is None)
+    )
+    return Export("".join(f"{line}\n" for line in lines), tuple(losses), tuple(dict.fromkeys(notes)))
+
+
+def ardupilot_offset(parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 1) -> Floats:
+    """What ArduPilot takes off a raw specific force (m/s²) before its scale, in float32."""
+    single = np.float32
+    letter, prefix = axis.upper(), "" if number == 1 else str(number)
+    c = [single(parameters[f"INS_TCAL{number}_ACC{k}_{letter}"]) for k in (1, 2, 3)]
+    low, high = (single(parameters[f"INS_TCAL{number}_{end}"]) for end in ("TMIN", "TMAX"))
+
+    def polynomial(t: Any) -> Any:
+        d = np.clip(t, low, high) - single(exports.ARDUPILOT_REFERENCE)
+        return (d * c[0] + d * d * c[1] + d * d * d * c[2]) * single(1e-6)
+
+    at = polynomial(single(parameters[f"INS_ACC{number}_CALTEMP"]))
+    taken = polynomial(temperature_c.astype(single)) - at + single(parameters[f"INS_ACC{prefix}OFFS_{letter}"])
+    return np.asarray(taken, np.float64)
+
+
+def _accelerometer_bias_losses(parts: Calibration, taken_off: Callable[[str, Floats], Floats]) -> list[Loss]:
+    from gradcal_jax.files import correction
+
+    losses = []
+    for axis in parts.axis:
+        t = np.linspace(float(axis.valid_temperature[0]), float(axis.valid_temperature[1]), _GRID)
+        error = float(np.max(np.abs(taken_off(axis.name, t) - correction.bias(axis, t))))
+        losses.append(Loss(f"accelerometer {axis.name}", "bias", error * _MICRO_G, "ug"))
+    return losses
+
+
+def _scale_left(calibration: UnitCalibration, channel: CalibratedChannel, at: float) -> list[Loss]:
+    """What of a scale factor changes with temperature."""
+    term = channel.term_of("scale_factor")
+    if term is None:
+        return []
+    low, high = (float(t) for t in calibration.valid_temperature)
+    values = term_values(term, np.linspace(low, high, _GRID))
+    apart = float(np.max(np.abs(values - term_values(term, np.array([at]))[0])))
+    return [Loss(f"accelerometer {channel.axis}", "scale factor over temperature", apart * 1e6, "ppm")]
+
+
+def _px4(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
+    lines, losses, notes = _both(calibration, "px4", options)
+    parts = axes_of(calibration, "accelerometer")
+    if parts is not None:
+        number, identity = int(options["instance"]), options["device_id"]
+        low, high = (float(t) for t in calibration.valid_temperature)
+        about = float(round(0.5 * (low + high)))
+        rows: list[tuple[str, float, int]] = [
+            ("TC_A_ENABLE", 1, 6),
+            (f"TC_A{number}_ID", int(identity or 0), 6),
+            (f"TC_A{number}_TREF", about, 9),
+            (f"TC_A{number}_TMIN", low, 9),
+            (f"TC_A{number}_TMAX", high, 9),
+        ]
+        for axis in parts.axis:
+            b = exports.cubic(axis, about)
+            rows += [(f"TC_A{number}_X{k}_{_TRIAD.index(axis.name)}", float(b[k]), 9) for k in range(4)]
+        lines += [f"1\t1\t{n}\t{int(v) if kind == 6 else exports.single(v)}\t{kind}" for n, v, kind in rows]
+        told = {name: float(np.float32(value)) for name, value, _ in rows}
+        losses += _accelerometer_bias_losses(parts, lambda name, t: px4_offset(told, name, t, number))
+        if identity is None:
+            notes.append(f"TC_A{number}_ID must be the sensor's device id: with 0 PX4 ignores the set (--device-id)")
+        notes.append("CAL_ACC offsets must be zero; corrected = R (raw - offset)")
+    losses += _lost(calibration, lambda term: term.name == "bias")
+    return Export("".join(f"{line}\n" for line in lines), tuple(losses), tuple(dict.fromkeys(notes)))
+
+
+def px4_offset(parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 0) -> Floats:
+    """What PX4 takes off a raw specific force (m/s²), in float32."""
+    single, place = np.float32, _TRIAD.index(axis)
+    x = [single(parameters[f"TC_A{number}_X{k}_{place}"]) for k in range(4)]
+    low, high = (single(parameters[f"TC_A{number}_{end}"]) for end in ("TMIN", "TMAX"))
+    d = np.clip(temperature_c.astype(single), low, high) - single(parameters[f"TC_A{number}_TREF"])
+    return np.asarray(x[0] + x[1] * d + x[2] * d * d + x[3] * d * d * d, np.float64)
+
+
+# --- one temperature --------------------------------------------------------------------------------------------------
+
+
+class KalibrForm(NamedTuple):
+    """Kalibr's: measured rate = `gyro` · `rotation` · ω + `sensitivity` · f, measured force = `accelerometer` · f, in a
+    frame in which the accelerometers' matrix is lower triangular; `frame`: from the calibration's frame to that one.
+    """
+
+    accelerometer: Floats
+    gyro: Floats
+    rotation: Floats
+    sensitivity: Floats
+    frame: Floats
+
+
+def kalibr_form(linear: Linear) -> KalibrForm:
+    """The same matrices with their rotations taken apart: lower triangular times rotation, positive diagonals."""
+    accelerometer, frame = _triangular(linear.accelerometer)
+    gyro, rotation = _triangular(linear.gyro @ frame.T)
+    return KalibrForm(accelerometer, gyro, rotation, linear.sensitivity @ frame.T, frame)
+
+
+def _triangular(matrix: Floats) -> tuple[Floats, Floats]:
+    """`L Q = matrix`, L lower triangular with a positive diagonal, Q a rotation."""
+    q, r = np.linalg.qr(matrix.T)
+    signs = np.sign(np.diag(r))
+    return (r * signs[:, None]).T, (q * signs).T
+
+
+def _one_temperature(calibration: UnitCalibration, at: float) -> list[Loss]:
+    """What the other temperatures, and rates, make of terms that are held as they are at one."""
+    low, high = (float(t) for t in calibration.valid_temperature)
+    fastest = max(abs(float(r)) for r in calibration.valid_rate)
+    losses: list[Loss] = []
+    for channel in calibration.channel:
+        for term in channel.term:
+            rates = np.linspace(-fastest, fastest, 61) if term.rate is not None else np.zeros(1)
+            t, w = (x.ravel() for x in np.meshgrid(np.linspace(low, high, _GRID), rates, indexing="ij"))
+            linear = len(term.signals) < 2 and not any(s.startswith("|") for s in term.signals)
+            held = float(term_values(term, np.array([at]), np.zeros(1))[0]) if linear else 0.0
+            apart = float(np.max(np.abs(term_values(term, t, w) - held)))
+            unit, factor = _people(term, channel.kind)
+            if apart * factor > 0.0:
+                over = " over temperature" + (" and rate" if term.rate else "") if linear else ""
+                what = term.name.replace("_", " ") + over
+                losses.append(Loss(f"{channel.kind} {channel.axis}", what, apart * factor, unit))
+    return losses
+
+
+def _kalibr(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
+    at = _at(calibration, options, "Kalibr")
+    form = kalibr_form(linear_at(calibration, at))
+    noise, notes = calibration.noise, ["Kalibr estimates the biases itself and takes none from this file"]
+    lines = [
+        f"# gradcal {calibration.serial_number}, {at:g} degC" + (", SIMULATED" if calibration.simulated else ""),
+        "# measured rate = M * C_gyro_i * rate + A * specific_force + bias + noise",
+        "# measured force = M * specific_force + bias + noise",
+        "# in the frame in which the accelerometers' M is lower triangular, turned from the calibration's by",
+        f"# {_row(form.frame.ravel())}",
+        "rostopic: /imu0",
+    ]
+    if noise is not None:
+        for key, name, unit in (
+            ("gyroscope_noise_density", "angle_random_walk", "rad/s/sqrt(Hz)"),
+            ("gyroscope_random_walk", "rate_random_walk", "rad/s^2/sqrt(Hz)"),
+            ("accelerometer_noise_density", "velocity_random_walk", "m/s^2/sqrt(Hz)"),
+            ("update_rate", "sample_rate", "Hz"),
+        ):
+            if (value := getattr(noise, name)) is not None:
+                lines.append(f"{key}: {float(value):.9g}  # {unit}")
+    notes.append("the file wants an accelerometer_random_walk, which no calibration tells")
+    lines += ["model: scale-misalignment", "accelerometers:", "  M:", *_matrix(form.accelerometer)]
+    lines += ["gyroscopes:", "  M:", *_matrix(form.gyro), "  A:", *_matrix(form.sensitivity)]
+    lines += ["  C_gyro_i:", *_matrix(form.rotation)]
+    return Export("\n".join(lines) + "\n", tuple(_one_temperature(calibration, at)), tuple(notes))
+
+
+def _matrix(values: Floats) -> list[str]:
+    return [f"  - {_row(row)}" for row in values]
+
+
+def _row(values: Sequence[float] | Floats) -> str:
+    return "[" + ", ".join(repr(float(v)) for v in values) + "]"
+
+
+def _matrices(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
+    at = _at(calibration, options, "This")
+    linear = linear_at(calibration, at)
+    lines = [
+        f"# gradcal {calibration.serial_number}, {at:g} degC" + (", SIMULATED" if calibration.simulated else ""),
+        "# force = accelerometer.matrix * (raw force - accelerometer.bias)",
+        "# rate = gyro.matrix * (raw rate - gyro.bias - gyro.sensitivity * force); SI; frame: " + calibration.frame,
+    ]
+    for name, matrix, bias in (
+        ("accelerometer", linear.accelerometer, linear.accelerometer_bias),
+        ("gyro", linear.gyro, linear.gyro_bias),
+    ):
+        lines += [f"{name}:", "  matrix:", *_matrix(np.linalg.inv(matrix)), f"  bias: {_row(bias)}"]
+    lines += ["  sensitivity:", *_matrix(linear.sensitivity)]
+    return Export("\n".join(lines) + "\n", tuple(_one_temperature(calibration, at)), ())
+
+
+# --- C and CSV --------------------------------------------------------------------------------------------------------
+
+
+def _c_header(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
+    text, errors = unit_c_header.write_unit(calibration)
+    losses = tuple(Loss(name, what, value, unit) for name, what, value, unit in errors)
+    lag = [] if calibration.thermal_lag is None else [f"the thermal lag of {calibration.thermal_lag} is not carried"]
+    return Export(text, losses, (*lag, "float32, no allocation, no division; all axes in the calibration's frame"))
+
+
+def _csv(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
+    stream, std = io.StringIO(), {}
+    if (known := calibration.covariance) is not None:
+        std = {name: float(np.sqrt(known.matrix[k][k])) for k, name in enumerate(known.names)}
+    stream.write(f"# gradcal {calibration.serial_number}" + (", SIMULATED" if calibration.simulated else "") + "\n")
+    stream.write(f"# {calibration.order}\n")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(("channel", "term", "signals", "name", "value", "std", "unit", "temperature_basis", "rate_basis"))
+    for channel in calibration.channel:
+        for term in channel.term:
+            bases = (exports.basis_words(term.temperature), exports.basis_words(term.rate))
+            for name, value in term.coefficients.items():
+                error = std.get(f"{channel.name}.{name}")
+                numbers = (repr(value), "" if error is None else repr(error))
+                writer.writerow((channel.name, term.name, " * ".join(term.signals), name, *numbers, term.unit, *bases))
+    return Export(stream.getvalue(), (), ())
+
+
+UNIT_FORMATS: Final[Mapping[str, Callable[[UnitCalibration, Mapping[str, Any]], Export]]] = {
+    "ardupilot": _ardupilot,
+    "px4": _px4,
+    "kalibr": _kalibr,
+    "matrices": _matrices,
+    "c-header": _c_header,
+    "csv": _csv,
+}

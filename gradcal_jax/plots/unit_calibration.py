@@ -1,0 +1,104 @@
+"""Pictures of a whole unit's estimate: what was found over temperature, and what is left of the rows."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from gradcal_jax.api.unit_estimate import UNITS_OF_TERMS, UnitReport
+from gradcal_jax.files.unit_calibration import CalibratedTerm, UnitCalibration
+from gradcal_jax.files.unit_correction import term_values
+from gradcal_jax.information import segments_of
+from gradcal_jax.model import AXIS_NAMES
+from gradcal_jax.plots.style import PALETTE, new_axes, style_of
+
+_POINTS = 81
+# What is drawn, in this order, where the calibration has it.
+_PANELS = (
+    ("gyro", "bias", "gyro bias"),
+    ("gyro", "scale_factor", "gyro scale factor, slowly turned"),
+    ("accelerometer", "bias", "accelerometer bias"),
+    ("accelerometer", "scale_factor", "accelerometer scale factor"),
+)
+
+
+def draw_unit_term(
+    calibration: UnitCalibration, kind: str, name: str, title: str = "", *, ax: Axes | None = None
+) -> tuple[Axes, list[Line2D]]:
+    """A term of all channels of a kind over temperature, each with a band of ± 1σ."""
+    ax = new_axes(ax)
+    low, high = (float(t) for t in calibration.valid_temperature)
+    temperature, lines, unit = np.linspace(low, high, _POINTS), [], ""
+    for axis in AXIS_NAMES:
+        channel = calibration.channel_of(kind, axis)
+        term = None if channel is None else channel.term_of(name)
+        if channel is None or term is None:
+            continue
+        unit, factor = UNITS_OF_TERMS.get(term.unit, (term.unit, 1.0))
+        value = term_values(term, temperature, np.zeros(_POINTS)) * factor
+        std = _deviation(calibration, channel.name, term, temperature) * factor
+        index = AXIS_NAMES.index(axis)
+        lines += ax.plot(temperature, value, label=axis, **style_of(index))
+        ax.fill_between(temperature, value - std, value + std, alpha=0.2, color=PALETTE[index])
+    ax.set(xlabel="temperature, °C", ylabel=f"value ± 1σ, {unit}", title=title or f"{kind} {name}".replace("_", " "))
+    ax.legend(title="axis")
+    return ax, lines
+
+
+def _deviation(calibration: UnitCalibration, channel: str, term: CalibratedTerm, temperature: np.ndarray) -> np.ndarray:
+    """Standard deviation of a term's map; nothing where the file has no covariance of it."""
+    if calibration.covariance is None:
+        return np.zeros(len(temperature))
+    names = [f"{channel}.{name}" for name in term.coefficients]
+    place = {name: k for k, name in enumerate(calibration.covariance.names)}
+    if any(name not in place for name in names):
+        return np.full(len(temperature), np.nan)
+    where = [place[name] for name in names]
+    block = np.array(calibration.covariance.matrix)[np.ix_(where, where)]
+    each = [
+        term.model_copy(update={"coefficients": {n: float(n == name) for n in term.coefficients}})
+        for name in term.coefficients
+    ]
+    functions = np.stack([term_values(one, temperature, np.zeros(len(temperature))) for one in each], axis=1)
+    return np.sqrt(np.einsum("ti,ij,tj->t", functions, block, functions))
+
+
+def draw_unit_residuals(report: UnitReport, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
+    """Whitened residuals of every channel over time; nearly all lie within ± 3."""
+    ax = new_axes(ax)
+    at = segments_of(report.executed.motion, report.built.model)
+    line = report.executed.motion.line
+    time = (line.start + line.duration)[at.last][at.row_segment][report.found.used] / 3600.0
+    channel = at.row_channel[report.found.used]
+    drawn = []
+    for k, c in enumerate(report.built.model.channels):
+        own = channel == k
+        residual = report.found.estimate.residuals[0][own]
+        marker = "o" if c.kind == "gyro" else "^"
+        name = c.name.replace("_", " ")
+        drawn.append(
+            ax.scatter(time[own], residual, s=6, marker=marker, color=PALETTE[k % 6], label=name, rasterized=True)
+        )
+    for level in (-3.0, 3.0):
+        ax.axhline(level, color="black", linewidth=0.7, linestyle=":")
+    ax.set(xlabel="time, h", ylabel="whitened residual, σ", title="what is left of the rows")
+    ax.legend(ncols=2, fontsize="small")
+    return ax, drawn
+
+
+def draw_unit_estimate(report: UnitReport) -> Figure:
+    """Everything that was found, and the residuals."""
+    found = report.calibration
+    panels = [
+        panel for panel in _PANELS if any(c.kind == panel[0] and c.term_of(panel[1]) is not None for c in found.channel)
+    ]
+    rows = (len(panels) + 1) // 2 + 1
+    figure = Figure(figsize=(10.0, 3.2 * rows), layout="constrained")
+    grid = figure.add_gridspec(rows, 2)
+    for k, (kind, name, title) in enumerate(panels):
+        draw_unit_term(found, kind, name, title, ax=figure.add_subplot(grid[k // 2, k % 2]))
+    draw_unit_residuals(report, ax=figure.add_subplot(grid[rows - 1, :]))
+    simulated = ", SIMULATED" if found.simulated else ""
+    figure.suptitle(f"calibration of {found.serial_number}{simulated}")
+    return figure

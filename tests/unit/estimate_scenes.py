@@ -1,0 +1,89 @@
+"""Units of which a plan's recording is estimated: specs of four kinds of table, their truths, their recordings."""
+
+import tomllib
+from typing import Any
+
+import numpy as np
+import unit_twin
+from helpers_unit import shipped
+
+from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.files import presets
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.formulas import runs
+
+PLANS = ("two axes", "one axis, three mountings", "three axes", "by hand")
+_PRESETS = {
+    "one axis, three mountings": "one-axis-table",
+    "three axes": "standard-three-axes",
+    "by hand": "gimbal-by-hand",
+}
+# Minutes.
+_TWO_CYCLES = {"three axes": 20.0, "by hand": 27.0}
+
+
+def scene(plan: str, installation_mrad: float, minutes: float = 8.0) -> UnitSpec:
+    """A spec whose table is uncertain by so much; its ramp is made quick, so that one recording costs little."""
+    document = shipped("hand2") if plan == "two axes" else tomllib.loads(presets.text(_PRESETS[plan]))
+    accuracy = f"{installation_mrad} mrad"
+    table = document["rig"]["table"]
+    table["tilt"] = accuracy
+    for axis in table["axis"][:-1]:
+        axis["orthogonality"] = accuracy
+    for mounting in _list(table.get("mounting", [])):
+        if "accuracy" in mounting:
+            mounting["accuracy"] = accuracy
+    document["rig"]["chamber"] |= {"max_heating": "60 K/min", "max_cooling": "60 K/min"}
+    # The same cycle as often as the time allows, over the same temperatures.
+    minutes = max(minutes, _TWO_CYCLES.get(plan, 0.0))
+    document["plan"] |= {"temperature": ["-30 degC", "70 degC"], "gradient": f"{100.0 / minutes:.6g} K/min"}
+    document["plan"].pop("programme", None)
+    document["plan"].pop("soak", None)
+    for part in ("gyro", "accelerometer"):
+        triad = document["sensor"].get(part, {})
+        triad.pop("scale_factor_instability", None)
+    document["sensor"].pop("thermal_lag", None)
+    return unit_spec_of(document)
+
+
+def _list(value: Any) -> list[dict[str, Any]]:
+    return [value] if isinstance(value, dict) else list(value)
+
+
+def draw_truth(spec: UnitSpec, rng: np.random.Generator) -> dict[str, float]:
+    """Every parameter, drawn from what the spec knows of it before."""
+    model = assemble_unit(spec).model
+    rows = model.prior_rows()
+    reported = model.to_reported
+    root = np.linalg.inv(np.linalg.cholesky(rows.T @ rows)).T
+    values = reported @ (root @ rng.standard_normal(model.size))
+    return dict(zip(model.names(), values.tolist(), strict=True))
+
+
+def record(
+    spec: UnitSpec, truth: dict[str, float], rng: np.random.Generator, name: str = "SN7", **options: Any
+) -> list[Log]:
+    """Logs of a simulated unit, one for each mounting."""
+    logs = []
+    for kept in unit_twin.recordings(spec, truth, rng, **options):
+        number = np.full(len(kept.time), -1)
+        for k, (first, end) in enumerate(runs(kept.standing)):
+            number[first:end] = k
+        logs.append(
+            Log(
+                kept.time,
+                kept.rate[None],
+                (name,),
+                ("x", "y", "z"),
+                kept.force[None],
+                ("x", "y", "z"),
+                kept.temperature[None],
+                tuple(axis.name for axis in spec.rig.table.axis),
+                kept.angles,
+                None,
+                number,
+                simulated=True,
+            )
+        )
+    return logs

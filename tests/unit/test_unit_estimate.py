@@ -1,0 +1,145 @@
+"""The estimate of a whole unit against a twin of quaternions, whose table is finitely off: residuals as predicted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimate_scenes import PLANS, draw_truth, record, scene
+from scipy import stats
+
+from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.unit_estimate import UnitReport, estimate_units
+from gradcal_jax.api.unit_prediction import posterior_of_unit
+from gradcal_jax.api.unit_residual import quantity_of
+from gradcal_jax.files.log import LogError
+from gradcal_jax.files.unit_spec import UnitSpec
+
+UNITS = 300
+
+
+def estimated(spec: UnitSpec, seed: int) -> tuple[UnitReport, np.ndarray]:
+    """One unit drawn, simulated and estimated; and its true reported parameters."""
+    rng = np.random.default_rng(seed)
+    truth = draw_truth(spec, rng)
+    (report,) = estimate_units(spec, record(spec, truth, rng))
+    return report, np.array(list(truth.values()))
+
+
+def error_of(report: UnitReport, truth: np.ndarray) -> np.ndarray:
+    """In the engine's coordinates."""
+    return report.found.parameters - np.linalg.solve(report.built.model.to_reported, truth)
+
+
+def squared(report: UnitReport, truth: np.ndarray) -> float:
+    """The error of all parameters, normalised by their covariance: χ² with as many degrees of freedom."""
+    root = report.found.known.spread
+    white = np.linalg.solve(root, error_of(report, truth)) if root.shape[0] == root.shape[1] else np.full(1, np.nan)
+    return float(white @ white)
+
+
+@pytest.mark.parametrize(("plan", "mrad"), [("two axes", 1.0), ("one axis, three mountings", 0.1), ("by hand", 1.0)])
+def test_a_unit_on_a_table_that_is_off_is_found_within_its_covariance(plan, mrad):
+    report, truth = estimated(scene(plan, mrad), 11)
+    tests, size = report.consistency, report.built.model.size
+    assert 1e-4 < stats.chi2.sf(squared(report, truth), size) < 1.0 - 1e-4
+    assert 1e-4 < tests.fit.probability < 1.0 - 1e-4
+    assert report.found.moved < 1e-3
+    assert report.found.rounds <= 5
+    before, after = report.gravity
+    assert after < 0.1 * before
+
+
+def test_the_covariance_of_a_log_is_that_of_its_plan():
+    spec = scene("two axes", 0.1)
+    report, _ = estimated(spec, 3)
+    plan = posterior_of_unit(assemble_unit(spec))
+    reported = report.built.model.to_reported
+    ratio = report.found.known.deviations(reported) / plan.deviations(reported)
+    # What was logged is a little more than was planned for: two rests that follow one another are one standstill.
+    assert np.max(np.abs(ratio - 1.0)) < 0.03
+
+
+def test_an_installation_error_put_in_by_hand_is_found_as_such():
+    spec = scene("two axes", 1.0)
+    truth = dict.fromkeys(draw_truth(spec, np.random.default_rng(0)), 0.0)
+    truth |= {"tilt_north": 2e-3, "orthogonality_tilt_spin": -1.5e-3}
+    (report,) = estimate_units(spec, record(spec, truth, np.random.default_rng(5)))
+    found = {error.name: error for error in report.calibration.table}
+    for name in ("tilt_north", "orthogonality_tilt_spin"):
+        assert abs(found[name].value - truth[name]) < 4.0 * found[name].standard_deviation < 1e-4
+    worst = max(abs(e.value) / e.standard_deviation for n, e in found.items() if n not in truth or truth[n] == 0.0)
+    assert worst < 4.0
+
+
+def test_standstills_that_no_log_marks_are_found_and_lost_rows_do_no_harm():
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(8)
+    truth = draw_truth(spec, rng)
+    (log,) = record(spec, truth, rng)
+    status = np.zeros((1, len(log.time_s)), np.uint16)
+    status[0, 5000:5100] = 4
+    rate = log.rate_rad_per_s.copy()
+    rate[0, 5000:5100] = np.nan
+    (report,) = estimate_units(spec, [replace(log, standstill=None, status=status, rate_rad_per_s=rate)])
+    assert any("no standstills" in message for message in report.messages)
+    values = np.array(list(truth.values()))
+    assert 1e-4 < stats.chi2.sf(squared(report, values), len(values)) < 1.0 - 1e-4
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda log: replace(log, table_axes=("spin", "tilt")), "one axis after the other must turn"),
+        (lambda log: replace(log, axes=("z", "x", "y")), "do not say the same"),
+        (lambda log: replace(log, axes=("a", "b", "c")), "no gyro x, gyro y, gyro z"),
+        (lambda log: replace(log, table_axes=("tilt", "inner")), "no table axis spin"),
+        (lambda log: replace(log, table_angle_rad=None, table_axes=()), "no angles of the table"),
+        (lambda log: replace(log, temperature_c=None), "no temperature"),
+        (lambda log: replace(log, specific_force_m_per_s2=-log.specific_force_m_per_s2), "mounted as the spec says"),
+        (lambda log: replace(log, standstill=np.full(len(log.time_s), -1)), "less than twice"),
+    ],
+)
+def test_a_log_of_another_table_is_a_sentence(change, said):
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(1)
+    (log,) = record(spec, draw_truth(spec, rng), rng)
+    with pytest.raises(LogError, match=said):
+        estimate_units(spec, [change(log)])
+
+
+def test_several_mountings_want_a_log_each():
+    spec, rng = scene("one axis, three mountings", 0.1), np.random.default_rng(1)
+    logs = record(spec, draw_truth(spec, rng), rng)
+    with pytest.raises(LogError, match="one log for each"):
+        estimate_units(spec, logs[:2])
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("mrad", [0.1, 1.0])
+@pytest.mark.parametrize("plan", PLANS)
+def test_three_hundred_units_err_as_predicted(plan, mrad):
+    """Residual over prediction within 5 % for every quantity, NEES and χ² of the data in their 99 % bands."""
+    spec = scene(plan, mrad)
+    built = assemble_unit(spec)
+    quantities = [quantity_of(built, r) for r in spec.requirement]
+    square, expected, nees, chi, degrees = [], [], [], [], []
+    for seed in range(UNITS):
+        report, truth = estimated(spec, 1000 + seed)
+        error, known = error_of(report, truth), report.found.known
+        square.append([_power(q, error) for q in quantities])
+        expected.append([_power(q, known.spread) for q in quantities])
+        nees.append(squared(report, truth))
+        chi.append(report.consistency.fit.statistic)
+        degrees.append(report.consistency.fit.degrees)
+    ratio = np.sqrt(np.mean(square, axis=0) / np.mean(expected, axis=0))
+    print(plan, mrad, dict(zip([r.name for r in spec.requirement], ratio.round(4).tolist(), strict=True)))
+    low, high = stats.chi2.ppf([0.005, 0.995], UNITS * built.model.size)
+    print("NEES", np.sum(nees) / low, np.sum(nees) / high, "χ²", np.sum(chi) / np.sum(degrees))
+    assert low < np.sum(nees) < high
+    low, high = stats.chi2.ppf([0.005, 0.995], np.sum(degrees))
+    assert low < np.sum(chi) < high
+    assert np.all(np.abs(ratio - 1.0) < 0.05), ratio
+
+
+def _power(quantity, values: np.ndarray) -> float:
+    """Mean square of a quantity over its elements and grid, of an error `(p,)`, or of a covariance's root `(p, k)`."""
+    each = [element.rows @ values[element.where] for element in quantity.elements]
+    return float(np.mean([np.sum(e**2) / len(e) for e in each]))

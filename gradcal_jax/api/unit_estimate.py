@@ -254,8 +254,9 @@ def _covered(done, rows: UnitRows, temperature: np.ndarray) -> tuple[tuple[float
     """Temperatures (°C) and rates (rad/s) that the rows which count went through."""
     inside = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
     fastest = np.nanmax(np.abs(rows.rates[inside]), initial=0.0) if np.isfinite(rows.rates).any() else 0.0
-    at = temperature[inside]
-    return (float(at.min()), float(at.max())), (-float(fastest), float(fastest))
+    at, fastest = temperature[inside], np.radians(np.ceil(np.degrees(fastest) * 10.0) / 10.0)
+    # Outwards to a tenth: the ends of the first and the last standstill are not counted.
+    return (np.floor(at.min() * 10.0) / 10.0, np.ceil(at.max() * 10.0) / 10.0), (-float(fastest), float(fastest))
 
 
 # --- what the data say ------------------------------------------------------------------------------------------------
@@ -379,8 +380,8 @@ def _calibration(
         if case
         else "the table's axes at zero, through the nominal mounting",
         "order": UNIT_ORDER,
-        "valid_temperature": tuple(f"{t:.2f} degC" for t in covered[0]),
-        "valid_rate": tuple(f"{np.degrees(r):.2f} deg/s" for r in covered[1]),
+        "valid_temperature": tuple(f"{t:.1f} degC" for t in covered[0]),
+        "valid_rate": tuple(f"{np.degrees(r):.1f} deg/s" for r in covered[1]),
         "channel": tuple(held),
         "covariance": Covariance(
             names=tuple(names[k] for k in covariant), matrix=tuple(tuple(float(v) for v in row) for row in matrix)

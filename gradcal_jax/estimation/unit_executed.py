@@ -19,8 +19,8 @@ from gradcal_jax.formulas import runs
 from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
 
-# A rest is one row of each channel; one that lasts longer is divided, since bias and drift change in it.
-LONGEST_REST_S = 60.0
+# A rest is one row of each channel, as in a plan, but its temperature is followed from piece to piece of so long.
+_PIECE_S = 60.0
 _GUARD_S = 0.1
 # A valley of the rate this many times below both its sides is a stop; what is this much below the fastest is noise.
 _DIP = 10.0
@@ -224,7 +224,7 @@ def _pieces(
     for leg in legs:
         of_span.setdefault(leg.span, []).append(leg)
     for k, (first, last) in enumerate(spans):
-        parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / LONGEST_REST_S - 1e-9)))
+        parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / _PIECE_S - 1e-9)))
         goals = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
         for row in [*np.searchsorted(log.time_s[:last], goals - 1e-9).tolist(), last]:
             if row > made.rows[-1]:
@@ -272,6 +272,9 @@ def _motion(log: UnitRows, geometry: Geometry, made: _Builder, start: np.ndarray
     line = held(
         log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=~lost, at_rest=axis < 0, moving=axis >= 0, gap=lost
     )
+    # Neighbouring pieces of a rest, both read, are one segment.
+    goes_on = (axis[1:] < 0) & (axis[:-1] < 0) & ~lost[1:] & ~lost[:-1]
+    line = eqx.tree_at(lambda x: x.segment, line, np.concatenate([[0], np.cumsum(~goes_on)]))
     each = np.arange(len(axis))
     # The unit is hung anew while nothing is read.
     return TableMotion(line, axis, log.mounting[rows[1:]], geometry, start, each, each, each)

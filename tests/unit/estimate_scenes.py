@@ -38,6 +38,14 @@ def scene(plan: str, installation_mrad: float, minutes: float = 8.0) -> UnitSpec
     # The same cycle as often as the time allows, over the same temperatures.
     minutes = max(minutes, _TWO_CYCLES.get(plan, 0.0))
     document["plan"] |= {"temperature": ["-30 degC", "70 degC"], "gradient": f"{100.0 / minutes:.6g} K/min"}
+    # Two rests that follow one another are one standstill of a log: they are planned as one here.
+    moves: list[dict[str, Any]] = []
+    for move in document["plan"]["cycle"]["moves"]:
+        if moves and set(move) == set(moves[-1]) == {"rest"}:
+            moves[-1] = {"rest": f"{float(moves[-1]['rest'].split()[0]) + float(move['rest'].split()[0])} s"}
+        else:
+            moves.append(move)
+    document["plan"]["cycle"]["moves"] = moves
     document["plan"].pop("programme", None)
     document["plan"].pop("soak", None)
     for part in ("gyro", "accelerometer"):

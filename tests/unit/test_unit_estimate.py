@@ -55,8 +55,9 @@ def test_the_covariance_of_a_log_is_that_of_its_plan():
     plan = posterior_of_unit(assemble_unit(spec))
     reported = report.built.model.to_reported
     ratio = report.found.known.deviations(reported) / plan.deviations(reported)
-    # What was logged is a little more than was planned for: two rests that follow one another are one standstill.
-    assert np.max(np.abs(ratio - 1.0)) < 0.03
+    # The ends of rests, a tenth of a second each, count to the moves.
+    assert np.max(np.abs(ratio - 1.0)) < 0.04
+    assert abs(np.median(ratio) - 1.0) < 0.01
 
 
 def test_an_installation_error_put_in_by_hand_is_found_as_such():

@@ -327,6 +327,7 @@ def bench_of(spec, mounting: int = 0) -> Bench:
             for process in triad.drift:
                 drift[kind] = float(process.standard_deviation), float(process.correlation_time)
     angles = [axis.angle for axis in table.axis]
+    scale = None if sensor.gyro is None else sensor.gyro.scale_factor
     return Bench(
         tuple(np.array(axis.unit_vector) for axis in table.axis),
         np.array(table.mounting[mounting].columns).T,
@@ -337,6 +338,7 @@ def bench_of(spec, mounting: int = 0) -> Bench:
         tuple(float(a.standstill_offset) for a in angles),
         tuple(float(a.reading_noise) for a in angles),
         tuple(float(a.read_every) for a in angles),
+        pace=1.0 if scale is None else float(scale.rate.scale),
     )
 
 

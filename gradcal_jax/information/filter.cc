@@ -122,8 +122,6 @@ bool keeps(const Steps& steps, int64_t k, int64_t count) { return k + 1 == count
 
 void filter_wide(int64_t count, int64_t p, Steps steps, const Real* mean, const Real* covariance, const Real* columns,
                  Real* rows, Real* mean_after, Real* covariance_after, const Kept<Real>* kept) {
-  if constexpr (WIDE)
-    return filter_wide(count, p, steps, mean, covariance, columns, rows, mean_after, covariance_after, kept);
   const std::unique_ptr<Vec[]> state(new Vec[panels(p) * n]);
   for_panels(p, [&](int64_t c, int64_t left, auto whole) {
     for (int i = 0; i < n; ++i) state[c * n + i] = load(mean + i * p + c * LANES, left, whole);
@@ -217,6 +215,8 @@ void smooth(const Real* P, const Vec* right, Vec* start) {
 // Whitened `rows` of all columns, and state and covariance after the last reading.
 void filter(int64_t count, int64_t p, Steps steps, const Real* mean, const Real* covariance, const Real* columns,
             Real* rows, Real* mean_after, Real* covariance_after, const Kept<Real>* kept) {
+  if constexpr (WIDE)
+    return filter_wide(count, p, steps, mean, covariance, columns, rows, mean_after, covariance_after, kept);
   const std::unique_ptr<Vec[]> state(new Vec[panels(p) * n]);
   for_panels(p, [&](int64_t c, int64_t left, auto whole) {
     for (int i = 0; i < n; ++i) state[c * n + i] = load(mean + i * p + c * LANES, left, whole);

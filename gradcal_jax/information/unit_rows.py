@@ -97,10 +97,11 @@ def _without_rounding(columns: Float[AnyArray, "R p"], units: list[str]) -> Floa
     information is, they would count as seen.
     """
     xp = namespace(columns)
-    size = xp.max(xp.abs(columns), axis=0)
+    size = xp.maximum(xp.max(columns, axis=0), -xp.min(columns, axis=0))
     _, kind = np.unique(units, return_inverse=True)
     largest = xp.max(xp.where(kind[:, None] == kind[None, :], size[None, :], 0.0), axis=1)
-    return xp.where((size > _ROUNDING * largest)[None, :], columns, 0.0)
+    seen = size > _ROUNDING * largest
+    return columns if xp is np and np.all(seen) else xp.where(seen[None, :], columns, 0.0)
 
 
 def _joint_steps(
@@ -168,10 +169,11 @@ def _joint_steps(
     observation = _observations(motion, nodes, at, model, n, channels + m)
     # Rows of one segment follow one another without a step; what is within a segment has none of its own.
     source, row = _order(at, by_pieces)
-    fresh = xp.asarray(np.diff(source, prepend=-1) > 0)[:, None, None]
+    fresh = np.flatnonzero(np.diff(source, prepend=-1))
+    still = np.broadcast_to(np.eye(n), (len(row), n, n))
     steps = (
-        xp.where(fresh, placed((count, n, n), *transition)[source], xp.eye(n)),
-        xp.where(fresh, placed((count, n, n), *covariance)[source], 0.0),
+        put(still, fresh, placed((count, n, n), *transition)),
+        put(np.zeros(still.shape), fresh, placed((count, n, n), *covariance)),
     )
     observed = observation if len(row) == len(observation) else xp.where((row >= 0)[:, None], observation[row], 0.0)
     used = at.used[row] & (row >= 0)
@@ -214,8 +216,9 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
         # How far the axis is on its way: what its error is between those of its two standstills.
         turns = motion.turns[motion.example[g.kinds]][:, None, :]
         share = xp.where(turns, (g.angle - begin) / xp.where(turns & (span != 0.0), span, 1.0), 1.0)
-        both = xp.concatenate([xp.cross(g.outer, g.axes), xp.cross(g.force[..., None, :], g.axes)], axis=-1)
-        return g.integral(both[:, :, None] * xp.stack([share, 1.0 - share], axis=2)[..., None])
+        shares = xp.stack([share, 1.0 - share], axis=-1) * g.weight[..., None, None]
+        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ g.turned(k) for k in range(axes)]
+        return xp.stack(parts, axis=2)
 
     slow = at.sums(nodes.integrals(of_group, (2, axes, 6))[nodes.kind])
     along = xp.where((at.axis[:, None] == np.arange(axes))[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)

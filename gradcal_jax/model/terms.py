@@ -209,13 +209,17 @@ class Map(Term):
         return (reported - shrink * (np.outer(v, v) / square @ reported)) / self.prior_std
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(group: NodeGroup):
-            t = self.temperature(group.temperature)
-            if self.rate is None:
-                return group.sums(t, namespace(t).ones((*group.rate.shape, 1)))
-            return group.sums(t, self._driven(group))
+        return nodes.integrals(
+            lambda g: g.sums(self.temperature(g.temperature), self.drive(g)),
+            self.size,
+            moving_only=self.rate is not None,
+        )
 
-        return nodes.integrals(of_group, self.size, moving_only=self.rate is not None)
+    def drive(self, group: NodeGroup) -> AnyArray:
+        """What multiplies the functions of temperature at the nodes."""
+        if self.rate is None:
+            return namespace(group.rate).ones((*group.rate.shape, 1))
+        return self._driven(group)
 
     def _driven(self, group: NodeGroup):
         """`χ(ω)·ω` at the nodes.
@@ -278,15 +282,16 @@ class SignalMap(Term):
         return xp.asarray(self.to_reported) / self.std if self.has_prior else xp.zeros((0, self.size))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(group):
-            assert isinstance(group, SharedNodes), "signals are of a body's nodes"
-            product = namespace(group.weight).ones(group.weight.shape)
-            for name in self.signals:
-                signal = group.signals[name.strip("|")]
-                product = product * (abs(signal) if name.startswith("|") else signal)
-            return group.sums(self.temperature(group.temperature), product[..., None])
+        return nodes.integrals(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
 
-        return nodes.integrals(of_group, self.size)
+    def drive(self, group: NodeGroup) -> AnyArray:
+        """What multiplies the functions of temperature at the nodes."""
+        assert isinstance(group, SharedNodes), "signals are of a body's nodes"
+        product = namespace(group.weight).ones(group.weight.shape)
+        for name in self.signals:
+            signal = group.signals[name.strip("|")]
+            product = product * (abs(signal) if name.startswith("|") else signal)
+        return product[..., None]
 
 
 class BiasTemperatureGradient(Term):

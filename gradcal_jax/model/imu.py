@@ -56,14 +56,17 @@ class Channel(eqx.Module):
 
 
 class EncoderNoise(eqx.Module):
-    """One draw for each standstill of each of `L` axes, rad: variance `offset² + reading²/n`, n readings in it.
+    """Error of each of `L` encoders, rad.
 
-    `every` s: their spacing while the axis stands, one at its beginning.
+    A table that is `held` has one draw for each standstill, of variance `offset² + reading²/n` with n readings in it,
+    `every` s apart, one at its beginning. Otherwise the angle is not known to stand: it is what every reading says, one
+    at the end of each segment, with one draw of `offset` for a standstill and one of `reading` for a reading.
     """
 
     offset: Float[AnyArray, " L"]
     reading: Float[AnyArray, " L"]
     every: Float[AnyArray, " L"]
+    held: bool = eqx.field(static=True, default=True)
 
 
 class UnitModel(eqx.Module):

@@ -140,7 +140,7 @@ def unit_of(scene: Scene) -> UnitModel:
         model.CommonScale(np.array([prior["gravity"]]), "gravity"),
         model.CommonScale(np.array([prior["sample_clock"]]), "sample_clock"),
     ]
-    noise = EncoderNoise(np.array(scene.offset), np.array(scene.reading), np.array(scene.every))
+    noise = EncoderNoise(np.array(scene.offset), np.array(scene.reading), np.array(scene.every), scene.held)
     return UnitModel(tuple(gyros + forces), tuple(installation), noise)
 
 

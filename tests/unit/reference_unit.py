@@ -25,6 +25,7 @@ class Scene:
     """Everything that a unit's covariance depends on, SI and °C. `axes` outermost first; `mountings` body to the
     innermost axis. `drift`, `instability`: (σ, τ) of gyros, `force_drift` of accelerometers. `priors`: standard
     deviation by parameter family; `temperature`: at the beginning, and slope. `powers`: of temperature and rate.
+    `held`: whether a table that stands is known not to turn.
     """
 
     axes: tuple[np.ndarray, ...]
@@ -48,6 +49,7 @@ class Scene:
     orders: tuple[tuple[int, ...], ...]
     priors: dict[str, float]
     powers: tuple[int, int] = (1, 2)
+    held: bool = True
 
     @property
     def centre_and_scale(self) -> tuple[float, float, float]:
@@ -226,6 +228,9 @@ class Simulator:
         """Error of an axis at its standstill now, or at the one before the move that it makes."""
 
         def share(k, t):
+            if self.scene.steps[k].axis != l and not self.scene.held:
+                # Straight from reading to reading; the attitude is turned by their mean.
+                return np.full(len(t), 0.5), np.full(len(t), (1.0 if now else -1.0) / (self.times[k + 1] - self.times[k]))
             if self.scene.steps[k].axis != l:
                 return np.full(len(t), 1.0 if now else 0.0), np.zeros(len(t))
             turned, rate = self.travel(k, t)
@@ -331,6 +336,9 @@ class Simulator:
                 total[np.ix_(own, own)] += sigma**2 * self._driven(i, segment[own], tau)
         for l in range(len(scene.axes)):
             number, variance = self.standstills(l)
+            if not scene.held:
+                total = total + self._of_readings(l, number, segment, channel)
+                continue
             now, before = (self.by(self.encoder(l, now=n))[segment, channel] for n in (True, False))
             share = np.zeros((len(rows), len(variance)))
             share[np.arange(len(rows)), number[segment]] += now
@@ -338,6 +346,19 @@ class Simulator:
             share[moved, number[segment][moved] - 1] += before[moved]
             total = total + (share * variance) @ share.T
         return total
+
+    def _of_readings(self, l: int, number: np.ndarray, segment: np.ndarray, channel: np.ndarray) -> np.ndarray:
+        """Of an encoder that is read at the end of every segment, and once before the first."""
+        scene, count = self.scene, len(self.scene.steps)
+        of_reading, of_standstill = np.zeros((len(segment), count + 1)), np.zeros((len(segment), count + 1))
+        standstill = np.concatenate([[0], number])
+        for now in (True, False):
+            effect = self.by(self.encoder(l, now=now))[segment, channel]
+            reading = segment + int(now)
+            of_reading[np.arange(len(segment)), reading] += effect
+            np.add.at(of_standstill, (np.arange(len(segment)), standstill[reading]), effect)
+        white, drawn = scene.reading[l] ** 2, scene.offset[l] ** 2
+        return white * of_reading @ of_reading.T + drawn * of_standstill @ of_standstill.T
 
     def _driven(self, i: int, segments: np.ndarray, tau: float) -> np.ndarray:
         """`∫∫ω(t)ω(s) exp(−|t − s|/τ)` over all pairs of segments; ω of the table alone, as the program has it."""

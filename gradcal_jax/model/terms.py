@@ -248,7 +248,7 @@ def _ordinal(basis: Basis, index: int) -> str:
 class SignalMap(Term):
     """A function of temperature times a product of signals: misalignment, sensitivity to acceleration, second order.
 
-    `signals`: names in the nodes (`BodyNodes.channel`), "|…|" for a magnitude; none: the function itself. `std`: of
+    `signals`: names in the nodes (`SharedNodes.signal`), "|…|" for a magnitude; none: the function itself. `std`: of
     each *reported* coefficient; `inf` is flat. `symbol`: what the coefficients are called.
     """
 
@@ -289,8 +289,7 @@ class SignalMap(Term):
         assert isinstance(group, SharedNodes), "signals are of a body's nodes"
         product = namespace(group.weight).ones(group.weight.shape)
         for name in self.signals:
-            signal = group.signals[name.strip("|")]
-            product = product * (abs(signal) if name.startswith("|") else signal)
+            product = product * group.signal(name)
         return product[..., None]
 
 

@@ -389,7 +389,9 @@ def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
 def _not_made_by(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:
     if shape == "hand":
         return Problem(key, f'needs a table that is turned by hand; rig.table.drive is "{drive}"', shape)
-    message = 'cannot be made by hand, and rig.table.drive is "hand"; expected a turn with shape = "hand" and a duration'
+    message = (
+        'cannot be made by hand, and rig.table.drive is "hand"; expected a turn with shape = "hand" and a duration'
+    )
     return Problem(key, message, shape)
 
 

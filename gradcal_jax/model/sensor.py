@@ -101,9 +101,7 @@ class SensorModel(eqx.Module):
         for term in self.terms:
             rows = xp.asarray(term.prior_rows())
             after = size - begin - rows.shape[1]
-            parts.append(
-                xp.concatenate([xp.zeros((len(rows), begin)), rows, xp.zeros((len(rows), after))], axis=1)
-            )
+            parts.append(xp.concatenate([xp.zeros((len(rows), begin)), rows, xp.zeros((len(rows), after))], axis=1))
             begin += rows.shape[1]
         return xp.concatenate(parts)
 

@@ -257,7 +257,9 @@ class Simulator:
         def share(k, t):
             if self.scene.steps[k].axis != l and not self.scene.held:
                 # Straight from reading to reading; the attitude is turned by their mean.
-                return np.full(len(t), 0.5), np.full(len(t), (1.0 if now else -1.0) / (self.times[k + 1] - self.times[k]))
+                return np.full(len(t), 0.5), np.full(
+                    len(t), (1.0 if now else -1.0) / (self.times[k + 1] - self.times[k])
+                )
             if self.scene.steps[k].axis != l:
                 return np.full(len(t), 1.0 if now else 0.0), np.zeros(len(t))
             turned, rate = self.travel(k, t)

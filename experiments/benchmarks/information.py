@@ -285,7 +285,7 @@ def whole_unit(record: dict, quick: bool) -> list[str]:
         worker.close()
     record["unit"] = found
     lines = [
-        f"### A whole unit: {count} rows of six channels × {parameters} parameters, 16 states, one core, processor time",
+        f"### A whole unit: {count} rows of six channels × {parameters} parameters, 16 states, processor time",
         "",
         "| method | forward ms: least / median (spread) | × ours | value + gradient ms: least / median (spread) "
         "| × ours |",
@@ -306,7 +306,7 @@ def whole_unit(record: dict, quick: bool) -> list[str]:
     return [
         *lines,
         "",
-        "* The gradient is in Φ and in all durations of rests and moves. Ratios are of the least times within this run.",
+        "* On one core. The gradient is in Φ and in all durations. Ratios are of the least times within this run.",
         "* celerite2 cannot say these rows: its states decay one by one, and an integral that begins anew, or an "
         "encoder's error that is passed on, is no such decay. dynamax could, and would hold 30 000 covariances of "
         "144 × 144 for its result, 5 GB. The starred figure is of a hundredth of the rows, times a hundred.",

@@ -117,8 +117,8 @@ class GyroTriad(Section):
 
 
 class AccelerometerTriad(Section):
-    """`[sensor.accelerometer]`: what is the same for every accelerometer of the unit. It is read where the table stands,
-    and on moves no faster than `read_on_moves_below`."""
+    """`[sensor.accelerometer]`: what is the same for every accelerometer of the unit. Read where the table stands, and
+    on moves no faster than `read_on_moves_below`."""
 
     axes: BodyAxes = ("x", "y", "z")
     velocity_random_walk: VelocityRandomWalk

@@ -132,11 +132,12 @@ class UnitSegmentRow(Section):
 
 
 class UnitTimeline(Section):
-    """gradcal-unit-timeline/1. `standing`: "held", as said at the head; "read": every segment ends with a reading of all
-    axes, whose error is its standstill's draw of `standstill_offset` and a draw of `reading_noise`, and a rest from
+    """gradcal-unit-timeline/1. `standing`: "held", as said at the head; "read": every segment ends with a reading of
+    all axes, whose error is its standstill's draw of `standstill_offset` and a draw of `reading_noise`, and a rest from
     reading to reading is a segment; a gyro's row has each axis's mean direction times its error's change, and what
-    stands turns the attitude by the mean of the errors at both ends. `thermal_lag` (s) is first order, between the chamber and what all terms see, in
-    equilibrium at the start of the first segment. Processes go on through segments that are not used.
+    stands turns the attitude by the mean of the errors at both ends. `thermal_lag` (s) is first order, between the
+    chamber and what all terms see, in equilibrium at the start of the first segment. Processes go on through segments
+    that are not used.
     """
 
     format: Literal["gradcal-unit-timeline/1"] = "gradcal-unit-timeline/1"

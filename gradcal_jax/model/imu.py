@@ -125,8 +125,8 @@ class UnitModel(eqx.Module):
         return matrix
 
     def columns(self, nodes: BodyNodes) -> tuple[list[AnyArray], Float[AnyArray, "K 6 i"]]:
-        """What each parameter's unit adds, rad or m/s: of each channel `(P, own)` over every piece (zero over those that
-        it is not read in), of the installation over a piece of each kind.
+        """What each parameter's unit adds, rad or m/s: of each channel `(P, own)` over every piece (zero over moves for
+        one that is read at rest alone), of the installation over a piece of each kind.
         """
         own = self._own_columns(nodes)
         xp = namespace(own, nodes.angle_before)

@@ -151,7 +151,7 @@ class UnitModel(eqx.Module):
                 else:
                     parts.append(((slice(None), slice(begin, end)), term.columns(view)))
                 begin = end
-            ends.append(end)
+            ends.append(begin)
         for group, known in zip(nodes.groups, alike, strict=True):
             shared = group.shared()
             for basis, terms in known.items():

@@ -4,10 +4,10 @@ Two proofs. A **bias** `ψ(T)ᵀβ` under white noise and drift: who knew all el
 instant, moving or not, would know β as generalised least squares does; every row of any plan is a function of that.
 
 Whatever is read in proportion to a **signal** s under white noise N² (a column `∫ψ s dt`): with all else known exactly,
-and the drift too, its information is `∫ψψᵀs²dt/N²` beside its prior's. Of the k elements of a quantity that share ψ, N
-and prior the squares of the signals add up to at most `bound` at every instant, because |f| = g and |ω| ≤ the fastest
-axis's rate (one turns at a time, on the Earth): so their mean information is at most `J = bound/k ∫ψψᵀdt/N² + prior`. As
-`(ψᵀJ⁻¹ψ)^½` is convex in J, the mean of their standard deviations, and so the worst and the root mean square, is at
+the drift too, its information is `∫ψψᵀs²dt/N²` beside its prior's. Of the k elements of a quantity that share ψ, N and
+prior the squares of the signals add up to at most `bound` at every instant, because |f| = g and |ω| ≤ the fastest
+axis's rate (one turns at a time, on the Earth): so their mean information is at most `J = bound/k ∫ψψᵀdt/N² + prior`.
+As `(ψᵀJ⁻¹ψ)^½` is convex in J, the mean of their standard deviations, and so the worst and the root mean square, is at
 least that of J, at every temperature; and so is every statistic over temperature.
 
 A gyro's scale factor is a function of the rate, too: its limit is that of a single axis (`design.limit`) that turns all
@@ -26,7 +26,7 @@ from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY
 from gradcal_jax.design import criterion, limit
 from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import information, statistic
+from gradcal_jax.information import information, square_root, statistic
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap
 from gradcal_jax.trajectory import EARTH_RATE
 
@@ -80,7 +80,8 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
 
 def _certified(built: AssembledUnit, requirement: UnitRequirement) -> tuple[float, float] | None:
     """A requirement's limit in SI, certified and reached by the relaxed problem; None without a proof."""
-    temperatures = np.linspace(*(float(t) for t in requirement.temperature), requirement.grid[0])
+    cold, warm = (float(t) for t in requirement.temperature)
+    temperatures = np.linspace(cold, warm, requirement.grid[0])
     if isinstance(requirement, GyroScaleFactorRequirement):
         return _of_scale_factor(built, requirement, temperatures)
     of = _of_bias if requirement.quantity in ("gyro_bias", "accelerometer_bias") else _of_signal
@@ -142,7 +143,7 @@ def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: n
             look.start, look.duration, np.zeros(len(stands)), look.begin, look.end,
             read=look.used, at_rest=~stands, moving=stands, gap=~look.used,
         )  # fmt: skip
-        return information(line, alone).deviations(alone.bias.values(temperatures, 0.0 * temperatures)) ** 2
+        return information(line, alone).deviations(bias.values(temperatures, 0.0 * temperatures)) ** 2
 
     # Integrals over steps know less than the instants do: what a step half as long adds, all others add at most again.
     coarse, fine = variance(step), variance(0.5 * step)
@@ -177,8 +178,7 @@ def _of_signal(built: AssembledUnit, requirement: UnitRequirement, temperatures:
     functions = term.temperature(at.ravel())
     root = np.sqrt((look.duration[look.used, None] * weights).ravel() * bound) / float(channel.model.angle_random_walk)
     rows = np.concatenate([functions * root[:, None], term.prior_rows()])
-    triangle = np.linalg.qr(rows, mode="r")
-    return np.linalg.norm(np.linalg.solve(triangle.T, term.temperature(temperatures).T), axis=0)
+    return square_root(rows).deviations(term.temperature(temperatures))
 
 
 def _most(built: AssembledUnit, requirement: UnitRequirement, channels: list[Channel]) -> tuple[str, float] | None:

@@ -24,8 +24,8 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     Parameters
     ----------
     spec
-        The spec file, or a recipe. Its [design] says what a better plan might change; of a whole unit, every plan that
-        takes as long at the same temperatures is meant.
+        The spec file, or a recipe. Its [design] says what a better plan might change; of a whole unit, the limit is for
+        every plan that takes as long at the same temperatures.
     json
         Print the limits for other programs.
     """

@@ -21,6 +21,9 @@ from gradcal_jax.arrays import AnyArray, namespace
 _TALL = 8
 # Smallest over largest diagonal of the first Cholesky factor; NaN, where there is none, is not sound either.
 _SOUND = 1e-5
+# Squared condition number (Frobenius) up to which the first factor is as good as any: what rounding makes of the
+# product is 1e-16 of it, at most.
+_WELL_CONDITIONED = 1e5
 
 
 def triangular_factor(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, "p p"]:
@@ -35,6 +38,9 @@ def triangular_factor(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, "p p"]:
             first = np.zeros((p, p))
         diagonal = np.diagonal(first)
         if np.min(diagonal, initial=np.inf) > _SOUND * np.max(diagonal, initial=0.0):
+            inverse = scipy.linalg.solve_triangular(first, np.eye(p), check_finite=False)
+            if np.sum(first**2) * np.sum(inverse**2) < _WELL_CONDITIONED:
+                return first
             orthogonal = scipy.linalg.solve_triangular(first, rows.T, trans=1, check_finite=False)
             return np.linalg.cholesky(orthogonal @ orthogonal.T).T @ first
     factor = np.linalg.qr(np.concatenate([rows, np.zeros((max(0, p - n), p))]), mode="r")
@@ -54,12 +60,16 @@ def _triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
         rows = jnp.concatenate([rows, jnp.zeros((p - n, p), rows.dtype)])
     if n < _TALL * p:
         return _by_reflections(rows)
-    # Tall rows: Cholesky of the product, twice, which is as accurate as QR while the first factor is not too ill
-    # conditioned (Yamamoto and others, 2015) and needs a tenth of its time; otherwise QR.
+    # Tall rows: Cholesky of the product, once where their columns are far from parallel, or twice, which is as accurate
+    # as QR while the first factor is not too ill conditioned (Yamamoto and others, 2015) and needs a tenth of its time;
+    # otherwise QR.
     first = jnp.linalg.cholesky(rows.T @ rows).T
     diagonal = jnp.diagonal(first)
     sound = jnp.min(diagonal) > _SOUND * jnp.max(diagonal)
-    return jax.lax.cond(sound, _by_two_products, lambda rows, _: _by_reflections(rows), rows, first)
+    inverse = solve_triangular(jnp.where(sound, first, jnp.eye(p, dtype=first.dtype)), jnp.eye(p, dtype=first.dtype))
+    good = sound & (jnp.sum(first**2) * jnp.sum(inverse**2) < _WELL_CONDITIONED)
+    ways = [lambda rows, _: _by_reflections(rows), _by_two_products, lambda _, first: first]
+    return jax.lax.switch(sound.astype(int) + good.astype(int), ways, rows, first)
 
 
 def _by_two_products(rows: Float[Array, "n p"], first: Float[Array, "p p"]) -> Float[Array, "p p"]:

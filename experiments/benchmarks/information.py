@@ -3,7 +3,8 @@
     python experiments/benchmarks/information.py [--quick] [--json FILE] [--only CASE …]
 
 Cases: `small` (6000 readings × 16 parameters, Φ given: G and the gradient of log det G in Φ and in every duration),
-`large` (600 000 × 64, Φ generated in tiles) and `predict` (the paper's dynamic gradient plan as a whole). Rounds go
+`unit` (30 000 rows of a whole unit's six channels × 128, Φ given: processor time on one core), `large` (600 000 × 64,
+Φ generated in tiles) and `predict` (the paper's dynamic gradient plan as a whole). Rounds go
 through all methods in turn, so that a disturbance of the machine falls on all of them. Peers:
 `pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
 """
@@ -27,6 +28,15 @@ METHODS = {
     "tinygp_quasisep": "tinygp, quasiseparable matrices",
     "dynamax_augmented": "dynamax, parameters in the state",
     "filterpy_augmented": "FilterPy, parameters in the state",
+}
+
+
+UNIT_METHODS = {
+    "ours": "gradcal_jax, gram",
+    "ours_blocks": "gradcal_jax, the same without machine code",
+    "floor": "floor: ΦᵀΦ of white rows",
+    "tinygp": "tinygp, quasiseparable matrices",
+    "filterpy": "FilterPy, parameters in the state",
 }
 
 
@@ -192,7 +202,10 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small sizes and few rounds: does it run at all?")
     parser.add_argument("--json", metavar="FILE", help="all single times, for other programs")
     parser.add_argument(
-        "--only", nargs="+", choices=("small", "large", "predict"), default=("small", "large", "predict")
+        "--only",
+        nargs="+",
+        choices=("small", "unit", "large", "predict"),
+        default=("small", "unit", "large", "predict"),
     )
     parser.add_argument("--write", metavar="FILE", help="the table in Markdown, besides the screen")
     asked = parser.parse_args()
@@ -215,6 +228,8 @@ def main() -> None:
             record[f"small, {cores} cores"] = found
             lines += [*small_table(found, wrong, cores, count, parameters), ""]
         lines += [*SMALL_NOTES, ""]
+    if "unit" in asked.only:
+        lines += [*whole_unit(record, asked.quick), ""]
     if "large" in asked.only:
         lines += [*large(record, asked.quick), ""]
     if "predict" in asked.only:
@@ -244,6 +259,58 @@ SMALL_NOTES = [
     "* FilterPy has no gradient; the starred figure is its forward time × the N·p + N + 1 runs that one-sided "
     "differences take (extrapolated, not run).",
 ]
+
+
+def whole_unit(record: dict, quick: bool) -> list[str]:
+    """Rows of a whole unit: processor time of every method on one core, rounds interleaved."""
+    count, parameters, rounds = (300, 12, 2) if quick else (30_000, 128, 7)
+    workers, found = {}, {}
+    for method, name in UNIT_METHODS.items():
+        worker = Worker(1)
+        opened = worker.ask(
+            do="unit", method="unit_methods", what="open", of=method, count=count, parameters=parameters
+        )
+        if "absent" in opened:
+            print(f"{name}: left out, {opened['absent']}", file=sys.stderr)
+            worker.close()
+            continue
+        workers[method], found[method] = worker, opened | {"forward": [], "gradient": []}
+    for number in range(rounds + 1):
+        for method, worker in workers.items():
+            for task in ("forward", "gradient") if method != "filterpy" else ("forward",):
+                seconds = worker.ask(do="unit", method="unit_methods", what="time", task=task, repeats=1)["seconds"]
+                if number:  # The first one compiles.
+                    found[method][task].append(seconds)
+    for worker in workers.values():
+        worker.close()
+    record["unit"] = found
+    lines = [
+        f"### A whole unit: {count} rows of six channels × {parameters} parameters, 16 states, processor time",
+        "",
+        "| method | forward ms: least / median (spread) | × ours | value + gradient ms: least / median (spread) "
+        "| × ours |",
+        "|---|---|---|---|---|",
+    ]
+    rows = {m: {t: summary(e[t]) for t in ("forward", "gradient") if e[t]} for m, e in found.items()}
+    for method, row in rows.items():
+        cells, star = [], "" if found[method]["share"] == 1.0 else " *"
+        for task in ("forward", "gradient"):
+            if task not in row:
+                cells += ["–", "–"]
+                continue
+            least, middle, spread = row[task]
+            share = found[method]["share"]
+            cells += [f"{least / share * 1e3:.3g} / {middle / share * 1e3:.3g} ({spread:.0%}){star}"]
+            cells += [f"{least / share / rows['ours'][task][0]:.2g}"]
+        lines.append(f"| {UNIT_METHODS[method]} ({found[method]['version']}) | {' | '.join(cells)} |")
+    return [
+        *lines,
+        "",
+        "* On one core. The gradient is in Φ and in all durations. Ratios are of the least times within this run.",
+        "* celerite2 cannot say these rows: its states decay one by one, and an integral that begins anew, or an "
+        "encoder's error that is passed on, is no such decay. dynamax could, and would hold 30 000 covariances of "
+        "144 × 144 for its result, 5 GB. The starred figure is of a hundredth of the rows, times a hundred.",
+    ]
 
 
 def large(record: dict, quick: bool) -> list[str]:

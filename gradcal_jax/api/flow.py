@@ -19,6 +19,7 @@ from gradcal_jax.api.posterior_of_plan import posterior_of_plan
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.sensitivity import Sensitivities, sensitivities
 from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.unit_limit import unit_limits
 from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.warnings import warnings
@@ -83,16 +84,17 @@ def optimise(
     raise AssertionError("a search ends with its result")
 
 
-def limit(spec: Spec) -> list[PlanLimit]:
-    """What no plan on this rig in this time can do better than, for every scale-factor requirement of a gradient plan.
+def limit(spec: Spec | UnitSpec) -> list[PlanLimit]:
+    """What no plan on this rig in this time can do better than, for every scale-factor requirement of a gradient plan;
+    of a whole unit, for every requirement with a proof (`gradcal_jax.api.unit_limit`).
 
     Each `api.limit.PlanLimit` has `certified` (proven) and `value` (of the spec's own plan) in `unit`, the plan's
     `efficiency`, and `relaxed`: what the proof lets a plan do that the rig does not. The derivation, a convex problem
     with its certificate, stands in `gradcal_jax.design.limit`.
 
-    Errors: `ValueError` for a plan without moves, and without a requirement on the scale factor.
+    Errors: `ValueError` for a plan without moves, and without a requirement that has a proof.
     """
-    return limits(expect_spec(spec))
+    return unit_limits(spec) if isinstance(spec, UnitSpec) else limits(expect_spec(spec))
 
 
 def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS) -> list[frontiers.Point]:

@@ -21,6 +21,8 @@ SPECIFIC_FORCE_BIAS = "bias"
 SECOND_ORDER = "second_order"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
 _ROUGH = 16
+# A move at the rate up to which accelerometers are read reaches it but for rounding.
+_SLACK = 1e-9
 
 
 class AssembledUnit(NamedTuple):
@@ -52,12 +54,14 @@ def unit_model(spec: UnitSpec) -> UnitModel:
     if (gyro := sensor.gyro) is not None:
         channels += [Channel(_gyro(gyro, axis), "gyro", AXIS_NAMES.index(axis)) for axis in gyro.axes]
     if (force := sensor.accelerometer) is not None:
-        channels += [Channel(_accelerometer(force, a), "accelerometer", AXIS_NAMES.index(a)) for a in force.axes]
+        slow = 0.0 if force.read_on_moves_below is None else float(force.read_on_moves_below) * (1.0 + _SLACK)
+        channels += [Channel(_accelerometer(force, a), "accelerometer", AXIS_NAMES.index(a), slow) for a in force.axes]
     angles = [axis.angle for axis in spec.rig.table.axis]
     encoder = model.EncoderNoise(
         np.array([float(a.standstill_offset) for a in angles]),
         np.array([float(a.reading_noise) for a in angles]),
         np.array([float(a.read_every) for a in angles]),
+        spec.rig.table.standing == "held",
     )
     return UnitModel(tuple(channels), _installation(spec), encoder)
 
@@ -146,6 +150,11 @@ def _accelerometer(triad: AccelerometerTriad, axis: str) -> model.SensorModel:
             _signal_map(section, (f"force {a}", f"force {b}"), f"cross_{a}{b}", f"k_{a}{b}", "1/(m/s^2)")
             for a, b in pairs
         ]
+    if (section := triad.lever_arm) is not None:
+        terms += [
+            _signal_map(section, (f"size {axis}{other}",), f"lever_arm_{other}", f"r_{other}", "m")
+            for other in AXIS_NAMES
+        ]
     processes = model.no_processes()
     for drift in triad.drift:
         processes += model.gauss_markov(float(drift.standard_deviation), float(drift.correlation_time))
@@ -159,7 +168,8 @@ def _others(axis: str) -> tuple[str, ...]:
 
 
 def _signal_map(section, signals: tuple[str, ...], name: str, symbol: str, unit: str) -> SignalMap:
-    of_temperature: Basis = _CONSTANT if section.temperature is None else basis(section.temperature)
+    over = getattr(section, "temperature", None)
+    of_temperature: Basis = _CONSTANT if over is None else basis(over)
     std = or_infinite(section.prior)
     return SignalMap(
         temperature=of_temperature,
@@ -210,10 +220,10 @@ def rest_poses(built: AssembledUnit) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def _move(step: UnitStep) -> Move:
+def _move(step: UnitStep, read_every: float | None) -> Move:
     move = step.move
     if step.axis < 0:
-        return trajectory.rest(move.duration, read_at_end=True)
+        return trajectory.rest(move.duration, read_every, read_at_end=True)
     return trajectory.turn(
         move.shape, move.peak_rate, move.duration, ramp=move.ramp, cycles=move.cycles, controls=move.controls,
         unevenness=move.unevenness,
@@ -228,8 +238,10 @@ def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
     nearest = lambda time: int(np.argmin(np.abs(ends - time)))  # noqa: E731
     used = tuple((nearest(s.start), nearest(s.start + s.duration)) for s in plan.stretches)
     steps = [step for step in plan.steps for _ in range(step.move.repeat)]
-    moves = tuple(_move(step) for step in steps)
-    schedule = trajectory.gradient_plan(course, moves, used=used, read_every=None)
+    table = spec.rig.table
+    every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
+    moves = tuple(_move(step, every) for step in steps)
+    schedule = trajectory.gradient_plan(course, moves, used=used, read_every=every)
     lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
     line = schedule.trajectory(lag)
     count = len(schedule.duration) - len(steps)

@@ -99,6 +99,11 @@ def estimate_units(
     **Raises:** `LogError` and `ValueError` with a sentence where the logs do not hold what the estimate needs.
     """
     options = options or Options()
+    if spec.rig.table.standing != "held":
+        raise ValueError(
+            'a log is estimated for a table that holds its axes (rig.table.standing = "held"), not yet for one whose '
+            "angle is read while it stands"
+        )
     mountings = len(spec.rig.table.mounting)
     if len(logs) != mountings:
         raise LogError(

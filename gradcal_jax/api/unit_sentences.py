@@ -3,9 +3,11 @@
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
-from gradcal_jax.information import Posterior
+from gradcal_jax.api.unit_residual import summed_up, unit_residual
+from gradcal_jax.information import Posterior, posterior, square_root
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.trajectory import frames
+from gradcal_jax.units import G
 
 # A standard deviation that is still this share of its prior's: the plan says nothing of it.
 NOT_OBSERVED = 0.9
@@ -56,7 +58,80 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
         channel, _, symbol = name.partition(".")
         groups.setdefault(channel, []).append(symbol)
     said += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
+    said += _limited_by_priors(built, known) + _as_before(built, known)
     return said + _saturated(built) + _beyond(built)
+
+
+# Of an installation's parameter: what it is, in which unit its prior is said, and what tells more of it than any plan.
+_FREEDOMS = {
+    "sample_clock": ("the sample clock", "ppm", 1e6, "compare the clock with a better one"),
+    "gravity": ("gravity", "ug", 1e6 / G, "have it measured at the site"),
+    "azimuth": ("the azimuth of the base", "mrad", 1e3, "survey it"),
+    "tilt_east": ("the tilt of the base", "urad", 1e6, "level it"),
+    "tilt_north": ("the tilt of the base", "urad", 1e6, "level it"),
+    "mounting": (
+        "the mounting",
+        "urad",
+        1e6,
+        "hang the unit in several ways, or count misalignments from the table's axes",
+    ),
+}
+_FAMILIES = {
+    ("gyro", "a"): "bias",
+    ("gyro", "b"): "scale factor",
+    ("gyro", "m"): "misalignment",
+    ("gyro", "g"): "acceleration sensitivity",
+    ("accelerometer", "a"): "bias",
+    ("accelerometer", "s"): "scale factor",
+    ("accelerometer", "m"): "misalignment",
+    ("accelerometer", "k"): "second order",
+}
+
+
+def _limited_by_priors(built: AssembledUnit, known: Posterior) -> list[str]:
+    """Errors of the installation that stay as uncertain as they were and by themselves make a parameter of the unit
+    what it is: to any plan the two are one number (the gauge freedoms of the measurement), or to this one.
+    """
+    model, names = built.model, built.model.names()
+    own = model.to_reported[: model.calibrated]
+    spread = own @ known.spread
+    size = np.sqrt(np.sum(spread**2, axis=1))
+    reasons: dict[tuple[str, str, float, float, str], list[str]] = {}
+    priors = _prior_deviations(built)
+    for i in range(model.calibrated, model.size):
+        freedom = _FREEDOMS.get("mounting" if names[i].startswith("mounting") else names[i])
+        std = np.sqrt(np.sum(known.spread[i] ** 2))
+        if freedom is None or std < NOT_OBSERVED * priors[i] or not std:
+            continue
+        share = np.abs(spread @ known.spread[i]) / np.where(size > 0.0, size * std, 1.0)
+        for name in (names[j] for j in np.flatnonzero(share > NOT_OBSERVED)):
+            channel, _, symbol = name.partition(".")
+            kind = channel.partition("_")[0]
+            family = _FAMILIES.get((kind, symbol[0]))
+            if family is not None:
+                words, unit, factor, cure = freedom
+                limited = reasons.setdefault((words, unit, factor, float(priors[i]), cure), [])
+                limited.append(f"the {kind}s' {family}")
+    return [
+        f"{words} stays as uncertain as it was ({prior * factor:.3g} {unit}) and alone limits "
+        f"{' and '.join(dict.fromkeys(limited))}, however long this plan goes on: {cure}"
+        for (words, unit, factor, prior, cure), limited in reasons.items()
+    ]
+
+
+def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
+    """Requirements whose figure the plan hardly changes."""
+    before = posterior(square_root(built.model.prior_rows()))
+    said = []
+    for requirement in built.spec.requirement:
+        then, now = (
+            summed_up(requirement, unit_residual(built, k, requirement))[requirement.statistic] for k in (before, known)
+        )
+        if then is not None and now is not None and now > NOT_OBSERVED * then:
+            said.append(
+                f"requirement '{requirement.name}' is left as it was known beforehand: the plan says nothing of it"
+            )
+    return said
 
 
 def _saturated(built: AssembledUnit) -> list[str]:

@@ -98,7 +98,8 @@ def _term(channel: Channel, term: Map | SignalMap, triad: GyroTriad | Accelerome
         signals = () if isinstance(section, Bias) else (f"rate {AXIS_NAMES[channel.axis]}",)
     else:
         assert isinstance(term, SignalMap)
-        over = _CONSTANT if section.temperature is None else basis_row(section.temperature, smooth=False)
+        of = getattr(section, "temperature", None)
+        over = _CONSTANT if of is None else basis_row(of, smooth=False)
         row, signals = (
             MapRow(temperature=over, prior=None if section.prior is None else float(section.prior)),
             term.signals,
@@ -170,15 +171,16 @@ def _segments(built: AssembledUnit) -> list[UnitSegmentRow]:
 
     if begin[0] > 0.0:
         add(0.0, float(begin[0]), None, None, read=(), used=False)
-    made, stretch = 0, 0
+    made, stretch, move = 0, 0, np.asarray(line.segment)[at.first]
+    step: UnitStep | None = None
     names = [c.name for c in built.model.channels]
     for k in range(len(at.first)):
         read = tuple(names[c] for c in at.row_channel[(at.row_segment == k) & at.used])
         gap = bool(line.gap[at.first[k]])
-        step = None
         if gap:
-            made, stretch = 0, stretch + 1
-        elif made < plan.stretches[stretch].cycles * len(steps):
-            step, made = steps[made % len(steps)], made + 1
+            step, made, stretch = None, 0, stretch + 1
+        elif k == 0 or move[k] != move[k - 1]:
+            inside = made < plan.stretches[stretch].cycles * len(steps)
+            step, made = steps[made % len(steps)] if inside else None, made + 1
         add(float(begin[k]), float(lasting[k]), step, k, read=read, used=not gap)
     return rows

@@ -24,18 +24,19 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     Parameters
     ----------
     spec
-        The spec file, or a recipe. Its [design] says what a better plan might change.
+        The spec file, or a recipe. Its [design] says what a better plan might change; of a whole unit, the limit is for
+        every plan that takes as long at the same temperatures.
     json
         Print the limits for other programs.
     """
     from gradcal_jax.cli.precision import use_float64
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import any_spec_in
 
-    found = spec_in(spec)
+    found = any_spec_in(spec)
     use_float64()
-    from gradcal_jax.api.limit import limits
+    from gradcal_jax.api.flow import limit as limit_of
 
-    rows = limits(found)
+    rows = limit_of(found)
     if json:
         print(as_json([row._asdict() for row in rows]))
         return DONE

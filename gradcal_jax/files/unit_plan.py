@@ -243,7 +243,7 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
             problems.append(_no_such_axis(("cycle", "start", name), name, axes))
         else:
             start[axes[name]] = float(angle)
-    here, poses = list(start), False
+    here, poses, by_hand = list(start), False, rig.table.drive == "hand"
     steps: list[UnitStep] = []
     for i, item in enumerate(cycle.moves):
         key = ("cycle", "moves", i)
@@ -255,6 +255,8 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
             for k, axis in enumerate(rig.table.axis):
                 goal = item.pose.get(axis.name)
                 if goal is not None and abs(goal - here[k]) > 1e-9:
+                    if by_hand:
+                        problems.append(_not_made_by(rig.table.drive, (*key, "pose"), "pose"))
                     steps.append(UnitStep(k, quickest_turn(float(goal) - here[k], axis, item.peak_rate), i))
                     here[k] = float(goal)
             if item.rest is not None:
@@ -293,6 +295,8 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
         except SpecError as error:
             problems += [p.under(*key) for p in error.problems]
             continue
+        if (move.shape == "hand") != by_hand:
+            problems.append(_not_made_by(rig.table.drive, (*key, "shape"), move.shape))
         problems += [replace(p, key=(*key, *p.key)) for p in _limits(move, axis)]
         steps.append(UnitStep(axes[name], move, i))
         here[axes[name]] += move.repeat * move.angle
@@ -380,6 +384,15 @@ def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
                 problems.append(Problem(("cycle", "moves", where), message))
                 break
     return problems
+
+
+def _not_made_by(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:
+    if shape == "hand":
+        return Problem(key, f'needs a table that is turned by hand; rig.table.drive is "{drive}"', shape)
+    message = (
+        'cannot be made by hand, and rig.table.drive is "hand"; expected a turn with shape = "hand" and a duration'
+    )
+    return Problem(key, message, shape)
 
 
 def _no_such_axis(key: tuple[str | int, ...], name: str, axes: Mapping[str, int]) -> Problem:

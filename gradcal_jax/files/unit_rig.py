@@ -113,9 +113,15 @@ def _one_or_more(value: object) -> object:
 
 
 class UnitTable(Section):
-    """The table. `tilt`, `azimuth`: how well it is known how the base stands. It holds its axes where they stand."""
+    """The table. `tilt`, `azimuth`: how well it is known how the base stands.
 
-    standing: Literal["held"] = "held"
+    `standing`: "held", it is known not to turn while it stands, and the encoder's readings of a standstill are one; or
+    "read", its angle is what each reading says, every `read_every` (as the source reads it, Berman 2026). `drive`:
+    "hand" for a gimbal that a person turns.
+    """
+
+    standing: Literal["held", "read"] = "held"
+    drive: Literal["motor", "hand"] = "motor"
     tilt: SizeOfAngle = NO_ANGLE
     azimuth: SizeOfAngle = NO_ANGLE
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
@@ -136,6 +142,11 @@ class UnitTable(Section):
             problems.append(
                 Problem(("axis", len(names) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
             )
+        every = [axis.angle.read_every for axis in self.axis]
+        if self.standing == "read" and any(e != every[0] for e in every):
+            message = 'the axes of a table whose standing is "read" are read together; expected one time for all'
+            k = next(i for i, e in enumerate(every) if e != every[0])
+            problems.append(Problem(("axis", k, "angle", "read_every"), message, str(every[k])))
         refuse(*problems)
         return self
 

@@ -11,6 +11,7 @@ from gradcal_jax.files.quantity import (
     Margin,
     PositiveAccelerationSensitivity,
     PositiveAngle,
+    PositiveLength,
     PositiveRate,
     PositiveScaleFactor,
     PositiveSecondOrder,
@@ -87,6 +88,12 @@ class ThirdOrder(Section):
     prior: PositiveThirdOrder | None = None
 
 
+class LeverArm(Section):
+    """Where an accelerometer sits, from where the table's axes meet: three coordinates, each with the prior `prior`."""
+
+    prior: PositiveLength | None = None
+
+
 class GyroTriad(Section):
     """`[sensor.gyro]`: what is the same for every gyro of the unit. A table that is absent is not estimated: known."""
 
@@ -110,7 +117,8 @@ class GyroTriad(Section):
 
 
 class AccelerometerTriad(Section):
-    """`[sensor.accelerometer]`: what is the same for every accelerometer of the unit; read where the table stands."""
+    """`[sensor.accelerometer]`: what is the same for every accelerometer of the unit. Read where the table stands, and
+    on moves no faster than `read_on_moves_below`."""
 
     axes: BodyAxes = ("x", "y", "z")
     velocity_random_walk: VelocityRandomWalk
@@ -121,7 +129,19 @@ class AccelerometerTriad(Section):
     second_order: SecondOrder | None = None
     third_order: ThirdOrder | None = None
     asymmetry: SpecificForceScale | None = None
+    read_on_moves_below: PositiveRate | None = None
+    lever_arm: LeverArm | None = None
     cross_coupling: SecondOrder | None = None
+
+    @model_validator(mode="after")
+    def _seen(self) -> "AccelerometerTriad":
+        if self.lever_arm is not None and self.read_on_moves_below is None:
+            message = "has no effect at rest, where alone accelerometers are read; leave it out, or read them on slow "
+            refuse(Problem(("lever_arm",), message + 'moves, too: read_on_moves_below = "5 deg/s"'))
+        if self.asymmetry is not None and self.read_on_moves_below is not None:
+            message = "is told at rest alone, where the force keeps its sign; leave it out, or read_on_moves_below"
+            refuse(Problem(("asymmetry",), message))
+        return self
 
 
 class UnitFrame(Section):

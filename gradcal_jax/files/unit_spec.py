@@ -1,5 +1,6 @@
 """gradcal-spec/1 of a whole unit: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
 
+import math
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -75,9 +76,17 @@ class UnitSpec(Section):
                 if requirement.axis not in triad.axes:
                     problems.append(Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis))
         accelerometer, frame = self.sensor.accelerometer, self.sensor.frame
-        if accelerometer is not None and not any(step.axis < 0 for step in self.schedule.steps):
-            message = "never rests, and accelerometers are read at rest alone; add { rest = … }"
+        slow = 0.0 if accelerometer is None else float(accelerometer.read_on_moves_below or 0.0)
+        read = any(step.axis < 0 or step.move.fastest <= slow for step in self.schedule.steps)
+        if accelerometer is not None and not read:
+            message = "never rests, where accelerometers are read; add { rest = … }"
             problems.append(Problem(("plan", "cycle", "moves"), message))
+        turning = [float(step.move.fastest) for step in self.schedule.steps if step.axis >= 0]
+        if accelerometer is not None and slow and turning and min(turning) > slow:
+            message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
+            key = ("sensor", "accelerometer", "read_on_moves_below")
+            said = str(accelerometer.read_on_moves_below)
+            problems.append(Problem(key, message + "leave it out (and the lever arm)", said))
         if self.design is not None and self.design.minimise not in (ALL, WORST, *names):
             close = nearest(self.design.minimise, [ALL, WORST, *names])
             message = f"expected {one_of([ALL, WORST])}, or a requirement's name" + (

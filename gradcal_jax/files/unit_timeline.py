@@ -54,7 +54,8 @@ class MountingRow(Section):
 class UnitTermRow(MapRow):
     """One term of a channel: a function of temperature (and of the channel's own rate) times the product of `signals`.
 
-    Signals are "rate x" (rad/s) and "force x" (m/s²), components in the body, "|force x|" a magnitude; none: 1.
+    Signals are "rate x" (rad/s) and "force x" (m/s²), components in the body, "|force x|" a magnitude; none: 1. "size
+    ik" (1/s²) is ω_i (ω + 2ω_earth)_k − δ_ik (ω + 2ω_earth)·ω, with ω the rate against the Earth.
     `parameters`: names of the coefficients in a prediction; `unit` of each, in SI.
     """
 
@@ -131,8 +132,12 @@ class UnitSegmentRow(Section):
 
 
 class UnitTimeline(Section):
-    """gradcal-unit-timeline/1. `thermal_lag` (s) is first order, between the chamber and what all terms see, in
-    equilibrium at the start of the first segment. Processes go on through segments that are not used.
+    """gradcal-unit-timeline/1. `standing`: "held", as said at the head; "read": every segment ends with a reading of
+    all axes, whose error is its standstill's draw of `standstill_offset` and a draw of `reading_noise`, and a rest from
+    reading to reading is a segment; a gyro's row has each axis's mean direction times its error's change, and what
+    stands turns the attitude by the mean of the errors at both ends. `thermal_lag` (s) is first order, between the
+    chamber and what all terms see, in equilibrium at the start of the first segment. Processes go on through segments
+    that are not used.
     """
 
     format: Literal["gradcal-unit-timeline/1"] = "gradcal-unit-timeline/1"
@@ -140,7 +145,7 @@ class UnitTimeline(Section):
     frame: Literal["table axes", "case"]
     site: SiteRow
     table: tuple[TableAxisRow, ...]
-    standing: Literal["held"]
+    standing: Literal["held", "read"]
     mountings: tuple[MountingRow, ...]
     thermal_lag: Size | None = None
     channels: tuple[ChannelRow, ...]

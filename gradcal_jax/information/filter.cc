@@ -17,6 +17,9 @@ namespace {
 
 using Real = REAL;
 constexpr int n = STATES;
+// From here on the states are gone through by what is not zero: several channels share few states, and most of their
+// readings follow one another without a step.
+constexpr bool WIDE = n >= 8;
 
 // Columns go side by side through a vector register, a panel of LANES at a time. The register is the target's: emulated
 // with narrower ones, wide panels cost several times what they should.
@@ -76,9 +79,144 @@ struct Kept {
   T *state, *covariance, *gain, *per_std;
 };
 
+// --- many states ------------------------------------------------------------------------------------------------------
+
+// What is not zero of a matrix, row by row, or of a vector (one row).
+template <int ROWS>
+struct Sparse {
+  int begin[ROWS + 1], place[ROWS * n];
+  Real value[ROWS * n];
+
+  explicit Sparse(const Real* from) {
+    int count = 0;
+    for (int i = 0; i < ROWS; ++i) {
+      begin[i] = count;
+      for (int j = 0; j < n; ++j)
+        if (from[i * n + j] != 0) {
+          place[count] = j;
+          value[count++] = from[i * n + j];
+        }
+    }
+    begin[ROWS] = count;
+  }
+  // `each(row, column, value)`.
+  template <typename Each>
+  void go(Each each) const {
+    for (int i = 0; i < ROWS; ++i)
+      for (int a = begin[i]; a < begin[i + 1]; ++a) each(i, place[a], value[a]);
+  }
+};
+
+// Whether the step that leads to a reading changes nothing: the state is then the same as at the reading before, and
+// so is what all columns say of it.
+bool stays(const Steps& steps, int64_t k) {
+  const Real *F = steps.transition + k * n * n, *Q = steps.noise + k * n * n;
+  bool same = k > 0;
+  for (int i = 0; i < n && same; ++i)
+    for (int j = 0; j < n; ++j) same &= F[i * n + j] == (i == j ? 1 : 0) && Q[i * n + j] == 0;
+  return same;
+}
+
+// States before a reading are kept where a step that changes them follows.
+bool keeps(const Steps& steps, int64_t k, int64_t count) { return k + 1 == count || !stays(steps, k + 1); }
+
+void filter_wide(int64_t count, int64_t p, Steps steps, const Real* mean, const Real* covariance, const Real* columns,
+                 Real* rows, Real* mean_after, Real* covariance_after, const Kept<Real>* kept) {
+  const std::unique_ptr<Vec[]> state(new Vec[panels(p) * n]);
+  for_panels(p, [&](int64_t c, int64_t left, auto whole) {
+    for (int i = 0; i < n; ++i) state[c * n + i] = load(mean + i * p + c * LANES, left, whole);
+  });
+  Real P[n][n];
+  std::copy_n(covariance, n * n, &P[0][0]);
+  for (int64_t k = 0; k < count; ++k) {
+    const bool still = stays(steps, k), keep = kept && keeps(steps, k, count);
+    const Real* Q = steps.noise + k * n * n;
+    const Sparse<n> F(steps.transition + k * n * n);
+    const Sparse<1> H(steps.observation + k * n);
+    Real PH[n] = {}, gain[n], S = steps.variance[k];
+    if (!still) {
+      // P' = F (F P)' + Q, of which the lower half counts.
+      Real FP[n][n] = {}, turned[n][n];
+      F.go([&](int i, int l, Real f) {
+        for (int j = 0; j < n; ++j) FP[i][j] += f * P[l][j];
+      });
+      for (int i = 0; i < n; ++i)
+        for (int j = 0; j < n; ++j) turned[j][i] = FP[i][j];
+      std::copy_n(Q, n * n, &P[0][0]);
+      F.go([&](int i, int l, Real f) {
+        for (int j = 0; j < n; ++j) P[i][j] += f * turned[l][j];
+      });
+      for (int i = 0; i < n; ++i)
+        for (int j = 0; j < i; ++j) P[j][i] = P[i][j];
+    }
+    H.go([&](int, int l, Real h) {
+      for (int i = 0; i < n; ++i) PH[i] += h * P[l][i];
+    });
+    H.go([&](int, int l, Real h) { S += h * PH[l]; });
+    const Real reciprocal = steps.used[k] && S > 0 ? 1 / S : 0, per_std = std::sqrt(reciprocal);
+    for (int i = 0; i < n; ++i) gain[i] = PH[i] * reciprocal;
+    if (kept) {
+      if (keep) std::copy_n(&P[0][0], n * n, kept->covariance + k * n * n);
+      std::copy_n(gain, n, kept->gain + k * n);
+      kept->per_std[k] = per_std;
+    }
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < n; ++j) P[i][j] -= gain[i] * PH[j];
+    for_panels(p, [&](int64_t c, int64_t left, auto whole) {
+      const int64_t a = c * LANES;
+      Vec* x = &state[c * n];
+      if (!still) {
+        Vec stepped[n] = {};
+        F.go([&](int i, int l, Real f) { stepped[i] += f * x[l]; });
+        std::copy_n(stepped, n, x);
+      }
+      if (keep)
+        for (int i = 0; i < n; ++i) store(kept->state + (k * n + i) * p + a, left, x[i], whole);
+      Vec innovation = load(columns + k * p + a, left, whole);
+      H.go([&](int, int l, Real h) { innovation -= h * x[l]; });
+      store(rows + k * p + a, left, per_std * innovation, whole);
+      if (reciprocal > 0)
+        for (int i = 0; i < n; ++i) x[i] += gain[i] * innovation;
+    });
+  }
+  for_panels(p, [&](int64_t c, int64_t left, auto whole) {
+    for (int i = 0; i < n; ++i) store(mean_after + i * p + c * LANES, left, state[c * n + i], whole);
+  });
+  std::copy_n(&P[0][0], n * n, covariance_after);
+}
+
+// Products over all columns go through registers, BLOCK × BLOCK at a time; `PAD` states, those beyond n zero.
+constexpr int BLOCK = 4, PAD = (n + BLOCK - 1) / BLOCK * BLOCK;
+using States = Vec[PAD];
+
+// `factor · Σ_c left_i right_j`, of the blocks that reach below the diagonal, or all.
+void products(int64_t panels, const States* left, const States* right, bool lower, Real factor, Real* out) {
+  for (int i = 0; i < PAD; i += BLOCK)
+    for (int j = 0; j < (lower ? i + BLOCK : PAD); j += BLOCK) {
+      Vec sum[BLOCK][BLOCK] = {};
+      for (int64_t c = 0; c < panels; ++c)
+        for (int a = 0; a < BLOCK; ++a)
+          for (int b = 0; b < BLOCK; ++b) sum[a][b] += left[c][i + a] * right[c][j + b];
+      for (int a = 0; a < BLOCK && i + a < n; ++a)
+        for (int b = 0; b < BLOCK && j + b < n; ++b) out[(i + a) * n + j + b] = factor * total(sum[a][b]);
+    }
+}
+
+// `start + P right`.
+void smooth(const Real* P, const Vec* right, Vec* start) {
+  for (int j = 0; j < PAD; j += BLOCK) {
+    Vec sum[BLOCK] = {};
+    for (int l = 0; l < n; ++l)
+      for (int b = 0; b < BLOCK; ++b) sum[b] += P[std::min(j + b, n - 1) * n + l] * right[l];
+    for (int b = 0; b < BLOCK && j + b < n; ++b) start[j + b] += sum[b];
+  }
+}
+
 // Whitened `rows` of all columns, and state and covariance after the last reading.
 void filter(int64_t count, int64_t p, Steps steps, const Real* mean, const Real* covariance, const Real* columns,
             Real* rows, Real* mean_after, Real* covariance_after, const Kept<Real>* kept) {
+  if constexpr (WIDE)
+    return filter_wide(count, p, steps, mean, covariance, columns, rows, mean_after, covariance_after, kept);
   const std::unique_ptr<Vec[]> state(new Vec[panels(p) * n]);
   for_panels(p, [&](int64_t c, int64_t left, auto whole) {
     for (int i = 0; i < n; ++i) state[c * n + i] = load(mean + i * p + c * LANES, left, whole);
@@ -143,8 +281,77 @@ struct Cotangents {
   Real *transition, *noise, *observation, *variance, *initial, *columns;
 };
 
+void pull_wide(int64_t count, int64_t p, Steps steps, const Real* initial, const Real* rows, const Real* weighed,
+               Kept<const Real> kept, Cotangents of) {
+  const int64_t m = panels(p);
+  // As in `pull`, of all panels; `smoothed` ẑ at the reading, the same for all that follow one another without a step.
+  const std::unique_ptr<States[]> rho(new States[m]()), rho_weighed(new States[m]()), before_step(new States[m]()),
+      smoothed(new States[m]());
+  const std::unique_ptr<Vec[]> w(new Vec[m]());
+  for (int64_t k = count - 1; k >= 0; --k) {
+    const bool still = stays(steps, k), keep = keeps(steps, k, count);
+    const Sparse<1> H(steps.observation + k * n);
+    const Real *gain = kept.gain + k * n, per_std = kept.per_std[k];
+    Vec by_variance = {};
+    for_panels(p, [&](int64_t c, int64_t left, auto whole) {
+      const int64_t a = c * LANES;
+      Vec u = {}, v = {};
+      if (per_std > 0) {
+        u = per_std * load(rows + k * p + a, left, whole), v = per_std * load(weighed + k * p + a, left, whole);
+        for (int i = 0; i < n; ++i) {
+          u -= gain[i] * rho[c][i];
+          v -= gain[i] * rho_weighed[c][i];
+        }
+        H.go([&](int, int l, Real h) {
+          rho[c][l] += h * u;
+          rho_weighed[c][l] += h * v;
+        });
+      }
+      store(of.columns + k * p + a, left, v + v, whole);
+      by_variance += u * v;
+      w[c] = v;
+      if (keep) {
+        for (int j = 0; j < n; ++j) smoothed[c][j] = load(kept.state + (k * n + j) * p + a, left, whole);
+        smooth(kept.covariance + k * n * n, rho[c], smoothed[c]);
+      }
+    });
+    of.variance[k] = -total(by_variance);
+    for (int j = 0; j < PAD; j += BLOCK) {
+      Vec sum[BLOCK] = {};
+      for (int64_t c = 0; c < m; ++c)
+        for (int b = 0; b < BLOCK; ++b) sum[b] += w[c] * smoothed[c][j + b];
+      for (int b = 0; b < BLOCK && j + b < n; ++b) of.observation[k * n + j + b] = -2 * total(sum[b]);
+    }
+    Real* by_noise = of.noise + k * n * n;
+    products(m, rho.get(), rho_weighed.get(), true, -1, by_noise);
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < i; ++j) by_noise[j * n + i] = by_noise[i * n + j];
+    if (k + 1 < count)
+      products(m, before_step.get(), smoothed.get(), false, -2, of.transition + (k + 1) * n * n);
+    std::copy_n(&rho_weighed[0][0], m * PAD, &before_step[0][0]);
+    if (still) continue;
+    const Sparse<n> F(steps.transition + k * n * n);
+    for (int64_t c = 0; c < m; ++c) {
+      States stepped = {}, stepped_weighed = {};
+      F.go([&](int i, int l, Real f) {
+        stepped[l] += f * rho[c][i];
+        stepped_weighed[l] += f * rho_weighed[c][i];
+      });
+      std::copy_n(stepped, PAD, rho[c]);
+      std::copy_n(stepped_weighed, PAD, rho_weighed[c]);
+    }
+  }
+  for (int64_t c = 0; c < m; ++c) {
+    std::fill_n(smoothed[c], PAD, Vec{});
+    smooth(initial, rho[c], smoothed[c]);
+  }
+  products(m, rho.get(), rho_weighed.get(), false, -1, of.initial);
+  products(m, before_step.get(), smoothed.get(), false, -2, of.transition);
+}
+
 void pull(int64_t count, int64_t p, Steps steps, const Real* initial, const Real* rows, const Real* weighed,
           Kept<const Real> kept, Cotangents of) {
+  if constexpr (WIDE) return pull_wide(count, p, steps, initial, rows, weighed, kept, of);
   // Of a panel, from the step that follows the reading: Fᵀρ, FᵀρḠ, and ρḠ itself.
   struct Later {
     Vec rho[n], weighed[n], before_step[n];

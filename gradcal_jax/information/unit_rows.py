@@ -1,8 +1,8 @@
 """The rows of a whole unit on a table, and the one joint noise system behind them.
 
 A *segment* is a rest or one move of one axis. At its end every gyro has one row, its own integral over the segment
-against what the axis turned; every accelerometer one where the table stood. A table that holds its place is known not
-to turn, so nothing of the encoder enters a rest but its slow geometry.
+against what the axis turned; every accelerometer one where the table stood, or turned slowly enough for it. A table
+that holds its place is known not to turn, so nothing of the encoder enters a rest but its slow geometry.
 
 State `x = [C integrals, the processes of every channel, the encoders' errors now, and before the last move]`. The
 encoder of an axis is seen by all channels, so the channels are not independent: they go through one filter, a scalar
@@ -13,7 +13,10 @@ rotation of the body about `a_l`, a row has of it
                       else ∫(ω_outer × a_l)_i dt · e_now
     accelerometer i   ∫(f × a_l)_i dt · e_now
 
-and `e_now` is drawn anew by each move of its axis.
+and `e_now` is drawn anew by each move of its axis. Where the angle is read while the table stands, a rest from one
+reading to the next is a segment of its own, every reading has its own error (its white part, and the offset of its
+standstill, a third state), and a row of gyro i has `ā_li (e_now − e_before)` of every axis, ā its mean direction; of an
+axis that stands, both errors turn the attitude by half.
 """
 
 from typing import NamedTuple
@@ -32,6 +35,8 @@ from gradcal_jax.trajectory import TableMotion
 _ROUNDING = 1e-11
 # rad: a move that ends so near to where it began has no angle to share the encoder's change by.
 _RETURNS = 1e-3
+# Where a piece's fastest rate is looked for.
+_PLACES = 9
 
 
 class Segments(NamedTuple):
@@ -54,15 +59,28 @@ class Segments(NamedTuple):
 def segments_of(motion: TableMotion, model: UnitModel) -> Segments:
     """The segments of a motion and the rows that a unit has of them."""
     number = np.asarray(motion.line.segment)
-    first = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
+    begins = np.diff(number, prepend=number[0] - 1) != 0
+    if not model.encoder.held:
+        begins[1:] |= (np.asarray(motion.line.read) & (np.asarray(motion.axis) < 0))[:-1]
+    first = np.flatnonzero(begins)
     last = np.append(first[1:], len(number)) - 1
     axis = np.asarray(motion.axis)[first]
-    read, rest = ~np.asarray(motion.line.gap)[first], axis < 0
-    rows = np.stack([read & (rest | (c.kind == "gyro")) for c in model.channels], axis=1)
+    read, slow = ~np.asarray(motion.line.gap)[first], _fastest(motion, first, model)
+    rows = np.stack([read & (slow <= (np.inf if c.kind == "gyro" else c.read_below)) for c in model.channels], axis=1)
     kept = np.array(rows)
     kept[:, 0] |= ~np.any(rows, axis=1)
     segment, channel = np.nonzero(kept)
     return Segments(first, last, axis, segment, channel, rows[segment, channel])
+
+
+def _fastest(motion: TableMotion, first: np.ndarray, model: UnitModel) -> np.ndarray:
+    """The fastest rate of every segment (rad/s); of moves infinite where no accelerometer is read on any."""
+    fastest = np.where(np.asarray(motion.axis) < 0, 0.0, np.inf)
+    if any(c.read_below for c in model.channels):
+        moves = np.flatnonzero(fastest)
+        places = np.broadcast_to(np.linspace(0.0, 1.0, _PLACES), (len(moves), _PLACES))
+        fastest[moves] = np.max(np.abs(np.asarray(motion.line.rate(places, moves))), axis=1)
+    return np.maximum.reduceat(fastest, first)
 
 
 def unit_information(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> SquareRootInformation:
@@ -99,10 +117,11 @@ def _without_rounding(columns: Float[AnyArray, "R p"], units: list[str]) -> Floa
     information is, they would count as seen.
     """
     xp = namespace(columns)
-    size = xp.max(xp.abs(columns), axis=0)
+    size = xp.maximum(xp.max(columns, axis=0), -xp.min(columns, axis=0))
     _, kind = np.unique(units, return_inverse=True)
     largest = xp.max(xp.where(kind[:, None] == kind[None, :], size[None, :], 0.0), axis=1)
-    return xp.where((size > _ROUNDING * largest)[None, :], columns, 0.0)
+    seen = size > _ROUNDING * largest
+    return columns if xp is np and np.all(seen) else xp.where(seen[None, :], columns, 0.0)
 
 
 def _joint_steps(
@@ -112,7 +131,8 @@ def _joint_steps(
     xp = namespace(motion, model, nodes)
     line, channels, axes = motion.line, len(model.channels), motion.geometry.axis_count
     m = sum(c.model.processes.count for c in model.channels)
-    n = channels + m + 2 * axes
+    held = model.encoder.held
+    n = channels + m + (2 if held else 3) * axes
     # One step for each segment; where a rate drives a process, for each piece, so that it is constant or smooth.
     by_pieces = any(np.any(np.asarray(c.model.processes.rate_gain)) for c in model.channels)
     duration = line.duration if by_pieces else at.sums(line.duration)
@@ -156,24 +176,37 @@ def _joint_steps(
     step_of_segment = at.first if by_pieces else np.arange(len(at.first))
     for k in range(axes):
         now, before = channels + m + k, channels + m + axes + k
-        moves = np.zeros(count, bool)
+        moves, reads = np.zeros((2, count))
         moves[step_of_segment] = at.axis == k
-        kept = np.where(moves, 0.0, 1.0)
+        reads[step_of_segment] = 1.0
+        fresh = moves if held else reads
         transition += [
-            ((everything, now, now), kept),
-            ((everything, before, before), kept),
-            ((everything, before, now), 1.0 - kept),
+            ((everything, now, now), 1.0 - fresh),
+            ((everything, before, before), 1.0 - fresh),
+            ((everything, before, now), fresh),
         ]
-        spread, first = _standstills(model.encoder, k, at.axis == k, start, lasting)
-        covariance.append(((step_of_segment, now, now), spread))
-        initial.append(((now, now), first))
+        if held:
+            spread, first = _standstills(model.encoder, k, at.axis == k, start, lasting)
+            covariance.append(((step_of_segment, now, now), spread))
+            initial.append(((now, now), first))
+            continue
+        still = before + axes
+        both, drawn = np.array([now, still]), model.encoder.offset[k] ** 2
+        white = model.encoder.reading[k] ** 2
+        transition += [((everything, now, still), reads - moves), ((everything, still, still), 1.0 - moves)]
+        covariance += [
+            ((everything, both[:, None], both[None]), (moves * drawn)[:, None, None] * xp.ones((2, 2))),
+            ((everything, now, now), moves * drawn + reads * white),
+        ]
+        initial += [((both[:, None], both[None]), drawn * xp.ones((2, 2))), ((now, now), drawn + white)]
     observation = _observations(motion, nodes, at, model, n, channels + m)
     # Rows of one segment follow one another without a step; what is within a segment has none of its own.
     source, row = _order(at, by_pieces)
-    fresh = xp.asarray(np.diff(source, prepend=-1) > 0)[:, None, None]
+    fresh = np.flatnonzero(np.diff(source, prepend=-1))
+    still = np.broadcast_to(np.eye(n), (len(row), n, n))
     steps = (
-        xp.where(fresh, placed((count, n, n), *transition)[source], xp.eye(n)),
-        xp.where(fresh, placed((count, n, n), *covariance)[source], 0.0),
+        put(still, fresh, placed((count, n, n), *transition)),
+        put(np.zeros(still.shape), fresh, placed((count, n, n), *covariance)),
     )
     observed = observation if len(row) == len(observation) else xp.where((row >= 0)[:, None], observation[row], 0.0)
     used = at.used[row] & (row >= 0)
@@ -215,14 +248,20 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
         begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
         # How far the axis is on its way: what its error is between those of its two standstills.
         turns = motion.turns[motion.example[g.kinds]][:, None, :]
+        stands = 1.0 if model.encoder.held else 0.5
         away = turns & (abs(span) > _RETURNS)
         gone = xp.clip((g.angle - begin) / xp.where(away, span, 1.0), 0.0, 1.0)
-        share = xp.where(turns, xp.where(away, gone, 0.5), 1.0)
-        both = xp.concatenate([xp.cross(g.outer, g.axes), xp.cross(g.force[..., None, :], g.axes)], axis=-1)
-        return g.integral(both[:, :, None] * xp.stack([share, 1.0 - share], axis=2)[..., None])
+        share = xp.where(turns, xp.where(away, gone, 0.5), stands)
+        shares = xp.stack([share, 1.0 - share], axis=-1) * g.weight[..., None, None]
+        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ g.turned(k) for k in range(axes)]
+        return xp.stack(parts, axis=2)
 
     slow = at.sums(nodes.integrals(of_group, (2, axes, 6))[nodes.kind])
-    along = xp.where((at.axis[:, None] == np.arange(axes))[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)
+    if model.encoder.held:
+        along = xp.where((at.axis[:, None] == np.arange(axes))[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)
+    else:
+        directed = at.sums(nodes.integrals(lambda g: g.integral(g.axes), (axes, 3))[nodes.kind])
+        along = directed / at.sums(motion.line.duration)[:, None, None]
     along = xp.concatenate([along, xp.zeros(along.shape)], axis=-1)
     slow = slow + xp.stack([along, -along], axis=1)
     index = np.array([c.index for c in model.channels])[at.row_channel]
@@ -232,5 +271,5 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
         (count, n),
         ((np.arange(count), at.row_channel), np.ones(count)),
         ((slice(None), np.arange(encoders, encoders + axes)), of_encoder[:, 0]),
-        ((slice(None), np.arange(encoders + axes, n)), of_encoder[:, 1]),
+        ((slice(None), np.arange(encoders + axes, encoders + 2 * axes)), of_encoder[:, 1]),
     )

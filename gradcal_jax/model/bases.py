@@ -5,6 +5,7 @@ coordinates that are well conditioned (Legendre or Chebyshev); people read *repo
 normalised monomials). `to_reported @ engine = reported` connects them.
 """
 
+from functools import lru_cache
 from typing import Literal
 
 import equinox as eqx
@@ -49,6 +50,18 @@ class Basis(eqx.Module):
         return False
 
 
+@lru_cache(maxsize=64)
+def _monomials(degree: int, internal: str) -> np.ndarray:
+    """`(size, size)`: coefficients of orthogonal polynomials to those of monomials; one array for all who ask."""
+    convert = np_legendre.leg2poly if internal == "legendre" else np_chebyshev.cheb2poly
+    matrix = np.zeros((degree + 1, degree + 1))
+    for k, unit in enumerate(np.eye(degree + 1)):
+        monomials = convert(unit)
+        matrix[: len(monomials), k] = monomials
+    matrix.flags.writeable = False
+    return matrix
+
+
 class Polynomial(Basis):
     """Polynomials up to `degree` in `(x − centre)/scale`; reported as its monomials (paper, eqs. 4, 11)."""
 
@@ -73,12 +86,7 @@ class Polynomial(Basis):
 
     @property
     def to_reported(self) -> np.ndarray:
-        convert = np_legendre.leg2poly if self.internal == "legendre" else np_chebyshev.cheb2poly
-        matrix = np.zeros((self.size, self.size))
-        for k in range(self.size):
-            monomials = convert(np.eye(self.size)[k])
-            matrix[: len(monomials), k] = monomials
-        return matrix
+        return _monomials(self.degree, self.internal)
 
     @property
     def constant(self) -> np.ndarray:

@@ -10,16 +10,19 @@ Each is linear in the channel's own terms (`terms`, signal × function of temper
 one after the other, then the installation's.
 """
 
+from itertools import pairwise
 from typing import Literal
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, namespace, placed
+from gradcal_jax.model.bases import Basis
 from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes
 from gradcal_jax.model.sensor import SensorModel
+from gradcal_jax.model.terms import Map, SignalMap
 
 ChannelKind = Literal["gyro", "accelerometer"]
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
@@ -28,16 +31,23 @@ KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
 class Channel(eqx.Module):
     """A gyro or an accelerometer along the body's axis `axis`, with its own terms and noise (`model`).
 
-    An accelerometer's noise is as a gyro's with m/s in the place of rad.
+    An accelerometer's noise is as a gyro's with m/s in the place of rad. A gyro is read always, an accelerometer
+    at rest and on moves no faster than `read_below` rad/s.
     """
 
     model: SensorModel
     kind: ChannelKind = eqx.field(static=True)
     axis: int = eqx.field(static=True)
+    read_below: float = eqx.field(static=True, default=0.0)
 
     @property
     def name(self) -> str:
         return f"{self.kind}_{AXIS_NAMES[self.axis]}"
+
+    @property
+    def read_on_moves(self) -> bool:
+        """Whether it is read on any."""
+        return self.kind == "gyro" or self.read_below > 0.0
 
     @property
     def index(self) -> int:
@@ -46,14 +56,17 @@ class Channel(eqx.Module):
 
 
 class EncoderNoise(eqx.Module):
-    """One draw for each standstill of each of `L` axes, rad: variance `offset² + reading²/n`, n readings in it.
+    """Error of each of `L` encoders, rad.
 
-    `every` s: their spacing while the axis stands, one at its beginning.
+    A table that is `held` has one draw for each standstill, of variance `offset² + reading²/n` with n readings in it,
+    `every` s apart, one at its beginning. Otherwise the angle is not known to stand: it is what every reading says, one
+    at the end of each segment, with one draw of `offset` for a standstill and one of `reading` for a reading.
     """
 
     offset: Float[AnyArray, " L"]
     reading: Float[AnyArray, " L"]
     every: Float[AnyArray, " L"]
+    held: bool = eqx.field(static=True, default=True)
 
 
 class UnitModel(eqx.Module):
@@ -112,13 +125,41 @@ class UnitModel(eqx.Module):
         return matrix
 
     def columns(self, nodes: BodyNodes) -> tuple[list[AnyArray], Float[AnyArray, "K 6 i"]]:
-        """What each parameter's unit adds, rad or m/s: of each channel `(P, own)` over every piece, of the installation
-        over a piece of each kind.
+        """What each parameter's unit adds, rad or m/s: of each channel `(P, own)` over every piece (zero over moves for
+        one that is read at rest alone), of the installation over a piece of each kind.
         """
-        own = [c.model.columns(nodes.channel(c.kind, c.axis)) for c in self.channels]
+        own = self._own_columns(nodes)
         xp = namespace(own, nodes.angle_before)
         none = xp.zeros((len(nodes.axis), 6, 0))
         return own, xp.concatenate([none, *(term.columns(nodes) for term in self.installation)], axis=-1)
+
+    def _own_columns(self, nodes: BodyNodes) -> list[AnyArray]:
+        """Terms with the same functions of temperature are integrated at once, those of all channels together."""
+        ends, begin = [], 0
+        parts: list[tuple] = []
+        alike: list[dict[Basis, list[tuple[np.ndarray, AnyArray]]]] = [{} for _ in nodes.groups]
+        for c in self.channels:
+            view, moves = nodes.channel(c.kind, c.axis), c.read_on_moves
+            for term in c.model.terms:
+                end = begin + term.size
+                if isinstance(term, Map | SignalMap):
+                    basis = term.temperature
+                    places = np.arange(begin, end).reshape(basis.size, -1)
+                    for group, own, known in zip(nodes.groups, view.groups, alike, strict=True):
+                        if moves or not group.moving:
+                            known.setdefault(basis, []).append((places, term.drive(own)))
+                else:
+                    parts.append(((slice(None), slice(begin, end)), term.columns(view)))
+                begin = end
+            ends.append(begin)
+        for group, known in zip(nodes.groups, alike, strict=True):
+            shared = group.shared()
+            for basis, terms in known.items():
+                drive = namespace(group.weight).concatenate([d for _, d in terms], axis=-1)
+                places = np.concatenate([at for at, _ in terms], axis=1).ravel()
+                parts.append(((group.pieces[:, None], places), shared.sums(basis(group.temperature), drive)))
+        found = placed((len(nodes.kind), begin), *parts)
+        return [found[:, a:b] for a, b in pairwise([0, *ends])]
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
         """Whitened rows of everything known beforehand."""

@@ -106,14 +106,13 @@ class AxisHarmonics(InstallationTerm):
         return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
 
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 m"]:
-        k = self.axis
+        k, xp = self.axis, namespace(nodes.angle_before)
 
         def of_group(g: BodyGroup):
-            p = self._waves(g.angle[..., k])[..., None] * g.axes[..., k, None, :]
-            return g.integral(seen(g, p, g.outer[..., k, None, :]))
+            weighted = xp.swapaxes(self._waves(g.angle[..., k]) * g.weight[..., None], -1, -2)
+            return xp.swapaxes(weighted @ g.turned(k), -1, -2)
 
         inserted = nodes.integrals(of_group, (6, self.size))
-        xp = namespace(inserted)
         change = self._waves(nodes.angle_after[:, k]) - self._waves(nodes.angle_before[:, k])
         along = np.where(nodes.axis == k, 1.0, 0.0)[:, None] * nodes.axes_before[:, k]
         return inserted + xp.concatenate([along, xp.zeros(along.shape)], axis=1)[:, :, None] * change[:, None, :]

@@ -67,6 +67,21 @@ class SharedNodes(eqx.Module):
     share: Float[np.ndarray, "q m"]
     moving: bool = eqx.field(static=True, default=True)
 
+    def signal(self, name: str) -> Float[AnyArray, "U q"]:
+        """A signal by its name, "rate x"; "|rate x|" its magnitude. "size ik": what a coordinate k (m) of where an
+        accelerometer along i sits adds to its reading over a whole move (over which ∫ω̇ dt is zero),
+
+            [(ω + 2ω_earth) × (ω × e_k)]_i = ω_i (ω + 2ω_earth)_k − δ_ik (ω + 2ω_earth)·ω        ω: against the Earth
+        """
+        kind, _, axes = name.strip("|").partition(" ")
+        if kind != "size":
+            signal = self.signals[name.strip("|")]
+            return abs(signal) if name.startswith("|") else signal
+        rate, earth = ([self.signals[f"{of} {a}"] for a in AXIS_NAMES] for of in ("rate", "earth"))
+        i, k = (AXIS_NAMES.index(a) for a in axes)
+        found = (rate[i] - earth[i]) * (rate[k] + earth[k])
+        return found if i != k else found - sum(w * w - e * e for w, e in zip(rate, earth, strict=True))
+
     def sums(self, first: Float[AnyArray, "k m a"], second: Float[AnyArray, "U q b"]) -> Float[AnyArray, "k ab"]:
         """As of `GaussNodes`."""
         xp = namespace(first, second)
@@ -129,6 +144,23 @@ class BodyGroup(eqx.Module):
     joint: Float[AnyArray, "U q L"]
     angle: Float[AnyArray, "U q L"]
 
+    @property
+    def moving(self) -> bool:
+        """Whether anything turns: what stands sees one direction throughout, and has one node."""
+        return self.weight.shape[1] > 1
+
+    def turned(self, k: int) -> Float[AnyArray, "U q 6"]:
+        """What a small rotation about axis k adds to rate and force, but for its own change."""
+        xp, axis = namespace(self.axes), self.axes[..., k, :]
+        return xp.concatenate([xp.cross(self.outer[..., k, :], axis), xp.cross(self.force, axis)], axis=-1)
+
+    def shared(self, own: str = "rate", index: int = 0) -> SharedNodes:
+        """The nodes with a component of rate or force for the `rate` of a single axis, and all of them as signals."""
+        seen = {"rate": self.rate, "force": self.force, "earth": self.earth}
+        signals = {f"{name} {AXIS_NAMES[k]}": of[..., k] for name, of in seen.items() for k in range(3)}
+        along = signals[f"{own} {AXIS_NAMES[index]}"]
+        return SharedNodes(self.pieces, self.kind, self.temperature, self.weight, along, signals, self.share)
+
     def integral(self, values: Float[AnyArray, "U q *s"]) -> Float[AnyArray, " U *s"]:
         """`∫ … dt` over a piece of each kind."""
         xp = namespace(values)
@@ -158,20 +190,8 @@ class BodyNodes(eqx.Module):
     def channel(self, kind: str, index: int) -> Nodes:
         """What a gyro or accelerometer along the body's axis `index` has for its own signal, the other axes beside."""
         own = {"gyro": "rate", "accelerometer": "force"}[kind]
-        groups = tuple(
-            SharedNodes(
-                g.pieces,
-                g.kind,
-                g.temperature,
-                g.weight,
-                getattr(g, own)[..., index],
-                {f"{name} {AXIS_NAMES[k]}": getattr(g, name)[..., k] for name in ("rate", "force") for k in range(3)},
-                g.share,
-            )
-            for g in self.groups
-        )
         none = namespace(self.temperature_change).zeros(self.temperature_change.shape)
-        return Nodes(groups, self.temperature_change, none, none)
+        return Nodes(tuple(g.shared(own, index) for g in self.groups), self.temperature_change, none, none)
 
 
 AXIS_NAMES = ("x", "y", "z")

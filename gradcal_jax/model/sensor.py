@@ -82,10 +82,12 @@ class SensorModel(eqx.Module):
     @property
     def to_reported(self) -> np.ndarray:
         """`(p, p)`: the engine's parameters to the reported ones."""
-        matrix = np.zeros((self.size, self.size))
+        matrix, begin = np.zeros((self.size, self.size)), 0
         for term in self.terms:
-            where = self.where(term.name)
-            matrix[where, where] = term.to_reported
+            block = term.to_reported
+            end = begin + len(block)
+            matrix[begin:end, begin:end] = block
+            begin = end
         return matrix
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P p"]:
@@ -95,13 +97,12 @@ class SensorModel(eqx.Module):
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
         """Whitened rows of everything known beforehand: stacked over the data's rows they make the posterior."""
-        blocks, xp = [(self.where(term.name), term.prior_rows()) for term in self.terms], namespace(self.terms)
-        parts = [
-            xp.concatenate(
-                [xp.zeros((len(rows), at.start)), xp.asarray(rows), xp.zeros((len(rows), self.size - at.stop))], axis=1
-            )
-            for at, rows in blocks
-        ]
+        xp, size, begin, parts = namespace(self.terms), self.size, 0, []
+        for term in self.terms:
+            rows = xp.asarray(term.prior_rows())
+            after = size - begin - rows.shape[1]
+            parts.append(xp.concatenate([xp.zeros((len(rows), begin)), rows, xp.zeros((len(rows), after))], axis=1))
+            begin += rows.shape[1]
         return xp.concatenate(parts)
 
 

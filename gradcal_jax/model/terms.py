@@ -209,13 +209,17 @@ class Map(Term):
         return (reported - shrink * (np.outer(v, v) / square @ reported)) / self.prior_std
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(group: NodeGroup):
-            t = self.temperature(group.temperature)
-            if self.rate is None:
-                return group.sums(t, namespace(t).ones((*group.rate.shape, 1)))
-            return group.sums(t, self._driven(group))
+        return nodes.integrals(
+            lambda g: g.sums(self.temperature(g.temperature), self.drive(g)),
+            self.size,
+            moving_only=self.rate is not None,
+        )
 
-        return nodes.integrals(of_group, self.size, moving_only=self.rate is not None)
+    def drive(self, group: NodeGroup) -> AnyArray:
+        """What multiplies the functions of temperature at the nodes."""
+        if self.rate is None:
+            return namespace(group.rate).ones((*group.rate.shape, 1))
+        return self._driven(group)
 
     def _driven(self, group: NodeGroup):
         """`χ(ω)·ω` at the nodes.
@@ -244,7 +248,7 @@ def _ordinal(basis: Basis, index: int) -> str:
 class SignalMap(Term):
     """A function of temperature times a product of signals: misalignment, sensitivity to acceleration, second order.
 
-    `signals`: names in the nodes (`BodyNodes.channel`), "|…|" for a magnitude; none: the function itself. `std`: of
+    `signals`: names in the nodes (`SharedNodes.signal`), "|…|" for a magnitude; none: the function itself. `std`: of
     each *reported* coefficient; `inf` is flat. `symbol`: what the coefficients are called.
     """
 
@@ -278,15 +282,15 @@ class SignalMap(Term):
         return xp.asarray(self.to_reported) / self.std if self.has_prior else xp.zeros((0, self.size))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(group):
-            assert isinstance(group, SharedNodes), "signals are of a body's nodes"
-            product = namespace(group.weight).ones(group.weight.shape)
-            for name in self.signals:
-                signal = group.signals[name.strip("|")]
-                product = product * (abs(signal) if name.startswith("|") else signal)
-            return group.sums(self.temperature(group.temperature), product[..., None])
+        return nodes.integrals(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
 
-        return nodes.integrals(of_group, self.size)
+    def drive(self, group: NodeGroup) -> AnyArray:
+        """What multiplies the functions of temperature at the nodes."""
+        assert isinstance(group, SharedNodes), "signals are of a body's nodes"
+        product = namespace(group.weight).ones(group.weight.shape)
+        for name in self.signals:
+            product = product * group.signal(name)
+        return product[..., None]
 
 
 class BiasTemperatureGradient(Term):

@@ -23,6 +23,7 @@ _SHOWN = {
     "rad/s": ("deg/h", units.DEG_PER_H),
     "1": ("ppm", units.PPM),
     "rad": ("urad", 1e6),
+    "m": ("mm", 1e3),
     "m/s^2": ("ug", 1e6 / units.G),
     "rad/s/(m/s^2)": ("deg/h/g", units.DEG_PER_H * units.G),
     "rad/s/(m/s^2)^2": ("deg/h/g^2", units.DEG_PER_H * units.G**2),

@@ -136,11 +136,13 @@ def even_division(count: int, read: bool) -> Division:
 
 
 def rest(duration: float, read_every: float | None = None, *, read_at_end: bool = False) -> Move:
-    """A rest of `duration` s, read every `read_every` s, or once at its end, or not at all.
+    """A rest of `duration` s, read every `read_every` s, at its end, or not at all.
 
     Errors: `ValueError` for what is no number.
     """
-    times = formulas.reading_times(float(duration), read_every) or ([float(duration)] if read_at_end else [])
+    times = formulas.reading_times(float(duration), read_every)
+    if read_at_end and (not times or times[-1] < duration):
+        times.append(float(duration))
     division = divide(float(duration), tuple(times))
     return Move("rest", "", float(duration), (division,), division)
 

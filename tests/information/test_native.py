@@ -17,7 +17,7 @@ from gradcal_jax.information.whitening import block_length
 pytestmark = pytest.mark.skipif(native._compiler() is None, reason="this machine has no C++ compiler")
 
 # States, columns, readings: one of each; panels that are not full, full, and more than one; more states than columns.
-SHAPES = [(1, 1, 1), (2, 16, 61), (3, 5, 40), (2, 19, 100), (5, 3, 57)]
+SHAPES = [(1, 1, 1), (2, 16, 61), (3, 5, 40), (2, 19, 100), (5, 3, 57), (9, 11, 40)]
 
 
 def system(n: int, p: int, count: int, seed: int = 0, dtype=np.float64) -> tuple[NoiseSteps, jax.Array]:
@@ -34,6 +34,19 @@ def system(n: int, p: int, count: int, seed: int = 0, dtype=np.float64) -> tuple
     floats = (transition, noise, observation, variance)
     steps = NoiseSteps(*(jnp.asarray(x, dtype) for x in floats), jnp.asarray(used), jnp.asarray(first @ first.T, dtype))
     return steps, jnp.asarray(rng.standard_normal((count, p)), dtype)
+
+
+def shared(p: int, count: int) -> tuple[NoiseSteps, jax.Array]:
+    """Ten states of which few meet, and readings that follow one another without a step."""
+    steps, columns = system(10, p, count)
+    rng = np.random.default_rng(5)
+    few = np.where(rng.uniform(size=(count, 10, 10)) < 0.15, np.asarray(steps.transition), 0.0) + 0.5 * np.eye(10)
+    stays = (np.arange(count) % 4 > 0)[:, None, None]
+    return steps._replace(
+        transition=jnp.asarray(np.where(stays, np.eye(10), few)),
+        covariance=jnp.where(stays, 0.0, steps.covariance),
+        observation=jnp.where(rng.uniform(size=(count, 10)) < 0.4, steps.observation, 0.0),
+    ), columns
 
 
 def weights(p: int):
@@ -92,9 +105,9 @@ def test_rows_and_the_state_after_them(shape):
         assert not np.any(np.asarray(rows)[count // 2])
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", [*SHAPES, None])
 def test_the_gradient_in_everything(shape, in_blocks):
-    steps, columns = system(*shape)
+    steps, columns = shared(19, 41) if shape is None else system(*shape)
 
     def gradient(values, columns):
         return jax.grad(lambda v, c: value(steps, c, v), argnums=(0, 1))(values, columns)

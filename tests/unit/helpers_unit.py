@@ -208,9 +208,10 @@ def accelerometer(
     drift=(),
     std: dict[str, float] | None = None,
     basis=CONSTANT,
+    read_below: float = 0.0,
 ) -> Channel:
-    """An accelerometer with the given `terms`: `b`, `s`, `m`, `k2`, `k3`, `asymmetry`, `cross`."""
-    prior = dict.fromkeys(("b", "s", "m", "k2", "k3", "asymmetry", "cross"), np.inf) | (std or {})
+    """An accelerometer with the given `terms`: `b`, `s`, `m`, `k2`, `k3`, `asymmetry`, `cross`, `r`."""
+    prior = dict.fromkeys(("b", "s", "m", "k2", "k3", "asymmetry", "cross", "r"), np.inf) | (std or {})
     own, along = terms.split(), f"force {AXES[axis]}"
     chosen: list[model.Term] = []
     if "b" in own:
@@ -230,8 +231,10 @@ def accelerometer(
     if "cross" in own:
         pairs = [(a, b) for i, a in enumerate(AXES) for b in AXES[i + 1 :]]
         chosen += [_signal(f"k_{a}{b}", (f"force {a}", f"force {b}"), "1/(m/s^2)", prior["cross"]) for a, b in pairs]
+    if "r" in own:
+        chosen += [_signal(f"r_{o}", (f"size {AXES[axis]}{o}",), "m", prior["r"]) for o in AXES]
     sensor = SensorModel(tuple(chosen), np.asarray(white), _drifts(drift), model.angle_reference())
-    return Channel(sensor, "accelerometer", axis)
+    return Channel(sensor, "accelerometer", axis, read_below)
 
 
 def encoder(count: int, offset: float = 0.0, reading: float = 0.0, every: float = 1.0) -> EncoderNoise:

@@ -24,6 +24,7 @@ PRIORS = {
     "force k3": 1e-4 / G**2,
     "force asymmetry": 1e-3,
     "force k_": 1e-3 / G,
+    "force r_": 0.05,
     "tilt": 1e-4,
     "azimuth": 5e-3,
     "orthogonality": 1e-4,
@@ -116,11 +117,12 @@ def unit_of(scene: Scene) -> UnitModel:
     forces = [
         accelerometer(
             i,
-            "b s m k2 k3 asymmetry cross",
+            "b s m k2 k3 cross " + ("r" if scene.slow else "asymmetry"),
             white=scene.force_white,
             drift=scene.force_drift,
             std={k: prior[f"force {k}"] for k in ("b", "s", "m", "k2", "k3", "asymmetry")}
-            | {"cross": prior["force k_"]},
+            | {"cross": prior["force k_"], "r": prior["force r_"]},
+            read_below=scene.slow,
             basis=basis,
         )
         for i in scene.accelerometers
@@ -140,7 +142,7 @@ def unit_of(scene: Scene) -> UnitModel:
         model.CommonScale(np.array([prior["gravity"]]), "gravity"),
         model.CommonScale(np.array([prior["sample_clock"]]), "sample_clock"),
     ]
-    noise = EncoderNoise(np.array(scene.offset), np.array(scene.reading), np.array(scene.every))
+    noise = EncoderNoise(np.array(scene.offset), np.array(scene.reading), np.array(scene.every), scene.held)
     return UnitModel(tuple(gyros + forces), tuple(installation), noise)
 
 

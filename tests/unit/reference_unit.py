@@ -25,6 +25,7 @@ class Scene:
     """Everything that a unit's covariance depends on, SI and °C. `axes` outermost first; `mountings` body to the
     innermost axis. `drift`, `instability`: (σ, τ) of gyros, `force_drift` of accelerometers. `priors`: standard
     deviation by parameter family; `temperature`: at the beginning, and slope. `powers`: of temperature and rate.
+    `held`: whether a table that stands is known not to turn. `slow`: rate up to which accelerometers are read on moves.
     """
 
     axes: tuple[np.ndarray, ...]
@@ -48,6 +49,8 @@ class Scene:
     orders: tuple[tuple[int, ...], ...]
     priors: dict[str, float]
     powers: tuple[int, int] = (1, 2)
+    held: bool = True
+    slow: float = 0.0
 
     @property
     def centre_and_scale(self) -> tuple[float, float, float]:
@@ -152,6 +155,32 @@ class Simulator:
             inner = rotated(scene.axes[l], angle) @ inner
         return small(errors.tau) @ scene.base @ inner, omega
 
+    def size_effect(self, k: int, t: np.ndarray) -> np.ndarray:
+        """`(n, 3, 3)`: what the j-th coordinate of where an accelerometer sits adds to the force along i: its second
+        derivative in time on the turning Earth, by finite differences of its place in the angle that turns.
+        """
+        l, step, h = self.scene.steps[k].axis, self.scene.steps[k], 1e-2
+        if l < 0:
+            return np.zeros((len(t), 3, 3))
+
+        def attitude(x: float) -> np.ndarray:
+            errors = self.none
+            errors.angle = (l, lambda *_: x, lambda *_: 0.0)
+            return self.stages(k, t, errors)[0]
+
+        at = {m: attitude(m * h) for m in (-3, -2, -1, 0, 1, 2, 3)}
+        first = (45 * (at[1] - at[-1]) - 9 * (at[2] - at[-2]) + at[3] - at[-3]) / (60 * h)
+        second = (270 * (at[1] + at[-1]) - 27 * (at[2] + at[-2]) + 2 * (at[3] + at[-3]) - 490 * at[0]) / (180 * h * h)
+        top, ramp, whole = cosine_ramps(step.angle, step.peak, step.acceleration)
+        rate = self.travel(k, t)[1]
+        inside = np.where(t < ramp, t, np.where(t > whole - ramp, -(whole - t), 0.0))
+        faster = np.sign(step.angle) * 0.5 * top * np.pi / ramp * np.sin(np.pi * inside / ramp)
+        velocity = first * rate[:, None, None]
+        earth = OMEGA * np.array([0.0, np.cos(self.scene.latitude), np.sin(self.scene.latitude)])
+        turned = np.stack([np.cross(2.0 * earth, velocity[..., j]) for j in range(3)], axis=-1)
+        acceleration = second * (rate**2)[:, None, None] + first * faster[:, None, None] + turned
+        return np.swapaxes(at[0], 1, 2) @ acceleration
+
     def seen(self, k: int, t: np.ndarray, errors: Errors) -> tuple[np.ndarray, np.ndarray]:
         """Rate and specific force in the body, `(n, 3)` each."""
         scene = self.scene
@@ -226,6 +255,11 @@ class Simulator:
         """Error of an axis at its standstill now, or at the one before the move that it makes."""
 
         def share(k, t):
+            if self.scene.steps[k].axis != l and not self.scene.held:
+                # Straight from reading to reading; the attitude is turned by their mean.
+                return np.full(len(t), 0.5), np.full(
+                    len(t), (1.0 if now else -1.0) / (self.times[k + 1] - self.times[k])
+                )
             if self.scene.steps[k].axis != l:
                 return np.full(len(t), 1.0 if now else 0.0), np.zeros(len(t))
             turned, rate = self.travel(k, t)
@@ -246,10 +280,14 @@ class Simulator:
     # --- the rows -----------------------------------------------------------------------------------------------------
 
     def rows(self) -> list[tuple[int, int]]:
-        """(segment, channel) in order; channels 0–2 are gyros, 3–5 accelerometers, which are read at rest."""
+        """(segment, channel) in order; channels 0–2 are gyros, 3–5 accelerometers, read at rest and on slow moves."""
         scene = self.scene
         channels = [*scene.gyros, *(3 + i for i in scene.accelerometers)]
-        return [(k, c) for k, s in enumerate(scene.steps) for c in channels if c < 3 or s.axis < 0]
+
+        def read(s: Step, c: int) -> bool:
+            return c < 3 or s.axis < 0 or cosine_ramps(s.angle, s.peak, s.acceleration)[0] <= scene.slow
+
+        return [(k, c) for k, s in enumerate(scene.steps) for c in channels if read(s, c)]
 
     def own_columns(self) -> dict[str, np.ndarray]:
         """Columns of the channels' own terms by reported name, over `rows`."""
@@ -285,7 +323,12 @@ class Simulator:
                 name = f"accelerometer_{AXES[i]}"
                 add(f"{name}.k2", k, row, w @ force[:, i] ** 2)
                 add(f"{name}.k3", k, row, w @ force[:, i] ** 3)
-                add(f"{name}.asymmetry", k, row, w @ np.abs(force[:, i]))
+                if scene.slow:
+                    sizes = w @ self.size_effect(k, t)[:, i]
+                    for j, axis in enumerate(AXES):
+                        add(f"{name}.r_{axis}", k, row, sizes[j])
+                else:
+                    add(f"{name}.asymmetry", k, row, w @ np.abs(force[:, i]))
                 for a in range(3):
                     for b in range(a + 1, 3):
                         add(f"{name}.k_{AXES[a]}{AXES[b]}", k, row, w @ (force[:, a] * force[:, b]))
@@ -331,6 +374,9 @@ class Simulator:
                 total[np.ix_(own, own)] += sigma**2 * self._driven(i, segment[own], tau)
         for l in range(len(scene.axes)):
             number, variance = self.standstills(l)
+            if not scene.held:
+                total = total + self._of_readings(l, number, segment, channel)
+                continue
             now, before = (self.by(self.encoder(l, now=n))[segment, channel] for n in (True, False))
             share = np.zeros((len(rows), len(variance)))
             share[np.arange(len(rows)), number[segment]] += now
@@ -338,6 +384,19 @@ class Simulator:
             share[moved, number[segment][moved] - 1] += before[moved]
             total = total + (share * variance) @ share.T
         return total
+
+    def _of_readings(self, l: int, number: np.ndarray, segment: np.ndarray, channel: np.ndarray) -> np.ndarray:
+        """Of an encoder that is read at the end of every segment, and once before the first."""
+        scene, count = self.scene, len(self.scene.steps)
+        of_reading, of_standstill = np.zeros((len(segment), count + 1)), np.zeros((len(segment), count + 1))
+        standstill = np.concatenate([[0], number])
+        for now in (True, False):
+            effect = self.by(self.encoder(l, now=now))[segment, channel]
+            reading = segment + int(now)
+            of_reading[np.arange(len(segment)), reading] += effect
+            np.add.at(of_standstill, (np.arange(len(segment)), standstill[reading]), effect)
+        white, drawn = scene.reading[l] ** 2, scene.offset[l] ** 2
+        return white * of_reading @ of_reading.T + drawn * of_standstill @ of_standstill.T
 
     def _driven(self, i: int, segments: np.ndarray, tau: float) -> np.ndarray:
         """`∫∫ω(t)ω(s) exp(−|t − s|/τ)` over all pairs of segments; ω of the table alone, as the program has it."""

@@ -7,6 +7,7 @@ factor and the second order are means over the three axes, misalignments the roo
 
 from itertools import product
 
+import equinox as eqx
 import numpy as np
 import pytest
 from helpers_unit import (
@@ -308,19 +309,21 @@ def test_one_horizontal_axis_and_three_mountings_see_everything_and_the_case_to_
 
 @pytest.mark.parametrize(
     ("dwell", "drift", "figure"),
-    [(100.0, (), 0.2598), (10.0, GYRO_DRIFT, 0.261), (100.0, GYRO_DRIFT, 0.302), (600.0, GYRO_DRIFT, 0.456)],
+    [(100.0, (), "0.2598"), (10.0, GYRO_DRIFT, "0.261"), (100.0, GYRO_DRIFT, "0.302"), (600.0, GYRO_DRIFT, "0.456")],
 )
 def test_one_hour_of_six_faces_tells_the_acceleration_sensitivity(dwell, drift, figure):
-    """Opposite faces one after the other, gyros read at rest alone. The set-up of the figures with drift is not
-    written down; this one comes to 0.2605, 0.3011 and 0.4558."""
+    """Opposite faces one after the other, an hour in all at rest, and 2 s on the way from one to the next that nobody
+    reads. (The source of the figures does not say how long its moves are; with none 0.301 takes the place of 0.302.)"""
     geometry = table(UP, mountings=[hung(direction) for direction in FACES])
-    steps = [rest(dwell, k) for _ in range(round(600.0 / dwell)) for k in range(6)]
-    found = sigmas(motion_of(geometry, steps), unit([gyro(0, "b g", drift=drift)], axes=1))
+    steps = [step for _ in range(round(600.0 / dwell)) for k in range(6) for step in (rest(dwell, k), rest(2.0, k))]
+    motion = motion_of(geometry, steps)
+    motion = eqx.tree_at(lambda m: m.line.gap, motion, motion.line.segment % 2 == 1)
+    found = sigmas(motion, unit([gyro(0, "b g", drift=drift)], axes=1))
     values = of_symbol(found, "gyro", "g_") / DEG_PER_H * G
-    np.testing.assert_allclose(values, figure, rtol=5e-3 if drift else 1e-4)
+    for value in values:
+        prints(value, figure)
     if not drift:
         prints(found["gyro_x.a0"] / DEG_PER_H, "0.1500")
-        prints(values[0], "0.2598")
         assert values[0] == pytest.approx(np.sqrt(3.0) * 0.15, rel=1e-9)
 
 

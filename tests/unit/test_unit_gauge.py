@@ -225,3 +225,58 @@ def test_a_vertical_axis_alone_is_told_which_axes_it_does_not_turn():
         assert any(sentence in said for said in found), sentence
     assert not any("no turn is about gyro z" in said for said in found)
     assert table(EAST, UP).axis_count == 2
+
+
+# --- freedoms that a prior alone limits -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "said", "limits"),
+    [
+        (
+            {"sensor__sample_clock_error": "200 ppm"},
+            "the sample clock stays as uncertain as it was (200 ppm)",
+            "gyros' scale factor",
+        ),
+        (
+            {"rig__site__gravity_accuracy": "500 ug"},
+            "gravity stays as uncertain as it was (500 ug)",
+            "accelerometers' scale factor",
+        ),
+        (
+            {"sensor__frame": {"fixed_by": "case"}, "rig__table__mounting": {"accuracy": "1 mrad"}},
+            "the mounting stays as uncertain as it was (1e+03 urad)",
+            "gyros' misalignment and the accelerometers' misalignment",
+        ),
+    ],
+    ids=["clock", "gravity", "mounting"],
+)
+def test_a_freedom_that_its_prior_alone_limits_is_said_with_what_it_limits(changes, said, limits):
+    found = sentences(_EVERYTHING, **changes)
+    assert len(found) == 1
+    assert found[0].startswith(said), found
+    assert limits in found[0]
+
+
+@pytest.mark.parametrize(("azimuth", "said"), [("20 deg", True), ("5 deg", False)])
+def test_an_azimuth_that_poses_about_one_axis_do_not_tell_is_said(azimuth, said):
+    """The Earth's horizontal rate times its sine is 4.4 deg/h for 20°, far beyond what a bias is left with at rest."""
+    found = sentences([go(90 * k % 360, 0, "60 s") for k in range(5)], rig__table__azimuth=azimuth)
+    about = [sentence for sentence in found if sentence.startswith("the azimuth of the base stays")]
+    assert bool(about) == said
+    assert all("the gyros' bias" in sentence and "survey it" in sentence for sentence in about)
+
+
+def test_a_freedom_that_hardly_counts_is_not_said():
+    small = {"sensor__sample_clock_error": "0.01 ppm", "rig__site__gravity_accuracy": "0.01 ug"}
+    assert sentences(_EVERYTHING, **small) == ()
+
+
+def test_a_requirement_that_is_left_as_it_was_is_said():
+    document = copy.deepcopy(shipped("hand"))
+    document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, *turns("spin")]}
+    document["plan"]["temperature"] = ["20 degC", "25 degC"]
+    found = predict_unit(unit_spec_of(document)).warnings
+    said = [sentence for sentence in found if "is left as it was known beforehand" in sentence]
+    assert any("'accelerometer scale factor'" in sentence for sentence in said), found
+    assert not any("'gyro bias'" in sentence for sentence in said)

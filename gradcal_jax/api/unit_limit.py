@@ -1,0 +1,224 @@
+"""What no plan of a whole unit leaves less of, in the time that the data of the spec's plan take.
+
+Two proofs. A **bias** `ψ(T)ᵀβ` under white noise and drift: who knew all else exactly and the error itself at every
+instant, moving or not, would know β as generalised least squares does; every row of any plan is a function of that.
+
+Whatever is read in proportion to a **signal** s under white noise N² (a column `∫ψ s dt`): with all else known exactly,
+the drift too, its information is `∫ψψᵀs²dt/N²` beside its prior's. Of the k elements of a quantity that share ψ, N and
+prior the squares of the signals add up to at most `bound` at every instant, because |f| = g and |ω| ≤ the fastest
+axis's rate (one turns at a time, on the Earth): so their mean information is at most `J = bound/k ∫ψψᵀdt/N² + prior`.
+As `(ψᵀJ⁻¹ψ)^½` is convex in J, the mean of their standard deviations, and so the worst and the root mean square, is at
+least that of J, at every temperature; and so is every statistic over temperature.
+
+A gyro's scale factor is a function of the rate, too: its limit is that of a single axis (`design.limit`) that turns all
+the time, in white noise.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax import model, trajectory
+from gradcal_jax.api.limit import PlanLimit
+from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit
+from gradcal_jax.api.unit_prediction import posterior_of_unit, requirement_row
+from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY
+from gradcal_jax.design import criterion, limit
+from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import information, square_root, statistic
+from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap
+from gradcal_jax.trajectory import EARTH_RATE
+
+# Longest of the steps in which the data's time is looked at: of the shortest correlation time, and s.
+_SHARE_OF_CORRELATION = 0.05
+_LONGEST_S = 5.0
+_NODES = 4
+# Of the course, at which a scale factor's motion is shared out.
+_TEMPERATURES = 48
+_RELAXED = (
+    "everything else is known exactly",
+    "the unit is read at every instant, moving or not, and all that turns or points is shared out as is best",
+    "but for biases the noise is white",
+)
+
+
+class _Look(NamedTuple):
+    """The data's time in steps: `start`, `duration` s, the temperature (°C) as each begins and ends, and whether its
+    data are used.
+    """
+
+    start: np.ndarray
+    duration: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+    used: np.ndarray
+
+
+def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
+    """The limit of every requirement of a unit's plan for which there is a proof.
+
+    Errors: `ValueError` where there is none for any, with the quantities that have one.
+    """
+    built = assemble_unit(spec)
+    proven = [(r, found) for r in spec.requirement if (found := _certified(built, r)) is not None]
+    if not proven:
+        raise ValueError(
+            "a limit of a unit is proven for biases, scale factors that are polynomials, misalignments to the table or "
+            "the case, acceleration sensitivity and second order; the spec has no requirement on one of these"
+        )
+    after = posterior_of_unit(built)
+    rows = []
+    for requirement, (certified, reached) in proven:
+        value = requirement_row(built, after, requirement).decisive
+        unit, factor = UNIT_OF_QUANTITY[requirement.quantity]
+        bound, name = certified * factor, requirement.statistic
+        efficiency = None if value is None else bound / value
+        rows.append(PlanLimit(requirement.name, name, unit, bound, reached * factor, value, efficiency, _RELAXED))
+    return rows
+
+
+def _certified(built: AssembledUnit, requirement: UnitRequirement) -> tuple[float, float] | None:
+    """A requirement's limit in SI, certified and reached by the relaxed problem; None without a proof."""
+    cold, warm = (float(t) for t in requirement.temperature)
+    temperatures = np.linspace(cold, warm, requirement.grid[0])
+    if isinstance(requirement, GyroScaleFactorRequirement):
+        return _of_scale_factor(built, requirement, temperatures)
+    of = _of_bias if requirement.quantity in ("gyro_bias", "accelerometer_bias") else _of_signal
+    deviation = of(built, requirement, temperatures)
+    if deviation is None:
+        return None
+    value = statistic(requirement.statistic, deviation[:, None])
+    return value, value
+
+
+def _of_scale_factor(
+    built: AssembledUnit, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
+) -> tuple[float, float] | None:
+    """Of a gyro that turns all the time, as fast as the rig's fastest axis."""
+    channel = _channel(built, "gyro", requirement.axis)
+    scale = channel.model.scale
+    if scale is None or not isinstance(scale.rate, Polynomial) or scale.beyond is not None:
+        return None
+    rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
+    white = float(channel.model.angle_random_walk)
+    alone = model.gyro_model(None, scale, white)
+    look = _look(built, np.inf)
+    time = np.cumsum(np.where(look.used, look.duration, 0.0))
+    middles = time[-1] * (np.arange(_TEMPERATURES) + 0.5) / _TEMPERATURES
+    # Of the used time alone: what stands still in this sum is a gap.
+    at = np.searchsorted(time, middles)
+    found = limit(
+        criterion(alone, "scale_factor", temperatures, rates, requirement.statistic),
+        alone,
+        motion_time=float(time[-1]),
+        temperatures=0.5 * (look.begin + look.end)[at],
+        fixed_programme=True,
+        max_rate=_fastest(built),
+        noise_density=white**2,
+    )
+    return found.certified, found.reached
+
+
+def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
+    """Standard deviations of a bias under white noise and drift, seen continuously."""
+    channel = _channel(built, requirement.quantity.removesuffix("_bias"), requirement.axis)
+    term = channel.model.term("bias")
+    if isinstance(term, Map) and term.beyond is not None:
+        return None
+    assert isinstance(term, Map | SignalMap)
+    prior = term.prior_std if isinstance(term, Map) else term.std
+    bias = model.make_map(term.temperature, prior_std=float(prior) if term.has_prior else np.inf)
+    if isinstance(term, Map):
+        bias = term
+    alone = model.gyro_model(bias, None, float(channel.model.angle_random_walk), _of_rest(channel.model.processes))
+    decays = alone.processes.decay
+    shortest = 1.0 / np.max(decays, initial=1e-12)
+    step = min(_LONGEST_S, _SHARE_OF_CORRELATION * shortest)
+
+    def variance(longest: float) -> np.ndarray:
+        look = _look(built, longest)
+        stands = np.zeros(len(look.start), bool)
+        line = trajectory.held(
+            look.start, look.duration, np.zeros(len(stands)), look.begin, look.end,
+            read=look.used, at_rest=~stands, moving=stands, gap=~look.used,
+        )  # fmt: skip
+        return information(line, alone).deviations(bias.values(temperatures, 0.0 * temperatures)) ** 2
+
+    # Integrals over steps know less than the instants do: what a step half as long adds, all others add at most again.
+    coarse, fine = variance(step), variance(0.5 * step)
+    return np.sqrt(np.maximum(fine - np.abs(coarse - fine), 0.0))
+
+
+def _of_rest(processes: model.Processes) -> model.Processes:
+    """Those that a bias meets at any rate."""
+    keep = np.asarray(processes.rate_gain) == 0.0
+    names = ("initial_std", "decay", "diffusion", "bias_gain", "rate_gain")
+    return model.Processes(*(np.asarray(getattr(processes, name))[keep] for name in names))
+
+
+def _of_signal(built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
+    """Standard deviations from the mean information of all elements."""
+    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
+        return None
+    kind = "gyro" if requirement.quantity in ("gyro_misalignment", "g_sensitivity") else "accelerometer"
+    channels = [
+        c for c in built.model.channels if c.kind == kind and requirement.axis in ("worst", "all", AXIS_NAMES[c.axis])
+    ]
+    most = _most(built, requirement, channels)
+    if most is None:
+        return None
+    name, bound = most
+    channel = channels[0]
+    term = next(t for t in channel.model.terms if t.name.startswith(name))
+    assert isinstance(term, SignalMap)
+    nodes, weights = trajectory.quadrature(_NODES)
+    look = _look(built, np.inf)
+    at = (look.begin[:, None] + (look.end - look.begin)[:, None] * nodes)[look.used]
+    functions = term.temperature(at.ravel())
+    root = np.sqrt((look.duration[look.used, None] * weights).ravel() * bound) / float(channel.model.angle_random_walk)
+    rows = np.concatenate([functions * root[:, None], term.prior_rows()])
+    return square_root(rows).deviations(term.temperature(temperatures))
+
+
+def _most(built: AssembledUnit, requirement: UnitRequirement, channels: list[Channel]) -> tuple[str, float] | None:
+    """The quantity's term, and the most that the squares of its elements' signals can be on the average."""
+    gravity = float(built.motion.geometry.gravity)
+    fastest = _fastest(built)
+    # Of the channels i, how many misalignments m_ij look along the same axis j.
+    beside = max(sum(c.axis != j for c in channels) for j in range(3)) / (2 * len(channels))
+    return {
+        "gyro_misalignment": (MISALIGNMENT.format(""), fastest**2 * beside),
+        "accelerometer_misalignment": (MISALIGNMENT.format(""), gravity**2 * beside),
+        "accelerometer_scale_factor": (model.SCALE_FACTOR, gravity**2 / len(channels)),
+        "second_order": (SECOND_ORDER, gravity**4 / len(channels)),
+        "g_sensitivity": ("g_sensitivity", gravity**2 / 3.0),
+    }.get(requirement.quantity)
+
+
+def _fastest(built: AssembledUnit) -> float:
+    """The unit's largest rate, rad/s."""
+    return max(float(axis.max_rate) for axis in built.spec.rig.table.axis) + EARTH_RATE
+
+
+def _channel(built: AssembledUnit, kind: str, axis: str) -> Channel:
+    """A channel of that kind, of the axis if it is one; all are alike."""
+    return next(c for c in built.model.channels if c.kind == kind and axis in ("worst", "all", AXIS_NAMES[c.axis]))
+
+
+def _look(built: AssembledUnit, longest: float) -> _Look:
+    """The time of the plan's pieces, in steps no longer than `longest`."""
+    line = built.motion.line
+    parts = np.maximum(1, np.ceil(line.duration / longest * (1.0 - 1e-9))).astype(int)
+    piece = np.repeat(np.arange(len(parts)), parts)
+    number = np.arange(len(piece)) - np.repeat(np.cumsum(parts) - parts, parts)
+    edges = np.stack([number, number + 1], axis=1) / parts[piece][:, None]
+    temperature = line.temperature(edges, piece)
+    duration = line.duration[piece] / parts[piece]
+    return _Look(
+        line.start[piece] + edges[:, 0] * line.duration[piece],
+        duration,
+        temperature[:, 0],
+        temperature[:, 1],
+        ~np.asarray(line.gap)[piece],
+    )

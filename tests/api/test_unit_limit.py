@@ -1,0 +1,115 @@
+"""Limits of whole units: known figures, closed forms, a plan that reaches one, and none that goes below."""
+
+import copy
+
+import numpy as np
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.api.unit_limit import unit_limits
+from gradcal_jax.files import presets
+from gradcal_jax.files.unit_spec import read_unit_spec, unit_spec_of
+from gradcal_jax.units import PPM, G
+
+SPECS = {name: f"experiments/imu/{name}.toml" for name in ("hand", "hand2", "optimised")}
+
+
+@pytest.fixture(scope="module", params=SPECS)
+def rows(request, pytestconfig):
+    found = gj.limit(read_unit_spec(pytestconfig.rootpath / SPECS[request.param]))
+    return {row.name: row for row in found}
+
+
+def test_no_plan_lies_below_its_limit_and_biases_stand_at_it(rows):
+    assert len(rows) == 8
+    for row in rows.values():
+        assert 0.0 < row.certified <= row.reached
+        assert row.certified < row.value
+        assert row.efficiency == pytest.approx(row.certified / row.value)
+        assert len(row.relaxed) == 3
+    assert rows["gyro bias"].efficiency > 0.9
+
+
+def test_the_limits_of_the_known_plans(rows):
+    """Of an independent prototype; the plan does not matter to them, only its time and temperatures."""
+    assert f"{rows['gyro bias'].certified:.3f}" == "0.437"
+    assert f"{rows['accelerometer bias'].certified:.2f}" == "23.07"
+    assert f"{rows['acceleration sensitivity'].certified:.3f}" == "0.201"
+
+
+def unit(accelerometer, plan=None):
+    """Three accelerometers of a preset, white noise alone, nothing uncertain of the table."""
+    document = copy.deepcopy(gj.parse_unit_spec(presets.text("accelerometer-six-positions-toured")).model_dump(
+        mode="json", exclude_unset=True
+    ))  # fmt: skip
+    document["sensor"] = {"accelerometer": {"velocity_random_walk": "0.05 m/s/sqrt(h)", **accelerometer}}
+    table = document["rig"]["table"]
+    document["rig"]["site"].pop("gravity_accuracy", None)
+    for key in ("tilt", "azimuth"):
+        table.pop(key, None)
+    for axis in table["axis"]:
+        axis.pop("orthogonality", None)
+        axis["angle"] = {}
+    names = {"bias": "accelerometer_bias", "scale_factor": "accelerometer_scale_factor"}
+    names |= {"misalignment": "accelerometer_misalignment", "second_order": "second_order"}
+    over = {"temperature": document["requirement"][0]["temperature"]}
+    document["requirement"] = [{"name": key, "quantity": names[key], **over} for key in accelerometer if key in names]
+    document["plan"] |= plan or {}
+    return unit_spec_of(document)
+
+
+def test_a_tumble_in_white_noise_reaches_its_limit_but_for_its_moves():
+    """Six faces give σ_T, √3σ_T, √3σ_T, which no set of positions beats; only the time of the moves is lost."""
+    spec = unit({"bias": {}, "scale_factor": {}, "misalignment": {}})
+    used = sum(stretch.duration for stretch in spec.schedule.stretches)
+    one, gravity = 0.05 / 60.0 / np.sqrt(used), float(spec.rig.site.gravity)
+    found = {row.name: row for row in unit_limits(spec)}
+    assert found["bias"].certified == pytest.approx(one / G * 1e6, rel=1e-6)
+    assert found["scale_factor"].certified == pytest.approx(np.sqrt(3.0) * one / gravity * PPM, rel=1e-6)
+    assert found["misalignment"].certified == pytest.approx(np.sqrt(3.0) * one / gravity * 1e6, rel=1e-6)
+    for row in found.values():
+        assert 0.8 < row.efficiency < 1.0
+
+
+def test_an_axis_alone_may_have_all_of_gravity():
+    spec = unit({"bias": {}, "scale_factor": {}, "misalignment": {}, "second_order": {}})
+    document = spec.model_dump(mode="json", exclude_unset=True)
+    worst = {row.name: row.certified for row in unit_limits(spec)}
+    for requirement in document["requirement"]:
+        requirement["axis"] = "x"
+    alone = {row.name: row.certified for row in unit_limits(unit_spec_of(document))}
+    ratio = {name: worst[name] / alone[name] for name in worst}
+    wanted = {"bias": 1.0, "scale_factor": np.sqrt(3.0), "misalignment": np.sqrt(1.5), "second_order": np.sqrt(3.0)}
+    assert ratio == pytest.approx(wanted, rel=1e-9)
+
+
+def test_a_prior_counts_as_information():
+    """A prior as good as the limit without it leaves 1/√2 of both."""
+    spec = unit({"bias": {}, "scale_factor": {}})
+    document = spec.model_dump(mode="json", exclude_unset=True)
+    free = {row.name: row.certified for row in unit_limits(spec)}
+    document["sensor"]["accelerometer"]["bias"] = {"prior": f"{free['bias']!r} ug"}
+    document["sensor"]["accelerometer"]["scale_factor"] = {"prior": f"{free['scale_factor']!r} ppm"}
+    with_prior = {row.name: row.certified for row in unit_limits(unit_spec_of(document))}
+    for name, value in free.items():
+        assert with_prior[name] == pytest.approx(value / np.sqrt(2.0), rel=1e-6)
+
+
+def test_what_has_no_proof_is_refused_with_what_has_one(pytestconfig):
+    document = read_unit_spec(pytestconfig.rootpath / SPECS["hand"]).model_dump(mode="json", exclude_unset=True)
+    document["requirement"] = [
+        {"name": "rest", "quantity": "position", "after": "60 s", "temperature": ["-30 degC", "70 degC"]},
+        {"name": "m", "quantity": "gyro_misalignment", "relative_to": "internal", "temperature": ["0 degC", "1 degC"]},
+    ]
+    with pytest.raises(ValueError, match="proven for biases, scale factors"):
+        unit_limits(unit_spec_of(document))
+
+
+def test_a_continuous_look_at_a_bias_is_the_spectrums_floor_for_long_times():
+    """White noise and a drift, a constant: N² + 2σ²τ of spectral density at zero, over the time."""
+    drift = [{"standard_deviation": "50 ug", "correlation_time": "20 s"}]
+    spec = unit({"bias": {}, "drift": drift})
+    used = sum(stretch.duration for stretch in spec.schedule.stretches)
+    (row,) = unit_limits(spec)
+    density = (0.05 / 60.0) ** 2 + 2.0 * (50e-6 * G) ** 2 * 20.0
+    assert row.certified == pytest.approx(np.sqrt(density / used) / G * 1e6, rel=2e-2)

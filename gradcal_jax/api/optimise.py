@@ -29,6 +29,8 @@ STEPS: Final = 240
 _AT_LIMIT: Final = 1e-3
 _POLISH: Final = 300
 _BRIEF_POLISH: Final = 40
+# What leaving out vanished turns may cost.
+_NO_WORSE: Final = 1e-3
 # Rounding that costs more than this share is said.
 _DEAR: Final = 0.05
 # From the best programme so many steps of these sizes (shares of the time, of the chamber's range) are tried.
@@ -201,6 +203,12 @@ def finished(
         coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed, stop)
     else:
         found = polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH if quick else _POLISH)
+        fewer, point = _without_vanished(coordinates, found.point)
+        if not (quick or found.converged) and fewer.size < coordinates.size:
+            # Turns that vanish meanwhile leave valleys without end: without them it converges.
+            again = polish(of.compiled(fewer), point, steps=_POLISH)
+            if again.held and again.value <= found.value * (1.0 + _NO_WORSE):
+                coordinates, found = fewer, again
     # As a recipe will have it, so that the number is of what is executed. Whatever comes of it, a plan is written.
     sentence, converged = found.sentence, found.converged
     try:

@@ -79,8 +79,8 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
 class _Window(NamedTuple):
     """When and where the axis may turn, and the noise that its motion meets at least.
 
-    `time`, `every`: s of the axis at the table, and of all data. `windows` (s) and `temperature`, the sensor's and its rate there; `used`: all times whose data are; none of either
-    where the programme is free.
+    `time`, `every`: s of the axis at the table, and of all data. `windows` (s) and `temperature`, the sensor's and its
+    rate there; `used`: all times whose data are; none of either where the programme is free.
     """
 
     spec: Spec

@@ -119,7 +119,9 @@ def bias_floor(
     width = np.diff(edges, axis=1)
     t, _ = temperature((edges[:, :1] + width * nodes).ravel())
     looks = [bias.temperature(t) * (np.sqrt((width * weights).ravel()) / float(model.angle_random_walk))[:, None]]
-    looks += [_continuous_look(bias.temperature, windows, temperature, float(variance[k]), float(decay[k])) for k in moving]
+    looks += [
+        _continuous_look(bias.temperature, windows, temperature, float(variance[k]), float(decay[k])) for k in moving
+    ]
     # Every noise takes an equal share of the prior's variance.
     prior = model.prior_rows()[:, model.where(BIAS)] * len(looks) ** 0.5
     found = np.zeros(len(rows))

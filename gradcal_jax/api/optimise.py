@@ -219,7 +219,10 @@ def finished(
         sentence = f"the optimum cannot be rounded to the controllers' steps: {error}"
     if not np.isfinite(now):
         converged = False
-        sentence = f"rounded to the controllers' steps the plan observes too little, give finer ones; {sentence}"
+        hint = "give finer ones"
+        if any(r.name == design_of(spec).minimise and r.quantity in ("heading", "north") for r in spec.requirement):
+            hint = "give the maps priors, or other requirements targets: a mission alone asks for little else"
+        sentence = f"rounded to the controllers' steps the plan observes too little, {hint}; {sentence}"
     elif now > (1.0 + _DEAR) * found.value:
         more = 100.0 * (now / found.value - 1.0)
         sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"

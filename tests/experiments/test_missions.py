@@ -20,7 +20,7 @@ NAMES = ("hover", "survey", "spin", "pipeline", "north")
 DEG, HOUR = np.pi / 180.0, 3600.0
 # The sensor of ppm.toml, by hand.
 WALK, DRIFT, DRIFT_TIME = 0.1 * DEG / 60.0, 0.5 * DEG / HOUR, 300.0
-INSTABILITY, INSTABILITY_TIME, TURN_ON = 5e-6, 1200.0, 1.0 * DEG / HOUR
+INSTABILITY, INSTABILITY_TIME, TURN_ON = 1e-6, 1200.0, 1.0 * DEG / HOUR
 READING = 30.0 * DEG / HOUR
 PRIORS = np.concatenate([np.full(4, 500.0 * DEG / HOUR), np.full(16, 5000e-6)])
 DRAWS = 6000
@@ -100,12 +100,12 @@ def calibrated():
     steps = np.arange(0.0, plan.end - plan.begin, 0.5) + 0.25
     noise = integrated(rng, plan.readings, plan.at(steps)[1])
     noise = noise + READING * rng.standard_normal(noise.shape)
-    cells = np.arange(0.0, plan.end - plan.begin, 2.5) + 1.25
+    cells = np.arange(0.0, plan.end - plan.begin, 1.0) + 0.5
     apart = np.abs(cells[:, None] - cells[None, :])
     turned = np.diff(
-        np.interp(np.append(0.0, cells + 1.25), steps + 0.25, np.cumsum(plan.at(steps)[1] * 0.5), left=0.0)
+        np.interp(np.append(0.0, cells + 0.5), steps + 0.25, np.cumsum(plan.at(steps)[1] * 0.5), left=0.0)
     )
-    kernel = 2.5**2 * DRIFT**2 * np.exp(-apart / DRIFT_TIME)
+    kernel = DRIFT**2 * np.exp(-apart / DRIFT_TIME)
     kernel += INSTABILITY**2 * np.outer(turned, turned) * np.exp(-apart / INSTABILITY_TIME)
     before = (cells[None, :] < plan.readings[:, None]).astype(float)
     covariance = before @ kernel @ before.T + READING**2 * np.eye(len(plan.readings))

@@ -198,12 +198,12 @@ def finished(
     coordinates = structure.coordinates
     # Fewer turns would be another class of sizes, for which to compile.
     if not quick:
-        coordinates, point = _without_vanished(coordinates, point)
+        coordinates, point = _pruned(of, coordinates, point)
     if isinstance(coordinates, ProgrammeCoordinates):
         coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed, stop)
     else:
         found = polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH if quick else _POLISH)
-        fewer, point = _without_vanished(coordinates, found.point)
+        fewer, point = _pruned(of, coordinates, found.point)
         if not (quick or found.converged) and fewer.size < coordinates.size:
             # Turns that vanish meanwhile leave valleys without end: without them it converges.
             again = polish(of.compiled(fewer), point, steps=_POLISH)
@@ -212,7 +212,7 @@ def finished(
     # As a recipe will have it, so that the number is of what is executed. Whatever comes of it, a plan is written.
     sentence, converged = found.sentence, found.converged
     try:
-        plan = rounded(plan_to_spec(spec, *_without_vanished(coordinates, found.point)), steps_of(spec)).spec
+        plan = rounded(plan_to_spec(spec, *_pruned(of, coordinates, found.point)), steps_of(spec)).spec
         now = exact(plan, of)
     except SpecError as error:
         plan, now = spec, np.inf
@@ -272,6 +272,15 @@ def best_programme(
         if other.held and other.value < found.value:
             found = other
     return knots, found
+
+
+def _pruned(of: Measure, coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
+    """The plan without turns that shrank to nothing, unless that costs what rounding may not: a plan of few turns may
+    need even the briefest."""
+    fewer, left = _without_vanished(coordinates, point)
+    if of.exact(fewer.decode(left)) > (1.0 + _DEAR) * of.exact(coordinates.decode(point)):
+        return coordinates, point
+    return fewer, left
 
 
 def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:

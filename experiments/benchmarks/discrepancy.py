@@ -64,8 +64,8 @@ def main() -> None:
     lines = [
         "# A search with a discrepancy",
         "",
-        f"`python experiments/benchmarks/discrepancy.py`: {given.repeats} descents of {STEPS} steps each, by turns in one "
-        "process; medians of processor time (all threads).",
+        f"`python experiments/benchmarks/discrepancy.py`: {given.repeats} descents of {STEPS} steps each, by turns in "
+        "one process; medians of processor time (all threads).",
         "",
         "| | without | with 5 ppm, 5 x 5 | ratio of medians | ratios of pairs: least, median, largest |",
         "|---|---|---|---|---|",

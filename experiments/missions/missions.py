@@ -149,9 +149,9 @@ def table(results: dict[str, dict]) -> str:
     ]
     for name in [n for n in (*NAMES, "guarded hover") if "own" in results.get(n, {})]:
         r = results[name]
-        gain = 1.0 - r["own"] / r["for ppm"]
+        gain, least = 1.0 - r["own"] / r["for ppm"], "—" if r["limit"] is None else f"{r['limit']:.3g}"
         lines.append(
-            f"| {name} | {r['for ppm']:.4g} | {r['own']:.4g} | {gain:.0%} | {r['limit']:.3g} | {r['noise']:.3g} | "
+            f"| {name} | {r['for ppm']:.4g} | {r['own']:.4g} | {gain:.0%} | {least} | {r['noise']:.3g} | "
             f"{r['ppm of own']:.4g} | {r['seconds'] or '—'} |"
         )
     best = results.get("ppm", {}).get("left")

@@ -201,8 +201,8 @@ def test_plans_for_missions_beat_the_plan_for_ppm_and_no_plan_beats_the_limit():
         kept = gj.read_spec(FOLDER / "plans" / f"{name}.toml")
         plan = tomllib.loads((FOLDER / "plans/ppm.toml").read_text(encoding="utf-8"))["plan"]
         own = row_of(name, kept).rms
+        assert kept.schedule.motion <= 3600.0 * 1.001
         for_ppm = row_of(name, gj.changed(kept, {"plan": plan})).rms
-        assert kept.schedule.motion == pytest.approx(gj.read_spec(FOLDER / "plans/ppm.toml").schedule.motion, abs=1.0)
         if results[name]["limit"] is not None:
             assert 0.0 < results[name]["limit"] < own
         assert own == pytest.approx(results[name]["own"], rel=1e-6)

@@ -9,7 +9,16 @@ import gradcal_jax
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF, decision_rule, residual_map, target_of, verdict
+from gradcal_jax.api.posterior_of_plan import (
+    DEG_PER_S,
+    PPM,
+    UNIT_OF,
+    decision_rule,
+    residual_map,
+    statistic_of,
+    target_of,
+    verdict,
+)
 from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
@@ -35,7 +44,7 @@ from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.information import STATISTICS, statistic, unobservable_combinations
+from gradcal_jax.information import STATISTICS, unobservable_combinations
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
 # A scale-factor error beyond this is of no sensor.
@@ -178,7 +187,7 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
     for requirement in spec.requirement:
         # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
         values = residual_map(built, channel.found.known[0], requirement)[2] * excess_of(channel.consistency)
-        value, worst = (_finite(statistic(name, values)) for name in (requirement.statistic, "max"))
+        value, worst = (_finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
         judged = verdict(requirement, values), decision_rule(requirement), requirement.coverage
         unit = UNIT_OF[requirement.quantity][0]
         rows.append(Verdict(requirement, channel.axis, value, worst, unit, target_of(requirement), *judged))

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.api.build import Assembled
-from gradcal_jax.api.posterior_of_plan import box, residual_map, unweighted_estimator
+from gradcal_jax.api.posterior_of_plan import contrasts_of, residual_map, unweighted_estimator, weights
 from gradcal_jax.arrays import namespace
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.information import Posterior, at_readings, least_squares, noise_steps, statistic
@@ -41,12 +41,12 @@ def error_budget(built: Assembled, channel: Axis, known: Posterior) -> dict[str,
     parts = {name: noise_steps(line, only(built, name)) for name in active_sources(built)}
     shares: dict[str, dict[str, float]] = {}
     for requirement in built.spec.requirement:
-        temperatures, rates = box(requirement)
-        values = residual_map(built, known, requirement, si=True)[2]
+        values = residual_map(built, known, requirement, si=True)[2] * weights(requirement, requirement.statistic)
         total = statistic(requirement.statistic, values)
         if not np.isfinite(total) or total <= 0.0:
             continue
-        slope = Sensitivity(known, model, requirement.quantity, temperatures, rates, requirement.statistic, values)
+        places = contrasts_of(model, requirement, requirement.statistic)
+        slope = Sensitivity(known, places, requirement.statistic, values)
         if by_rates:
             found = unweighted_shares(least_squares(line, model), slope.of_covariance, parts)
         else:

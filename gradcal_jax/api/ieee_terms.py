@@ -73,6 +73,8 @@ def grid_of(axis: AxisCalibration, requirement: Requirement | None, quantity: st
 
 def prior_map(spec: Spec, requirement: Requirement) -> Box | None:
     """What is known before any calibration: the spec's priors on a requirement's box; None where they are flat."""
+    if requirement.quantity in ("heading", "north"):
+        return None
     unit, factor = UNIT_OF[requirement.quantity]
     bias, scale = spec.sensor.bias, spec.sensor.scale_factor
     temperatures, rates = box(requirement)

@@ -9,12 +9,15 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.measure import design_of
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, criterion_of
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.structures import LEAST_TURN, largest_rate, motion_time, ramp_ends
 from gradcal_jax.design import (
     PRIOR_OF_WALK,
-    criterion,
+    Criterion,
+    Limit,
+    bias_floor,
+    bias_floor_anywhere,
     gated_noise_density,
     least_noise_density,
     limit,
@@ -24,6 +27,8 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import ResolvedCycle, StandardSchedule
+from gradcal_jax.information import statistic
+from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Programme, programme
 
 # The time at the table is cut into at least so many equal parts, each at one temperature; or two in each turn there.
@@ -52,16 +57,19 @@ class PlanLimit(NamedTuple):
 
 
 def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
-    """The limit of every scale-factor requirement of a gradient plan with motion.
+    """The limit of every requirement on the scale factor, on heading and on north, of a gradient plan with motion.
 
     `motion` s: of another time without soaks than the plan or [design] has; values and efficiencies are the plan's.
-    Errors: `ValueError` where there is no such requirement, or the plan is of another kind.
+    Errors: `ValueError` where there is no such requirement, nothing can be proven of one, or the plan is of another
+    kind.
     """
     if isinstance(spec.schedule, StandardSchedule) or spec.schedule.cycle is None:
         raise ValueError("a limit is proven for gradient plans with moves; this plan has none")
-    wanted = [r for r in spec.requirement if r.quantity == "scale_factor"]
+    wanted = [r for r in spec.requirement if r.quantity != "bias"]
     if not wanted:
-        raise ValueError("a limit is proven for the scale factor; the spec has no requirement on it")
+        raise ValueError(
+            "a limit is proven for the scale factor, for heading and for north; the spec has no requirement on them"
+        )
     built = assemble(spec)
     predicted = {row.name: row for row in predict(spec).requirements if row.axis == built.channels[0]}
     window = _window(spec, built, motion)
@@ -71,36 +79,31 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
 class _Window(NamedTuple):
     """When and where the axis may turn, and the noise that its motion meets at least.
 
-    `windows` (s) and `temperature`, the sensor's and its rate there; no windows where the programme is free.
+    `time`, `every`: s of the axis at the table, and of all data. `windows` (s) and `temperature`, the sensor's and its
+    rate there; `used`: all times whose data are; none of either where the programme is free.
     """
 
     spec: Spec
     built: Assembled
     time: float
+    every: float
     temperatures: np.ndarray
     fixed: bool
     density: float
     windows: Windows
+    used: Windows
     temperature: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     relaxed: tuple[str, ...]
 
     def limit(self, requirement: Requirement, row) -> PlanLimit:
-        temperature, rate = box(requirement)
         model = self.built.model
-        asked = criterion(model, requirement.quantity, temperature, rate, requirement.statistic)
-        sure = scale_factor_floor(model, self.windows, self.temperature, temperature)
-        found = limit(
-            asked,
-            model,
-            motion_time=self.time,
-            temperatures=self.temperatures,
-            fixed_programme=self.fixed,
-            max_rate=largest_rate(self.spec, []),
-            noise_density=self.density,
-            floor=np.repeat(sure, len(rate)),
-            prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
-        )
-        relaxed = self.relaxed
+        asked = criterion_of(model, requirement)
+        if requirement.quantity == "scale_factor":
+            temperature, rate = box(requirement)
+            sure = scale_factor_floor(model, self.windows, self.temperature, temperature)
+            found, relaxed = self._of_scale_factor(asked, np.repeat(sure, len(rate))), self.relaxed
+        else:
+            found, relaxed = self._of_functionals(asked)
         if asked.alone is not None:
             relaxed = (*relaxed, "what the data say of the discrepancy is part of the calibration")
         unit, factor = UNIT_OF[requirement.quantity]
@@ -116,6 +119,45 @@ class _Window(NamedTuple):
             efficiency,
             relaxed,
         )
+
+    def _of_scale_factor(self, asked: Criterion, sure: np.ndarray) -> Limit:
+        """The limit of what is asked of the scale factor, the bias known; `sure`: a variance that no plan removes."""
+        return limit(
+            asked,
+            self.built.model,
+            motion_time=self.time,
+            temperatures=self.temperatures,
+            fixed_programme=self.fixed,
+            max_rate=largest_rate(self.spec, []),
+            noise_density=self.density,
+            floor=sure,
+            prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
+        )
+
+    def _of_functionals(self, asked: Criterion) -> tuple[Limit, tuple[str, ...]]:
+        """Of combinations of bias and scale factor the larger of two limits: either map is known, the other not."""
+        model = self.built.model
+        rows = np.asarray(asked.rows)
+        of_bias, of_scale = rows[:, model.where(BIAS)], rows[:, model.where(SCALE_FACTOR)]
+        found: list[tuple[Limit, tuple[str, ...]]] = []
+        if np.any(of_scale):
+            known = "the bias is known" if model.bias is not None else ""
+            relaxed = (*self.relaxed, *([known] if known else []))
+            if np.any(model.processes.rate_gain):
+                relaxed = (*relaxed, "errors that multiply the rate are left out")
+            found.append((self._of_scale_factor(asked, np.zeros(len(rows))), relaxed))
+        if np.any(of_bias):
+            if self.used:
+                floor = bias_floor(model, self.used, self.temperature, of_bias)
+                relaxed = ("the angle is read all the time and without noise",)
+            else:
+                ends = float(np.min(self.temperatures)), float(np.max(self.temperatures))
+                floor = bias_floor_anywhere(model, self.every, ends, of_bias)
+                relaxed = ("the time is spread over the temperatures as is best", "of the noise only the random walk")
+            value = statistic(asked.statistic, np.sqrt(floor).reshape(asked.shape))
+            relaxed += ("the scale factor is known",) if model.scale is not None else ()
+            found.append((Limit(value, value, self.density), relaxed))
+        return max(found, key=lambda pair: pair[0].certified)
 
 
 def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
@@ -161,8 +203,9 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
         density = max(density, least_noise_density(other, apart))
         relaxed.append(f"standstills as little as {apart:.3g} s apart")
     followed = _sensor(chamber, built.thermal_lag)
-    fixed, windows = "gradient" not in free, []
+    fixed, windows, used = "gradient" not in free, [], []
     if fixed:
+        used = _between_knots(spans, chamber.times())
         # Wherever a cycle of free length puts the axis's turns, they lie in what is used.
         turning = visits if tied else spans
         temperatures = followed(_parts(turning, max(_PARTS, 2 * len(turning))))[0]
@@ -173,7 +216,7 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
         relaxed.append("the time is spread over the temperatures as is best")
         if np.any(built.model.processes.rate_gain):
             relaxed.append("errors that multiply the rate are left out, but for constant ones")
-    return _Window(spec, built, total, temperatures, fixed, density, windows, followed, tuple(relaxed))
+    return _Window(spec, built, total, every, temperatures, fixed, density, windows, used, followed, tuple(relaxed))
 
 
 def _ends_of_one_ramp(spec: Spec) -> tuple[float, float] | None:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, limit_of
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.tested_maps import tested_maps, with_hidden
 from gradcal_jax.design import (
@@ -17,7 +17,6 @@ from gradcal_jax.design import (
     Missed,
     Objective,
     Optimality,
-    criterion,
 )
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
@@ -164,10 +163,8 @@ def _limit(requirement: Requirement) -> float:
 
 def _criterion(built: Assembled, requirement: Requirement, *, limited: bool = False) -> Criterion:
     """The statistic to be small: the requirement's own, or the one that its target limits."""
-    temperature, rate = box(requirement, _GRID)
     limit = limit_of(requirement) if limited else None
-    name = requirement.statistic if limit is None else limit[0]
-    return criterion(built.model, requirement.quantity, temperature, rate, name)
+    return criterion_of(built.model, requirement, None if limit is None else limit[0], _GRID)
 
 
 def _optimality(built: Assembled, name: str) -> Optimality:

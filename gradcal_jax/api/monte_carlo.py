@@ -1,13 +1,14 @@
 """The Monte Carlo twin of a spec: simulated calibrations beside the prediction."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from gradcal_jax.api.build import assemble
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF, residual_map, unweighted_estimator
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, contrasts_of, residual_map, statistic_of, unweighted_estimator
 from gradcal_jax.files import Spec
-from gradcal_jax.information import Twin, WishartTest, contrasts, monte_carlo_errors, statistic, wishart_test
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.information import Twin, WishartTest, monte_carlo_errors, wishart_test
 from gradcal_jax.model import SensorModel
 
 
@@ -38,32 +39,16 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
         result = monte_carlo_errors(built.trajectory(channel), built.model, runs, seed, weighted=weighted)
         tests[channel] = wishart_test(result.errors, result.predicted)
         for requirement in spec.requirement:
-            temperatures, rates, predicted = residual_map(built, result.predicted, requirement)
+            predicted = residual_map(built, result.predicted, requirement)[2]
             unit, factor = UNIT_OF[requirement.quantity]
-            simulated = (
-                _simulated_map(built.model, result, requirement.quantity, temperatures, rates / DEG_PER_S) * factor
-            )
-            rows.append(
-                TwinRow(
-                    requirement.name,
-                    channel,
-                    unit,
-                    statistic(requirement.statistic, predicted),
-                    statistic(requirement.statistic, simulated),
-                )
-            )
+            simulated = _simulated_map(built.model, result, requirement, predicted.shape) * factor
+            values = (statistic_of(requirement, of) for of in (predicted, simulated))
+            rows.append(TwinRow(requirement.name, channel, unit, *values))
     return rows, tests
 
 
-def _simulated_map(
-    model: SensorModel,
-    result: Twin,
-    quantity: Literal["bias", "scale_factor"],
-    temperatures: np.ndarray,
-    rates: np.ndarray,
-) -> np.ndarray:
+def _simulated_map(model: SensorModel, result: Twin, requirement: Requirement, shape: tuple[int, ...]) -> np.ndarray:
     """Root mean square error of the simulated maps at each point."""
-    grid_t, grid_w = np.meshgrid(temperatures, rates, indexing="ij")
-    rows = contrasts(model, quantity, grid_t.ravel(), grid_w.ravel())[0]
+    rows = contrasts_of(model, requirement, "max").rows
     mean_square = result.left.T @ result.left / len(result.left)
-    return np.sqrt(np.einsum("gi,ij,gj->g", rows, mean_square, rows)).reshape(grid_t.shape)
+    return np.sqrt(np.einsum("gi,ij,gj->g", rows, mean_square, rows)).reshape(shape)

@@ -29,6 +29,8 @@ STEPS: Final = 240
 _AT_LIMIT: Final = 1e-3
 _POLISH: Final = 300
 _BRIEF_POLISH: Final = 40
+# What leaving out vanished turns may cost.
+_NO_WORSE: Final = 1e-3
 # Rounding that costs more than this share is said.
 _DEAR: Final = 0.05
 # From the best programme so many steps of these sizes (shares of the time, of the chamber's range) are tried.
@@ -196,22 +198,31 @@ def finished(
     coordinates = structure.coordinates
     # Fewer turns would be another class of sizes, for which to compile.
     if not quick:
-        coordinates, point = _without_vanished(coordinates, point)
+        coordinates, point = _pruned(of, coordinates, point)
     if isinstance(coordinates, ProgrammeCoordinates):
         coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed, stop)
     else:
         found = polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH if quick else _POLISH)
+        fewer, point = _pruned(of, coordinates, found.point)
+        if not (quick or found.converged) and fewer.size < coordinates.size:
+            # Turns that vanish meanwhile leave valleys without end: without them it converges.
+            again = polish(of.compiled(fewer), point, steps=_POLISH)
+            if again.held and again.value <= found.value * (1.0 + _NO_WORSE):
+                coordinates, found = fewer, again
     # As a recipe will have it, so that the number is of what is executed. Whatever comes of it, a plan is written.
     sentence, converged = found.sentence, found.converged
     try:
-        plan = rounded(plan_to_spec(spec, *_without_vanished(coordinates, found.point)), steps_of(spec)).spec
+        plan = rounded(plan_to_spec(spec, *_pruned(of, coordinates, found.point)), steps_of(spec)).spec
         now = exact(plan, of)
     except SpecError as error:
         plan, now = spec, np.inf
         sentence = f"the optimum cannot be rounded to the controllers' steps: {error}"
     if not np.isfinite(now):
         converged = False
-        sentence = f"rounded to the controllers' steps the plan observes too little, give finer ones; {sentence}"
+        hint = "give finer ones"
+        if any(r.name == design_of(spec).minimise and r.quantity in ("heading", "north") for r in spec.requirement):
+            hint = "give the maps priors, or other requirements targets: a mission alone asks for little else"
+        sentence = f"rounded to the controllers' steps the plan observes too little, {hint}; {sentence}"
     elif now > (1.0 + _DEAR) * found.value:
         more = 100.0 * (now / found.value - 1.0)
         sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
@@ -261,6 +272,15 @@ def best_programme(
         if other.held and other.value < found.value:
             found = other
     return knots, found
+
+
+def _pruned(of: Measure, coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
+    """The plan without turns that shrank to nothing, unless that costs what rounding may not: a plan of few turns may
+    need even the briefest."""
+    fewer, left = _without_vanished(coordinates, point)
+    if of.exact(fewer.decode(left)) > (1.0 + _DEAR) * of.exact(coordinates.decode(point)):
+        return coordinates, point
+    return fewer, left
 
 
 def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:

@@ -5,21 +5,26 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.build import Assembled
+from gradcal_jax.api.missions import earth_gain, flights_of
+from gradcal_jax.design import Criterion
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
-from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.information import Posterior, information, posterior, residual, statistic, unweighted
+from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, Requirement
+from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
 from gradcal_jax.information.conformity import coverage_of_risk
-from gradcal_jax.information.residual import Statistic
-from gradcal_jax.model import SensorModel
+from gradcal_jax.information.missions import mission_contrasts, mission_rows
+from gradcal_jax.information.residual import Contrasts, Statistic
+from gradcal_jax.model import BIAS, SCALE_FACTOR, SensorModel
 from gradcal_jax.units import DEG_PER_H as DEG_PER_H
 from gradcal_jax.units import DEG_PER_S as DEG_PER_S
 from gradcal_jax.units import PPM as PPM
 
-UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h"], float]]] = {
+UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h", "deg"], float]]] = {
     "scale_factor": ("ppm", PPM),
     "bias": ("deg/h", DEG_PER_H),
+    "heading": ("deg", float(np.degrees(1.0))),
+    "north": ("deg", float(np.degrees(1.0))),
 }
 
 
@@ -56,34 +61,84 @@ def survey(built: Assembled, channel: Axis | None = None) -> Survey:
 def residual_map(
     built: Assembled, known: Posterior, requirement: Requirement, *, si: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Temperatures (°C), rates (deg/s) and the residual `(n_T, n_ω)` in ppm or deg/h, on a requirement's box.
+    """Temperatures (°C), rates (deg/s) and the residual `(n_T, n_ω)` in the unit of `UNIT_OF`, on a requirement's box;
+    of missions `(n, 1)`, and numbers in the place of temperatures.
 
-    `si`: the rates in rad/s, the residual in 1 or rad/s.
+    `si`: the rates in rad/s, the residual in 1, rad/s or rad.
     """
     temperatures, rates = box(requirement)
-    values = residual(known, built.model, requirement.quantity, temperatures, rates)
+    if isinstance(requirement, HeadingRequirement):
+        values = contrasts_of(built.model, requirement, "max").left(known)[:, None]
+    else:
+        values = residual(known, built.model, _map_of(requirement), temperatures, rates) * _gain(requirement)
     if si:
         return temperatures, rates, values
     return temperatures, rates * DEG_PER_S, values * UNIT_OF[requirement.quantity][1]
 
 
 def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side."""
+    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; of missions
+    their numbers."""
+    if isinstance(requirement, HeadingRequirement):
+        return np.arange(float(len(requirement.mission))), np.zeros(1)
     cold, warm = requirement.temperature
     temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
-    if requirement.quantity == "bias":
+    if requirement.quantity != "scale_factor":
         return temperatures, np.zeros(1)
     slow, fast = requirement.rate
     return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
 
 
+def contrasts_of(model: SensorModel, requirement: Requirement, name: Statistic, most: int | None = None) -> Contrasts:
+    """What the calibration leaves at every place of `box`, as combinations of the parameters; of missions weighted for
+    the statistic `name`, whose plain form is then the weighted one."""
+    if isinstance(requirement, HeadingRequirement):
+        rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
+        return mission_contrasts(model, np.stack(rows)).times(weights(requirement, name)[:, 0])
+    grid = (g.ravel() for g in np.meshgrid(*box(requirement, most), indexing="ij"))
+    return contrasts(model, _map_of(requirement), *grid).times(_gain(requirement))
+
+
+def criterion_of(
+    model: SensorModel, requirement: Requirement, name: Statistic | None = None, most: int | None = None
+) -> Criterion:
+    """A requirement's statistic, or the one of that `name`, for a design (SI). `most`: see `box`."""
+    name = name or requirement.statistic
+    temperatures, rates = box(requirement, most)
+    rows, alone, beyond = contrasts_of(model, requirement, name, most)
+    return Criterion(rows, alone if np.any(alone) else None, beyond, (len(temperatures), len(rates)), name)
+
+
+def weights(requirement: Requirement, name: Statistic) -> np.ndarray:
+    """By what residuals `(n, 1)` of missions are multiplied, for a statistic of them to be the weighted one."""
+    if not isinstance(requirement, HeadingRequirement) or name not in ("rms", "mean"):
+        return np.ones((1, 1))
+    share = np.array([[mission.weight] for mission in requirement.mission])
+    share = share / np.mean(share)
+    return np.sqrt(share) if name == "rms" else share
+
+
+def statistic_of(requirement: Requirement, values: np.ndarray, name: Statistic | None = None) -> float:
+    """The requirement's statistic of its residuals, or the one of that `name`."""
+    name = name or requirement.statistic
+    return statistic(name, values * weights(requirement, name))
+
+
+def _map_of(requirement: Requirement) -> Literal["bias", "scale_factor"]:
+    return SCALE_FACTOR if requirement.quantity == "scale_factor" else BIAS
+
+
+def _gain(requirement: Requirement) -> float:
+    return earth_gain(requirement) if isinstance(requirement, NorthRequirement) else 1.0
+
+
 def target_of(requirement: Requirement) -> float | None:
-    """In ppm or deg/h."""
+    """In the unit of `UNIT_OF`."""
     return None if requirement.target is None else float(requirement.target) * UNIT_OF[requirement.quantity][1]
 
 
 def limit_of(requirement: Requirement) -> tuple[Statistic, float] | None:
-    """What a target asks of the residual map (1σ): a statistic of it, and what it may come to at most, in ppm or deg/h.
+    """What a target asks of the residual map (1σ): a statistic of it, and what it may come to at most (`UNIT_OF`).
 
     Simple acceptance: the requirement's own statistic, `target / coverage`. Guarded: the worst place, by the risk.
     """
@@ -106,10 +161,10 @@ def decision_rule(requirement: Requirement) -> str:
 
 
 def verdict(requirement: Requirement, values: np.ndarray) -> Literal["met", "missed", "unobservable"] | None:
-    """What a residual map (ppm or deg/h, 1σ) is against a requirement's target by its rule, if it has one."""
-    if not np.isfinite(statistic(requirement.statistic, values)):
+    """What a residual map (of `UNIT_OF`, 1σ) is against a requirement's target by its rule, if it has one."""
+    if not np.isfinite(statistic_of(requirement, values)):
         return "unobservable"
     limit = limit_of(requirement)
     if limit is None:
         return None
-    return "met" if statistic(limit[0], values) <= limit[1] else "missed"
+    return "met" if statistic_of(requirement, values, limit[0]) <= limit[1] else "missed"

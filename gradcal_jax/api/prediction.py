@@ -6,12 +6,16 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import error_budget, limited_by
+from gradcal_jax.api.missions import mission_table, own_noise_of
 from gradcal_jax.api.posterior_of_plan import (
+    DEG_PER_S,
     UNIT_OF,
     box,
+    contrasts_of,
     decision_rule,
     posterior_of_plan,
     residual_map,
+    statistic_of,
     target_of,
     verdict,
 )
@@ -23,9 +27,9 @@ from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
 from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.requirement import HeadingRequirement, Requirement
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import STATISTICS, Posterior, statistic
+from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 
 # A unit's error is drawn on a grid of at most this many temperatures and rates.
@@ -97,18 +101,21 @@ def _between(rows: list[RequirementRow], others: list[Prediction]) -> list[Requi
 
 def _requirement_row(built: Assembled, known: Posterior, requirement: Requirement, channel: Axis) -> RequirementRow:
     _, rates, values = residual_map(built, known, requirement)
-    found = {name: statistic(name, values) for name in STATISTICS}
-    if requirement.quantity == "bias":
+    found = {name: statistic_of(requirement, values, name) for name in STATISTICS}
+    if requirement.quantity != "scale_factor":
         del found["mean of max"]
     found = {name: value if np.isfinite(value) else None for name, value in found.items()}
     target, worst = target_of(requirement), found["max"]
+    own, flown = own_noise_of(built, requirement), requirement if isinstance(requirement, HeadingRequirement) else None
+    if flown is not None:
+        rates = np.array([float(rate) * DEG_PER_S for rate in flown.rate])
     return RequirementRow(
         name=requirement.name,
         quantity=requirement.quantity,
         unit=UNIT_OF[requirement.quantity][0],
         axis=channel,
         temperature_c=(float(requirement.temperature[0]), float(requirement.temperature[1])),
-        rate_dps=(float(rates[0]), float(rates[-1])) if requirement.quantity == "scale_factor" else None,
+        rate_dps=(float(rates[0]), float(rates[-1])) if len(rates) > 1 else None,
         grid=tuple(requirement.grid),
         statistic=requirement.statistic,
         mean_of_max=found.get("mean of max"),
@@ -120,6 +127,9 @@ def _requirement_row(built: Assembled, known: Posterior, requirement: Requiremen
         coverage=requirement.coverage,
         rule=decision_rule(requirement) or None,
         specific_risk=None if target is None or worst is None else specific_risk(0.0, worst, target),
+        own=None if own is None else own.total,
+        own_sources=None if own is None else own.sources,
+        missions=None if flown is None else mission_table(built, flown, values),
     )
 
 
@@ -131,8 +141,10 @@ def _risks(built: Assembled, known: Posterior, requirement: Requirement, row: Re
     """
     if row.target is None or row.max is None or row.max == 0.0:
         return {}
-    at, target = box(requirement, _GRID), float(requirement.target or 0.0)
-    chances = chance_of_keeping(known, built.model, requirement.quantity, *at, requirement.statistic, target)
+    temperatures, rates = box(requirement, _GRID)
+    places = contrasts_of(built.model, requirement, requirement.statistic, _GRID)
+    shape, target = (len(temperatures), len(rates)), float(requirement.target or 0.0)
+    chances = chance_of_keeping(known, built.model, places, shape, requirement.statistic, target)
     acceptance: float | None = row.target
     if requirement.risk is not None:
         acceptance = acceptance_limit(row.max, row.target, float(requirement.risk))

@@ -12,10 +12,10 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import FIGURES, scaled
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, box
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of
 from gradcal_jax.api.sensitivity_rows import Elasticity, Sensitivities
 from gradcal_jax.api.unit_sensitivity import unit_sensitivities
-from gradcal_jax.design import Criterion, criterion
+from gradcal_jax.design import Criterion
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -38,7 +38,7 @@ def sensitivities(spec: Spec | UnitSpec) -> Sensitivities:
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
     built = assemble(spec)
-    criteria = [criterion(built.model, r.quantity, *box(r), r.statistic) for r in spec.requirement]
+    criteria = [criterion_of(built.model, r) for r in spec.requirement]
     names = _names(built)
     found = {axis: _logs_and_slopes(built, axis, names, criteria) for axis in built.channels}
     if not all(np.all(np.isfinite(values)) and np.all(np.isfinite(slopes)) for values, slopes in found.values()):

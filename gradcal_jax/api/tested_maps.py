@@ -144,7 +144,7 @@ def _row(quantity: str, axis: Axis, of: TestedMap, gain: np.ndarray) -> NoticeRo
         axis=axis,
         temperature_degree=of.temperature_degree,
         rate_degree=None if quantity == BIAS else of.rate_degree,
-        unit=unit,
+        unit=cast("Any", unit),
         components=len(gain),
         false_alarm=of.false_alarm,
         standard_deviation=None if of.std is None else of.std * factor,

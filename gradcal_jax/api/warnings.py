@@ -93,7 +93,7 @@ def warnings(built: Assembled, known: dict[Axis, Posterior]) -> list[str]:
                 f"requirement '{requirement.name}' asks for {low:g} … {high:g} °C, but the sensor goes through "
                 f"{coldest:.4g} … {warmest:.4g} °C only: beyond that the structure of the maps is trusted"
             )
-        if requirement.quantity == "scale_factor":
+        if requirement.quantity == "scale_factor" or requirement.quantity == "heading":
             widest = max(abs(float(r)) for r in requirement.rate)
             if widest > fastest * (1.0 + _NEARLY):
                 asked, reached = widest * DEG_PER_S, fastest * DEG_PER_S

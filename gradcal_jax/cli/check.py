@@ -111,7 +111,12 @@ def _sensor(spec: "Spec") -> list[str]:
     lines = [f"to be found: {', '.join(parts)}"]
     for requirement in spec.requirement:
         box = f"{requirement.temperature[0]} to {requirement.temperature[1]}"
-        if requirement.quantity == "scale_factor":
+        if requirement.quantity == "heading":
+            missions = (f"{m.file} ({time_text(requirement.after or m.rows.time[-1])})" for m in requirement.mission)
+            box = f"{', '.join(missions)}, {box}"
+        elif requirement.quantity == "north":
+            box = f"latitude {requirement.latitude}, after {requirement.after}, {box}"
+        if requirement.quantity == "scale_factor" or requirement.quantity == "heading":
             box += f", {requirement.rate[0]} to {requirement.rate[1]}"
         target = f", target {requirement.target}" if requirement.target is not None else ""
         what = requirement.quantity.replace("_", " ")
@@ -214,7 +219,7 @@ def notes(spec: "Spec") -> list[str]:
     for requirement in spec.requirement:
         if requirement.temperature[0] < low - 1e-6 or requirement.temperature[1] > high + 1e-6:
             said.append(f'requirement "{requirement.name}" goes beyond the plan\'s {low:.5g} to {high:.5g} degC')
-        if requirement.quantity == "scale_factor":
+        if requirement.quantity == "scale_factor" or requirement.quantity == "heading":
             asked = max(abs(rate) for rate in requirement.rate)
             if asked > max(rates) * (1.0 + 1e-6):
                 reached = math.degrees(max(rates))

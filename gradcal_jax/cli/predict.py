@@ -1,5 +1,6 @@
 """`gradcal predict` and `gradcal compare`: what plans leave, by requirement."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -187,6 +188,7 @@ def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
         for row in prediction.requirements or ():
             axis = f", axis {row.axis}" if len({r.axis for r in prediction.requirements}) > 1 else ""
             left = amount(row.decisive, row.unit)
+            left += "" if row.own is None else f" (own noise {amount(row.own, row.unit)})"
             rows.append((*first, f"{row.name}{axis} ({row.statistic})", left, row.limited_by or ""))
             first = ("", "", "", "")
         if not prediction.requirements:
@@ -215,6 +217,7 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
     """What a requirement is limited by, how it is judged, and with which risks."""
     name = _named(row, several)
     lines = [f"{name}: limited by {row.limited_by}"] if row.limited_by else []
+    lines += own_noise_lines(row, name)
     if row.rule and row.verdict != "unobservable":
         lines.append(f"{name}: {row.verdict} by {row.rule}")
         if row.specific_risk is not None:
@@ -227,6 +230,23 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
                 f"  a second run as a check: accepts {percent(row.check.accepted)}, falsely "
                 f"{percent(row.check.false_accept)}; rejects falsely {percent(row.check.false_reject)}"
             )
+    return lines
+
+
+def own_noise_lines(row: "RequirementRow", name: str) -> list[str]:
+    """What no calibration takes off, beside what this one leaves; of several missions, each."""
+    if row.own is None or row.own_sources is None:
+        return []
+    parts = ", ".join(f"{source} {value:.3g}" for source, value in row.own_sources.items() if value >= 0.05 * row.own)
+    in_all = "" if row.decisive is None else f"{amount(math.hypot(row.decisive, row.own), row.unit)} in all, of which "
+    lines = [f"{name}: {in_all}no calibration takes off {amount(row.own, row.unit)} ({parts})"]
+    if row.missions is not None and len(row.missions) > 1:
+        head = ("mission", "weight", "after", "calibration leaves", "own noise")
+        rows = [
+            (m.file, f"{m.weight:g}", time_text(m.after_s), amount(m.left, row.unit), amount(m.own, row.unit))
+            for m in row.missions
+        ]
+        lines.append(columns([head, *rows]))
     return lines
 
 

@@ -14,6 +14,8 @@ from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, cr
 from gradcal_jax.design.limit import Limit, limit
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
+    bias_floor,
+    bias_floor_anywhere,
     gated_noise_density,
     least_noise_density,
     scale_factor_floor,
@@ -47,6 +49,8 @@ __all__ = [
     "Progress",
     "StandardCoordinates",
     "State",
+    "bias_floor",
+    "bias_floor_anywhere",
     "criterion",
     "gated_noise_density",
     "least_noise_density",

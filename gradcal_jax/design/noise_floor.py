@@ -14,6 +14,16 @@ largest eigenvalue of the kernel k(t − t'), the transform of 1/S, restricted t
 1/S is rational in λ², so k is a point mass 1/S(∞) and a sum of exponentials, by partial fractions; the eigenvalue is
 that of a midpoint rule.
 
+**The bias.** Whoever knew M(T, ω) and saw the rate's noise all the time, not through readings, would know B as well as
+generalised least squares in T allows; every reading is a function of that, too. Of the angle random walk alone the
+information is `∫ ψψᵀ dt/N²`, of a drift alone that of a continuous look (below); a rate random walk and whatever
+depends on the rate is left out, and the variances add up as they do below. Where the programme is free, only the walk
+counts: over all measures m of the time t on the temperatures, for every θ (with P the prior's information),
+
+    min_m cᵀ(∫ψψᵀdm/N² + P)⁻¹c ≥ min_m max_a 2a·cᵀθ − a²·θᵀ(∫ψψᵀdm/N² + P)θ ≥ (cᵀθ)²/(t·max_T(ψᵀθ)²/N² + θᵀPθ);
+
+the θ of a linear programme (the largest cᵀθ with |ψᵀθ| ≤ 1) makes this an equality without a prior (Elfving, 1952).
+
 **Processes that multiply the rate** (instability of the scale factor, an error of the temperature, of the sensor's
 clock) look like the scale factor itself. Whoever saw `M(T, ω) + δ(t)` at every rate at once, at every instant at which
 the axis has the table, would know `M(T, ω) − M(T, 0)` exactly, and M(T, 0) as well as generalised least squares in T
@@ -33,8 +43,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.linalg
+import scipy.optimize
 
-from gradcal_jax.model import SCALE_FACTOR, Basis, SensorModel
+from gradcal_jax.model import BIAS, SCALE_FACTOR, Basis, SensorModel
 from gradcal_jax.trajectory import quadrature
 
 # How a prior's variance is shared out: see above.
@@ -46,6 +57,10 @@ _POINTS = 1500
 _NODES = 12
 _SMALL = 1e-4
 _TOUCHING = 1e-6
+# Temperatures of a linear programme.
+_GRID = 2001
+# Of the largest singular value of scaled columns: what is seen.
+_SEEN = 1e-9
 
 
 def scale_factor_floor(
@@ -81,6 +96,65 @@ def scale_factor_floor(
         seen = _continuous_look(scale.temperature, windows, temperature, float(variance[k]), float(decay[k]))
         root = np.linalg.qr(np.concatenate([seen, root_of(len(moving) * prior)]), mode="r")
         found += np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
+    return found
+
+
+def bias_floor(
+    model: SensorModel,
+    windows: Sequence[tuple[float, float]],
+    temperature: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    rows: np.ndarray,
+) -> np.ndarray:
+    """`(g,)`, the variance of combinations `rows` `(g, p)` of B's parameters that no plan removes.
+
+    `windows`: all times whose data are used, and `temperature`, as of `scale_factor_floor`.
+    """
+    p, bias = model.processes, model.bias
+    assert bias is not None
+    gain = np.where(p.rate_gain == 0.0, p.bias_gain, 0.0)
+    variance, decay = (gain * p.initial_std) ** 2, p.decay
+    moving = np.flatnonzero((variance > 0.0) & (decay > 0.0))
+    edges = np.array(windows)
+    nodes, weights = quadrature(_NODES)
+    width = np.diff(edges, axis=1)
+    t, _ = temperature((edges[:, :1] + width * nodes).ravel())
+    looks = [bias.temperature(t) * (np.sqrt((width * weights).ravel()) / float(model.angle_random_walk))[:, None]]
+    looks += [
+        _continuous_look(bias.temperature, windows, temperature, float(variance[k]), float(decay[k])) for k in moving
+    ]
+    # Every noise takes an equal share of the prior's variance.
+    prior = model.prior_rows()[:, model.where(BIAS)] * len(looks) ** 0.5
+    found = np.zeros(len(rows))
+    for look in looks:
+        seen = np.concatenate([look, prior])
+        scale = np.linalg.norm(seen, axis=0)
+        _, singular, directions = np.linalg.svd(seen / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
+        # A direction of which nothing is seen is left out, which only makes the variance smaller.
+        there = singular > _SEEN * singular[0]
+        half = (rows / np.where(scale > 0.0, scale, np.inf)) @ directions[there].T / singular[there]
+        found += np.sum(half**2, axis=1)
+    return found
+
+
+def bias_floor_anywhere(
+    model: SensorModel, time: float, temperatures: tuple[float, float], rows: np.ndarray
+) -> np.ndarray:
+    """As `bias_floor`, where the `time` (s) of the data is spent on any of the `temperatures` (°C) between two."""
+    bias = model.bias
+    assert bias is not None
+    values = bias.temperature(np.linspace(*temperatures, _GRID))
+    prior = model.prior_rows()[:, model.where(BIAS)]
+    found = np.zeros(len(rows))
+    for k, row in enumerate(rows):
+        bounded = np.concatenate([values, -values])
+        best = scipy.optimize.linprog(-row, A_ub=bounded, b_ub=np.ones(len(bounded)), bounds=(None, None))
+        if best.x is None:
+            continue
+        # Between two points of the grid it may be larger than at them.
+        along = values @ best.x
+        largest = np.max(np.abs(along)) + 0.5 * np.max(np.abs(np.diff(along)))
+        walk = time * largest**2 / float(model.angle_random_walk) ** 2
+        found[k] = (row @ best.x) ** 2 / (walk + np.sum((prior @ best.x) ** 2))
     return found
 
 

@@ -145,7 +145,7 @@ class Result(Section):
 
     name: Text
     axis: Text
-    quantity: Literal["scale_factor", "bias"]
+    quantity: Literal["scale_factor", "bias", "heading", "north"]
     statistic: Text
     value: Number | None = None
     worst: Number | None = None

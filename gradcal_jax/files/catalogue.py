@@ -36,6 +36,7 @@ from pydantic import Field, model_validator
 from gradcal_jax.files.changes import patched, tables_of
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section, refuse
@@ -152,7 +153,8 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
     """
     with with_lines(text):
         file = model_of(CatalogueFile, read_toml(text, source), FORMAT, source)
-    return Catalogue(file, text, tuple(_cases(file, Path(folder), source)))
+    with missions_from(Path(folder)):
+        return Catalogue(file, text, tuple(_cases(file, Path(folder), source)))
 
 
 def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Case]:

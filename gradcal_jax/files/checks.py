@@ -14,18 +14,20 @@ from gradcal_jax.files.moves import AXES, ResolvedMove
 from gradcal_jax.files.plan import ChamberCourse, GradientPlan, RampItem, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.requirement import BiasRequirement, ScaleFactorRequirement
+from gradcal_jax.files.requirement import HeadingRequirement, Requirement, ScaleFactorRequirement
 from gradcal_jax.files.schedule import GradientSchedule, TemperatureSegment, gradient_schedule, resolve_cycle
 from gradcal_jax.files.sensor import ScaleFactor, Sensor
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
 _SLACK = 1e-6
+# By so much (K) a mission may be warmer or colder than the plan, whose ends are rounded to the chamber's steps.
+_NEARLY = 0.5
 
 
 def between_sections(
     sensor: Sensor | None,
     rig: Rig | None,
-    requirements: Sequence[ScaleFactorRequirement | BiasRequirement] | None,
+    requirements: Sequence[Requirement] | None,
     plan: GradientPlan | StandardPlan | None,
     design: Design | None,
 ) -> list[Problem]:
@@ -33,6 +35,9 @@ def between_sections(
     problems: list[Problem] = []
     if requirements is not None:
         problems += _requirements(requirements, sensor)
+        if plan is not None and (visited := visited_temperatures(plan, rig)) is not None:
+            for i, requirement in enumerate(requirements):
+                problems += _missions(i, requirement, visited, "the plan")
         if design is not None:
             problems += _design(design, [requirement.name for requirement in requirements])
     if design is not None and design.notice is not None and sensor is not None:
@@ -62,9 +67,38 @@ def _notice(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
             yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", asked)
 
 
-def _requirements(
-    requirements: Sequence[ScaleFactorRequirement | BiasRequirement], sensor: Sensor | None
+def visited_temperatures(plan: GradientPlan | StandardPlan, rig: Rig | None) -> tuple[float, float] | None:
+    """The coldest and the warmest that the chamber is while data are used (°C); None where the plan cannot be made."""
+    if isinstance(plan, StandardPlan):
+        return min(plan.temperatures), max(plan.temperatures)
+    try:
+        segments = () if rig is None else gradient_schedule(plan, rig).segments
+    except SpecError:  # said elsewhere
+        segments = ()
+    ends = [t for s in segments if s.used for t in (s.temperature_start, s.temperature_end)]
+    return (min(ends), max(ends)) if ends else None
+
+
+def _missions(
+    i: int, requirement: Requirement, span: tuple[float, float] | None, whose: str, column: str = "temperature"
 ) -> Iterator[Problem]:
+    """Where the i-th requirement's missions leave a range (°C, or rad/s) that is calibrated."""
+    if span is None or not isinstance(requirement, HeadingRequirement):
+        return
+    slack, factor, unit = (_NEARLY, 1.0, "degC") if column == "temperature" else (_SLACK, math.degrees(1.0), "deg/s")
+    low, high = (f"{factor * end:.5g}" for end in span)
+    for k, mission in enumerate(requirement.mission):
+        values = getattr(mission.rows, column)
+        outside = (n for n, value in enumerate(values) if not span[0] - slack <= value <= span[1] + slack)
+        if (n := next(outside, None)) is not None:
+            message = (
+                f"{mission.file}, line {mission.rows.line[n]}: the {column} is {factor * values[n]:.5g} {unit}, "
+                f"outside {whose}, {low} to {high} {unit}"
+            )
+            yield Problem(("requirement", i, "mission", k), message)
+
+
+def _requirements(requirements: Sequence[Requirement], sensor: Sensor | None) -> Iterator[Problem]:
     seen: dict[str, int] = {}
     for i, requirement in enumerate(requirements):
         key = ("requirement", i)
@@ -74,9 +108,17 @@ def _requirements(
         seen.setdefault(requirement.name, i)
         if sensor is None:
             continue
-        section = sensor.scale_factor if requirement.quantity == "scale_factor" else sensor.bias
+        if isinstance(requirement, HeadingRequirement):
+            for part in (sensor.bias, sensor.scale_factor):
+                if part is not None:
+                    yield from _missions(i, requirement, part.temperature.span, "the temperature basis")
+            if sensor.scale_factor is not None:
+                yield from _missions(i, requirement, sensor.scale_factor.rate.span, "the rate basis", "rate")
+            continue
+        name = "scale_factor" if requirement.quantity == "scale_factor" else "bias"
+        section = sensor.scale_factor if name == "scale_factor" else sensor.bias
         if section is None:
-            message = f"is not estimated: there is no [sensor.{requirement.quantity}]"
+            message = f"is not estimated: there is no [sensor.{name}]"
             yield Problem((*key, "quantity"), message, requirement.quantity)
             continue
         yield from _inside(requirement.temperature, section.temperature.span, (*key, "temperature"))

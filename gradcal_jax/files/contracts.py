@@ -218,8 +218,22 @@ class CheckRow(Section):
     false_reject: Size
 
 
+class MissionRow(Section):
+    """One mission, its weight, and `after_s` the error (deg, 1σ) that the calibration leaves, and the `own` noise's."""
+
+    file: str
+    weight: Size
+    after_s: Size
+    left: Size | None = None
+    own: Size
+
+
 class RequirementRow(Section):
-    """What is left, in `unit`: ppm for a scale factor, deg/h for a bias. Null: cannot be observed by this plan.
+    """What is left, in `unit`: ppm for a scale factor, deg/h for a bias, deg for the heading in missions and for north.
+    Null: cannot be observed by this plan.
+
+    `own`, of heading and north: what the unit's own noise adds (root sum of squares), which no calibration takes off;
+    `own_sources`: its parts; `missions`: each alone.
 
     Of a whole unit, `axis` says how its elements are summed up: "all" together, or the "worst".
     `uncertain`: the least and the largest of the deciding statistic, where noise figures are uncertain.
@@ -230,7 +244,7 @@ class RequirementRow(Section):
     """
 
     name: str
-    quantity: Literal["scale_factor", "bias"] | UnitQuantity
+    quantity: Literal["scale_factor", "bias", "north"] | UnitQuantity
     unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
     axis: Axis | Literal["all", "worst"] = "x"
     temperature_c: tuple[Finite, Finite]
@@ -252,6 +266,9 @@ class RequirementRow(Section):
     limited_by: str | None = None
     uncertain: tuple[Size, Size] | None = None
     with_typical: Size | None = None
+    own: Size | None = None
+    own_sources: dict[str, Size] | None = None
+    missions: tuple[MissionRow, ...] | None = None
 
     @property
     def decisive(self) -> float | None:

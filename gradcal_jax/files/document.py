@@ -14,15 +14,15 @@ Model = TypeVar("Model", bound=Section)
 _LARGEST = 20_000_000
 
 
-def read_text(path: str | Path) -> str:
+def read_text(path: str | Path, what: str = "TOML file") -> str:
     """The text of a file. Raises `SpecError` where there is none: missing, a directory, unreadable, not text."""
     path = Path(path)
     name = str(path)
     try:
         if path.is_dir():
-            raise SpecError([Problem((), "is a directory; give a TOML file")], name)
+            raise SpecError([Problem((), f"is a directory; give a {what}")], name)
         if path.stat().st_size > _LARGEST:
-            raise SpecError([Problem((), f"is larger than {_LARGEST // 1_000_000} MB; give a TOML file")], name)
+            raise SpecError([Problem((), f"is larger than {_LARGEST // 1_000_000} MB; give a {what}")], name)
         raw = path.read_bytes()
     except SpecError:
         raise
@@ -35,12 +35,12 @@ def read_text(path: str | Path) -> str:
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise SpecError([Problem((), "is not text in UTF-8; give a TOML file")], name) from None
+        raise SpecError([Problem((), f"is not text in UTF-8; give a {what}")], name) from None
 
 
 def _neighbour(path: Path) -> str:
     try:
-        names = [entry.name for entry in path.parent.iterdir() if entry.suffix == ".toml"]
+        names = [entry.name for entry in path.parent.iterdir() if entry.suffix == (path.suffix or ".toml")]
     except (OSError, ValueError):
         return ""
     close = nearest(path.name, names)

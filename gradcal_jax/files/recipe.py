@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
@@ -130,7 +131,7 @@ def read_recipe(path: str | Path) -> Recipe:
 def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or the one inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
     text = read_text(path)
-    with with_lines(text):
+    with missions_from(Path(path).parent), with_lines(text):
         document = read_toml(text, str(path))
         return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
 

@@ -5,8 +5,19 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, Strict, model_validator
 
 from gradcal_jax.files.bases import increasing
+from gradcal_jax.files.mission import Missions
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.quantity import Of, PositiveRate, PositiveScaleFactor, Quantity, Rate, Temperature, Text
+from gradcal_jax.files.quantity import (
+    Of,
+    PositiveAngle,
+    PositiveRate,
+    PositiveScaleFactor,
+    Quantity,
+    Rate,
+    Temperature,
+    Text,
+    Time,
+)
 from gradcal_jax.files.section import Section, choose, refuse
 
 Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
@@ -68,8 +79,88 @@ class BiasRequirement(Section):
         return self
 
 
+class HeadingRequirement(Section):
+    """What the calibration leaves of the integrated rate at the end of a `mission`, or `after` a time in it.
+
+    Of several missions the root mean square by their weights, or the "max". `target` limits the calibration's part
+    alone: the unit's own noise no calibration takes off. `coverage`, `risk`: as of a scale factor.
+    """
+
+    name: Text
+    quantity: Literal["heading"]
+    mission: Missions
+    after: Time | None = None
+    statistic: Literal["rms", "max"] = "rms"
+    target: PositiveAngle | None = None
+    coverage: Coverage = 1.0
+    risk: Risk | None = None
+
+    @model_validator(mode="after")
+    def _within(self) -> "HeadingRequirement":
+        problems: list[Problem] = []
+        for i, mission in enumerate(self.mission):
+            end = mission.rows.time[-1]
+            if self.after is not None and self.after > end:
+                message = f"is after the end of {mission.file}, which lasts {end:.6g} s"
+                problems.append(Problem(("after",), message, self.after.text))
+            if self.statistic == "max" and "weight" in mission.model_fields_set:
+                problems.append(
+                    Problem(("mission", i, "weight"), 'has no effect on the statistic "max"', mission.weight)
+                )
+        refuse(*problems)
+        return self
+
+    @property
+    def grid(self) -> tuple[int]:
+        """Number of missions."""
+        return (len(self.mission),)
+
+    @property
+    def temperature(self) -> tuple[Quantity, Quantity]:
+        """The coldest and the warmest of all missions."""
+        every = [t for mission in self.mission for t in mission.rows.temperature]
+        return Quantity.of(min(every), "degC"), Quantity.of(max(every), "degC")
+
+    @property
+    def rate(self) -> tuple[Quantity, Quantity]:
+        """The least and the largest rate of all missions."""
+        every = [w for mission in self.mission for w in mission.rows.rate]
+        return Quantity.of(min(every), "deg/s"), Quantity.of(max(every), "deg/s")
+
+
+class NorthRequirement(Section):
+    """The error of a gyrocompass: of the bias, over the Earth's rate across the meridian at the `latitude`.
+
+    `after`: how long it stands to find north, of which the unit's own noise depends. The rest as of a bias.
+    """
+
+    name: Text
+    quantity: Literal["north"]
+    latitude: Annotated[Quantity, Of("angle", at_least="-89 deg", at_most="89 deg")]
+    after: Time
+    temperature: tuple[Temperature, Temperature]
+    statistic: Literal["max", "mean", "rms"] = "mean"
+    target: PositiveAngle | None = None
+    coverage: Coverage = 1.0
+    risk: Risk | None = None
+    grid: tuple[Points] = (101,)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "NorthRequirement":
+        refuse(*increasing(self.temperature, "temperature"))
+        return self
+
+
 def _requirement(value: object) -> object:
-    return choose(value, "quantity", {"scale_factor": ScaleFactorRequirement, "bias": BiasRequirement})
+    classes: dict[str, type[Section]] = {
+        "scale_factor": ScaleFactorRequirement,
+        "bias": BiasRequirement,
+        "heading": HeadingRequirement,
+        "north": NorthRequirement,
+    }
+    return choose(value, "quantity", classes)
 
 
-Requirement = Annotated[ScaleFactorRequirement | BiasRequirement, BeforeValidator(_requirement)]
+Requirement = Annotated[
+    ScaleFactorRequirement | BiasRequirement | HeadingRequirement | NorthRequirement, BeforeValidator(_requirement)
+]

@@ -12,6 +12,7 @@ from gradcal_jax.files.checks import between_sections
 from gradcal_jax.files.design import Design
 from gradcal_jax.files.document import format_problem, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.plan import Plan, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation
 from gradcal_jax.files.quantity import Text
@@ -80,13 +81,16 @@ def expect_spec(value: object) -> Spec:
 def read_spec(path: str | Path) -> Spec:
     """Read a spec file: TOML, quantities as text with units ("0.1 deg/sqrt(h)"), SI (°C) inside.
 
-    Errors: `SpecError` that lists everything wrong with it, each with its key and what was expected.
+    Names of mission files are seen from the spec's folder. Errors: `SpecError` that lists everything wrong with it,
+    each with its key and what was expected.
     """
-    return parse_spec(read_text(path), str(path))
+    with missions_from(Path(path).parent):
+        return parse_spec(read_text(path), str(path))
 
 
 def parse_spec(text: str, source: str = "") -> Spec:
-    """A spec from the text of a TOML file (quantities with units, SI inside); `source` names it in messages.
+    """A spec from the text of a TOML file (quantities with units, SI inside); `source` names it in messages. Names of
+    mission files are seen from the working directory.
 
     Errors: `SpecError`, as `read_spec`.
     """

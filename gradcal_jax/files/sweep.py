@@ -33,6 +33,7 @@ from gradcal_jax.files import presets
 from gradcal_jax.files.changes import any_spec_of, changed, split_key
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import is_recipe, recipe_of
@@ -282,7 +283,8 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     with with_lines(text):
         file = model_of(SweepFile, read_toml(text, source), FORMAT, source)
     tables, place = _named(file.base, Path(folder), source)
-    base = recipe_of(tables, place).spec if is_recipe(tables) else any_spec_of(tables, place)
+    with missions_from(Path(place).parent):
+        base = recipe_of(tables, place).spec if is_recipe(tables) else any_spec_of(tables, place)
     if isinstance(base, UnitSpec) and file.do == "optimise":
         raise SpecError([Problem(("do",), 'a whole unit is predicted in sweeps; expected "predict"', file.do)], source)
     try:
@@ -298,7 +300,8 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
 def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
-    return recipe_of(tables, place).spec if is_recipe(tables) else spec_of(tables, place)
+    with missions_from(Path(place).parent):
+        return recipe_of(tables, place).spec if is_recipe(tables) else spec_of(tables, place)
 
 
 def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:

@@ -95,6 +95,8 @@ def _item(name: str, value: Any) -> Any:
     if _is_tables(value):
         entries = cast("list[Mapping[str, Any]]", value)
         return _list(entries) if name in _LISTED else _tables(entries)
+    if isinstance(value, str) and "\n" in value:
+        return tomlkit.string(value, multiline=True)
     return cast("Any", tomlkit.item(value))  # pyright: ignore[reportUnknownMemberType]
 
 

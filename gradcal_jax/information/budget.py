@@ -17,8 +17,7 @@ from gradcal_jax.information.adjoint import gram
 from gradcal_jax.information.native import plain
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.posterior import LeastSquares, Posterior, noise_of_sums
-from gradcal_jax.information.residual import Quantity, Statistic, contrasts
-from gradcal_jax.model import SensorModel
+from gradcal_jax.information.residual import Contrasts, Statistic
 
 
 def weights_of(name: Statistic, values: Float[np.ndarray, "n_T n_w"]) -> Float[np.ndarray, "n_T n_w"]:
@@ -41,17 +40,13 @@ class Sensitivity:
     def __init__(
         self,
         known: Posterior,
-        model: SensorModel,
-        quantity: Quantity,
-        temperature: np.ndarray,
-        rate: np.ndarray,
+        places: Contrasts,
         statistic: Statistic,
         values: Float[np.ndarray, "n_T n_w"],
     ) -> None:
-        grid_t, grid_w = (g.ravel() for g in np.meshgrid(temperature, rate, indexing="ij"))
         weights = weights_of(statistic, values).ravel()
         counts = weights > 0.0
-        rows, alone, beyond = contrasts(model, quantity, grid_t[counts], grid_w[counts])
+        rows, alone, beyond = (of[counts] for of in places)
         half = 0.5 * weights[counts] / values.ravel()[counts]
         of_rows, of_alone = (c @ known.spread @ known.spread.T for c in (rows, alone))
         self.of_gram = -(of_rows.T * half) @ of_rows + (of_alone.T * half) @ of_alone

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.information.posterior import Posterior
-from gradcal_jax.information.residual import Quantity, Statistic, contrasts, statistic
-from gradcal_jax.model import SensorModel
+from gradcal_jax.information.residual import Contrasts, Statistic, statistic
+from gradcal_jax.model import Discrepancy, SensorModel
 
 # Beyond so many standard deviations lies 1e-23 of a normal distribution.
 _FAR = 10.0
@@ -91,9 +91,8 @@ def global_risks(s: float, u: float, limit: float, acceptance: float) -> GlobalR
 def chance_of_keeping(
     known: Posterior,
     model: SensorModel,
-    quantity: Quantity,
-    temperature: np.ndarray,
-    rate: np.ndarray,
+    places: Contrasts,
+    shape: tuple[int, int],
     name: Statistic,
     limit: float,
     draws: int = 4000,
@@ -101,27 +100,25 @@ def chance_of_keeping(
 ) -> tuple[float, float] | None:
     """The share of units whose error after a calibration keeps `limit`: by the named statistic, and everywhere.
 
-    A statistic is that of one unit's |error| over the whole box, errors at its places correlated as the posterior
-    has them (drawn; binomial standard error 0.5 % and less). `temperature` °C, `rate` rad/s, `limit` dimensionless or
-    rad/s. None where the plan leaves something unobservable.
+    A statistic is that of one unit's |error| over all `places`, of that `shape`, errors there correlated as the
+    posterior has them (drawn; binomial standard error 0.5 % and less). `limit` in the places' unit. None where the plan
+    leaves something unobservable.
     """
     if known.hidden.shape[1]:
         return None
-    grid_t, grid_w = np.meshgrid(temperature, rate, indexing="ij")
-    rows, alone, _ = contrasts(model, quantity, grid_t.ravel(), grid_w.ravel())
-    roots = [rows @ known.spread]
-    beyond = None if (of := model.map(quantity)) is None else of.beyond
-    if beyond is not None:
+    roots = [places.rows @ known.spread]
+    if np.any(places.alone):
         # What a calibration does not carry is estimated, and left: with it goes prior less posterior covariance.
-        where = model.where(beyond.name)
-        prior = beyond.std**2 * np.eye(where.stop - where.start)
-        values, vectors = np.linalg.eigh(prior - known.spread[where] @ known.spread[where].T)
-        roots.append(alone[:, where] @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+        hidden = [term for term in model.terms if isinstance(term, Discrepancy)]
+        where = np.concatenate([np.arange(model.size)[model.where(term.name)] for term in hidden])
+        prior = np.concatenate([np.full(term.size, float(term.std) ** 2) for term in hidden])
+        values, vectors = np.linalg.eigh(np.diag(prior) - known.spread[where] @ known.spread[where].T)
+        roots.append(places.alone[:, where] @ (vectors * np.sqrt(np.maximum(values, 0.0))))
     root = np.concatenate(roots, axis=1)
     rng, kept = np.random.default_rng(seed), np.zeros(2)
     for _ in range(0, draws, 500):
         errors = np.abs(root @ rng.standard_normal((root.shape[1], 500)))
         for unit in errors.T:
-            kept += statistic(name, unit.reshape(grid_t.shape)) <= limit, unit.max() <= limit
+            kept += statistic(name, unit.reshape(shape)) <= limit, unit.max() <= limit
     shares = kept / (500 * -(-draws // 500))
     return float(shares[0]), float(shares[1])

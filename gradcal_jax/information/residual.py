@@ -7,7 +7,7 @@ functions χ that the calibration does not carry, the error at a point is `ψᵀ
 error is uncorrelated with every function of the data, its variance is `ψᵀC_ββψ + 2ψᵀC_βγχ + χᵀΓχ`.
 """
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -29,10 +29,30 @@ def map_of(model: SensorModel, quantity: Quantity) -> Map:
     return of
 
 
+class Contrasts(NamedTuple):
+    """`rows` c with `cᵀβ` an error; `alone`: of them the discrepancy's part; `beyond`: its prior variance there."""
+
+    rows: Float[AnyArray, "g p"]
+    alone: Float[AnyArray, "g p"]
+    beyond: Float[AnyArray, " g"]
+
+    def times(self, factor: Float[AnyArray, " g"] | float) -> "Contrasts":
+        """Of errors that are so many times as large."""
+        by = np.broadcast_to(factor, self.beyond.shape)
+        return Contrasts(self.rows * by[:, None], self.alone * by[:, None], self.beyond * by**2)
+
+    def left(self, known: Posterior) -> Float[np.ndarray, " g"]:
+        """Standard deviation of what a calibration leaves of each; `inf` where the plan cannot tell."""
+        deviation = known.deviations(np.asarray(self.rows))
+        if not np.any(self.alone):
+            return deviation
+        return np.sqrt(deviation**2 - known.deviations(np.asarray(self.alone)) ** 2 + self.beyond)
+
+
 def contrasts(
     model: SensorModel, quantity: Quantity, temperature: Float[AnyArray, " g"], rate: Float[AnyArray, " g"]
-) -> tuple[Float[AnyArray, "g p"], Float[AnyArray, "g p"], Float[AnyArray, " g"]]:
-    """Rows `c` with `cᵀβ` the map's error at each point; of them the discrepancy's part; and its prior variance there.
+) -> Contrasts:
+    """Of the map's error at each point.
 
     The discrepancy is estimated with the rest, but no calibration carries it: of `cᵀCc` its own part is taken off
     again and `χᵀΓχ`, which no plan can touch, put in its place. Errors: `ValueError` when the model does not estimate
@@ -45,10 +65,10 @@ def contrasts(
     )
     alone = xp.zeros((len(temperature), model.size))
     if of.beyond is None:
-        return rows, alone, xp.zeros(len(temperature))
+        return Contrasts(rows, alone, xp.zeros(len(temperature)))
     outside = of.beyond.values(temperature, rate)
     alone = put(alone, (slice(None), model.where(of.beyond.name)), outside)
-    return rows + alone, alone, of.beyond.std**2 * xp.sum(outside**2, axis=1)
+    return Contrasts(rows + alone, alone, of.beyond.std**2 * xp.sum(outside**2, axis=1))
 
 
 def residual(
@@ -63,11 +83,7 @@ def residual(
     if of.beyond is None and not known.hidden.shape[1]:
         return _by_factors(known.spread[model.where(of.name)], of, temperature, rate)
     grid_t, grid_w = np.meshgrid(temperature, rate, indexing="ij")
-    rows, alone, beyond = contrasts(model, quantity, grid_t.ravel(), grid_w.ravel())
-    deviation = known.deviations(rows)
-    if of.beyond is not None:
-        deviation = np.sqrt(deviation**2 - known.deviations(alone) ** 2 + beyond)
-    return deviation.reshape(grid_t.shape)
+    return contrasts(model, quantity, grid_t.ravel(), grid_w.ravel()).left(known).reshape(grid_t.shape)
 
 
 def _by_factors(spread: np.ndarray, of: Map, temperatures: np.ndarray, rates: np.ndarray) -> np.ndarray:

@@ -10,15 +10,15 @@ from typing import Any, Final
 import numpy as np
 
 from gradcal_jax.api.build import assemble
-from gradcal_jax.api.posterior_of_plan import posterior_of_plan, residual_map, verdict
+from gradcal_jax.api.posterior_of_plan import posterior_of_plan, residual_map, statistic_of, verdict
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_prediction import posterior_of_unit, requirement_row
 from gradcal_jax.files import Spec, changed, to_toml
 from gradcal_jax.files.changes import any_spec_of
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import STATISTICS, statistic
-from gradcal_jax.jobs.results import Residual, Result, one_line
+from gradcal_jax.information import STATISTICS
+from gradcal_jax.jobs.results import OVER_RATE, Residual, Result, one_line
 
 Changes = Mapping[str, object]
 
@@ -78,8 +78,8 @@ def _optimised(index: int, spec: Spec) -> Result:
 def _row(i: int, channel: str, requirement: Requirement, values: np.ndarray) -> Residual:
     found: list[float | None] = []
     for name in STATISTICS:
-        value = statistic(name, values)
-        none = not np.isfinite(value) or (requirement.quantity == "bias" and name == "mean of max")
+        value = statistic_of(requirement, values, name)
+        none = not np.isfinite(value) or (requirement.quantity not in OVER_RATE and name == "mean of max")
         found.append(None if none else value)
     said = verdict(requirement, values)
     return Residual(i, channel, tuple(found), said or "")

@@ -19,6 +19,7 @@ UNIT_OF: Final = {
     "position": "m",
     "tilt": "urad",
     "heading": "deg",
+    "north": "deg",
 }
 """Of every quantity the unit of its residuals, of one axis and of a whole unit."""
 OVER_RATE: Final = ("scale_factor", "gyro_scale_factor")

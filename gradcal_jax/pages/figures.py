@@ -53,12 +53,17 @@ def map_pictures(facts: Sequence[MapFact]) -> list[list[Picture]]:
     found: list[list[Picture]] = []
     drawn: list[MapFact] = []
     for fact in facts:
+        if fact.curves:
+            words = f"{fact.name}: error of the heading over time, one standard deviation; own noise stays."
+            key = f"{picture_key(fact.name)}-{fact.axis}-heading"
+            found.append([picture(key, words, lambda ax, f=fact: plots.draw_heading(f.curves, ax=ax), _HIGH)])
+            continue
         if any(_holds(other, fact) for other in drawn):
             continue
         drawn.append(fact)
         where = fact.name if len({f.axis for f in facts}) == 1 else f"{fact.name}, axis {fact.axis}"
         key = f"{picture_key(fact.name)}-{fact.axis}-{fact.quantity}"
-        if fact.quantity == "bias":
+        if fact.quantity != "scale_factor":
             found.append([_curves(fact, f"{key}-curves", where)])
             continue
         norm = _norm([box for _, box in fact.maps])
@@ -199,7 +204,7 @@ def _label(ax: Axes, contours: QuadContourSet) -> None:
 
 
 def _curves(fact: MapFact, key: str, where: str) -> Picture:
-    bias = fact.quantity == "bias"
+    bias = fact.quantity != "scale_factor"
 
     def draw(ax: Axes) -> None:
         values = []

@@ -7,12 +7,13 @@ import numpy as np
 
 from gradcal_jax import api
 from gradcal_jax.api.ieee_terms import Box, found_map, grid_of, prior_map
-from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.api.missions import ErrorCurve, error_curves
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, statistic_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import AxisCalibration, Calibration, Result
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.requirement import HeadingRequirement, Requirement
 from gradcal_jax.information import statistic
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.pages.sources import Sources
@@ -41,15 +42,19 @@ class RequirementFact(NamedTuple):
     verdict: str | None
     limited_by: str | None
     limit: float | None
+    own: float | None = None
 
 
 class MapFact(NamedTuple):
-    """Residual maps of one requirement and axis, in order: before, predicted, achieved, as far as they are known."""
+    """Residual maps of one requirement and axis, in order: before, predicted, achieved, as far as they are known; of
+    missions the curves of their error.
+    """
 
     name: str
     axis: str
     quantity: str
     maps: tuple[tuple[str, Box], ...]
+    curves: tuple[tuple[str, ErrorCurve], ...] = ()
 
 
 def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[MapFact]]:
@@ -74,6 +79,12 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
             if other is not None:
                 before_is = f"the plan of {sources.before_name}, on the rig of that file"
             drawn.append(("before", earlier))
+        if isinstance(requirement, HeadingRequirement):
+            curves = error_curves(built, known[row.axis], requirement)
+            names = [f"calibration, {c.file}" if len(curves) > 1 else "calibration" for c in curves]
+            maps.append(MapFact(row.name, row.axis, row.quantity, (), tuple(zip(names, curves, strict=True))))
+            rows.append(_requirement(row, requirement, calibration, earlier, sources.limits))
+            continue
         values = api.residual_map(built, known[row.axis], requirement)
         drawn.append(("predicted", Box(*values, row.unit)))
         axis = _axis_of(calibration, row.axis)
@@ -122,13 +133,14 @@ def _requirement(
         row.unit,
         row.temperature_c,
         row.rate_dps,
-        None if before is None else _finite(statistic(requirement.statistic, before.values)),
+        None if before is None else _finite(statistic_of(requirement, before.values)),
         row.decisive,
         None if result is None else result.value,
         row.target,
         row.verdict if result is None else result.verdict,
         row.limited_by,
         limits.get(row.name),
+        row.own,
     )
 
 
@@ -144,8 +156,8 @@ def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | 
     if other is None:
         return prior_map(spec, requirement)
     built, known = other
-    section = built.spec.sensor.bias if requirement.quantity == "bias" else built.spec.sensor.scale_factor
-    if channel not in known or section is None:
+    section = built.spec.sensor.scale_factor if requirement.quantity == "scale_factor" else built.spec.sensor.bias
+    if channel not in known or (section is None and requirement.quantity != "heading"):
         return None
     return Box(*api.residual_map(built, known[channel], requirement), UNIT_OF[requirement.quantity][0])
 

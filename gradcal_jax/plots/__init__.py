@@ -1,6 +1,7 @@
 """One file a family of figures. Functions take `ax=None`, label with units, return what they drew and never show it."""
 
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
+from gradcal_jax.plots.mission import draw_heading
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.spec import draw_comparison, draw_prediction
 from gradcal_jax.plots.style import save, style_of
@@ -10,6 +11,7 @@ from gradcal_jax.plots.unit import draw_poses, draw_unit, draw_unit_residual
 __all__ = [
     "draw_comparison",
     "draw_frontier",
+    "draw_heading",
     "draw_map",
     "draw_over_temperature",
     "draw_poses",

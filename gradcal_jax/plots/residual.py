@@ -62,10 +62,10 @@ def draw_over_temperature(
     index: int = 0,
     ax: Axes | None = None,
 ) -> tuple[Axes, Line2D]:
-    """A bias residual `(n_T, 1)` against temperature."""
+    """A bias residual `(n_T, 1)` against temperature, or in deg the error of north that follows from it."""
     ax = new_axes(ax)
     values = residual[:, 0]
     (line,) = ax.plot(temperature_c, np.where(np.isfinite(values), values, np.nan), label=label, **style_of(index))
-    ax.set(xlabel="temperature, °C", ylabel=f"bias residual (1σ), {unit}")
+    ax.set(xlabel="temperature, °C", ylabel=f"{'error of north' if unit == 'deg' else 'bias residual'} (1σ), {unit}")
     from_zero(ax)
     return ax, line

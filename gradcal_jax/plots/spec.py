@@ -5,12 +5,14 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from gradcal_jax.api import UNIT_OF, assemble, posterior_of_plan, residual_map
+from gradcal_jax.api.missions import error_curves
 from gradcal_jax.files import Spec
+from gradcal_jax.plots.mission import draw_heading
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
 
 
 def draw_prediction(spec: Spec) -> Figure:
-    """A residual map for each scale-factor requirement and a curve for each bias requirement, for every axis.
+    """A residual map for each scale-factor requirement, curves for each other requirement, for every axis.
 
     Errors: `ValueError` for a spec without requirements, which leaves nothing to draw.
     """
@@ -21,9 +23,14 @@ def draw_prediction(spec: Spec) -> Figure:
         raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add one")
     figure = Figure(figsize=(6.4, 4.2 * len(panels)), layout="constrained")
     for axes, (requirement, channel) in zip(figure.subplots(len(panels), squeeze=False)[:, 0], panels, strict=True):
+        name = requirement.name if len(built.channels) == 1 else f"{requirement.name}, axis {channel}"
+        if requirement.quantity == "heading":
+            curves = error_curves(built, known[channel], requirement)
+            draw_heading([("calibration" + (f", {c.file}" if len(curves) > 1 else ""), c) for c in curves], ax=axes)
+            axes.set_title(name)
+            continue
         temperature, rate, values = residual_map(built, known[channel], requirement)
         unit = UNIT_OF[requirement.quantity][0]
-        name = requirement.name if len(built.channels) == 1 else f"{requirement.name}, axis {channel}"
         if requirement.quantity == "scale_factor":
             draw_map(temperature, rate, values, unit, title=name, ax=axes)
         else:
@@ -46,11 +53,15 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
             built = assemble(spec)
             known = posterior_of_plan(built, built.channels[0])
             for requirement in (r for r in spec.requirement if (r.name, r.quantity) == (name, quantity)):
+                if requirement.quantity == "heading":
+                    curves = error_curves(built, known, requirement)
+                    draw_heading([(label, curve) for curve in curves], own=False, first=index, ax=axes)
+                    continue
                 temperature, rate, values = residual_map(built, known, requirement)
                 if quantity == "scale_factor":
                     draw_worst_over_temperature(rate, values, "ppm", label=label, index=index, ax=axes)
                 else:
-                    draw_over_temperature(temperature, values, "deg/h", label=label, index=index, ax=axes)
+                    draw_over_temperature(temperature, values, UNIT_OF[quantity][0], label=label, index=index, ax=axes)
         axes.set_title(name)
         axes.legend()
     return figure

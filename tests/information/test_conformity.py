@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal, norm
 import gradcal_jax as gj
 from gradcal_jax.api import assemble, posterior_of_plan
 from gradcal_jax.api.posterior_of_plan import decision_rule, limit_of, verdict
+from gradcal_jax.information import contrasts
 from gradcal_jax.information.conformity import (
     acceptance_limit,
     chance_of_keeping,
@@ -86,7 +87,9 @@ def test_the_chance_of_a_unit_is_that_of_errors_drawn_from_the_dense_covariance(
     built = assemble(spec)
     known = posterior_of_plan(built)
     box = np.linspace(-30.0, 70.0, 11), np.radians(np.linspace(-300.0, 300.0, 13))
-    said = chance_of_keeping(known, built.model, "scale_factor", *box, "mean of max", 150e-6, draws=20_000)
+    grid = (g.ravel() for g in np.meshgrid(*box, indexing="ij"))
+    places = contrasts(built.model, "scale_factor", *grid)
+    said = chance_of_keeping(known, built.model, places, (11, 13), "mean of max", 150e-6, draws=20_000)
     # The same by hand: monomials of the file, the reported covariance, Cholesky.
     prediction = gj.predict(spec)
     root = np.linalg.cholesky(np.array(prediction.covariance))
@@ -112,7 +115,8 @@ def test_errors_that_a_structure_hides_take_part_in_the_chance():
     at, _, values = residual_map(built, known, spec.requirement[0], si=True)
     worst = int(np.argmax(values))
     limit = float(values[worst, 0])
-    chance, _ = chance_of_keeping(known, built.model, "bias", at[[worst]], np.zeros(1), "max", limit, draws=40_000)
+    place = contrasts(built.model, "bias", at[[worst]], np.zeros(1))
+    chance, _ = chance_of_keeping(known, built.model, place, (1, 1), "max", limit, draws=40_000)
     assert chance == pytest.approx(0.6827, abs=0.008)
     assert row.max == pytest.approx(np.degrees(limit) * 3600.0)
 

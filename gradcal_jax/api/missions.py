@@ -1,0 +1,115 @@
+"""Missions of a spec in the core's terms, and what of their error the unit's own noise is."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax.api.build import Assembled
+from gradcal_jax.files.contracts import MissionRow
+from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, Requirement
+from gradcal_jax.information import Posterior
+from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
+from gradcal_jax.trajectory import EARTH_RATE
+
+# A picture's curve has so many points.
+_CURVE = 61
+# The sensor's clock is the same in the calibration and in the mission: the calibration's part counts it.
+_NOT_OWN = ("sample clock", "turn-on bias")
+
+
+def earth_gain(requirement: NorthRequirement) -> float:
+    """Error of north (rad) for an error of the rate (rad/s) of a gyro that points east, at the latitude."""
+    return 1.0 / (EARTH_RATE * float(np.cos(float(requirement.latitude))))
+
+
+def flights_of(requirement: HeadingRequirement) -> list[tuple[Flight, float]]:
+    """The missions, and the time (s) in each at which its error is asked for."""
+    found = []
+    for mission in requirement.mission:
+        time, rate, temperature, _ = (np.array(column) for column in mission.rows)
+        found.append((Flight(time, rate, temperature), float(requirement.after or time[-1])))
+    return found
+
+
+def own_noise(built: Assembled, flight: Flight, time: float) -> dict[str, float]:
+    """Standard deviation of the integrated rate (rad) at `time` (s) in a mission, by source of the unit's own noise.
+
+    The turn-on bias is drawn twice where a calibration estimates the bias: in its run, of which it keeps it, and in the
+    mission. A rate random walk counts from the mission's beginning.
+    """
+    model, sensor = built.model, built.spec.sensor
+    found = {"angle random walk": float(model.angle_random_walk) * time**0.5}
+    for name, members in built.sources.items():
+        if name not in _NOT_OWN:
+            found[name] = own_variance(flight, model.processes, members, time) ** 0.5
+    if sensor.turn_on_bias:
+        found["turn-on bias"] = float(sensor.turn_on_bias) * time * (1.0 if sensor.bias is None else 2.0**0.5)
+    return found
+
+
+class OwnNoise(NamedTuple):
+    """Of a requirement: what its own noise comes to, all together and by source, and of each mission (deg)."""
+
+    total: float
+    sources: dict[str, float]
+    missions: tuple[float, ...]
+
+
+def own_noise_of(built: Assembled, requirement: Requirement) -> OwnNoise | None:
+    """What no calibration takes off a heading or north (deg), of missions their root mean square by weight, or the
+    largest; None for a map, which has no noise."""
+    if isinstance(requirement, NorthRequirement):
+        time = float(requirement.after)
+        still = Flight(np.array([0.0, time]), np.zeros(2), np.zeros(2))
+        by_source = [own_noise(built, still, time)]
+        factor, share = float(np.degrees(earth_gain(requirement))) / time, np.ones(1)
+    elif isinstance(requirement, HeadingRequirement):
+        by_source = [own_noise(built, flight, time) for flight, time in flights_of(requirement)]
+        factor, share = float(np.degrees(1.0)), np.array([mission.weight for mission in requirement.mission])
+    else:
+        return None
+    table = factor * np.array([list(one.values()) for one in by_source])
+    each = np.sqrt(np.sum(table**2, axis=1))
+    share = np.eye(len(each))[np.argmax(each)] if requirement.statistic == "max" else share / share.sum()
+    together = np.sqrt(share @ table**2)
+    sources = dict(zip(by_source[0], map(float, together), strict=True))
+    return OwnNoise(float(np.sqrt(np.sum(together**2))), sources, tuple(map(float, each)))
+
+
+def mission_table(built: Assembled, requirement: HeadingRequirement, left: np.ndarray) -> tuple[MissionRow, ...]:
+    """Every mission with what the calibration leaves of it, `left` (deg), and its own noise."""
+    own = own_noise_of(built, requirement)
+    assert own is not None
+    return tuple(
+        MissionRow(
+            file=mission.file,
+            weight=mission.weight,
+            after_s=time,
+            left=float(value) if np.isfinite(value) else None,
+            own=noise,
+        )
+        for mission, (_, time), value, noise in zip(
+            requirement.mission, flights_of(requirement), left.ravel(), own.missions, strict=True
+        )
+    )
+
+
+class ErrorCurve(NamedTuple):
+    """The error of the integrated rate (deg, 1σ) at times (s) of a mission: what the calibration leaves, own noise."""
+
+    file: str
+    time: np.ndarray
+    left: np.ndarray
+    own: np.ndarray
+
+
+def error_curves(built: Assembled, known: Posterior, requirement: HeadingRequirement) -> list[ErrorCurve]:
+    """How the error of each mission grows."""
+    found = []
+    for mission, (flight, end) in zip(requirement.mission, flights_of(requirement), strict=True):
+        at = np.linspace(0.0, end, _CURVE)[1:]
+        left = mission_contrasts(built.model, mission_rows(built.model, flight, at)).left(known)
+        own = [np.linalg.norm(list(own_noise(built, flight, float(time)).values())) for time in at]
+        curves = (np.degrees(np.concatenate([[0.0], values])) for values in (left, own))
+        found.append(ErrorCurve(mission.file, np.concatenate([[0.0], at]), *curves))
+    return found

@@ -1,0 +1,107 @@
+"""A mission: what a calibration leaves of the integrated rate, and what the unit's own noise adds.
+
+Of the rate error `B(T) + M(T, ω)·ω` a calibration leaves `ψᵀ(β − β̂)`, and of its integral along a mission
+
+    ∫ δω dt = cᵀ(β − β̂),    c = ∫ ψ(T, ω)·(1 or ω) dt,    σ² = cᵀ C c:
+
+one linear functional of the maps, made of the very columns that the plan's readings have (`SensorModel.columns`), a
+discrepancy's among them (`residual.Contrasts`). What is no map no calibration takes off: the angle random walk N√t, and
+of every process x, that drives the angle at the rate g(t)·x (`model.noise`), the variance of `∫ g x dt` over a mission
+that begins with the process in its stationary state.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gradcal_jax.information.residual import Contrasts
+from gradcal_jax.model import Discrepancy, Nodes, Processes, SampleNodes, SensorModel
+from gradcal_jax.trajectory import quadrature
+
+# So many Gauss nodes on each straight line: exact for quintic by quintic maps, times the rate.
+_NODES = 6
+# A mission has at least so many lines (for maps that bend along one), of which so many are summed at once.
+_LINES, _AT_ONCE = 256, 8192
+# Cells in which a process's gain is constant: at least so many, so many a correlation time, and no more than.
+_CELLS, _A_TIME, _MOST_CELLS = 2000, 20.0, 200_000
+
+
+class Flight(NamedTuple):
+    """Straight lines between `time` s (from 0, increasing), `rate` rad/s, `temperature` °C of the sensor."""
+
+    time: Float[np.ndarray, " n"]
+    rate: Float[np.ndarray, " n"]
+    temperature: Float[np.ndarray, " n"]
+
+    def angle(self, at: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """`∫ω dt` from the beginning to the times `at`, rad."""
+        whole = np.concatenate([[0.0], np.cumsum(np.diff(self.time) * (self.rate[1:] + self.rate[:-1]) / 2.0)])
+        k = np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
+        rate = np.interp(at, self.time, self.rate)
+        return whole[k] + (at - self.time[k]) * (rate + self.rate[k]) / 2.0
+
+
+def mission_rows(model: SensorModel, flight: Flight, at: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p"]:
+    """What each parameter's unit adds to the integrated rate from the beginning to the times `at` (s, increasing)."""
+    kept = flight.time[flight.time < at[-1]]
+    breaks = np.unique(np.concatenate([kept, at, np.linspace(0.0, at[-1], _LINES + 1)]))
+    rate, temperature = (np.interp(breaks, flight.time, of) for of in (flight.rate, flight.temperature))
+    ends = np.searchsorted(breaks, at)
+    cuts = np.unique(np.concatenate([[0], ends, np.arange(0, ends[-1], _AT_ONCE)]))
+    nodes, weights = quadrature(_NODES)
+    rows = np.zeros((len(cuts), model.size))
+    for number, (first, last) in enumerate(pairwise(cuts), 1):
+        here = slice(first, last)
+        along = lambda of, here=here: (of[here, None] + np.diff(of)[here, None] * nodes).ravel()  # noqa: E731
+        group = SampleNodes(
+            pieces=np.zeros(1, int),
+            starts=np.zeros(1, int),
+            weight=(np.diff(breaks)[here, None] * weights).ravel(),
+            rate=along(rate),
+            temperature=along(temperature),
+            noise=0.0,
+            moving=True,
+        )
+        change = np.array([temperature[last] - temperature[first]])
+        rows[number] = np.asarray(model.columns(Nodes((group,), change, np.zeros(1), np.zeros(1))))[0]
+    return np.cumsum(rows, axis=0)[np.searchsorted(cuts, ends)]
+
+
+def mission_contrasts(model: SensorModel, rows: Float[np.ndarray, "k p"]) -> Contrasts:
+    """Of errors that are these combinations of the parameters: what no calibration carries of them set apart."""
+    alone, beyond = np.zeros_like(rows), np.zeros(len(rows))
+    for term in model.terms:
+        if isinstance(term, Discrepancy):
+            where = model.where(term.name)
+            alone[:, where] = rows[:, where]
+            beyond += float(term.std) ** 2 * np.sum(rows[:, where] ** 2, axis=1)
+    return Contrasts(rows, alone, beyond)
+
+
+def own_variance(
+    flight: Flight, processes: Processes, members: Sequence[int] | Int[np.ndarray, " m"], time: float
+) -> float:
+    """Variance (rad²) of what processes add to the integrated rate from the mission's beginning to `time` (s)."""
+    from scipy.signal import lfilter
+
+    at = np.array(members, dtype=int)
+    fastest = float(np.max(np.asarray(processes.decay)[at], initial=0.0))
+    count = int(np.clip(_A_TIME * time * fastest, _CELLS, _MOST_CELLS))
+    edges = np.linspace(0.0, time, count + 1)
+    step, turned = time / count, np.diff(flight.angle(edges))
+    found = 0.0
+    for k in at:
+        gain = float(processes.bias_gain[k]) + float(processes.rate_gain[k]) * turned / step
+        initial, decay, drive = (float(of[k]) for of in (processes.initial_std, processes.decay, processes.diffusion))
+        if decay == 0.0:
+            still = np.cumsum(gain[::-1])[::-1] - gain / 2.0
+            found += (initial * step * np.sum(gain)) ** 2 + drive**2 * step**3 * float(still @ still)
+            continue
+        kept = np.exp(-decay * step)
+        earlier = np.asarray(lfilter([0.0, 1.0], [1.0, -kept], gain))
+        within, between = 2.0 * (decay * step - 1.0 + kept), 2.0 * (1.0 - kept) ** 2
+        found += (initial / decay) ** 2 * float(within * gain @ gain + between * gain @ earlier)
+    return found

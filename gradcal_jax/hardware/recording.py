@@ -30,7 +30,7 @@ from .journal import Chunk, Event, JournalContents
 from .roles import ImuBatch, ImuDecoder
 from .rounds import Doubt, rounds_resolved
 from .run_folder import SESSION, exit_status, rig_as_run
-from .setup import DRIVERS, config_of
+from .setup import config_of, driver_of
 
 _MARGIN_S: Final = 0.02
 # Stamps of samples are late by what unit, adapter and system take, nobody knows how much; a row too few at rest costs
@@ -236,7 +236,9 @@ def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
     if said is None:
         return None
     config = config_of(device, "imu", ("imu", device.name))
-    return DRIVERS[device.driver].load().decoder_of(config, said.data["registers"])
+    driver = driver_of(device.driver)
+    assert driver is not None
+    return driver.load().decoder_of(config, said.data["registers"])
 
 
 def _breaks_off(event: Event) -> bool:

@@ -184,7 +184,11 @@ class _Spoken:
         heard: Texts = {}
 
         def parse(frame: bytes) -> Texts:
-            text = self._codec.text(frame)
+            try:
+                text = self._codec.text(frame)
+            except Rejected as refused:
+                # What nobody refuses is a question: it was damaged on its way, and is asked again.
+                raise FramingError(str(refused)) from None
             for reply in question.reply:
                 if (match := self._pattern(reply).fullmatch(text)) is not None:
                     heard.update(match.groupdict())

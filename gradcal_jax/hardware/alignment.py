@@ -118,8 +118,8 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
     places = [_refined(pairs, middle_s, lag_s + middle_s, outside) for lag_s, outside in _places(pairs)]
     if not places:
         raise NoAlignment(
-            "nothing in the recording turns as the table did: it is of another run, or of another axis, or begins after "
-            "the table has turned"
+            "nothing in the recording turns as the table did: it is of another run, or of another axis, or begins "
+            "after the table has turned"
         )
     places.sort(key=lambda place: place.misfit)
     best = places[0]
@@ -127,15 +127,15 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
         raise NoAlignment("the recording turns as the table did, but the other way: give its axis the other sign")
     if best.misfit > _MISFIT or not 0.8 < best.scale < 1.25:
         raise NoAlignment(
-            f"the recording does not show what the table did: at the best place {100.0 * best.misfit:.0f} % of it are not "
-            f"there, and it senses {1.0 / best.scale:.2f} of the turns; it is of another run, or of another axis"
+            f"the recording does not show what the table did: at the best place {100.0 * best.misfit:.0f} % of it are "
+            f"not there, and it senses {1.0 / best.scale:.2f} of the turns; it is of another run, or of another axis"
         )
     others = [place for place in places[1:] if abs(place.offset_s - best.offset_s) > _APART_S]
     if others and others[0].misfit < max(_AS_GOOD * best.misfit, 0.5 * _MISFIT):
         apart_s = abs(others[0].offset_s - best.offset_s)
         raise NoAlignment(
-            f"the recording fits at two places {apart_s:.1f} s apart (or more): it must hold the run's first turn or its "
-            "last, or turns that are not alike"
+            f"the recording fits at two places {apart_s:.1f} s apart (or more): it must hold the run's first turn or "
+            "its last, or turns that are not alike"
         )
     found = _exactly(pairs, middle_s, best)
     if not found.offset_std_s < _MOST_UNSURE_S:
@@ -271,40 +271,58 @@ def _runs(moves: NDArray[np.bool_], time_s: Floats) -> list[tuple[int, int]]:
     return found
 
 
+@dataclass(frozen=True)
+class _Fit:
+    """One step of Gauss and Newton, and what it was made of: slopes and rests by burst, in units of their scatter."""
+
+    bursts: list[_Burst]
+    weighted: list[tuple[Floats, Floats]]
+    normal: Floats
+    step: Floats
+
+    @property
+    def rest(self) -> list[Floats]:
+        return [left - slopes @ self.step for slopes, left in self.weighted]
+
+
+def _fit(bursts: list[_Burst], noise_deg: float, jitter_s: float) -> _Fit:
+    if len(bursts) < _FEWEST_BURSTS:
+        raise NoAlignment(
+            f"the recording shows {len(bursts)} of the table's turns with readings in them; {_FEWEST_BURSTS} are the "
+            "fewest that tell its clock"
+        )
+    weighted = [_projected(burst, noise_deg, jitter_s) for burst in bursts]
+    slopes, left = (np.concatenate(parts) for parts in zip(*weighted, strict=True))
+    normal: Floats = slopes.T @ slopes
+    return _Fit(bursts, weighted, normal, np.linalg.solve(normal, slopes.T @ left))
+
+
 def _exactly(pairs: list[tuple[_Unit, Track]], middle_s: float, place: _Place) -> Alignment:
     offset_s, excess = place.offset_s, place.excess
     noise_deg, jitter_s = 1e-3, 1e-3
     for _ in range(6):
-        bursts = _bursts(pairs, middle_s, offset_s, excess)
-        if len(bursts) < _FEWEST_BURSTS:
-            raise NoAlignment(
-                f"the recording shows {len(bursts)} of the table's turns with readings in them; {_FEWEST_BURSTS} are the "
-                "fewest that tell its clock"
-            )
-        weighted = [_projected(burst, noise_deg, jitter_s) for burst in bursts]
-        normal = sum(slopes.T @ slopes for slopes, _ in weighted)
-        gradient = [slopes.T @ left for slopes, left in weighted]
-        covariance = np.linalg.inv(normal)
-        step = covariance @ sum(gradient)
-        offset_s, excess = offset_s + float(step[0]), excess + float(step[1])
-        rest = [left - slopes @ step for slopes, left in weighted]
-        noise_deg, jitter_s = _scatter(bursts, rest, noise_deg, jitter_s)
+        fit = _fit(_bursts(pairs, middle_s, offset_s, excess), noise_deg, jitter_s)
+        offset_s, excess = offset_s + float(fit.step[0]), excess + float(fit.step[1])
+        noise_deg, jitter_s = _scatter(fit.bursts, fit.rest, noise_deg, jitter_s)
+    fit = _fit(_bursts(pairs, middle_s, offset_s, excess), noise_deg, jitter_s)
+    rest, bursts = fit.rest, len(fit.bursts)
     count = sum(len(left) for left in rest)
-    spare = max(count - 2 * len(bursts) - 2, 1)
-    covariance = covariance * max(1.0, sum(float(left @ left) for left in rest) / spare)
-    each = [slopes.T @ left for (slopes, _), left in zip(weighted, rest, strict=True)]
-    inverse = np.linalg.inv(normal)
-    robust = inverse @ sum(np.outer(g, g) for g in each) @ inverse * len(bursts) / max(len(bursts) - 2, 1)
+    inverse = np.linalg.inv(fit.normal)
+    spare = max(count - 2 * bursts - 2, 1)
+    covariance = inverse * max(1.0, sum(float(left @ left) for left in rest) / spare)
+    each = np.array([slopes.T @ left for (slopes, _), left in zip(fit.weighted, rest, strict=True)])
+    robust = inverse @ (each.T @ each) @ inverse * bursts / max(bursts - 2, 1)
     covariance = robust if robust[0, 0] > covariance[0, 0] else covariance
-    # The middle at which offset and rate do not depend on each other: t = offset + rate · (u − middle).
-    shift_s = -float(covariance[0, 1] / covariance[1, 1])
+    own, cross, slope = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
+    # The middle at which offset and rate do not depend on each other.
+    shift_s = -cross / slope
     return Alignment(
         middle_s + shift_s,
         offset_s + (1.0 + excess) * shift_s,
         1.0 + excess,
-        math.sqrt(max(float(covariance[0, 0] - covariance[0, 1] ** 2 / covariance[1, 1]), 0.0)),
-        math.sqrt(float(covariance[1, 1])),
-        len(bursts),
+        math.sqrt(max(own - cross**2 / slope, 0.0)),
+        math.sqrt(slope),
+        bursts,
         count,
         place.misfit,
     )

@@ -10,7 +10,7 @@ from ..files.recipe import Recipe
 from ..files.rig import TERMINAL, RigFile
 from ..files.writing import write_whole
 from .clock import RealClock, VirtualClock
-from .recording import log_of
+from .recording import log_of, log_of_recording
 from .run_folder import RunFolder, new_folder, prepare_resume
 from .runner import Progress, Runner, RunResult
 from .session import run_session
@@ -97,15 +97,18 @@ def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack
     return _on_rig(found, first, attended)
 
 
-def log(folder: str | Path, unit: str | None = None) -> Log:
+def log(folder: str | Path, unit: str | None = None, *, recording: Log | None = None) -> Log:
     """The log of a run, decoded from its journal's raw bytes: rates in rad/s, times in s, temperatures in °C, the
     table's angles in rad, standstills.
 
-    `unit`: of several units on the table, the one whose log to make. Errors: `ValueError` where the folder is not a
-    run's; `HardwareError` where the journal holds no samples of a stretch with data.
+    `unit`: of several units on the table, the one whose log to make. `recording`: what somebody else's logger recorded
+    of the unit in this run; its clock is found by the motion. Errors: `ValueError` where the folder is not a run's, or
+    the recording is not of it; `HardwareError` where the journal holds no samples of a stretch with data.
     """
     found = RunFolder(Path(folder))
     found.notes()
+    if recording is not None:
+        return log_of_recording(found.contents(), found.recipe(), found.rig(), recording, unit)
     return log_of(found.contents(), found.recipe(), found.rig(), unit)
 
 

@@ -168,7 +168,13 @@ class Runner:
         self._duty: ChamberDuty | None = None
         if self.bench.chamber is not None:
             self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
-        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, self.interlocks.limits.latest_s)
+        self._axes = AxesDuty(
+            self.bench.axes,
+            self.clock,
+            self._event,
+            self.interlocks.limits.latest_s,
+            keep_track=not self.bench.imus,
+        )
         self._imu_heard_s: dict[str, float] = {}
         self._losses: dict[str, _Losses] = {}
         self._unconfirmed: list[_Executed] = []

@@ -1,5 +1,7 @@
-"""A table's motion, what is read of it, and what a unit with a logger of its own records: written for tests of alignment
-alone, from trapezoids in closed form. Nothing of it is the package's."""
+"""A table's motion, what is read of it, and what a unit with a logger of its own records: for tests of alignment alone.
+
+Trapezoids in closed form; nothing of it is the package's.
+"""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A recording of somebody else's laid on the run's clock: where it was made, how sure that is, and when it is refused."""
+"""Somebody else's recording laid on the run's clock: where it was made, how sure that is, and when it is refused."""
 
 import numpy as np
 import pytest

@@ -11,8 +11,8 @@ from .plants import AxisPlant
 
 
 class SimulatedGrbl:
-    """The X axis of a board. With its homing cycle on it begins, always anew, in ALARM, and takes nothing but $H, $X and
-    questions; while it homes it answers nothing, not even "?"; a hard limit silences it until a reset; "!" holds it
+    """The X axis of a board. With its homing cycle on it begins, always anew, in ALARM, and takes nothing but $H, $X
+    and questions; while it homes it answers nothing, not even "?"; a hard limit silences it until a reset; "!" holds it
     where nothing moves, too, until "~"; jogs queue; $ settings are taken only when idle."""
 
     def __init__(self, plant: AxisPlant, clock: Clock) -> None:

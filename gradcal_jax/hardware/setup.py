@@ -413,3 +413,44 @@ def require_identity(name: str, entry: Device, identity: Identity) -> None:
             f"{name} at {entry.port} is number {identity.serial_number or '(it tells none)'}, and the rig file says "
             f"{entry.serial_number}. Connect the right device or correct the rig file."
         )
+
+
+# ----------------------------------------------------------------------------------------------------------- schema
+
+
+def with_options(schema: dict[str, Any]) -> dict[str, Any]:
+    """The JSON Schema of a rig file, with the options of every driver that is installed, this program's or not."""
+    definitions = dict(schema["$defs"])
+    roles: Mapping[str, Role] = {
+        "ChamberDevice": "chamber",
+        "AxisDevice": "axis",
+        "EncoderDevice": "axis",
+        "ImuDevice": "imu",
+    }
+    for device, role in roles.items():
+        cases: list[dict[str, Any]] = []
+        for name in driver_names(role):
+            definitions[f"options of {name}"] = _schema_of(name)
+            when = {"properties": {"driver": {"const": name}}, "required": ["driver"]}
+            cases.append({"if": when, "then": {"properties": {"options": {"$ref": f"#/$defs/options of {name}"}}}})
+        definitions[device] = {**definitions[device], "allOf": cases}
+    return {**schema, "$defs": definitions}
+
+
+def _schema_of(name: str) -> dict[str, Any]:
+    driver = _known(name)
+    hints = typing.get_type_hints(driver.config())
+    options: dict[str, Any] = {}
+    for spelt, own in option_names(name).items():
+        _, dimension, _ = _spelt(own)
+        kinds = {bool: "boolean", int: "integer", float: "number", str: "string"}
+        if dimension:
+            described = units.DIMENSIONS[dimension]
+            options[spelt] = {"type": "string", "description": f"{described.described}, such as '{described.example}'"}
+        else:
+            plain = next((k for k in kinds if k is hints[own] or k in typing.get_args(hints[own])), None)
+            options[spelt] = {} if hints[own] is Any else {"type": kinds[plain or str]}
+    for option, choices in _LINE_OPTIONS.items():
+        if driver.text or option != "terminator":
+            options.setdefault(option, {"enum": list(choices)})
+    return {"type": "object", "properties": options, "additionalProperties": False}

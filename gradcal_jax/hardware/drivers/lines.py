@@ -280,6 +280,7 @@ class LinesChamber(_Spoken):
             "ramp" in self._said.tell,
             0.0 if known.slowest is None else float(known.slowest) * 60.0,
             math.inf if known.fastest is None else float(known.fastest) * 60.0,
+            self._ramp_step(),
         )
 
     def read(self) -> ChamberReading:
@@ -367,6 +368,14 @@ class LinesChamber(_Spoken):
                 f"{self._said.title} reports {value} degC, which is not plausible. Check line and sensor."
             )
         return value
+
+    def _ramp_step(self) -> float:
+        """What the last of the decimals that a ramp is written with stands for, K/min."""
+        command = self._said.tell.get("ramp")
+        if command is None:
+            return 0.0
+        decimals = len(formatted(command.send[0], {"ramp": 1.0})[1]["ramp"].partition(".")[2])
+        return units.convert(10.0**-decimals, self._said.units.ramp, "K/min")
 
     def _check(self, temperature_c: float) -> None:
         limits = self.limits()

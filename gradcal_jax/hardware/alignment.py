@@ -294,7 +294,7 @@ def _fit(bursts: list[_Burst], noise_deg: float, jitter_s: float) -> _Fit:
     weighted = [_projected(burst, noise_deg, jitter_s) for burst in bursts]
     slopes, left = (np.concatenate(parts) for parts in zip(*weighted, strict=True))
     normal: Floats = slopes.T @ slopes
-    return _Fit(bursts, weighted, normal, np.linalg.solve(normal, slopes.T @ left))
+    return _Fit(bursts, weighted, normal, np.asarray(np.linalg.solve(normal, slopes.T @ left), np.float64))
 
 
 def _exactly(pairs: list[tuple[_Unit, Track]], middle_s: float, place: _Place) -> Alignment:

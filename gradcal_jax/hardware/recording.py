@@ -142,19 +142,14 @@ def _as_samples(
 ) -> ImuBatch:
     count = len(recorded.time_s)
     host = clock.host_time_s(recorded.time_s)
-    temperature: Floats
+    temperature = np.full(count, np.nan)
     if recorded.temperature_c is not None:
-        temperature = recorded.temperature_c[number]
-    else:
-        known = [
-            (e.time_s, float(e.data["air_c"] if e.data.get("product_c") is None else e.data["product_c"]))
-            for e in events
-            if e.name == "chamber"
-        ]
-        temperature = np.full(count, np.nan)
-        if known:
-            at_s, read_c = np.array(known).T
-            temperature = np.interp(host, at_s, read_c)
+        temperature = np.asarray(recorded.temperature_c[number], np.float64)
+    elif chamber := [event for event in events if event.name == "chamber"]:
+        at_s = np.array([event.time_s for event in chamber])
+        loads = [event.data.get("product_c") for event in chamber]
+        read_c = [float(e.data["air_c"] if load is None else load) for e, load in zip(chamber, loads, strict=True)]
+        temperature = np.interp(host, at_s, np.array(read_c))
     steps = np.diff(recorded.time_s, prepend=recorded.time_s[0])
     missing = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)
     status = np.zeros(count, np.int64) if recorded.status is None else recorded.status[number].astype(np.int64)

@@ -78,6 +78,12 @@ def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last
     whole = recording(random, motion, begins_s=-500.0, ends_s=end + 500.0, ppm=50.0)
     found = align(whole.time_s, {"x": whole.rate_dps}, {"x": track})
     assert np.abs(errors(found, whole)).max() < 4.0
+    # What turns in one and not in the other, and the other way round, counts against a place.
+    inside = (track.time_s > 98.0) & (track.time_s < end - 128.0)
+    short = Track(track.time_s[inside], track.angle_deg[inside])
+    close = recording(random, motion, begins_s=95.0, ends_s=end - 125.0, ppm=50.0)
+    found = align(close.time_s, {"x": close.rate_dps}, {"x": short})
+    assert np.abs(errors(found, close)).max() < 4.0
     middle = recording(random, motion, begins_s=0.4 * end, ends_s=0.7 * end, ppm=50.0)
     with pytest.raises(NoAlignment, match="two places"):
         align(middle.time_s, {"x": middle.rate_dps}, {"x": track})

@@ -6,10 +6,12 @@ packages cts-chamber 0.3 and julabo 2.3 make; of GRBL those of its own documents
 
 import time
 import tomllib
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from hardware_bench import aerosmith_bench, cts_bench, grbl_bench, julabo_bench, thermotron_bench
+from hardware_bench import Rig, aerosmith_bench, cts_bench, grbl_bench, julabo_bench, short_recipe, thermotron_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,8 +28,14 @@ from gradcal_jax.hardware.errors import (
     Rejected,
     ReplyTimeout,
 )
+from gradcal_jax.hardware.recording import log_of
 from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe
+from gradcal_jax.hardware.run_folder import new_folder
+from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of
+from gradcal_jax.hardware.simulate.line_chambers import SimulatedCts, SimulatedJulabo, SimulatedThermotron
+from gradcal_jax.hardware.simulate.line_tables import SimulatedAerosmith, SimulatedGrbl
+from gradcal_jax.hardware.simulate.port import SimulatedPort
 
 # Question or command -> its bytes, and the bytes of a reply with the values in it.
 ASKED: dict[str, dict[str, tuple[bytes, bytes, dict[str, str]]]] = {
@@ -168,6 +176,36 @@ def test_a_value_that_was_written_is_shown_by_itself_alone(value: float, spec: s
     assert shows(written["setpoint"], written["setpoint"])
     step = 10.0 ** -len(written["setpoint"].partition(".")[2])
     assert not shows(written["setpoint"], f"{float(written['setpoint']) + 2.0 * max(step, 1e-3):.6f}")
+
+
+# --- a whole run ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("chamber", "table"), [("thermotron-3800", "grbl"), ("cts", "aerosmith-like"), ("julabo", "grbl")]
+)
+def test_a_run_on_devices_that_are_described_alone(chamber: str, table: str, tmp_path: Path) -> None:
+    clock = VirtualClock()
+    simulated = {"thermotron-3800": SimulatedThermotron, "cts": SimulatedCts, "julabo": SimulatedJulabo}
+    tables = {"grbl": SimulatedGrbl, "aerosmith-like": SimulatedAerosmith}
+    with Rig(clock, stage=True) as lab:
+        air, axis = simulated[chamber](lab.chamber.plant, clock), tables[table](lab.axis, clock)
+        with SimulatedPort(air, clock) as at_chamber, SimulatedPort(axis, clock) as at_table:
+            entries = lab.rig.model_dump(mode="json", exclude_unset=True)
+            entries["chamber"] |= {"driver": "lines", "port": at_chamber.url, "options": {"protocol": chamber}}
+            entries["axis"][0] |= {"driver": "lines", "port": at_table.url, "options": {"protocol": table}}
+            rig = rig_of(entries)
+            made = short_recipe(changes={"rig.table.max_acceleration": "300 deg/s^2"})
+            run = new_folder(tmp_path / "run", made, rig, simulated={})
+            result = run_session(run, rig, clock, simulated=True)
+            assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
+            assert not lab.chamber.plant.conditioning
+            assert not lab.axis.moving(clock.now())
+    log = log_of(run.contents(), run.recipe(), run.rig())
+    assert log.standstill is not None
+    assert log.table_angle_rad is not None
+    assert int(log.standstill.max()) == 2 * made.motion[0].repeat
+    assert np.ptp(log.table_angle_rad) == pytest.approx(2.0 * np.pi, abs=1e-3)
 
 
 # --- the state behind the syntax --------------------------------------------------------------------------------------

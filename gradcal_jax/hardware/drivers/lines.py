@@ -246,6 +246,18 @@ class _Spoken:
             clock=self._clock,
         )
 
+    def _switch(self, name: str, state: str, on: bool) -> None:
+        """Tell "on" or "off", where the device does not show that state already, until it does."""
+        asked = self._asks_of(state)
+        if self._is(state, self._read(*asked)) is not on:
+            until_shown(
+                lambda: self._tell(name),
+                lambda: self._read(*asked),
+                lambda texts: self._is(state, texts) is on,
+                what=f"{self._said.title} {name}",
+                clock=self._clock,
+            )
+
     def _is(self, name: str, texts: Texts) -> bool:
         condition = self._said.state.get(name)
         if condition is None:
@@ -300,7 +312,7 @@ class LinesChamber(_Spoken):
         self._check(temperature_c)
         self._free_ramp()
         self._go_to(temperature_c)
-        self._switch("on", True)
+        self._switch("on", "conditioning", True)
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         if "ramp" not in self._said.tell:
@@ -317,11 +329,11 @@ class LinesChamber(_Spoken):
         shown_by = self._said.tell["ramp"].shown_by
         shown = self._tell_shown("ramp", {"ramp": units.convert(rate_k_per_min, "K/min", unit)}, shown_by)
         self._go_to(temperature_c)
-        self._switch("on", True)
+        self._switch("on", "conditioning", True)
         return units.convert(float(shown[shown_by[0]]), unit, "K/min")
 
     def standby(self) -> None:
-        self._switch("off", False)
+        self._switch("off", "conditioning", False)
         self._free_ramp()
 
     def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
@@ -349,17 +361,6 @@ class LinesChamber(_Spoken):
         shown = self._read(*command.shown_by)
         if not all(shows(str(free), shown[part]) for part in command.shown_by):
             self._tell_shown("ramp", {"ramp": free}, command.shown_by)
-
-    def _switch(self, name: str, on: bool) -> None:
-        asked = self._asks_of("conditioning")
-        if self._is("conditioning", self._read(*asked)) is not on:
-            until_shown(
-                lambda: self._tell(name),
-                lambda: self._read(*asked),
-                lambda texts: self._is("conditioning", texts) is on,
-                what=f"Conditioning {name}",
-                clock=self._clock,
-            )
 
     def _celsius(self, text: str) -> float:
         value = units.convert(float(text), self._said.units.temperature, "degC")
@@ -518,7 +519,7 @@ class LinesAxis(_Spoken):
         if policy is AxisSafe.UNPOWER:
             if "off" not in self._said.tell:
                 raise Rejected(f"The protocol of {self._said.title} cannot unpower it; choose the safe policy 'hold'.")
-            self._switch_power("off", False)
+            self._switch("off", "powered", False)
         reading = self.read()
         state = "; ".join(reading.faults) or "no faults"
         return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
@@ -553,18 +554,7 @@ class LinesAxis(_Spoken):
 
     def _power_on(self) -> None:
         if "on" in self._said.tell:
-            self._switch_power("on", True)
-
-    def _switch_power(self, name: str, on: bool) -> None:
-        asked = self._asks_of("powered")
-        if self._is("powered", self._read(*asked)) is not on:
-            until_shown(
-                lambda: self._tell(name),
-                lambda: self._read(*asked),
-                lambda texts: self._is("powered", texts) is on,
-                what=f"Power {name}",
-                clock=self._clock,
-            )
+            self._switch("on", "powered", True)
 
     def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
         """What a device keeps between moves is set before one, and put back at the end of a run."""

@@ -32,6 +32,7 @@ from gradcal_jax.cli import (
     start,
     sweep,
     timeline,
+    watch,
 )
 from gradcal_jax.cli import run as run_command
 from gradcal_jax.cli.console import complain, is_plain
@@ -44,13 +45,13 @@ A spec file says what sensor, rig and plan are. Begin with `gradcal start`, or `
 
 _FAMILIES: Final[tuple[Any, ...]] = (
     demo, start, new, check, predict, timeline, optimise, limit, frontier, sensitivity, recipe, recipes, show, rig,
-    run_command, log, instability, estimate, calibrated, report, sweep, glossary, schema,
+    run_command, watch, log, instability, estimate, calibrated, report, sweep, glossary, schema,
 )  # fmt: skip
 GROUPS: Final = (
     ("Begin", ("demo", "start", "new", "check")),
     ("Know beforehand", ("predict", "compare", "timeline", "sensitivity")),
     ("Find a plan", ("optimise", "limit", "frontier", "recipe", "show")),
-    ("Execute it", ("rig", "run", "log")),
+    ("Execute it", ("rig", "run", "watch", "log")),
     ("Calibrate", ("estimate", "apply", "validate", "export", "report")),
     ("Know a sensor's noise", ("instability", "allan")),
     ("Many at once", ("sweep", "recipes")),

@@ -91,7 +91,16 @@ def turns(
     return DONE
 
 
-def log(run: Path, /, *, output: OptionalOutput = None, unit: str | None = None, json: Json = False) -> int:
+def log(
+    run: Path,
+    /,
+    *,
+    output: OptionalOutput = None,
+    unit: str | None = None,
+    recording: Path | None = None,
+    columns: Path | None = None,
+    json: Json = False,
+) -> int:
     """Make the log of a run: samples decoded from the raw bytes, angles, temperatures, standstills.
 
     Parameters
@@ -102,13 +111,20 @@ def log(run: Path, /, *, output: OptionalOutput = None, unit: str | None = None,
         The log file (netCDF); absent: log.nc in the folder. An older log is replaced.
     unit
         Of several units on the table, the one whose log to make.
+    recording
+        What another logger recorded of the unit in this run: its clock is found by the motion.
+    columns
+        What the recording's columns mean (gradcal-columns/1); see gradcal new column-map.
     json
         Print what the log holds as JSON.
     """
     from gradcal_jax.files.log import write_log
     from gradcal_jax.hardware.execute import log as log_of
 
-    found = log_of(run, unit)
+    if columns is not None and recording is None:
+        raise ValueError("--columns says what a --recording's columns mean, and there is none")
+    recorded = None if recording is None else load(recording, Recording(columns=columns), unit=unit)
+    found = log_of(run, unit, recording=recorded)
     target = output or run / "log.nc"
     write_log(found, target)
     used, standstills = found.counts()["used"], 0 if found.standstill is None else int(found.standstill.max() + 1)

@@ -12,6 +12,8 @@ from gradcal_jax.cli.status import DONE, FAILED
 from gradcal_jax.pages.plain_text import columns
 
 if TYPE_CHECKING:
+    from gradcal_jax.files.rig import RigFile
+    from gradcal_jax.hardware.dry_run import Tried
     from gradcal_jax.hardware.setup import DeviceReport
 
 
@@ -20,6 +22,7 @@ def register(app: App) -> None:
     rig = App(name="rig", help="The rig file: which device hangs on which port, and what they say of themselves.")
     rig.command(new)
     rig.command(check)
+    rig.command(protocols)
     app.command(rig)
 
 
@@ -45,15 +48,39 @@ def new(*, output: OutputOrPrint, force: Flag = False) -> int:
     return DONE
 
 
-def check(rig: Path, /, *, json: Json = False) -> int:
-    """Ask every device of a rig who it is and what it accepts. Nothing moves.
+def protocols(name: str | None = None, /) -> int:
+    """List the devices that the driver "lines" knows, or print the description of one, to start your own from.
 
-    The exit status is 3 where a device does not answer as it should.
+    Parameters
+    ----------
+    name
+        Of which to print the description.
+    """
+    from gradcal_jax.files.line_protocol import protocol_of, protocol_text, shipped
+
+    if name is None:
+        print(columns([(one, protocol_of(one).role, protocol_of(one).title) for one in shipped()]))
+    else:
+        protocol_of(name)
+        print(protocol_text(name), end="")
+    return DONE
+
+
+def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
+    """Ask every device of a rig who it is and what it accepts. Nothing moves, unless --move is given.
+
+    With --recipe everything is tried that its run needs: a reading of each device, the rate of each unit's samples, the
+    recipe against the devices' limits; with --move each axis finds its reference, and makes its longest turn there and
+    back. The exit status is 3 where a device does not answer as it should.
 
     Parameters
     ----------
     rig
         The rig file.
+    recipe
+        Try what the run of this recipe needs.
+    move
+        Move the axes, too: somebody stands by.
     json
         Print what the devices said as JSON.
     """
@@ -61,10 +88,14 @@ def check(rig: Path, /, *, json: Json = False) -> int:
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.setup import check_each
 
+    if move and recipe is None:
+        raise ValueError("--move makes a recipe's longest moves: which recipe? Give --recipe")
     found = read_rig(rig)
     reports = check_each(found, RealClock())
+    tried = _tried(found, recipe, move) if recipe is not None and all(report.good for report in reports) else []
     if json:
-        print(as_json([_plain(asdict(report)) for report in reports]))
+        rows = [_plain(asdict(report)) for report in reports]
+        print(as_json(rows if recipe is None else {"devices": rows, "tried": [asdict(one) for one in tried]}))
     else:
         print(strong(found.title or str(rig)))
         print(columns([row for report in reports for row in _rows(report)]))
@@ -72,9 +103,28 @@ def check(rig: Path, /, *, json: Json = False) -> int:
             print(f'  when a run ends badly, axis {entry.name}: "{entry.safe}"')
         if found.chamber is not None:
             print(f'  when a run ends badly, the chamber: "{found.chamber.safe}"')
-        good = all(report.good for report in reports)
+        for one in tried:
+            print(f"  {one.name}: {one.what}" + ("" if one.good else "  NOT AS IT SHOULD BE"))
+        good = all(entry.good for entry in (*reports, *tried))
         print("every device answers as the rig file says" if good else "the rig is not ready")
-    return DONE if all(report.good for report in reports) else FAILED
+    return DONE if all(entry.good for entry in (*reports, *tried)) else FAILED
+
+
+def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":
+    from gradcal_jax.files.recipe import read_recipe
+    from gradcal_jax.hardware.binding import track_of
+    from gradcal_jax.hardware.clock import RealClock
+    from gradcal_jax.hardware.dry_run import try_for
+    from gradcal_jax.hardware.safety import put_back
+    from gradcal_jax.hardware.setup import open_rig
+
+    track = track_of(read_recipe(recipe), [axis.name for axis in rig.axis])
+    clock = RealClock()
+    with open_rig(rig, clock) as bench:
+        try:
+            return try_for(bench, track, clock, move=move)
+        finally:
+            put_back(bench)
 
 
 def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:

@@ -17,6 +17,8 @@ from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
+    from gradcal_jax.files.recipe import Recipe
+    from gradcal_jax.files.rig import RigFile
     from gradcal_jax.hardware.execute import Attended
     from gradcal_jax.hardware.runner import Progress, Runner, RunResult
     from gradcal_jax.hardware.terminal import Terminal
@@ -40,6 +42,11 @@ def run(
     speed: float | None = None,
     seed: int = 0,
     sample_rate: str = "125 Hz",
+    dry_run: Flag = False,
+    yes: Flag = False,
+    operator: str = "",
+    unit: str = "",
+    note: str = "",
     json: Json = False,
 ) -> int:
     """Execute a recipe, and leave the rig safe whatever happens.
@@ -66,6 +73,16 @@ def run(
         Of a simulated run: what its devices' hidden errors are drawn by.
     sample_rate
         Of a simulated sensor: "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
+    dry_run
+        Ask the rig's devices for their limits, print what each would be told, and stop; nothing moves.
+    yes
+        Begin without asking whether everything on the list is as it should be.
+    operator
+        Who runs it; kept in the run and its log, as are --unit and --note.
+    unit
+        Which unit is on the table.
+    note
+        Anything to remember.
     json
         Print nothing but how the run ended, as JSON.
     """
@@ -73,6 +90,10 @@ def run(
         if recipe is not None or output is not None or simulate:
             raise ValueError("--resume takes nothing but the folder: recipe, rig and simulation are those of its run")
         return _resume(resume, rig, json)
+    if dry_run:
+        if recipe is None or rig is None:
+            raise ValueError("a dry run asks the devices of a rig: gradcal run RECIPE --rig RIG --dry-run")
+        return _dry_run(recipe, rig, json)
     if recipe is None or output is None:
         raise ValueError("what to run, and where to? gradcal run RECIPE --rig RIG -o RUN/, or --simulate for --rig")
     if simulate == (rig is not None):
@@ -85,10 +106,74 @@ def run(
     rate = units.parse(sample_rate, "frequency")
     if simulate and not json:
         print(_REHEARSAL)
+    about = {name: text for name, text in (("operator", operator), ("on the table", unit), ("note", note)) if text}
+    if bench is not None and not (yes or json) and not _confirmed(found, bench, about):
+        complain("not begun: nothing was moved")
+        return INTERRUPTED
     with _Watcher(simulate, quiet=json) as watcher:
         simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate}
-        result = execute(found, output, rig=bench, **simulation, **watcher.attends())
+        result = execute(found, output, rig=bench, about=about, **simulation, **watcher.attends())
     return _say(output, result, json)
+
+
+def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
+    from gradcal_jax.files.recipe import read_recipe
+    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.hardware.binding import track_of
+    from gradcal_jax.hardware.clock import RealClock
+    from gradcal_jax.hardware.dry_run import dry_run
+    from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
+    from gradcal_jax.hardware.setup import check_each
+
+    bench = read_rig(rig)
+    track = track_of(read_recipe(recipe), [axis.name for axis in bench.axis])
+    reports = check_each(bench, RealClock())
+    chamber = next((report.limits for report in reports if isinstance(report.limits, ChamberLimits)), None)
+    axes = {report.name: report.limits for report in reports if isinstance(report.limits, AxisLimits)}
+    found = dry_run(track, chamber, axes)
+    silent = [f"{report.name}: {report.problem}" for report in reports if report.problem]
+    problems = [*silent, *found.problems]
+    if json:
+        print(as_json(asdict(found) | {"problems": problems}))
+    else:
+        for step in found.steps:
+            waits = ", once it is ready" if step.waits else ""
+            print(f"{time_text(step.begins_s)}  {step.name}, {time_text(step.duration_s)}{waits}")
+            print("".join(f"    {told}\n" for told in step.told), end="")
+        print(f"{len(found.steps)} steps, {time_text(found.duration_s)} and what they wait for")
+        for text in found.rounded:
+            print(f"rounded: {text}")
+        print("\n".join(problems) if problems else "every device accepts it; nothing was moved")
+    return FAILED if problems else DONE
+
+
+def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
+    """The list before a run. Somebody at a terminal says whether it is so; where nobody can, it is only printed."""
+    from gradcal_jax.hardware.binding import track_of
+
+    track = track_of(recipe, [axis.name for axis in rig.axis])
+    told = [course.temperature_c for step in track.steps for course in step.courses]
+    told += [step.temperature_c for step in track.steps if step.temperature_c is not None]
+    rows = [f"{name}: {text}" for name, text in about.items()]
+    rows.append(f"takes {time_text(float(round(track.duration_s)))}, and what it waits for")
+    if rig.chamber is not None and told:
+        rows.append(f"the chamber goes from {min(told):g} to {max(told):g} degC; can everything in it stand that?")
+    for axis in rig.axis:
+        moves = [move for step in track.steps for move in step.moves if move.axis == axis.name]
+        if moves:
+            fastest = max(abs(move.rate_dps) for move in moves)
+            rows.append(f"axis {axis.name} turns at up to {fastest:.4g} deg/s; is it clear, its cables long enough?")
+    safe = [f'axis {axis.name} "{axis.safe}"' for axis in rig.axis]
+    safe += [] if rig.chamber is None else [f'the chamber "{rig.chamber.safe}"']
+    rows.append("if it ends badly: " + ", ".join(safe))
+    rows.append("units: " + (", ".join(unit.name for unit in rig.imu) or "none; does its own logger record by now?"))
+    if rig.alarm is not None:
+        rows.append(f"an alarm calls: {' '.join(rig.alarm.command)}")
+    print("before it begins:\n" + "\n".join(f"  {row}" for row in rows), flush=True)
+    if not sys.stdin.isatty():
+        return True
+    print("Enter to begin, anything else to leave it: ", end="", flush=True)
+    return sys.stdin.readline() == "\n"
 
 
 def _resume(path: Path, rig: Path | None, json: bool) -> int:

@@ -32,5 +32,10 @@ def schema(
         return DONE
     if name is None:
         raise ValueError(f"which one? Known: {', '.join(schemas.names())}")
-    print(as_json(schemas.schema(name)))
+    found = schemas.schema(name)
+    if name.removeprefix("gradcal-").partition("/")[0] == "rig":
+        from gradcal_jax.hardware.setup import with_options
+
+        found = with_options(found)
+    print(as_json(found))
     return DONE

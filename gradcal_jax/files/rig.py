@@ -129,6 +129,13 @@ class TraceableReference(Section):
     due: Text | None = None
 
 
+class Alarm(Section):
+    """`[alarm]`: a program that a run calls where it pauses by itself or ends badly, as the guard does; the sentence
+    that says why is its last word. No shell reads it."""
+
+    command: Annotated[tuple[Text, ...], Field(min_length=1, max_length=20)]
+
+
 class RigFile(Section):
     """A whole rig file."""
 
@@ -137,6 +144,7 @@ class RigFile(Section):
     chamber: ChamberDevice | None = None
     axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
+    alarm: Alarm | None = None
     laboratory: Laboratory | None = None
     reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
 
@@ -214,7 +222,7 @@ title  = "my bench"
 # `gradcal rig check` reads everything back from the devices.
 
 [chamber]
-driver  = "espec"            # espec, weiss or watlow_f4
+driver  = "espec"            # espec, weiss or watlow_f4; or lines, with a protocol (see gradcal rig protocols)
 port    = "/dev/ttyUSB0"
 safe    = "standby"          # when a run ends badly: standby, hold or ambient
 ambient = "23 degC"
@@ -250,6 +258,10 @@ port   = "/dev/ttyUSB2"
 # serial_number = "N25582405002002"   # refuse any other unit
 [imu.options]
 sample_rate = "125 Hz"
+
+# What to call where a run pauses by itself or ends badly; the reason is put behind it.
+# [alarm]
+# command = ["notify-send", "gradcal"]
 
 # For `gradcal report --certificate`: who signs, and what the values are traced to.
 # [laboratory]

@@ -15,6 +15,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "spec": ("spec", "Spec"),
     "unit-spec": ("unit_spec", "UnitSpec"),
     "rig": ("rig", "RigFile"),
+    "lines": ("line_protocol", "LineProtocol"),
     "timeline": ("contracts", "Timeline"),
     "unit-timeline": ("unit_timeline", "UnitTimeline"),
     "prediction": ("contracts", "Prediction"),

@@ -85,7 +85,11 @@ class Exchange:
             tries = self._tries if repeat else 1
             for attempt in range(1, tries + 1):
                 try:
-                    return self._once(request, parse, reply_timeout_s or self._reply_timeout_s, pause_after_s)
+                    reply = self._once(request, parse, reply_timeout_s or self._reply_timeout_s, pause_after_s)
+                    if attempt > 1:
+                        # A late reply to an earlier try was taken, and the one to this try is still to come.
+                        self.transport.drain(self._settle_s)
+                    return reply
                 except (ReplyTimeout, FramingError):
                     self.disturbances += 1
                     self.transport.drain(self._settle_s)
@@ -112,8 +116,11 @@ class Exchange:
         end = time.monotonic() + reply_timeout_s
         heard = b""
         problem: FramingError | None = None
+        spoke = True
         while (left := end - time.monotonic()) > 0.0:
-            data = self.transport.read(min(left, 0.1))
+            # On a silent line virtual time goes on, from where one reading begins: a late reply has to come within it.
+            data = self.transport.read(min(left, 0.1) if spoke else left)
+            spoke = bool(data)
             heard += data
             for frame in self._framer.push(data):
                 try:

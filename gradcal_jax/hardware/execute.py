@@ -1,7 +1,8 @@
 """A recipe executed, on a rig or on simulated devices, and the log of it: what `gradcal run` and `gradcal log` do."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, TypedDict, Unpack
 
@@ -10,7 +11,7 @@ from ..files.recipe import Recipe
 from ..files.rig import TERMINAL, RigFile
 from ..files.writing import write_whole
 from .clock import RealClock, VirtualClock
-from .recording import log_of
+from .recording import log_of, log_of_recording
 from .run_folder import RunFolder, new_folder, prepare_resume
 from .runner import Progress, Runner, RunResult
 from .session import run_session
@@ -52,6 +53,7 @@ def run(
     seed: int = 0,
     speed: float | None = None,
     sample_rate_hz: float = 125.0,
+    about: Mapping[str, str] | None = None,
     **attended: Unpack[Attended],
 ) -> RunResult:
     """Execute a recipe and leave everything safe; `folder` becomes the run's, with all that was sent and received.
@@ -59,7 +61,8 @@ def run(
     Give either the `rig`, or `simulate`: then the devices are simulated, in virtual time or `speed` times faster than
     the clock, their hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz); log,
     calibration and page say so. `attended`: for whoever watches (`on_progress`, `with_runner`, `wait_when_paused`,
-    `handle_signals`), and the `terminal` at which somebody turns the axes that are turned by hand.
+    `handle_signals`), and the `terminal` at which somebody turns the axes that are turned by hand. `about`: texts by
+    name, such as operator, unit and note, kept with the run and in its log.
 
     Returns how it ended: `exit_status` "success", "stopped" or "aborted", `reason`, `steps_done`, `verified_safe`.
     Errors: `ValueError` for a folder that is not empty, for neither or both of rig and simulation, and for another
@@ -71,12 +74,12 @@ def run(
     if rig is not None:
         configs_of(rig)
         _require_somebody(rig, attended)
-        return _on_rig(new_folder(path, recipe, rig), 0, attended)
+        return _on_rig(new_folder(path, recipe, rig, about=about), 0, attended)
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; it does at {known} Hz")
     simulation = Simulation(seed=seed, speed=speed, sample_rate_hz=sample_rate_hz)
-    return _simulated(path, recipe, simulation, None, attended)
+    return _simulated(path, recipe, simulation, None, attended, about)
 
 
 def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack[Attended]) -> RunResult:
@@ -97,16 +100,21 @@ def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack
     return _on_rig(found, first, attended)
 
 
-def log(folder: str | Path, unit: str | None = None) -> Log:
+def log(folder: str | Path, unit: str | None = None, *, recording: Log | None = None) -> Log:
     """The log of a run, decoded from its journal's raw bytes: rates in rad/s, times in s, temperatures in °C, the
     table's angles in rad, standstills.
 
-    `unit`: of several units on the table, the one whose log to make. Errors: `ValueError` where the folder is not a
-    run's; `HardwareError` where the journal holds no samples of a stretch with data.
+    `unit`: of several units on the table, the one whose log to make. `recording`: what somebody else's logger recorded
+    of the unit in this run; its clock is found by the motion. Errors: `ValueError` where the folder is not a run's, or
+    the recording is not of it; `HardwareError` where the journal holds no samples of a stretch with data.
     """
     found = RunFolder(Path(folder))
-    found.notes()
-    return log_of(found.contents(), found.recipe(), found.rig(), unit)
+    about = {name: str(text) for name, text in found.notes().get("about", {}).items()}
+    if recording is not None:
+        made = log_of_recording(found.contents(), found.recipe(), found.rig(), recording, unit)
+    else:
+        made = log_of(found.contents(), found.recipe(), found.rig(), unit)
+    return replace(made, provenance={**about, **made.provenance})
 
 
 def _require_somebody(rig: RigFile, attended: Attended) -> None:
@@ -123,7 +131,12 @@ def _on_rig(folder: RunFolder, first_step: int, attended: Attended) -> RunResult
 
 
 def _simulated(
-    path: Path, recipe: Recipe, simulation: Simulation, resumed: int | None, attended: Attended
+    path: Path,
+    recipe: Recipe,
+    simulation: Simulation,
+    resumed: int | None,
+    attended: Attended,
+    about: Mapping[str, str] | None = None,
 ) -> RunResult:
     folder = RunFolder(path)
     latest = 0.0
@@ -133,7 +146,7 @@ def _simulated(
     seed, sample_rate_hz = int(simulation["seed"]), float(simulation["sample_rate_hz"])
     with SimulatedLab(recipe.spec, clock, seed=seed, sample_rate_hz=sample_rate_hz) as lab:
         if resumed is None:
-            folder = new_folder(path, recipe, lab.rig, simulated=dict(simulation))
+            folder = new_folder(path, recipe, lab.rig, simulated=dict(simulation), about=about)
             truth = json.dumps(lab.truth.tables(lab.axes), indent=2) + "\n"
             write_whole(path / "hidden_truth.json", truth)
         return run_session(folder, lab.rig, clock, first_step=resumed or 0, simulated=True, **_alone(attended))

@@ -29,13 +29,14 @@ class Framer(Protocol):
 
 class LineFramer:
     """Text lines that end at `terminator`, which is not part of the frame; None: at CR, LF or both, as a device may be
-    set. Empty lines are dropped.
+    set. Empty lines are dropped, unless `keep_empty`.
 
     A line longer than `longest` bytes is garbage: it is dropped up to the next terminator.
     """
 
-    def __init__(self, terminator: bytes | None = None, *, longest: int = 4096) -> None:
+    def __init__(self, terminator: bytes | None = None, *, longest: int = 4096, keep_empty: bool = False) -> None:
         self._terminator = terminator
+        self._keep_empty = keep_empty
         self._longest = longest
         self._buffer: bytes = b""
         self._overlong = False
@@ -56,7 +57,7 @@ class LineFramer:
         if len(self._buffer) > self._longest:
             # The tail may be the first part of a terminator of several bytes.
             self._buffer, self._overlong = self._buffer[1 - len(terminator) or len(self._buffer) :], True
-        return [line for line in lines if line and len(line) <= self._longest]
+        return [line for line in lines if (line or self._keep_empty) and len(line) <= self._longest]
 
 
 class ModbusReplyFramer:

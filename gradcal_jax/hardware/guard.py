@@ -31,6 +31,7 @@ from .errors import HardwareError, PortRefused, PortTaken
 from .journal import Journal
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, configs_of, open_rig
+from .supervision import sound_alarm
 
 Settings = dict[str, dict[str, str]]
 """What settings of devices were before the run changed them, by device and name."""
@@ -218,6 +219,8 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
     if not begun:
         return []
     why = "the run did not answer any more and was ended" if hangs else "the run is gone, or left something unsafe"
+    # The alarm first: a device that does not answer may take an hour.
+    sound_alarm(rig, f"In {folder} {why}; the guard makes the rig safe")
     return make_folder_safe(Path(), rig=rig, before=before, why=why, keep_trying_s=keep_trying_s)
 
 

@@ -49,6 +49,8 @@ _FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
     "configuration": {"device": (str,), "registers": (dict,)},
     "identity": {"device": (str,)},
     "angle": {"axis": (str,), "time_s": _NUMBER, "moving": (bool,), "position_deg": (*_NUMBER, type(None))},
+    "chamber": {"air_c": _NUMBER},
+    "track": {"axis": (str,), "time_s": _NUMBER, "position_deg": (*_NUMBER, type(None))},
     "move": {"axis": (str,)},
     "homing": {"axis": (str,)},
     "state": {"state": (str,)},

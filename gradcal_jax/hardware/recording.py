@@ -13,7 +13,7 @@ resumed, or a unit began anew, the computer tells how much later its clock goes 
 import itertools
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from ..files.log import Finding, Log, Reason
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
+from .alignment import Alignment, Track, align
 from .clockmap import ClockMap, fit_clock
 from .drivers.imu_common import join
 from .errors import HardwareError
@@ -30,7 +31,7 @@ from .journal import Chunk, Event, JournalContents
 from .roles import ImuBatch, ImuDecoder
 from .rounds import Doubt, rounds_resolved
 from .run_folder import SESSION, exit_status, rig_as_run
-from .setup import DRIVERS, config_of
+from .setup import config_of, driver_of
 
 _MARGIN_S: Final = 0.02
 # Stamps of samples are late by what unit, adapter and system take, nobody knows how much; a row too few at rest costs
@@ -80,8 +81,98 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
         raise HardwareError(
             "The journal holds no samples of a stretch with data: the run ended before its first stretch began."
         )
-    provenance = _provenance(parts, found, recipe, device, exit_status(contents))
-    return _joined(parts, _labels(axes, recipe, rig), device, provenance, aside)
+    provenance = _provenance(parts, found, recipe, (device.name, device.driver), exit_status(contents))
+    return _joined(parts, _labels(axes, recipe, rig), device.serial_number or device.name, provenance, aside)
+
+
+def log_of_recording(contents: JournalContents, recipe: Recipe, rig: RigFile, recorded: Log, unit: str | None) -> Log:
+    """The log of a unit that somebody else recorded, with the run's table and chamber.
+
+    Each part of the run is laid on the recording by the motion (`alignment`). Temperatures are the recording's own, or
+    else the chamber's. Raises `HardwareError` where the run has no stretch with data, `NoAlignment` (a `ValueError`)
+    where the recording does not show the run's motion.
+    """
+    rig = rig_as_run(contents, rig)
+    number = recorded.unit_index(unit or 0)
+    found = _sessions(contents)
+    axes = _axes_of(found, [axis.name for axis in rig.axis])
+    labels = _labels(axes, recipe, rig)
+    rates = {axis: np.degrees(recorded.rate_rad_per_s[number, :, k]) for k, axis in enumerate(recorded.axes)}
+    if len(labels) == len(rates) == 1:
+        # Each has one axis only, whatever it is called.
+        rates = dict(zip(labels, rates.values(), strict=True))
+    parts: list[_Part] = []
+    laid: list[Alignment] = []
+    for session in found:
+        if _stretches(session.events):
+            tracks = {label: _track(session.events, axis) for axis, label in zip(axes, labels, strict=True)}
+            laid.append(align(recorded.time_s, rates, tracks))
+            samples = _as_samples(recorded, number, rates, laid[-1], session.events)
+            part = _laid(session, samples, _clock_of(laid[-1]), axes, recorded.sample_interval_s)
+            parts += [part] if isinstance(part, _Part) else []
+    if not parts:
+        raise HardwareError("The recording holds no samples of a stretch of the run with data.")
+    who = recorded.units[number]
+    provenance = _provenance(parts, found, recipe, (who, "recorded elsewhere"), exit_status(contents))
+    provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in laid)
+    log = _joined(parts, labels, who, provenance, 0, tuple(rates))
+    message = "; ".join(
+        f"the recording's clock is known by {one.readings} readings of {one.bursts} turns to {one.offset_std_s:.2g} s "
+        f"and {1e6 * one.rate_std:.2g} ppm (1σ), delays of the table's readings not reckoned"
+        for one in laid
+    )
+    return replace(log, findings=(*log.findings, Finding("clock found by the motion", "keep", 0, message)))
+
+
+def _track(events: Sequence[Event], axis: str) -> Track:
+    """Everything that was read of an axis's angle, in order."""
+    rows = [
+        (float(e.data["time_s"]), float(e.data["position_deg"]))
+        for e in events
+        if e.name in ("angle", "track") and e.data["axis"] == axis and e.data["position_deg"] is not None
+    ]
+    times, angles = np.array(sorted(rows)).reshape(-1, 2).T
+    # What stands twice in the journal was read once; homing, which may count anew, is before all data.
+    first = np.append(True, np.diff(times) > 0.0)[: len(times)]
+    return Track(times[first], angles[first])
+
+
+def _as_samples(
+    recorded: Log, number: int, rates: Mapping[str, Floats], clock: Alignment, events: Sequence[Event]
+) -> ImuBatch:
+    count = len(recorded.time_s)
+    host = clock.host_time_s(recorded.time_s)
+    temperature = np.full(count, np.nan)
+    if recorded.temperature_c is not None:
+        temperature = np.asarray(recorded.temperature_c[number], np.float64)
+    elif chamber := [event for event in events if event.name == "chamber"]:
+        at_s = np.array([event.time_s for event in chamber])
+        loads = [event.data.get("product_c") for event in chamber]
+        read_c = [float(e.data["air_c"] if load is None else load) for e, load in zip(chamber, loads, strict=True)]
+        temperature = np.interp(host, at_s, np.array(read_c))
+    steps = np.diff(recorded.time_s, prepend=recorded.time_s[0])
+    missing = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)
+    status = np.zeros(count, np.int64) if recorded.status is None else recorded.status[number].astype(np.int64)
+    none = np.zeros(count, bool)
+    return ImuBatch(
+        host,
+        recorded.time_s,
+        np.stack(list(rates.values()), axis=-1),
+        np.full((count, 3), np.nan),
+        np.repeat(temperature[:, None], 3, axis=1),
+        np.zeros((count, 3), np.int32),
+        status,
+        missing,
+        none,
+        none,
+    )
+
+
+def _clock_of(found: Alignment) -> ClockMap:
+    """As the line of a stream's clock: rows at both ends of a rest are left away by five sigmas."""
+    offset_s = found.offset_s - found.rate * found.middle_s
+    std_s = found.offset_std_s
+    return ClockMap(offset_s, found.rate, found.rate_std, std_s, 5.0 * std_s, found.readings, 0)
 
 
 def _device(rig: RigFile, unit: str | None) -> ImuDevice:
@@ -141,9 +232,9 @@ class _Part:
     starts: list[int]
     read: int
     missing: int
-    doubts: tuple[tuple[float, Doubt], ...]
-    restarted: bool
-    round_samples: int
+    doubts: tuple[tuple[float, Doubt], ...] = ()
+    restarted: bool = False
+    round_samples: int = 0
     bad_bytes: int = 0
     repeated: int = 0
 
@@ -174,15 +265,29 @@ def _part(
     session: _Session, decoder: ImuDecoder, samples: ImuBatch, axes: Sequence[str], *, restarted: bool
 ) -> _Part | int:
     """What a unit gave from its start on; where that is nothing, the number of its samples."""
-    stretches = _stretches(session.events)
-    if not stretches or len(np.unique(samples.host_time_s)) < _FEWEST_ARRIVALS:
+    if not _stretches(session.events) or len(np.unique(samples.host_time_s)) < _FEWEST_ARRIVALS:
         return len(samples)
     samples, doubts = rounds_resolved(samples, decoder.round_samples, decoder.sample_s)
     resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
     clock = fit_clock(samples.device_time_s, samples.host_time_s, resolution_s=resolution_s)
+    part = _laid(session, samples, clock, axes, decoder.sample_s)
+    if not isinstance(part, _Part):
+        return part
+    begins_s = float(part.host_s[0])
+    host = clock.host_time_s(samples.device_time_s)
+    return replace(
+        part,
+        doubts=tuple((float(host[doubt.row] - begins_s), doubt) for doubt in doubts),
+        restarted=restarted,
+        round_samples=decoder.round_samples,
+    )
+
+
+def _laid(session: _Session, samples: ImuBatch, clock: ClockMap, axes: Sequence[str], sample_s: float) -> _Part | int:
+    """The samples in stretches with data, with what the table did; where there are none, how many samples."""
     host = clock.host_time_s(samples.device_time_s)
     kept = np.zeros(len(samples), bool)
-    for start, end in stretches:
+    for start, end in _stretches(session.events):
         kept |= (host > start) & (host <= end)
     rows = np.flatnonzero(kept)
     if len(rows) < 2:
@@ -197,7 +302,7 @@ def _part(
     # that much.
     unsure_s = clock.residual_max_s
     for place, (start, end) in enumerate(standing):
-        begun, over = start + _SETTLED_S + decoder.sample_s + unsure_s, end - _MARGIN_S - unsure_s
+        begun, over = start + _SETTLED_S + sample_s + unsure_s, end - _MARGIN_S - unsure_s
         first, last = np.searchsorted(at_s, [begun, over])
         number[first : max(first, last)] = place
     angles = (
@@ -220,9 +325,6 @@ def _part(
         [int(start) for start in starts],
         len(samples),
         int(np.maximum(missing[1:], 0).sum()),
-        tuple((float(host[doubt.row] - host[rows[0]]), doubt) for doubt in doubts),
-        restarted,
-        decoder.round_samples,
     )
 
 
@@ -236,7 +338,9 @@ def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
     if said is None:
         return None
     config = config_of(device, "imu", ("imu", device.name))
-    return DRIVERS[device.driver].load().decoder_of(config, said.data["registers"])
+    driver = driver_of(device.driver)
+    assert driver is not None
+    return driver.load().decoder_of(config, said.data["registers"])
 
 
 def _breaks_off(event: Event) -> bool:
@@ -334,7 +438,12 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
 
 
 def _joined(
-    parts: Sequence[_Part], labels: tuple[str, ...], device: ImuDevice, provenance: dict[str, str], aside: int
+    parts: Sequence[_Part],
+    labels: tuple[str, ...],
+    unit: str,
+    provenance: dict[str, str],
+    aside: int,
+    axes: tuple[str, ...] = ("x", "y", "z"),
 ) -> Log:
     times: list[Floats] = []
     standstills: list[NDArray[np.int64]] = []
@@ -355,8 +464,8 @@ def _joined(
     return Log(
         time_s=np.concatenate(times),
         rate_rad_per_s=np.radians(samples.gyro_dps)[None],
-        units=(device.serial_number or device.name,),
-        axes=("x", "y", "z"),
+        units=(unit,),
+        axes=axes,
         temperature_c=samples.temperature_c.mean(axis=1)[None],
         table_axes=labels,
         table_angle_rad=np.radians(np.concatenate([part.angles_deg for part in parts])) if labels else None,
@@ -440,7 +549,7 @@ def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
 
 
 def _provenance(
-    parts: Sequence[_Part], sessions: Sequence[_Session], recipe: Recipe, device: ImuDevice, status: str
+    parts: Sequence[_Part], sessions: Sequence[_Session], recipe: Recipe, unit: tuple[str, str], status: str
 ) -> dict[str, str]:
     first_rows = itertools.accumulate((len(part.host_s) for part in parts[:-1]), initial=0)
     said: dict[str, Any] = {
@@ -448,8 +557,8 @@ def _provenance(
         "title": recipe.title or "",
         "run": status,
         "sessions": len(sessions),
-        "unit": device.name,
-        "driver": device.driver,
+        "unit": unit[0],
+        "driver": unit[1],
         "simulated": "the devices were simulated" if any(p.session.simulated for p in parts) else "no",
         "clock_from_row": ", ".join(str(row) for row in first_rows),
         "clock_rate_error": ", ".join(f"{part.clock.rate_error:.3e}" for part in parts),

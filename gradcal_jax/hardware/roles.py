@@ -44,7 +44,7 @@ class AxisSafe(Enum):
 
 @dataclass(frozen=True)
 class ChamberLimits:
-    """What the chamber itself says it accepts."""
+    """What the chamber itself says it accepts. Ramps are made in steps of a rate, or of a whole time, where not 0."""
 
     lowest_c: float
     highest_c: float
@@ -52,6 +52,8 @@ class ChamberLimits:
     hardware_ramp: bool
     slowest_ramp_k_per_min: float = 0.0
     fastest_ramp_k_per_min: float = float("inf")
+    ramp_step_k_per_min: float = 0.0
+    ramp_step_s: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """The folder of a run: recipe and rig as executed, the journal, and what resuming needs to know.
 
     recipe.toml, rig.toml    as they were when the run began
-    run.json                 when, by which version, simulated or not, the recipe's fingerprint, the rig
+    run.json                 when, by which version, simulated or not, the recipe's fingerprint, the rig, who and what
+    status.json              how the run stands, or ended (see `supervision`)
     journal                  raw bytes and events of the run and of every resumed part of it
     hidden_truth.json        of a simulated run: what the calibration is to find
 
@@ -11,6 +12,7 @@ lost (killed, or the power failed); the next session says so.
 
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +28,7 @@ from .setup import Bench, check_rig
 
 FORMAT: Final = "gradcal-run/1"
 SESSION: Final = "session"
-_FILES: Final = frozenset({"journal", "recipe.toml", "rig.toml", "run.json", "hidden_truth.json"})
+_FILES: Final = frozenset({"journal", "recipe.toml", "rig.toml", "run.json", "hidden_truth.json", "status.json"})
 
 
 class RunFolderError(ValueError):
@@ -66,8 +68,15 @@ class RunFolder:
         return read_journal(self.journal_path)
 
 
-def new_folder(path: Path, recipe: Recipe, rig: RigFile, *, simulated: dict[str, Any] | None = None) -> RunFolder:
-    """Make the folder of a new run, or take that of a run that never began.
+def new_folder(
+    path: Path,
+    recipe: Recipe,
+    rig: RigFile,
+    *,
+    simulated: dict[str, Any] | None = None,
+    about: Mapping[str, str] | None = None,
+) -> RunFolder:
+    """Make the folder of a new run, or take that of a run that never began. `about` is kept with it: who, what, notes.
 
     Raises `RunFolderError` where a run's folder is there already, or something else; `HardwareError`, before anything
     is made, where the rig lacks an axis that the recipe turns.
@@ -97,6 +106,7 @@ def new_folder(path: Path, recipe: Recipe, rig: RigFile, *, simulated: dict[str,
         "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "simulated": simulated is not None,
         "simulation": simulated,
+        "about": dict(about or {}),
     }
     write_whole(path / "run.json", json.dumps(notes, indent=2) + "\n")
     return folder

@@ -92,6 +92,10 @@ class Progress:
     track_left_s: float
     chamber: ChamberReading | None
     axes: Mapping[str, AxisReading]
+    course_c: tuple[float, float] | None = None
+    """The lowest and the highest that the recipe allows the air now, but for the band."""
+    samples: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
+    """Of each unit: received, and missing between them."""
 
 
 class _Interrupted(Exception):
@@ -121,10 +125,12 @@ class _Losses:
     def __init__(self, decoder: ImuDecoder, sample_rate_hz: float) -> None:
         self._decoder, self._sample_rate_hz = decoder, sample_rate_hz
         self._found: deque[tuple[float, int, bool]] = deque(maxlen=1 << 16)
+        self.received = self.missing = 0
 
     def push(self, data: bytes, time_s: float) -> None:
         batch = self._decoder.push(data, time_s)
         missing, restarted = int(batch.gap_before.sum()), bool(batch.restarted.any())
+        self.received, self.missing = self.received + len(batch), self.missing + missing
         if missing or restarted:
             self._found.append((time_s, missing, restarted))
 
@@ -156,6 +162,7 @@ class Runner:
     clock: Clock
     interlocks: Interlocks = field(default_factory=standard_rules)
     on_progress: Callable[[Progress], None] | None = None
+    on_alarm: Callable[[str], None] | None = None
     chamber_every_s: float = 5.0
     safe_deadline_s: float = 60.0
     wait_when_paused: bool = True
@@ -168,7 +175,13 @@ class Runner:
         self._duty: ChamberDuty | None = None
         if self.bench.chamber is not None:
             self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
-        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, self.interlocks.limits.latest_s)
+        self._axes = AxesDuty(
+            self.bench.axes,
+            self.clock,
+            self._event,
+            self.interlocks.limits.latest_s,
+            keep_track=not self.bench.imus,
+        )
         self._imu_heard_s: dict[str, float] = {}
         self._losses: dict[str, _Losses] = {}
         self._unconfirmed: list[_Executed] = []
@@ -229,6 +242,9 @@ class Runner:
             for name, problem in put_back(self.bench).items():
                 self._event("settings put back", quietly=True, device=name, problem=problem)
             good = all(outcome.verified for outcome in outcomes)
+            if self.on_alarm is not None and not (good and status != "aborted"):
+                unsafe = ", ".join(outcome.name for outcome in outcomes if not outcome.verified)
+                self.on_alarm(f"The run was {status}: {reason}" + (f" NOT VERIFIED SAFE: {unsafe}" if unsafe else ""))
             self._event("end", quietly=True, exit_status=status, reason=reason, verified_safe=good)
         return RunResult(status, reason, outcomes, self._steps_done)
 
@@ -542,6 +558,8 @@ class Runner:
         self._event("interlock", rule=rule.name, action=rule.action, text=text)
         if rule.action == "abort" or not self.wait_when_paused or self.state is State.IDLE:
             raise _Ended("aborted", f"Interlock '{rule.name}': {text}.")
+        if self.on_alarm is not None:
+            self.on_alarm(f"The run is paused. Interlock '{rule.name}': {text}.")
         self._stop_and_pause()
 
     def _stop_and_pause(self) -> None:
@@ -589,8 +607,14 @@ class Runner:
         step = steps[min(done, len(steps) - 1)]
         left = max(0.0, end_s - self.clock.now()) if end_s is not None else None
         ahead = sum(s.duration_s for s in steps[done + (left is not None) :]) + (left or 0.0)
-        newest = None if self._duty is None else self._duty.newest
-        self.on_progress(Progress(self.state, step.name, done, len(steps), left, ahead, newest, self._axes.newest))
+        duty, lag_s = self._duty, self.interlocks.limits.temperature_lag_s
+        newest, course_c = (
+            (None, None) if duty is None else (duty.newest, duty.expected.of_late(self.clock.now(), lag_s))
+        )
+        samples = {name: (losses.received, losses.missing) for name, losses in self._losses.items()}
+        self.on_progress(
+            Progress(self.state, step.name, done, len(steps), left, ahead, newest, self._axes.newest, course_c, samples)
+        )
 
     # ---------------------------------------------------------------------------------------------------------- end
 

@@ -23,6 +23,7 @@ from .journal import Journal
 from .run_folder import RunFolder, begin_session, require_same_devices, sessions
 from .runner import Progress, Runner, RunResult, State
 from .setup import open_rig
+from .supervision import StatusFile, sound_alarm
 from .terminal import Terminal
 from .transcript import Recorder
 
@@ -73,13 +74,21 @@ def run_session(
         if resumed is not None and number:
             with clock.party():
                 require_same_devices(bench, resumed)
+        status = stack.enter_context(StatusFile(folder.path, simulated=simulated))
+
+        def show(progress: Progress) -> None:
+            status.show(progress)
+            if on_progress is not None:
+                on_progress(progress)
+
         runner = Runner(
             track,
             bench,
             journal,
             clock,
             interlocks or standard_rules(_limits_of(rig)),
-            on_progress,
+            show,
+            None if rig.alarm is None else partial(sound_alarm, rig),
             safe_deadline_s=safe_deadline_s,
             wait_when_paused=wait_when_paused,
             first_step=first_step,
@@ -92,6 +101,7 @@ def run_session(
             watched.begun()
             stack.enter_context(_beating(watched, runner, journal, clock))
         result = runner.run()
+        status.end(result)
         if watched is not None and result.verified_safe:
             watched.done()
         return result

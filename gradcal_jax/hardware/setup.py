@@ -12,6 +12,7 @@ import typing
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from importlib.metadata import entry_points
 from typing import Any, Final, Literal
 
 from .. import units
@@ -29,11 +30,20 @@ Role = Literal["chamber", "axis", "imu"]
 Device = ChamberDevice | AxisDevice | ImuDevice
 
 
+ENTRY_POINTS: Final = "gradcal.drivers"
+"""The group of entry points by which other packages bring drivers: each names a `Driver`."""
+
+
 @dataclass(frozen=True)
 class Driver:
-    """Where a driver lives. A new one is a module beside the others and a line in `DRIVERS`."""
+    """Where a driver lives: its module, and the names of its device's and its configuration's class in it.
 
-    role: Role
+    Besides, the module has `open_exchange(line, clock, config)`, or, of a unit, `decoder_of(config, registers)`. A new
+    one is a module beside the others and a line in `DRIVERS`, or another package's entry point.
+    """
+
+    role: Role | None
+    """None: what its configuration says."""
     module: str
     device_class: str
     config_class: str
@@ -41,22 +51,69 @@ class Driver:
     """Whether its messages are lines, whose end may be a setting of the device."""
 
     def load(self) -> types.ModuleType:
-        return importlib.import_module(f"{__package__}.drivers.{self.module}")
+        return importlib.import_module(self.module)
 
     def config(self) -> type[Any]:
         return getattr(self.load(), self.config_class)
 
 
+_HERE: Final = f"{__package__}.drivers"
 DRIVERS: Final[Mapping[str, Driver]] = {
-    "espec": Driver("chamber", "espec", "EspecChamber", "EspecConfig"),
-    "weiss": Driver("chamber", "weiss", "WeissChamber", "WeissConfig"),
-    "watlow_f4": Driver("chamber", "watlow_f4", "WatlowF4Chamber", "WatlowF4Config", text=False),
-    "zaber": Driver("axis", "zaber", "ZaberAxis", "ZaberConfig"),
-    "odrive": Driver("axis", "odrive", "ODriveAxis", "ODriveConfig"),
-    OPERATOR: Driver("axis", "operator", "OperatorAxis", "OperatorConfig"),
-    "stim300": Driver("imu", "stim300", "Stim300Stream", "Stim300Config"),
-    "vectornav": Driver("imu", "vectornav", "VectorNavStream", "VectorNavConfig"),
+    "espec": Driver("chamber", f"{_HERE}.espec", "EspecChamber", "EspecConfig"),
+    "weiss": Driver("chamber", f"{_HERE}.weiss", "WeissChamber", "WeissConfig"),
+    "watlow_f4": Driver("chamber", f"{_HERE}.watlow_f4", "WatlowF4Chamber", "WatlowF4Config", text=False),
+    "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig", text=False),
+    "zaber": Driver("axis", f"{_HERE}.zaber", "ZaberAxis", "ZaberConfig"),
+    "odrive": Driver("axis", f"{_HERE}.odrive", "ODriveAxis", "ODriveConfig"),
+    OPERATOR: Driver("axis", f"{_HERE}.operator", "OperatorAxis", "OperatorConfig"),
+    "stim300": Driver("imu", f"{_HERE}.stim300", "Stim300Stream", "Stim300Config"),
+    "vectornav": Driver("imu", f"{_HERE}.vectornav", "VectorNavStream", "VectorNavConfig"),
 }
+"""The drivers that come with this program; `driver_of` knows those of other packages, too."""
+
+
+def driver_names(role: Role) -> list[str]:
+    """The drivers that a device of a role may have. Those from outside are imported for it."""
+    outside = sorted({entry.name for entry in entry_points(group=ENTRY_POINTS)} - set(DRIVERS))
+    found = {**DRIVERS, **{name: driver_of(name) for name in outside}}
+    return [name for name, driver in found.items() if driver is not None and _fits(driver, role)]
+
+
+def driver_of(name: str) -> Driver | None:
+    """A driver by its name in the rig file: one of this program's, which nobody can replace, or another package's.
+
+    Raises `ValueError` where two packages bring one of this name, or where it cannot be loaded.
+    """
+    if name in DRIVERS:
+        return DRIVERS[name]
+    entries = list(entry_points(group=ENTRY_POINTS, name=name))
+    if not entries:
+        return None
+    where = " and ".join(sorted(str(entry.dist.name if entry.dist else entry.value) for entry in entries))
+    if len(entries) > 1:
+        raise ValueError(f"several packages bring a driver of this name: {where}; uninstall all but one")
+    try:
+        driver = entries[0].load()
+    except Exception as problem:
+        message = (
+            f"the driver of this name in the package {where} cannot be loaded: {type(problem).__name__}: {problem}"
+        )
+        raise ValueError(message) from None
+    if not isinstance(driver, Driver):
+        raise ValueError(f"the package {where} names {entries[0].value} as a driver, which is no `setup.Driver`")
+    return driver
+
+
+def _known(name: str) -> Driver:
+    """Of a device whose options have been read before."""
+    driver = driver_of(name)
+    assert driver is not None
+    return driver
+
+
+def _fits(driver: Driver, role: Role) -> bool:
+    return driver.role == role or (driver.role is None and role != "imu")
+
 
 # Ending of a field's name -> dimension of its text, unit of its number. Longest first.
 _UNITS: Final = (
@@ -84,7 +141,7 @@ _TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
 
 def option_names(driver: str) -> dict[str, str]:
     """The options of a driver as the file spells them -> the fields of its configuration."""
-    return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(DRIVERS[driver].config())}
+    return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(_known(driver).config())}
 
 
 def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int, ...]) -> Any:
@@ -93,9 +150,12 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
     Raises:
         SpecError: no such driver, a driver of another role, unknown options, wrong values; all at once, with keys.
     """
-    driver = DRIVERS.get(device.driver)
-    if driver is None or driver.role != role:
-        fitting = [name for name, entry in DRIVERS.items() if entry.role == role]
+    try:
+        driver = driver_of(device.driver)
+    except ValueError as problem:
+        raise SpecError([Problem((*place, "driver"), str(problem), device.driver)]) from None
+    if driver is None or not _fits(driver, role):
+        fitting = driver_names(role)
         close = nearest(device.driver, fitting)
         ending = f'; nearest: "{close}"' if close else ""
         raise SpecError([Problem((*place, "driver"), f"expected {one_of(fitting)}{ending}", device.driver)])
@@ -121,7 +181,12 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
             problems.append(Problem(key, str(problem), value))
     if not problems:
         try:
-            return config(**values)
+            made = config(**values)
+            if driver.role is not None or made.role == role:
+                return made
+            problems.append(Problem((*place, "options", "protocol"), f"describes an {made.role}; expected a {role}"))
+        except SpecError as error:
+            problems += [problem.under(*place, "options", "protocol") for problem in error.problems]
         except ValueError as problem:
             problems.append(Problem((*place, "options"), str(problem)))
     raise SpecError(problems)
@@ -152,6 +217,8 @@ def _spelt(name: str) -> tuple[str, str, str]:
 
 
 def _value(value: object, name: str, hint: Any) -> object:
+    if hint is Any:
+        return value
     _, dimension, unit = _spelt(name)
     plain = next((kind for kind in (bool, int, float, str) if kind is hint or kind in typing.get_args(hint)), str)
     if dimension:
@@ -231,7 +298,8 @@ def open_rig(
             line = terminal or Terminal()
             line.clock, line.recorder = clock, recorder
         else:
-            settings: dict[str, Any] = {name: device.options[name] for name in _LINE_OPTIONS if name in device.options}
+            settings: dict[str, Any] = dict(getattr(config, "line_settings", {}))
+            settings |= {name: device.options[name] for name in _LINE_OPTIONS if name in device.options}
             if "terminator" in settings:
                 settings["terminator"] = _TERMINATORS[settings["terminator"]]
             settings["baudrate"] = config.baudrate
@@ -240,16 +308,18 @@ def open_rig(
         return line
 
     def axis_or_chamber(device: Device | EncoderDevice, config: Any, *more: Any) -> Any:
-        module = DRIVERS[device.driver].load()
+        driver = _known(device.driver)
+        module = driver.load()
         if device.port not in exchanges:
             exchanges[device.port] = module.open_exchange(opened(device, config), clock, config)
-        return getattr(module, DRIVERS[device.driver].device_class)(exchanges[device.port], config, *more)
+        return getattr(module, driver.device_class)(exchanges[device.port], config, *more)
 
     try:
         for _, place, device in _devices(rig):
             config = configs[place]
             if isinstance(device, ImuDevice):
-                make = getattr(DRIVERS[device.driver].load(), DRIVERS[device.driver].device_class)
+                driver = _known(device.driver)
+                make = getattr(driver.load(), driver.device_class)
                 bench.imus[device.name] = make(opened(device, config), clock, config)
             elif isinstance(device, ChamberDevice):
                 bench.chamber = axis_or_chamber(device, config)
@@ -343,3 +413,44 @@ def require_identity(name: str, entry: Device, identity: Identity) -> None:
             f"{name} at {entry.port} is number {identity.serial_number or '(it tells none)'}, and the rig file says "
             f"{entry.serial_number}. Connect the right device or correct the rig file."
         )
+
+
+# ----------------------------------------------------------------------------------------------------------- schema
+
+
+def with_options(schema: dict[str, Any]) -> dict[str, Any]:
+    """The JSON Schema of a rig file, with the options of every driver that is installed, this program's or not."""
+    definitions = dict(schema["$defs"])
+    roles: Mapping[str, Role] = {
+        "ChamberDevice": "chamber",
+        "AxisDevice": "axis",
+        "EncoderDevice": "axis",
+        "ImuDevice": "imu",
+    }
+    for device, role in roles.items():
+        cases: list[dict[str, Any]] = []
+        for name in driver_names(role):
+            definitions[f"options of {name}"] = _schema_of(name)
+            when = {"properties": {"driver": {"const": name}}, "required": ["driver"]}
+            cases.append({"if": when, "then": {"properties": {"options": {"$ref": f"#/$defs/options of {name}"}}}})
+        definitions[device] = {**definitions[device], "allOf": cases}
+    return {**schema, "$defs": definitions}
+
+
+def _schema_of(name: str) -> dict[str, Any]:
+    driver = _known(name)
+    hints = typing.get_type_hints(driver.config())
+    options: dict[str, Any] = {}
+    for spelt, own in option_names(name).items():
+        _, dimension, _ = _spelt(own)
+        kinds = {bool: "boolean", int: "integer", float: "number", str: "string"}
+        if dimension:
+            described = units.DIMENSIONS[dimension]
+            options[spelt] = {"type": "string", "description": f"{described.described}, such as '{described.example}'"}
+        else:
+            plain = next((k for k in kinds if k is hints[own] or k in typing.get_args(hints[own])), None)
+            options[spelt] = {} if hints[own] is Any else {"type": kinds[plain or str]}
+    for option, choices in _LINE_OPTIONS.items():
+        if driver.text or option != "terminator":
+            options.setdefault(option, {"enum": list(choices)})
+    return {"type": "object", "properties": options, "additionalProperties": False}

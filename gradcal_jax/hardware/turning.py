@@ -36,11 +36,20 @@ Tell = Callable[..., None]
 class AxesDuty:
     """Tells the axes their moves and remembers what they say. One thread, the run's own."""
 
-    def __init__(self, axes: Mapping[str, MotionAxis], clock: Clock, event: Tell, latest_s: float = 1.0) -> None:
+    def __init__(
+        self,
+        axes: Mapping[str, MotionAxis],
+        clock: Clock,
+        event: Tell,
+        latest_s: float = 1.0,
+        *,
+        keep_track: bool = False,
+    ) -> None:
         self._axes = axes
         self._clock = clock
         self._event = event
         self._latest_s = latest_s
+        self._keep_track = keep_track
         self._goal_deg: dict[str, float] = {}
         # What ends by itself: when to look next; and when it was to end, of those that are turned by hand.
         self._turning: dict[str, float] = {}
@@ -118,7 +127,11 @@ class AxesDuty:
             self._read(name)
 
     def watch(self) -> None:
-        """Read the rates of axes that have a motor, oftener where they move; these readings are no events."""
+        """Read the rates of axes that have a motor, oftener where they move.
+
+        These readings are events only where the track is to be kept: by it somebody else's recording is laid on the
+        run's clock.
+        """
         now = self._clock.now()
         for name in self._axes:
             under_way = name in self._turning or name in self._spinning
@@ -127,6 +140,9 @@ class AxesDuty:
             if self._limits_of(name).by_hand or (last is not None and now - last.time_s < every_s):
                 continue
             reading = self.newest[name] = self._axes[name].read()
+            if self._keep_track:
+                place = {"time_s": reading.time_s, "position_deg": reading.position_deg}
+                self._event("track", at_once=False, axis=name, **place)
             asked_dps, runs_s = self._spins.get(name, (0.0, math.inf))
             off = reading.time_s > runs_s and abs(reading.rate_dps - asked_dps) > _off(asked_dps)
             self._off_rate[name] = self._off_rate.get(name, 0) + 1 if off else 0

@@ -40,6 +40,7 @@ ARGUMENTS = {
     "sweep": "FILE -o OUT",
     "timeline": "FILE",
     "validate": "FILE FILE",
+    "watch": "FILE",
 }
 # These print words alone.
 WITHOUT_NUMBERS = {"glossary", "new", "rig", "schema", "start"}

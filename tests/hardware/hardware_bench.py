@@ -10,8 +10,10 @@ from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, weiss, zaber
+from gradcal_jax.hardware.drivers import espec, lines, odrive, stim300, vectornav, watlow_f4, weiss, zaber
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
+from gradcal_jax.hardware.simulate.line_chambers import SimulatedCts, SimulatedJulabo, SimulatedThermotron
+from gradcal_jax.hardware.simulate.line_tables import SimulatedAerosmith, SimulatedGrbl
 from gradcal_jax.hardware.simulate.odrive import ODriveOptions, SimulatedODrive
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
@@ -79,6 +81,38 @@ def f4_bench(
     )
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
         yield watlow_f4.WatlowF4Chamber(watlow_f4.open_exchange(transport, clock, config), config), device, port
+
+
+def _lines_bench(protocol: str, simulated: Any, plant_of: Any) -> Any:
+    @contextmanager
+    def bench(
+        clock: Clock,
+        options: dict[str, Any] | None = None,
+        config: lines.LinesConfig | None = None,
+        truth: Any = None,
+        **port_options: Any,
+    ) -> Iterator[tuple[Any, Any, SimulatedPort]]:
+        device = simulated(plant_of(truth, clock), clock, **(options or {}))
+        config = config or lines.LinesConfig(protocol=protocol, reply_timeout_s=0.2, home_timeout_s=2.0)
+        with served(device, clock, config.baudrate, **port_options) as (port, transport):
+            yield lines.lines_device(lines.open_exchange(transport, clock, config), config), device, port
+
+    return bench
+
+
+def _chamber(truth: ChamberTruth | None, clock: Clock) -> ChamberPlant:
+    return ChamberPlant(truth or ChamberTruth(), clock.now())
+
+
+def _axis(truth: AxisTruth | None, clock: Clock) -> AxisPlant:
+    return AxisPlant(truth, clock.now())
+
+
+thermotron_bench = _lines_bench("thermotron-3800", SimulatedThermotron, _chamber)
+cts_bench = _lines_bench("cts", SimulatedCts, _chamber)
+julabo_bench = _lines_bench("julabo", SimulatedJulabo, _chamber)
+grbl_bench = _lines_bench("grbl", SimulatedGrbl, _axis)
+aerosmith_bench = _lines_bench("aerosmith-like", SimulatedAerosmith, _axis)
 
 
 @contextmanager

@@ -3,14 +3,26 @@
 The vendor's old client zaber.serial, which shares nothing with this package, checks the simulated stage.
 """
 
+from typing import Any
+
 import numpy as np
 import pytest
 import zaber.serial
-from hardware_bench import odrive_bench, sensor_on_table, served, stim300_bench, vectornav_bench, zaber_bench
+from hardware_bench import (
+    aerosmith_bench,
+    grbl_bench,
+    odrive_bench,
+    sensor_on_table,
+    served,
+    stim300_bench,
+    vectornav_bench,
+    zaber_bench,
+)
 
 from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.drivers import odrive
 from gradcal_jax.hardware.drivers.imu_common import join
+from gradcal_jax.hardware.drivers.lines import LinesConfig
 from gradcal_jax.hardware.drivers.odrive import ODriveConfig
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config, Stim300Stream
 from gradcal_jax.hardware.drivers.stim300_datagrams import START_UP
@@ -27,6 +39,7 @@ from gradcal_jax.hardware.errors import (
     ReplyTimeout,
 )
 from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis
+from gradcal_jax.hardware.setup import DRIVERS
 from gradcal_jax.hardware.simulate.faults import Faults
 from gradcal_jax.hardware.simulate.odrive import ODriveOptions, SimulatedODrive
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
@@ -34,7 +47,14 @@ from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
 from gradcal_jax.hardware.simulate.zaber import SimulatedZaber, ZaberOptions
 
-AXES = {"zaber": zaber_bench, "odrive": odrive_bench}
+AXES = {"zaber": zaber_bench, "odrive": odrive_bench, "grbl": grbl_bench, "aerosmith": aerosmith_bench}
+QUICK = {
+    zaber_bench: ZaberConfig(reply_timeout_s=0.05),
+    odrive_bench: ODriveConfig(reply_timeout_s=0.05),
+    grbl_bench: LinesConfig(protocol="grbl", reply_timeout_s=0.05, home_timeout_s=1.0),
+    aerosmith_bench: LinesConfig(protocol="aerosmith-like", reply_timeout_s=0.05, home_timeout_s=10.0),
+}
+UNCHECKED = (grbl_bench, aerosmith_bench)
 IMUS = {"stim300": stim300_bench, "vectornav": vectornav_bench}
 
 
@@ -55,8 +75,10 @@ def wait_until_still(axis: MotionAxis, clock: VirtualClock) -> float:
     return clock.now() - began
 
 
-def plant_of(device: SimulatedZaber | SimulatedODrive) -> AxisPlant:
-    return device.stages[0].plant if isinstance(device, SimulatedZaber) else device.axes[0].plant
+def plant_of(device: Any) -> AxisPlant:
+    if isinstance(device, (SimulatedZaber, SimulatedODrive)):
+        return device.stages[0].plant if isinstance(device, SimulatedZaber) else device.axes[0].plant
+    return device.plant
 
 
 # --- axes -------------------------------------------------------------------------------------------------------------
@@ -66,7 +88,7 @@ def test_every_axis_homes_moves_spins_and_stops(axis_bench) -> None:
     clock = VirtualClock()
     with axis_bench(clock) as (axis, device, _):
         assert isinstance(axis, MotionAxis)
-        assert axis.identify().driver in AXES
+        assert axis.identify().driver in DRIVERS
         axis.home()
         assert axis.read().referenced
         resolution = axis.limits().resolution_deg
@@ -107,13 +129,12 @@ def test_every_axis_refuses_what_it_cannot_do(axis_bench) -> None:
 @pytest.mark.parametrize("fault", ["drop", "duplicate", "flip", "delay"])
 def test_every_command_of_an_axis_lost_doubled_damaged_or_late_once_is_noticed(axis_bench, fault) -> None:
     """Each line of a session in its turn: what returns without an exception has taken effect."""
-    quick = {zaber_bench: ZaberConfig(reply_timeout_s=0.05), odrive_bench: ODriveConfig(reply_timeout_s=0.05)}
     # A stage answers every line; of a board's session of two hundred lines every seventh is enough here.
     step = 11 if axis_bench is odrive_bench else 7
     refused = tried = 0
     for number in range(0, 100 if axis_bench is odrive_bench else 60, step):
         clock, faults = VirtualClock(), Faults(seed=number, delay_s=0.08)
-        with axis_bench(clock, config=quick[axis_bench], commands=faults) as (axis, device, _):
+        with axis_bench(clock, config=QUICK[axis_bench], commands=faults) as (axis, device, _):
             faults.once(*["split"] * number, fault)
             tried += 1
             try:
@@ -134,7 +155,8 @@ def test_every_command_of_an_axis_lost_doubled_damaged_or_late_once_is_noticed(a
                 refused += 1
             assert axis.safe(AxisSafe.HOLD).verified
             assert plant_of(device).state(clock.now())[1] == 0.0
-    assert refused <= tried // 4
+    # A damaged line that the device itself refuses is said, too.
+    assert refused <= (tried if fault == "flip" and axis_bench in UNCHECKED else tried // 4)
 
 
 @pytest.mark.parametrize("way", ["faults", "commands"])
@@ -143,8 +165,7 @@ def test_no_axis_is_put_off_by_a_bad_line(axis_bench, way: str) -> None:
     clock = VirtualClock()
     kinds = ("drop", "flip", "truncate", "duplicate", "split", "noise")
     faults = Faults(seed=8, probability=dict.fromkeys(kinds, 0.04 if way == "faults" else 0.02))
-    quick = {zaber_bench: ZaberConfig(reply_timeout_s=0.05), odrive_bench: ODriveConfig(reply_timeout_s=0.05)}
-    with axis_bench(clock, config=quick[axis_bench], **{way: faults}) as (axis, device, _):
+    with axis_bench(clock, config=QUICK[axis_bench], **{way: faults}) as (axis, device, _):
         done = 0
         for attempt in range(40):
             try:

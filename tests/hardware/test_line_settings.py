@@ -8,14 +8,17 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.espec import EspecChamber
+from gradcal_jax.hardware.drivers.lines import LinesChamber
 from gradcal_jax.hardware.errors import ReplyTimeout
 from gradcal_jax.hardware.setup import DRIVERS, configs_of, open_rig
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 
 
 def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:
-    entry: dict[str, Any] = {"driver": driver, "port": port, "options": options}
-    role = DRIVERS[driver].role
+    # Lines are as a protocol has them: of a bath, here.
+    own = {"protocol": "julabo"} if driver == "lines" else {}
+    entry: dict[str, Any] = {"driver": driver, "port": port, "options": own | options}
+    role = DRIVERS[driver].role or "chamber"
     if role == "chamber":
         return rig_of({"format": "gradcal-rig/1", "chamber": {**entry, "safe": "hold"}})
     axis = {"safe": "hold", "gravity_loaded": False} if role == "axis" else {}
@@ -26,7 +29,7 @@ def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:
 def test_every_serial_device_has_the_settings_of_its_line(driver: str) -> None:
     line = {"bytesize": 7, "parity": "E", "stopbits": 2}
     configs_of(rig_with(driver, line))
-    if driver == "watlow_f4":
+    if not DRIVERS[driver].text:
         with pytest.raises(SpecError, match="terminator"):
             configs_of(rig_with(driver, {"terminator": "CR"}))
     else:
@@ -55,3 +58,17 @@ def test_they_reach_the_port() -> None:
         with pytest.raises(ReplyTimeout):
             bench.chamber.read()
     assert heard[0] == b"TEMP?\r"
+
+
+def test_the_line_is_as_the_protocol_has_it_unless_the_rig_file_says_otherwise() -> None:
+    class Silent:
+        def receive(self, data: bytes) -> list[bytes]:
+            return []
+
+    with SimulatedPort(Silent(), RealClock()) as port:
+        for options, parity in (({}, "E"), ({"parity": "N", "baudrate": 19200}, "N")):
+            with open_rig(rig_with("lines", options, port.url), RealClock()) as bench:
+                assert isinstance(bench.chamber, LinesChamber)
+                settings = bench.chamber._exchange.transport.settings
+                assert (settings["bytesize"], settings["parity"]) == (7, parity)
+                assert settings["baudrate"] == options.get("baudrate", 4800)

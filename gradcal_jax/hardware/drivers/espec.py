@@ -197,7 +197,7 @@ class EspecChamber:
 
     def limits(self) -> ChamberLimits:
         now = self._ask("TEMP?", parse_temperatures)
-        return ChamberLimits(now.low_c, now.high_c, 0.1, self._config.hardware_ramp, slowest_ramp_k_per_min=0.01)
+        return ChamberLimits(now.low_c, now.high_c, 0.1, self._config.hardware_ramp, 0.01, ramp_step_s=60.0)
 
     def read(self) -> ChamberReading:
         temperatures = self._ask("TEMP?", parse_temperatures)

@@ -223,7 +223,7 @@ class WeissChamber:
     def limits(self) -> ChamberLimits:
         layout = self._layout()
         return ChamberLimits(
-            layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, slowest_ramp_k_per_min=0.1
+            layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, 0.1, ramp_step_k_per_min=0.1
         )
 
     def read(self) -> ChamberReading:

@@ -10,16 +10,13 @@ for devices without that setting.
 Unverified on real hardware: `velocity_factor` and `acceleration_factor` (data value per microstep/s and microstep/s²;
 time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver asks for it and
 then demands a check sum of every reply if it was granted and the next reply carries one (`reply_checksum` tells).
-Rates are not read from the device but are the mean since a reading at least 0.4 s before: a noisy encoder that is read
-twice in a millisecond would make any rate of nothing. The time is taken from when the earlier position was asked for to
-when the later had come: a host that was busy in between makes a rate too small, and never too large.
+Rates are not read from the device (see `mean_rate`).
 
 Firmware 6 calls its identity `deviceid`, firmware 7 `device.id`. Settings outlive a session: they are set only where
 they differ (whether a stage writes them to its flash memory at each `set` is open), and put back at the end.
 """
 
 import re
-from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -31,6 +28,7 @@ from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
+from .mean_rate import MeanRate
 
 WARNINGS = {
     "FF": "critical system error",
@@ -61,7 +59,6 @@ WARNINGS = {
     "WH": "not homed",
 }
 _UNREFERENCED = {"WR", "WH"}
-_RATE_OVER_S = 0.4
 _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-Z]{2}) (\S.*)")
 
 
@@ -156,8 +153,7 @@ class ZaberAxis:
         self._clock = exchange.clock
         self._message_id = 0
         self._steps_per_turn = float(config.microsteps_per_turn)
-        # When a position was asked for, and the position.
-        self._recent: deque[tuple[float, float]] = deque()
+        self._rates = MeanRate()
         self.reply_checksum = False
         self.settings = KeptSettings(self._setting, self._set)
 
@@ -204,12 +200,7 @@ class ZaberAxis:
         reply = self._ask("get pos")
         time_s = self._clock.now()
         position = self._degrees(_number(reply))
-        while len(self._recent) > 1 and time_s - self._recent[1][0] >= _RATE_OVER_S:
-            self._recent.popleft()
-        rate = 0.0
-        if self._recent and reply.busy and time_s - self._recent[0][0] >= _RATE_OVER_S:
-            rate = (position - self._recent[0][1]) / (time_s - self._recent[0][0])
-        self._recent.append((asked_s, position))
+        rate = self._rates.of(asked_s, time_s, position, moving=reply.busy)
         flag = reply.warning
         text = f"{flag} ({WARNINGS.get(flag, 'see the manual')})"
         return AxisReading(

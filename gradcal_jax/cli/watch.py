@@ -1,0 +1,82 @@
+"""`gradcal watch`: how a run stands, from its status file, from any terminal of the computer."""
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from cyclopts import App
+
+from gradcal_jax.cli.console import complain
+from gradcal_jax.cli.output import Flag, Json, as_json
+from gradcal_jax.cli.progress import MovingLine
+from gradcal_jax.cli.status import DONE, FAILED
+from gradcal_jax.units import time_text
+
+_SILENT_S = 60.0
+_LOOKS_S = 1.0
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(watch)
+
+
+def watch(run: Path, /, *, once: Flag = False, json: Json = False) -> int:
+    """Show how a run stands until it ends: step, temperature against its course, angles, samples.
+
+    It only reads, and may be closed at any time. The exit status is 3 where the run ended badly, or is silent.
+
+    Parameters
+    ----------
+    run
+        The folder of the run.
+    once
+        Show it once, and do not wait for the end.
+    json
+        Print the status as JSON, once.
+    """
+    from gradcal_jax.hardware.supervision import read_status
+
+    with MovingLine(sys.stdout) as line:
+        shown: Any = None
+        while True:
+            status = read_status(run)
+            if json:
+                print(as_json(status))
+            elif status["at_s"] != shown:
+                shown = status["at_s"]
+                line.show(status_text(status))
+            silent_s = time.time() - float(status["at_s"])
+            if "exit_status" in status:
+                return DONE if status["exit_status"] == "success" and status["verified_safe"] else FAILED
+            if silent_s > _SILENT_S:
+                line.end()
+                complain(f"nothing was heard of it for {time_text(float(round(silent_s)))}: it may have been killed")
+                return FAILED
+            if once or json:
+                return DONE
+            time.sleep(_LOOKS_S)
+
+
+def status_text(status: dict[str, Any]) -> str:
+    """A status in one line."""
+    steps, done = status["steps"], status["steps_done"]
+    parts = ["simulated" if status["simulated"] else "", status["state"]]
+    parts.append(f"step {min(done + 1, steps)} of {steps}, {status['step']}")
+    if (chamber := status.get("chamber")) is not None:
+        text = f"air {chamber['air_c']:.1f} degC"
+        if (course := status.get("course_c")) is not None:
+            text += f" (course {course[0]:.1f}" + (f" to {course[1]:.1f})" if course[0] != course[1] else ")")
+        parts += [text, *(f"ALARM {alarm}" for alarm in chamber["alarms"])]
+    for name, axis in status["axes"].items():
+        angle = "?" if axis["position_deg"] is None else f"{axis['position_deg']:.3f} deg"
+        parts.append(f"{name} {angle}" + (" moving" if axis["moving"] else ""))
+        parts += [f"FAULT {fault}" for fault in axis["faults"]]
+    for name, (received, missing) in status["samples"].items():
+        parts.append(f"{name} {received} samples" + (f", {missing} missing" if missing else ""))
+    if "exit_status" in status:
+        parts.append(f"ended: {status['exit_status']}" + (f", {status['reason']}" if status["reason"] else ""))
+    else:
+        parts.append(f"{time_text(float(round(status['track_left_s'])))} left")
+    return "; ".join(part for part in parts if part)

@@ -1,0 +1,383 @@
+"""`gradcal-lines/1`: a device that is spoken to in lines of text, described without a line of code.
+
+    format = "gradcal-lines/1"
+    role   = "chamber"                              # or "axis"
+    title  = "Thermotron 3800"
+    [line]                                          # how a message is spoken
+    ends   = "\\r"
+    [ask.air]                                       # what can be read: a question, and its reply with fields in braces
+    send   = "PVAR1?"
+    reply  = "{air}"
+    [tell.setpoint]                                 # what can be told, with values in braces
+    send   = ["SETP1,{setpoint:g}", "RUNM"]
+    [state.conditioning]                            # what a field says of the device
+    field  = "mode"
+    bit    = 4
+
+Of a reply `{name}` is a number, `{name:text}` whatever comes before the next character of the template, `{name:char}`
+one character; without a name it is passed over. Whatever is told must be shown by something that is asked: a protocol
+in which a set value cannot be read back is refused. What is told when, and verified how, is the driver's affair
+(`hardware.drivers.lines`); there is no logic here, and no regular expression: a file may come from anybody.
+"""
+
+import re
+from collections.abc import Mapping
+from importlib import resources
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from gradcal_jax import units
+from gradcal_jax.files.document import model_of, read_toml
+from gradcal_jax.files.problems import Problem, instead
+from gradcal_jax.files.quantity import (
+    Angle,
+    Count,
+    Flag,
+    Number,
+    PositiveAcceleration,
+    PositiveAngle,
+    PositiveRate,
+    PositiveTemperatureDifference,
+    PositiveTemperatureSlope,
+    Quantity,
+    SizeOfTime,
+    Temperature,
+    Text,
+    Time,
+    Whole,
+)
+from gradcal_jax.files.section import Section, refuse
+
+FORMAT: Final = "gradcal-lines/1"
+_FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text|char))?\}")
+_VALUE: Final = re.compile(r"\{([a-z]+):(0?\d{0,2}(?:\.\d)?f|g)\}")
+# Beyond these, what a device shows is its arithmetic.
+_FINEST_DECIMALS: Final = 3
+_NUMBER: Final = r"([-+]?\d+(?:\.\d*)?)"
+
+
+def _listed(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
+Texts = Annotated[tuple[Text, ...], BeforeValidator(_listed), Field(max_length=8)]
+# Of replies one may be empty: nothing but what ends it.
+Replies = Annotated[tuple[Annotated[str, Field(strict=True, max_length=2000)], ...], BeforeValidator(_listed)]
+
+
+class Line(Section):
+    """`[line]`. `frame` "stx-etx-xor8": STX, `address`, the text with its eighth bits set, their exclusive or, ETX."""
+
+    baudrate: Count = 9600
+    bytesize: Literal[7, 8] = 8
+    parity: Literal["N", "E", "O"] = "N"
+    stopbits: Literal[1, 2] = 1
+    frame: Literal["plain", "stx-etx-xor8"] = "plain"
+    address: Annotated[int, Field(strict=True, ge=128, le=255)] = 129
+    ends: Annotated[str, Field(strict=True, max_length=4)] = "\r\n"
+    reply_ends: Annotated[str, Field(strict=True, max_length=4)] = ""
+    timeout: Time = Quantity(2.0, "2 s", "time")
+    pause: SizeOfTime = Quantity(0.0, "0 s", "time")
+    pause_after_command: SizeOfTime = Quantity(0.0, "0 s", "time")
+    refusal: Text | None = None
+
+
+class DeviceUnits(Section):
+    """`[units]`: what the device's own numbers are in."""
+
+    temperature: Text = "degC"
+    ramp: Text = "K/min"
+    angle: Text = "deg"
+    rate: Text = "deg/s"
+    acceleration: Text = "deg/s^2"
+
+    @model_validator(mode="after")
+    def _measure(self) -> "DeviceUnits":
+        kinds = ("temperature", "temperature slope", "angle", "angular rate", "angular acceleration")
+        for name, kind in zip(DeviceUnits.model_fields, kinds, strict=True):
+            unit = getattr(self, name)
+            try:
+                units.parse(f"1 {unit}", kind)
+            except ValueError as problem:
+                refuse(Problem((name,), str(problem), unit))
+        return self
+
+
+class DeviceLimits(Section):
+    """`[limits]`, of a chamber or of an axis. `free_ramp`: the number that stands for "as fast as it can"."""
+
+    lowest: Temperature | None = None
+    highest: Temperature | None = None
+    resolution: PositiveTemperatureDifference = Quantity(0.1, "0.1 K", "temperature difference")
+    slowest: PositiveTemperatureSlope | None = None
+    fastest: PositiveTemperatureSlope | None = None
+    free_ramp: Number | None = None
+    max_rate: PositiveRate | None = None
+    max_acceleration: PositiveAcceleration | None = None
+    step: PositiveAngle | None = None
+    lowest_angle: Angle | None = None
+    highest_angle: Angle | None = None
+    spin_angle: PositiveAngle | None = None
+
+
+class Question(Section):
+    """`[ask.NAME]`. `last`: the line that ends a reply of several; `bare`: nothing ends the question."""
+
+    send: Text
+    reply: Annotated[Texts, Field(min_length=1)]
+    last: Text | None = None
+    bare: Flag = False
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """Its fields' names -> their kinds."""
+        found = (match for reply in self.reply for match in _FIELD.finditer(reply))
+        return {match[1]: match[2] or "number" for match in found if match[1]}
+
+    @model_validator(mode="after")
+    def _ends(self) -> "Question":
+        if len(self.reply) > 1 and self.last is None:
+            refuse(Problem(("last",), "this key is missing; it ends a reply of several lines", kind="missing"))
+        return self
+
+
+class Command(Section):
+    """`[tell.NAME]`. `reply`: what acknowledges it, if anything does; `shown_by`: the fields that show its value;
+    `reply_when_done`: it is acknowledged only when it has been done, as a homing may be."""
+
+    send: Annotated[Texts, Field(min_length=1)]
+    reply: Replies = ()
+    shown_by: Texts = ()
+    bare: Flag = False
+    reply_when_done: Flag = False
+
+
+class Condition(Section):
+    """`[state.NAME]`: it is so where a field equals one of these texts, equals none, begins with one, has a
+    bit set, or is below a number."""
+
+    field: Text
+    equals: Texts = ()
+    not_equals: Texts = ()
+    begins: Texts = ()
+    bit: Whole | None = None
+    below: Number | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> "Condition":
+        if (
+            sum(map(bool, (self.equals, self.not_equals, self.begins, self.bit is not None, self.below is not None)))
+            != 1
+        ):
+            refuse(Problem((), "give one of equals, not_equals, begins, bit and below"))
+        return self
+
+    def holds(self, text: str) -> bool:
+        """Whether it is so, by what the device said. A number that is none raises `ValueError`."""
+        if self.bit is not None:
+            return bool(int(float(text)) >> self.bit & 1)
+        if self.below is not None:
+            return float(text) < self.below
+        if self.not_equals:
+            return text not in self.not_equals
+        return text in self.equals or (bool(self.begins) and text.startswith(self.begins))
+
+
+class Requirement(Section):
+    """`[[require]]`: how the device must be set before anything is told to it, and why."""
+
+    field: Text
+    equals: Texts
+    why: Text
+
+
+class LineProtocol(Section):
+    """A whole description of a device that speaks in lines."""
+
+    format: Literal["gradcal-lines/1"]
+    role: Literal["chamber", "axis"]
+    title: Text
+    line: Line = Line()
+    units: DeviceUnits = DeviceUnits()
+    limits: DeviceLimits = DeviceLimits()
+    ask: dict[str, Question]
+    tell: dict[str, Command]
+    state: dict[str, Condition]
+    require: Annotated[tuple[Requirement, ...], Field(max_length=20)] = ()
+
+    @model_validator(mode="after")
+    def _complete(self) -> "LineProtocol":
+        refuse(*self._missing(), *self._unreadable(), *self._badly_written())
+        return self
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """Every field that can be read -> the question that it is in."""
+        return {field: name for name, question in self.ask.items() for field in question.fields}
+
+    def _missing(self) -> list[Problem]:
+        role = _ROLES[self.role]
+        found = [
+            Problem((table, name), f"this key is missing; a {self.role} needs it", kind="missing")
+            for table, needed in (("tell", role.tells), ("state", role.states))
+            for name in needed
+            if name not in getattr(self, table)
+        ]
+        found += [
+            Problem(("ask",), f"no reply has the field {{{name}}}, which a {self.role} needs", kind="missing")
+            for name in role.fields
+            if name not in self.fields
+        ]
+        found += [
+            Problem(("limits", name), f"this key is missing; a {self.role} needs it", kind="missing")
+            for name in role.limits
+            if getattr(self.limits, name) is None
+        ]
+        if "ramp" in self.tell and self.limits.free_ramp is None:
+            message = "this key is missing; a ramp must be taken off again"
+            found.append(Problem(("limits", "free_ramp"), message, kind="missing"))
+        return found
+
+    def _unreadable(self) -> list[Problem]:
+        """What is told and cannot be read back."""
+        found: list[Problem] = []
+        for name, command in self.tell.items():
+            key = ("tell", name)
+            known = _ROLES[self.role].values
+            if name not in known:
+                found.append(Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}"))
+                continue
+            written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
+            if (name == "setpoint" or command.shown_by) and len(written) != 1:
+                found.append(Problem((*key, "send"), "expected one value, written alike in all lines"))
+            if wrong := {value for value, _ in written} - set(known[name]):
+                allowed = ", ".join(f"{{{value}}}" for value in known[name]) or "no values"
+                found.append(Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}"))
+            if command.reply and len(command.reply) not in (1, len(command.send)):
+                found.append(Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line"))
+            if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
+                message = "a set value that cannot be read back is not set: expected the fields of replies that show it"
+                found.append(Problem((*key, "shown_by"), message, kind="missing"))
+            found += [
+                Problem((*key, "shown_by"), f"no reply has the field {{{field}}}", field)
+                for field in command.shown_by
+                if field not in self.fields
+            ]
+        if "on" in self.tell and self.role == "axis" and "powered" not in self.state:
+            found.append(Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did"))
+        for key, field in [
+            *((("state", name, "field"), entry.field) for name, entry in self.state.items()),
+            *((("require", index, "field"), entry.field) for index, entry in enumerate(self.require)),
+        ]:
+            if field not in self.fields:
+                found.append(Problem(key, f"no reply has the field {{{field}}}", field))
+        return found
+
+    def _badly_written(self) -> list[Problem]:
+        found: list[Problem] = []
+        for name, question in self.ask.items():
+            for key, template in (*(("reply", reply) for reply in question.reply), ("last", question.last or "")):
+                if problem := _problem_of_reply(template):
+                    found.append(Problem(("ask", name, key), problem, template))
+        for name, command in self.tell.items():
+            for send in command.send:
+                if {"{", "}"} & set(_VALUE.sub("", send)):
+                    found.append(Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send))
+        spoken = [*(q.send for q in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
+        if any(ord(letter) > 255 for text in (*spoken, self.line.ends, self.line.reply_ends) for letter in text):
+            found.append(Problem((), "only characters of one byte can be sent"))
+        return found
+
+
+class _Role:
+    def __init__(self, fields: str, states: str, limits: str, tells: str, **values: str) -> None:
+        self.fields, self.states, self.limits, self.tells = (text.split() for text in (fields, states, limits, tells))
+        self.values = {name: text.split() for name, text in values.items()}
+
+
+_MOTION: Final = "position rate acceleration"
+_ROLES: Final[Mapping[str, _Role]] = {
+    "chamber": _Role(
+        "air setpoint", "conditioning", "lowest highest", "setpoint on off",
+        setpoint="setpoint", ramp="ramp", on="", off="",
+    ),
+    "axis": _Role(
+        "position", "moving", "max_rate max_acceleration step", "home move stop",
+        home="", move=_MOTION, spin=f"{_MOTION} velocity way", stop="", rate="rate", acceleration="acceleration",
+        on="", off="",
+    ),
+}  # fmt: skip
+_SHOWN_BY_THEMSELVES: Final = frozenset({"ramp", "rate", "acceleration"})
+
+
+def _problem_of_reply(template: str) -> str:
+    if {"{", "}"} & set(_FIELD.sub("", template)):
+        return "expected fields such as {air}, {state:text} or {running:char}"
+    if re.search(r":text\}\{", template):
+        return "a text ends where the next character is found; expected a character between two fields"
+    return ""
+
+
+def reply_pattern(template: str) -> re.Pattern[str]:
+    """What a reply must look like: its named groups are the fields. Takes time in proportion to a line's length."""
+    pattern, place = "", 0
+    for match in _FIELD.finditer(template):
+        pattern += _literal(template[place : match.start()])
+        place = match.end()
+        if match[2] == "text":
+            group = f"([^{re.escape(template[place])}]*)" if place < len(template) else "(.*)"
+        else:
+            group = "(.)" if match[2] == "char" else _NUMBER
+        pattern += group.replace("(", f"(?P<{match[1]}>", 1) if match[1] else group
+    return re.compile(pattern + _literal(template[place:]), re.DOTALL)
+
+
+def _literal(text: str) -> str:
+    """As many blanks as there are: devices differ."""
+    return " +".join(re.escape(part) for part in text.split(" "))
+
+
+def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str, str]]:
+    """A command with its values, and each value as it was written."""
+    written: dict[str, str] = {}
+
+    def write(match: re.Match[str]) -> str:
+        text = format(values[match[1]], match[2])
+        # No device needs a minus before a nought.
+        written[match[1]] = text if float(text) else format(0.0, match[2])
+        return written[match[1]]
+
+    return _VALUE.sub(write, template), written
+
+
+def shows(told: str, shown: str) -> bool:
+    """Whether a number that is read back is the one that was told, to half a step of the device's own decimals."""
+    decimals = min(len(shown.partition(".")[2]), _FINEST_DECIMALS)
+    return abs(float(told) - float(shown)) <= 0.51 * 10.0**-decimals
+
+
+def protocol_of(value: object) -> LineProtocol:
+    """The protocol that a rig file gives: the name of one that comes with this program, or its own tables.
+
+    Raises:
+        ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.
+    """
+    if isinstance(value, Mapping):
+        tables: dict[str, Any] = dict(value)  # pyright: ignore[reportUnknownArgumentType]
+        return model_of(LineProtocol, tables, FORMAT, "")
+    if not isinstance(value, str) or value not in shipped():
+        word = value if isinstance(value, str) else ""
+        raise ValueError(f"expected the name of a protocol, or its tables; {instead(word, shipped())}")
+    return model_of(LineProtocol, read_toml(protocol_text(value), value), FORMAT, value)
+
+
+def shipped() -> tuple[str, ...]:
+    """The names of the protocols that come with this program."""
+    names = (entry.name for entry in (resources.files("gradcal_jax.files.presets") / "devices").iterdir())
+    return tuple(sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml")))
+
+
+def protocol_text(name: str) -> str:
+    """The TOML text of a protocol that comes with this program."""
+    return (resources.files("gradcal_jax.files.presets") / "devices" / f"{name}.toml").read_text(encoding="utf-8")

@@ -1,0 +1,584 @@
+"""Devices that speak in lines of text, as a rig file describes them (`files.line_protocol`): chambers and axes.
+
+The description says what can be asked, told and seen; here is what is told when, and how it is known to have taken:
+
+* a chamber's set point, its ramp and whether it conditions are read back after every command; a ramp's rate is shown by
+  the chamber before the target is told, so that no lost line lets it go at full speed;
+* an axis that moves is stopped before it is told something else, unless what it was told is read back; after a move it
+  is known to be on its way, or there.
+
+Lines without a check sum can be damaged into others that are as good: of a move only where the axis then stands tells,
+and whoever waits for it is to compare that (`hardware.turning` does).
+
+Unverified on real hardware: everything; each description says what its sources leave open.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+from ... import units
+from ...files.line_protocol import LineProtocol, Question, formatted, protocol_of, reply_pattern, shows
+from ..checksums import xor8
+from ..clock import Clock
+from ..errors import (
+    ChecksumError,
+    DeviceFault,
+    FramingError,
+    LimitExceeded,
+    NotVerified,
+    Rejected,
+    ReplyTimeout,
+    printable,
+)
+from ..exchange import Exchange, NotThisReply, until_shown
+from ..framing import LineFramer
+from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..settings import KeptSettings
+from ..transport import Transport
+from .mean_rate import MeanRate
+
+Texts = dict[str, str]
+"""Fields as the device wrote them."""
+
+_LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
+_SETTLED_K = 2.0
+_POLL_S = 0.05
+_STOPS_AGAIN_S = 1.0
+
+
+@dataclass(frozen=True)
+class LinesConfig:
+    """Options of the rig file. `protocol`: the name of one that comes with this program, or its tables. What is 0 or
+    absent is the protocol's. `zero_deg` is the rig's angle where the device says 0, `direction` +1 or -1."""
+
+    protocol: Any = ""
+    baudrate: int = 0
+    reply_timeout_s: float = 0.0
+    direction: int = 1
+    zero_deg: float = 0.0
+    max_rate_dps: float | None = None
+    max_acceleration_dps2: float | None = None
+    lowest_deg: float | None = None
+    highest_deg: float | None = None
+    home_timeout_s: float = 120.0
+    stop_timeout_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        if not self.baudrate:
+            object.__setattr__(self, "baudrate", self.said.line.baudrate)
+        if self.direction not in (-1, 1):
+            raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
+
+    @cached_property
+    def said(self) -> LineProtocol:
+        """The protocol itself."""
+        return protocol_of(self.protocol)
+
+    @property
+    def role(self) -> Literal["chamber", "axis"]:
+        return self.said.role
+
+    @property
+    def line_settings(self) -> dict[str, Any]:
+        line = self.said.line
+        return {"bytesize": line.bytesize, "parity": line.parity, "stopbits": line.stopbits}
+
+
+# ------------------------------------------------------------------------------------------------------------ codec
+
+
+class Codec:
+    """Lines of one protocol to bytes and back: pure."""
+
+    def __init__(self, said: LineProtocol) -> None:
+        self._said = said
+        self._framed = said.line.frame == "stx-etx-xor8"
+
+    def framer(self) -> LineFramer:
+        ends = b"\x03" if self._framed else self._said.line.reply_ends.encode("latin-1")
+        return LineFramer(ends or None, keep_empty=bool(ends))
+
+    def message(self, text: str, *, bare: bool = False) -> bytes:
+        body = text.encode("latin-1")
+        if not self._framed:
+            return body if bare else body + self._said.line.ends.encode("latin-1")
+        body = bytes([self._said.line.address]) + bytes(byte | 0x80 for byte in body)
+        return b"\x02" + body + bytes([xor8(body) | 0x80, 3])
+
+    def text(self, frame: bytes) -> str:
+        """Raises `ChecksumError`, `FramingError`, and `Rejected` for a refusal."""
+        if self._framed:
+            begins = frame.rfind(b"\x02")
+            body = bytes(byte & 0x7F for byte in frame[begins + 1 :])
+            if begins < 0 or len(body) < 2 or body[0] != self._said.line.address & 0x7F or xor8(body):
+                raise ChecksumError(f"{printable(frame)!r} fails its check. Check the line's shielding.")
+            frame = body[1:-1]
+        text = frame.strip(b" \t\r\n\x11\x13").decode("latin-1")
+        if not text.isprintable():
+            raise FramingError(f"{self._said.title} answered {printable(frame)!r}, which is no text. Baud rate?")
+        refusal = self._said.line.refusal
+        if refusal is not None and (match := reply_pattern(refusal).fullmatch(text)) is not None:
+            code = match.groupdict().get("code", text)
+            raise Rejected(f"{self._said.title} refuses: {text!r}. See its manual.", code=code, text=text)
+        return text
+
+
+def open_exchange(transport: Transport, clock: Clock, config: LinesConfig) -> Exchange:
+    line = config.said.line
+    return Exchange(
+        transport,
+        Codec(config.said).framer(),
+        clock=clock,
+        device=config.said.title,
+        reply_timeout_s=config.reply_timeout_s or float(line.timeout),
+        min_interval_s=float(line.pause),
+    )
+
+
+def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | LinesAxis":
+    """The device of the role that the protocol has."""
+    return (LinesChamber if config.role == "chamber" else LinesAxis)(exchange, config)
+
+
+# ----------------------------------------------------------------------------------------------------------- driver
+
+
+class _Spoken:
+    """What both roles share: questions, commands, states."""
+
+    def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
+        self._exchange = exchange
+        self._config = config
+        self._said = config.said
+        self._codec = Codec(config.said)
+        self._clock = exchange.clock
+        self._patterns: dict[str, re.Pattern[str]] = {}
+
+    def identify(self) -> Identity:
+        known = self._read("model", "serial", "firmware")
+        needed = self._read(*(need.field for need in self._said.require))
+        for need in self._said.require:
+            if not any(needed[need.field] == text or _same_number(needed[need.field], text) for text in need.equals):
+                raise Rejected(f"{self._said.title} says {need.field} = {needed[need.field]}: {need.why}.")
+        model = f"{self._said.title} {known.get('model', '')}".strip()
+        return Identity("lines", model, known.get("serial", ""), known.get("firmware", ""))
+
+    def close(self) -> None:
+        self._exchange.transport.close()
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _read(self, *names: str) -> Texts:
+        """The fields of these names, each question asked once, in this order; what no reply has is absent."""
+        found: Texts = {}
+        where = self._said.fields
+        for question in dict.fromkeys(where[name] for name in names if name in where):
+            found |= self._ask(self._said.ask[question])
+        return found
+
+    def _ask(self, question: Question) -> Texts:
+        heard: Texts = {}
+
+        def parse(frame: bytes) -> Texts:
+            try:
+                text = self._codec.text(frame)
+            except Rejected as refused:
+                # What nobody refuses is a question: it was damaged on its way, and is asked again.
+                raise FramingError(str(refused)) from None
+            for reply in question.reply:
+                if (match := self._pattern(reply).fullmatch(text)) is not None:
+                    heard.update(match.groupdict())
+                    break
+            else:
+                if question.last is None:
+                    raise FramingError(f"{self._said.title} answered {question.send!r} by {text!r}. Is it that device?")
+            if question.last is not None and self._pattern(question.last).fullmatch(text) is None:
+                raise NotThisReply
+            if missing := set(question.fields) - set(heard):
+                raise FramingError(f"The reply to {question.send!r} has no {', '.join(sorted(missing))}.")
+            return heard
+
+        return self._exchange.ask(self._codec.message(question.send, bare=question.bare), parse)
+
+    def _pattern(self, template: str) -> re.Pattern[str]:
+        if template not in self._patterns:
+            self._patterns[template] = reply_pattern(template)
+        return self._patterns[template]
+
+    def _tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
+        """Send the lines of a command; returns its values as they were written."""
+        command = self._said.tell[name]
+        written: Texts = {}
+        for number, send in enumerate(command.send):
+            text, told = formatted(send, values or {})
+            written |= told
+            message = self._codec.message(text, bare=command.bare)
+            if not command.reply:
+                self._exchange.tell(message, pause_after_s=float(self._said.line.pause_after_command))
+                continue
+            reply = self._pattern(command.reply[min(number, len(command.reply) - 1)])
+            self._exchange.ask(
+                message,
+                lambda frame, text=text, reply=reply: self._acknowledged(frame, text, reply),
+                repeat=False,
+                reply_timeout_s=self._config.home_timeout_s if command.reply_when_done else None,
+                pause_after_s=float(self._said.line.pause_after_command) or None,
+            )
+        return written
+
+    def _acknowledged(self, frame: bytes, text: str, reply: re.Pattern[str]) -> None:
+        said = self._codec.text(frame)
+        if reply.fullmatch(said) is None:
+            raise FramingError(f"{self._said.title} acknowledged {text!r} by {said!r}, which is another's reply.")
+
+    def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
+        """Tell a value until it is shown; returns what is shown."""
+        (value,) = {written for send in self._said.tell[name].send for written in formatted(send, values)[1].values()}
+        return until_shown(
+            lambda: self._tell(name, values),
+            lambda: self._read(*shown_by),
+            lambda shown: all(shows(value, shown[part]) for part in shown_by),
+            what=f"{name} {value}",
+            clock=self._clock,
+        )
+
+    def _switch(self, name: str, state: str, on: bool) -> None:
+        """Tell "on" or "off", where the device does not show that state already, until it does."""
+        asked = self._asks_of(state)
+        if self._is(state, self._read(*asked)) is not on:
+            until_shown(
+                lambda: self._tell(name),
+                lambda: self._read(*asked),
+                lambda texts: self._is(state, texts) is on,
+                what=f"{self._said.title} {name}",
+                clock=self._clock,
+            )
+
+    def _is(self, name: str, texts: Texts) -> bool:
+        condition = self._said.state.get(name)
+        if condition is None:
+            return False
+        try:
+            return condition.holds(texts[condition.field])
+        except ValueError:
+            raise FramingError(f"{self._said.title} says {condition.field} = {texts[condition.field]!r}.") from None
+
+    def _asks_of(self, *states: str) -> list[str]:
+        return [self._said.state[name].field for name in states if name in self._said.state]
+
+
+def _same_number(left: str, right: str) -> bool:
+    try:
+        return float(left) == float(right)
+    except ValueError:
+        return False
+
+
+class LinesChamber(_Spoken):
+    """Role `Chamber`."""
+
+    def limits(self) -> ChamberLimits:
+        known = self._said.limits
+        assert known.lowest is not None
+        assert known.highest is not None
+        return ChamberLimits(
+            float(known.lowest),
+            float(known.highest),
+            float(known.resolution),
+            "ramp" in self._said.tell,
+            0.0 if known.slowest is None else float(known.slowest) * 60.0,
+            math.inf if known.fastest is None else float(known.fastest) * 60.0,
+            self._ramp_step(),
+        )
+
+    def read(self) -> ChamberReading:
+        texts = self._read("air", "setpoint", "product", *self._asks_of("conditioning", "alarm"))
+        time_s = self._clock.now()
+        conditions = self._is("conditioning", texts)
+        alarms: tuple[str, ...] = ()
+        if self._is("alarm", texts):
+            named = [name for name in ("code", "message", self._said.state["alarm"].field) if name in texts]
+            alarms = (" ".join(dict.fromkeys(texts[name] for name in named)),)
+        product = self._celsius(texts["product"]) if "product" in texts else None
+        mode = texts[self._said.state["conditioning"].field]
+        air_c, setpoint_c = self._celsius(texts["air"]), self._celsius(texts["setpoint"])
+        return ChamberReading(time_s, air_c, product, setpoint_c, mode, conditions, alarms)
+
+    def hold(self, temperature_c: float) -> None:
+        self._check(temperature_c)
+        self._free_ramp()
+        self._go_to(temperature_c)
+        self._switch("on", "conditioning", True)
+
+    def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
+        if "ramp" not in self._said.tell:
+            raise Rejected(f"The protocol of {self._said.title} has no ramps: it is ramped by steps of its set point.")
+        limits = self.limits()
+        if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
+            raise LimitExceeded(f"{rate_k_per_min:g} K/min lies outside what {self._said.title} can do.")
+        self._check(temperature_c)
+        now = self.read()
+        if not now.conditioning or abs(now.setpoint_c - now.air_c) >= _SETTLED_K:
+            # A ramp begins where the set point is: let that be where the air is.
+            self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
+        unit = self._said.units.ramp
+        shown_by = self._said.tell["ramp"].shown_by
+        shown = self._tell_shown("ramp", {"ramp": units.convert(rate_k_per_min, "K/min", unit)}, shown_by)
+        self._go_to(temperature_c)
+        self._switch("on", "conditioning", True)
+        return units.convert(float(shown[shown_by[0]]), unit, "K/min")
+
+    def standby(self) -> None:
+        self._switch("off", "conditioning", False)
+        self._free_ramp()
+
+    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
+        if policy is ChamberSafe.STANDBY:
+            self.standby()
+        else:
+            limits = self.limits()
+            wanted = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
+            self.hold(min(max(wanted, limits.lowest_c), limits.highest_c))
+        reading = self.read()
+        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
+        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _go_to(self, temperature_c: float) -> None:
+        value = {"setpoint": units.convert(temperature_c, "degC", self._said.units.temperature)}
+        self._tell_shown("setpoint", value, ("target" if "target" in self._said.fields else "setpoint",))
+
+    def _free_ramp(self) -> None:
+        """A ramp stays in force until it is taken off, for whoever uses the panel next, too."""
+        free, command = self._said.limits.free_ramp, self._said.tell.get("ramp")
+        if command is None or free is None:
+            return
+        shown = self._read(*command.shown_by)
+        if not all(shows(str(free), shown[part]) for part in command.shown_by):
+            self._tell_shown("ramp", {"ramp": free}, command.shown_by)
+
+    def _celsius(self, text: str) -> float:
+        value = units.convert(float(text), self._said.units.temperature, "degC")
+        if not _LOWEST_PLAUSIBLE_C <= value <= _HIGHEST_PLAUSIBLE_C:
+            raise FramingError(
+                f"{self._said.title} reports {value} degC, which is not plausible. Check line and sensor."
+            )
+        return value
+
+    def _ramp_step(self) -> float:
+        """What the last of the decimals that a ramp is written with stands for, K/min."""
+        command = self._said.tell.get("ramp")
+        if command is None:
+            return 0.0
+        decimals = len(formatted(command.send[0], {"ramp": 1.0})[1]["ramp"].partition(".")[2])
+        return units.convert(10.0**-decimals, self._said.units.ramp, "K/min")
+
+    def _check(self, temperature_c: float) -> None:
+        limits = self.limits()
+        if not limits.lowest_c <= temperature_c <= limits.highest_c:
+            raise LimitExceeded(
+                f"{temperature_c:.1f} degC lies outside {limits.lowest_c:g} to {limits.highest_c:g} degC, the limits "
+                f"in the protocol of {self._said.title}. Change the plan."
+            )
+
+
+class LinesAxis(_Spoken):
+    """Role `MotionAxis`. Referenced is an axis that this driver has homed, until it shows a fault."""
+
+    def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
+        _Spoken.__init__(self, exchange, config)
+        self._referenced = self._moved = False
+        self._rates = MeanRate()
+        self.settings = KeptSettings(self._setting, self._set, lambda left, right: shows(right, left))
+
+    def limits(self) -> AxisLimits:
+        known, config, angle = self._said.limits, self._config, self._said.units
+        assert known.max_rate is not None
+        assert known.max_acceleration is not None
+        assert known.step is not None
+        fastest = [units.to_unit(float(known.max_rate), "deg/s"), config.max_rate_dps]
+        if "max_rate" in self._said.fields:
+            fastest.append(units.convert(float(self._read("max_rate")["max_rate"]), angle.rate, "deg/s"))
+        strongest = [units.to_unit(float(known.max_acceleration), "deg/s^2"), config.max_acceleration_dps2]
+        ends = [
+            own if own is not None else None if limit is None else units.to_unit(float(limit), "deg")
+            for own, limit in ((config.lowest_deg, known.lowest_angle), (config.highest_deg, known.highest_angle))
+        ]
+        return AxisLimits(
+            min(rate for rate in fastest if rate is not None),
+            min(acceleration for acceleration in strongest if acceleration is not None),
+            ends[0],
+            ends[1],
+            units.to_unit(float(known.step), "deg"),
+            hardware_watchdog=False,
+        )
+
+    def read(self) -> AxisReading:
+        # Whether it moves first: a position that is read of an axis that stood is where it stands.
+        asked = self._asks_of("moving", "fault", "powered")
+        texts = self._read(*asked)
+        if self._moved and not self._is("moving", texts):
+            # One damaged character makes a standstill of a motion: it is asked for twice.
+            texts = self._read(*asked)
+        asked_s = self._clock.now()
+        texts |= {} if "position" in texts else self._read("position")
+        time_s = self._clock.now()
+        moving = self._moved = self._is("moving", texts)
+        faults = (texts[self._said.state["fault"].field],) if self._is("fault", texts) else ()
+        self._referenced = self._referenced and not faults
+        position = self._degrees(texts["position"])
+        rate = self._rates.of(asked_s, time_s, position, moving=moving)
+        return AxisReading(time_s, position, rate, moving, self._referenced, faults, ())
+
+    def home(self) -> None:
+        self._power_on()
+        self._stop_if_moving()
+        self._tell("home")
+        reading = self._until_still(self._config.home_timeout_s)
+        if reading.faults:
+            raise DeviceFault(f"The axis did not find its reference: {reading.faults[0]}.", codes=reading.faults)
+        self._referenced = True
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        limits = self._check(rate_dps, acceleration_dps2)
+        lowest = -math.inf if limits.lowest_deg is None else limits.lowest_deg
+        highest = math.inf if limits.highest_deg is None else limits.highest_deg
+        if not lowest - 1e-9 <= position_deg <= highest + 1e-9:
+            raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
+        self._require_ready(referenced=True)
+        self._stop_if_moving()
+        self._prepare(rate_dps, acceleration_dps2)
+        unit, config = self._said.units, self._config
+        goal = units.convert((position_deg - config.zero_deg) * config.direction, "deg", unit.angle)
+        values = {"position": goal, **self._motion(rate_dps, acceleration_dps2)}
+        near = limits.resolution_deg
+        until_shown(
+            lambda: self._tell("move", values),
+            self.read,
+            lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= near,
+            what=f"The move to {position_deg:g} deg",
+            clock=self._clock,
+        )
+
+    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
+        if "spin" not in self._said.tell:
+            raise Rejected(f"The protocol of {self._said.title} has no constant rates: make turns of them.")
+        self._check(abs(rate_dps), acceleration_dps2)
+        self._require_ready(referenced=False)
+        shown_by = self._said.tell["spin"].shown_by
+        if not shown_by:
+            self._stop_if_moving()
+        self._prepare(abs(rate_dps), acceleration_dps2)
+        signed = rate_dps * self._config.direction
+        velocity = units.convert(signed, "deg/s", self._said.units.rate)
+        values = {"velocity": velocity, **self._motion(abs(rate_dps), acceleration_dps2)}
+        if self._said.limits.spin_angle is not None:
+            far = units.to_unit(float(self._said.limits.spin_angle), self._said.units.angle)
+            values["way"] = math.copysign(far, signed)
+        if shown_by:
+            self._tell_shown("spin", values, shown_by)
+            return
+        until_shown(
+            lambda: self._tell("spin", values),
+            self.read,
+            lambda reading: reading.moving,
+            what=f"The rate {rate_dps:g} deg/s",
+            clock=self._clock,
+        )
+
+    def stop(self) -> None:
+        # A stop does no harm twice: it is told again and again until the axis stands.
+        end = self._clock.now() + self._config.stop_timeout_s
+        while True:
+            try:
+                self._tell("stop")
+            except (ReplyTimeout, FramingError) as problem:
+                if self._clock.now() > end:
+                    raise problem from None
+            again = self._clock.now() + _STOPS_AGAIN_S
+            while self._clock.now() < again:
+                if not self.read().moving:
+                    return
+                self._clock.sleep(_POLL_S)
+            if self._clock.now() > end:
+                raise NotVerified(f"The axis still moves {self._config.stop_timeout_s:g} s after it was told to stop.")
+
+    def arm_watchdog(self) -> None:
+        """A protocol of lines has no watchdog."""
+
+    def heartbeat(self) -> None:
+        """A protocol of lines has no watchdog."""
+
+    def safe(self, policy: AxisSafe) -> SafeReport:
+        self.stop()
+        if policy is AxisSafe.UNPOWER:
+            if "off" not in self._said.tell:
+                raise Rejected(f"The protocol of {self._said.title} cannot unpower it; choose the safe policy 'hold'.")
+            self._switch("off", "powered", False)
+        reading = self.read()
+        state = "; ".join(reading.faults) or "no faults"
+        return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _degrees(self, text: str) -> float:
+        angle = units.convert(float(text), self._said.units.angle, "deg")
+        return angle * self._config.direction + self._config.zero_deg
+
+    def _motion(self, rate_dps: float, acceleration_dps2: float) -> dict[str, float]:
+        unit = self._said.units
+        acceleration = units.convert(acceleration_dps2, "deg/s^2", unit.acceleration)
+        return {"rate": units.convert(rate_dps, "deg/s", unit.rate), "acceleration": acceleration}
+
+    def _check(self, rate_dps: float, acceleration_dps2: float) -> AxisLimits:
+        limits = self.limits()
+        for value, most, unit in (
+            (rate_dps, limits.max_rate_dps, "deg/s"),
+            (acceleration_dps2, limits.max_acceleration_dps2, "deg/s²"),
+        ):
+            if not 0.0 < value <= most * (1.0 + 1e-9):
+                raise LimitExceeded(f"{value:g} {unit} lies outside 0 to {most:g} {unit}.")
+        return limits
+
+    def _require_ready(self, *, referenced: bool) -> None:
+        reading = self.read()
+        if reading.faults or (referenced and not reading.referenced):
+            why = ", ".join(reading.faults) or "it has no reference"
+            raise DeviceFault(f"The axis cannot be moved: {why}. Home it first.", codes=reading.faults)
+        self._power_on()
+
+    def _power_on(self) -> None:
+        if "on" in self._said.tell:
+            self._switch("on", "powered", True)
+
+    def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
+        """What a device keeps between moves is set before one, and put back at the end of a run."""
+        values = self._motion(rate_dps, acceleration_dps2)
+        for name in ("acceleration", "rate"):
+            if name in self._said.tell:
+                (template, *_) = self._said.tell[name].send
+                self.settings.change(name, formatted(template, values)[1][name])
+
+    def _setting(self, name: str) -> str:
+        shown_by = self._said.tell[name].shown_by
+        return self._read(*shown_by)[shown_by[0]]
+
+    def _set(self, name: str, value: str) -> None:
+        self._tell_shown(name, {name: float(value)}, self._said.tell[name].shown_by)
+
+    def _stop_if_moving(self) -> None:
+        if self.read().moving:
+            self.stop()
+
+    def _until_still(self, longest_s: float) -> AxisReading:
+        end = self._clock.now() + longest_s
+        while (reading := self.read()).moving:
+            if self._clock.now() > end:
+                raise NotVerified(f"The axis still moves {longest_s:g} s after homing began. Look at it.")
+            self._clock.sleep(_POLL_S)
+        return reading

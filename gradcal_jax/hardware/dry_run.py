@@ -1,0 +1,209 @@
+"""What a run would do, before it does it: what each device will be told, and whether everything that it needs is there.
+
+Nothing moves, but for `try_longest_moves`, which is asked for by name.
+"""
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from .clock import Clock
+from .errors import HardwareError
+from .roles import AxisLimits, ChamberLimits, ImuSettings
+from .setup import Bench
+from .track import Course, Move, Step, Track, beyond_limits
+
+_STREAM_S = 3.0
+_RATE_OFF = 0.05
+_OFF_GOAL_DEG = 1.0
+_LATE_S = 2.0
+_ROUNDED = 0.005
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """A step of the run: its own time (what it waits for comes on top), and what the devices are told in it."""
+
+    name: str
+    begins_s: float
+    duration_s: float
+    waits: bool
+    told: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """Of a whole run. `problems`: why it would not start; `rounded`: what the chamber makes of slopes."""
+
+    steps: tuple[PlannedStep, ...]
+    duration_s: float
+    rounded: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
+def dry_run(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> DryRun:
+    """What a track tells devices that have these limits."""
+    steps: list[PlannedStep] = []
+    rounded: list[str] = []
+    begins_s, here_c = 0.0, math.nan
+    at = dict.fromkeys(axes, 0.0)
+    for step in track.steps:
+        told: list[str] = []
+        if step.ready is not None and step.begins_c is not None:
+            told.append(f"chamber: hold {step.begins_c:g} degC, until it is stable")
+            here_c = step.begins_c
+        for course in _courses(step):
+            said, made = _told(course, here_c, chamber)
+            told.append(f"chamber: {said}")
+            if made:
+                rounded.append(f"step {step.name!r}: {made}")
+            here_c = course.temperature_c
+        for name in dict.fromkeys(move.axis for move in step.moves):
+            told.append(_moves(name, [move for move in step.moves if move.axis == name], at))
+        steps.append(PlannedStep(step.name, begins_s, step.duration_s, step.ready is not None, tuple(told)))
+        begins_s += step.duration_s
+    problems = beyond_limits(track, chamber, axes)
+    return DryRun(tuple(steps), begins_s, tuple(dict.fromkeys(rounded)), tuple(problems))
+
+
+def _courses(step: Step) -> list[Course]:
+    first = [] if step.follows or step.temperature_c is None else [Course(0.0, step.temperature_c, step.ramp_k_per_min)]
+    return first + [course for course in step.courses if step.follows or course.start_s > 0.0]
+
+
+def _told(course: Course, here_c: float, limits: ChamberLimits | None) -> tuple[str, str]:
+    """What the chamber is told, and what it makes of it where that differs."""
+    rate = course.ramp_k_per_min
+    if rate is None:
+        return f"hold {course.temperature_c:g} degC", ""
+    way_k = abs(course.temperature_c - here_c)
+    said = f"ramp to {course.temperature_c:g} degC at {rate:.3g} K/min"
+    if limits is None or not limits.hardware_ramp:
+        return said + " (by steps of its set point, every 5 s)", ""
+    made = rate_as_made(limits, way_k, rate)
+    if abs(made - rate) <= _ROUNDED * rate:
+        return said, ""
+    return f"{said}, of which it makes {made:.3g}", f"{rate:.3g} K/min become {made:.3g} K/min in the chamber"
+
+
+def rate_as_made(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> float:
+    """What the controller's steps, of rates or of whole times, make of a ramp."""
+    if limits.ramp_step_s and way_k > 0.0:
+        minutes = limits.ramp_step_s / 60.0
+        return way_k / (minutes * max(1, round(way_k / rate_k_per_min / minutes)))
+    if step := limits.ramp_step_k_per_min:
+        return step * max(1, round(rate_k_per_min / step))
+    return rate_k_per_min
+
+
+def _moves(name: str, moves: list[Move], at: dict[str, float]) -> str:
+    fastest = max(abs(move.rate_dps) for move in moves)
+    places = [at.get(name, 0.0)]
+    for move in moves:
+        if move.kind in ("go", "turn"):
+            places.append(places[-1] + move.angle_deg if move.kind == "turn" else move.position_deg)
+    at[name] = places[-1]
+    reach = f", {min(places):g} to {max(places):g} deg" if len(places) > 1 else ""
+    return f"{name}: {len(moves)} command{'s' * (len(moves) > 1)}, up to {fastest:.4g} deg/s{reach}"
+
+
+# ------------------------------------------------------------------------------------------------- before a first run
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Something that a run needs, tried on the device itself."""
+
+    name: str
+    what: str
+    good: bool = True
+
+
+def try_for(bench: Bench, track: Track, clock: Clock, *, move: bool = False) -> list[Tried]:
+    """Try everything that a run needs: a reading of each device, the rates of streams, the track's limits; with `move`
+    the references and the longest move of each axis, there and back."""
+    found: list[Tried] = []
+    limits: dict[str, AxisLimits] = {}
+    chamber = None
+    if bench.chamber is not None:
+        try:
+            reading, chamber = bench.chamber.read(), bench.chamber.limits()
+            text = f"air {reading.air_c:.1f} degC, set point {reading.setpoint_c:.1f}, mode {reading.mode}"
+            alarms = ", ".join(reading.alarms)
+            found.append(Tried("chamber", f"{text}; ALARM {alarms}" if alarms else text, not alarms))
+        except HardwareError as problem:
+            found.append(Tried("chamber", str(problem), False))
+    for name, axis in bench.axes.items():
+        try:
+            place, limits[name] = axis.read(), axis.limits()
+            text = "its angle is not known yet" if math.isnan(place.position_deg) else f"{place.position_deg:.3f} deg"
+            faults = ", ".join(place.faults)
+            # Many controllers say that they have no reference by a fault: a run finds it first.
+            unknown = bool(faults) and not place.referenced
+            found.append(Tried(name, f"{text}; {faults}" if faults else text, not faults or unknown))
+        except HardwareError as problem:
+            found.append(Tried(name, str(problem), False))
+    found += [_streams(bench, name) for name in bench.imus]
+    found += [Tried("recipe", problem, False) for problem in beyond_limits(track, chamber, limits)]
+    if move and all(entry.good for entry in found):
+        found += try_longest_moves(bench, track, clock)
+    return found
+
+
+def _streams(bench: Bench, name: str) -> Tried:
+    unit = bench.imus[name]
+    try:
+        settings: ImuSettings = unit.configure()
+        decoder = unit.decoder()
+        unit.start()
+        count, missing, last_s = 0, 0, math.nan
+        first: tuple[int, float] | None = None
+        end = time.monotonic() + _STREAM_S
+        while time.monotonic() < end:
+            batch = decoder.push(*unit.read_bytes(0.5))
+            if len(batch):
+                missing += int(batch.gap_before[1:].sum())
+                last_s, count = float(batch.host_time_s[-1]), count + len(batch)
+                first = first or (count, last_s)
+        unit.stop()
+    except HardwareError as problem:
+        return Tried(name, str(problem), False)
+    if first is None or not last_s > first[1]:
+        return Tried(name, f"no samples came in {_STREAM_S:g} s", False)
+    # What came first had waited, nobody knows how long.
+    rate_hz = (count - first[0]) / (last_s - first[1])
+    good = abs(rate_hz / settings.sample_rate_hz - 1.0) < _RATE_OFF and not missing
+    return Tried(name, f"{rate_hz:.1f} of {settings.sample_rate_hz:g} samples/s, {missing} missing", good)
+
+
+def try_longest_moves(bench: Bench, track: Track, clock: Clock) -> list[Tried]:
+    """The references of the axes that the track moves, and the longest turn of each, there and back."""
+    found: list[Tried] = []
+    for name in track.moved:
+        turns = [m for step in track.steps for m in step.moves if m.axis == name and m.kind == "turn"]
+        axis = bench.axes[name]
+        if not turns or axis.limits().by_hand:
+            continue
+        longest = max(turns, key=lambda turn: abs(turn.angle_deg))
+        try:
+            axis.home()
+            begins = axis.read().position_deg
+            for goal in (begins + longest.angle_deg, begins):
+                began_s = clock.now()
+                axis.move_to(goal, longest.rate_dps, longest.acceleration_dps2)
+                while (reading := axis.read()).moving:
+                    if clock.now() - began_s > longest.duration_s + 10.0 * _LATE_S:
+                        break
+                    clock.sleep(0.05)
+                took_s, off = clock.now() - began_s, reading.position_deg - goal
+                text = f"{longest.angle_deg:g} deg in {took_s:.1f} s of {longest.duration_s:.1f}, {off:+.4f} deg off"
+                good = not reading.moving and abs(off) < _OFF_GOAL_DEG and took_s < longest.duration_s + _LATE_S
+                found.append(Tried(name, text, good))
+                if not good:
+                    break
+        except HardwareError as problem:
+            found.append(Tried(name, str(problem), False))
+        finally:
+            axis.stop()
+    return found

@@ -1,0 +1,240 @@
+"""Simulated chambers and a bath that speak in lines: a Thermotron 3800, a CTS, a Julabo. Each with what it remembers.
+
+Written from the protocols' public descriptions (see the heads of `files/presets/devices`), not from the driver.
+"""
+
+import re
+from functools import reduce
+
+from ..clock import Clock
+from .plants import ChamberPlant
+
+
+class SimulatedThermotron:
+    """A set point that was told counts, and is shown, from the next RUNM on; the ramp outlives STOP; a line that comes
+    less than a second after a command is lost. Commands have no reply, and words that are none neither."""
+
+    _DEAF_S = 1.0
+
+    def __init__(self, plant: ChamberPlant, clock: Clock) -> None:
+        self.plant = plant
+        self._clock = clock
+        self._buffer = b""
+        self._deaf_until_s = -1.0
+        self.told_c = self.setpoint_c = plant.truth.ambient_c
+        self.ramp_k_per_min = 0.0
+        self.mode = 2
+        self.alarm = 0
+        self.ignored: list[bytes] = []
+
+    def receive(self, data: bytes) -> list[bytes]:
+        *lines, self._buffer = (self._buffer + data).split(b"\r")
+        return [reply + b"\r\n" for reply in map(self._line, lines) if reply]
+
+    def reboot(self) -> None:
+        self._buffer = b""
+        self._stop()
+
+    def raise_alarm(self) -> None:
+        self.alarm = 1 << 5
+        self._stop()
+
+    def _line(self, line: bytes) -> bytes:
+        now = self._clock.now()
+        text = line.decode("latin-1").strip()
+        if now < self._deaf_until_s - 1e-9:
+            self.ignored.append(line)
+            return b""
+        answers = {
+            "IDEN?": "3800",
+            "VRSN?": "1.07",
+            "PVAR1?": f"{self.plant.air_c(now):.2f}",
+            "SETP1?": f"{self.setpoint_c:.2f}",
+            "MRMP1?": f"{self.ramp_k_per_min:.1f}",
+            "MODE?": str(self.mode),
+            "ALRM1?": str(self.alarm),
+        }
+        if text in answers:
+            return answers[text].encode()
+        if not self._obeys(text, now):
+            self.ignored.append(line)
+            return b""
+        self._deaf_until_s = now + self._DEAF_S
+        return b""
+
+    def _obeys(self, text: str, now: float) -> bool:
+        if (match := re.fullmatch(r"SETP1,(-?\d+(?:\.\d+)?(?:e-?\d+)?)", text)) and -55.0 <= float(match[1]) <= 150.0:
+            self.told_c = float(match[1])
+        elif (match := re.fullmatch(r"MRMP1,(\d+(?:\.\d+)?)", text)) and float(match[1]) <= 20.0:
+            self.ramp_k_per_min = float(match[1])
+        elif text == "RUNM":
+            self.mode, self.setpoint_c = 16, self.told_c
+            self.plant.command(now, target_c=self.setpoint_c, gradient_k_per_min=self.ramp_k_per_min or None)
+            self.plant.switch(now, True)
+        elif text in ("STOP", "INIT"):
+            self._stop()
+        else:
+            return False
+        return True
+
+    def _stop(self) -> None:
+        self.mode = 2
+        self.plant.switch(self._clock.now(), False)
+
+
+class SimulatedCts:
+    """Framed by STX, address, check and ETX; what fails its check is not answered. Rates of ramps outlive a stop; the
+    set value that A0 shows is the one that is regulated to now; the target is in R1."""
+
+    _FREE = 999.9
+
+    def __init__(self, plant: ChamberPlant, clock: Clock, address: int = 129) -> None:
+        self.plant = plant
+        self._clock = clock
+        self._address = address
+        self._buffer = b""
+        self.running = self.error = False
+        self.up = self.down = self._FREE
+        self.target_c = plant.truth.ambient_c
+        self.limits_c = (-40.0, 180.0)
+        self.unanswered = 0
+
+    def receive(self, data: bytes) -> list[bytes]:
+        *frames, self._buffer = (self._buffer + data).split(b"\x03")
+        return [self._framed(reply) for reply in map(self._frame, frames) if reply]
+
+    def reboot(self) -> None:
+        self._buffer = b""
+        self._run(False)
+
+    def raise_alarm(self) -> None:
+        self.error = True
+        self._run(False)
+
+    def _framed(self, text: str) -> bytes:
+        body = bytes([self._address, *(ord(letter) | 0x80 for letter in text)])
+        return b"\x02" + body + bytes([reduce(lambda a, b: a ^ b, body) | 0x80, 3])
+
+    def _frame(self, frame: bytes) -> str:
+        begins = frame.rfind(b"\x02")
+        body = frame[begins + 1 :]
+        sound = begins >= 0 and len(body) > 2 and body[0] == self._address and all(byte & 0x80 for byte in body)
+        if not sound or (reduce(lambda a, b: a ^ b, body[:-1]) | 0x80) != body[-1]:
+            self.unanswered += 1
+            return ""
+        return self._answer("".join(chr(byte & 0x7F) for byte in body[1:-1]))
+
+    def _answer(self, text: str) -> str:
+        now = self._clock.now()
+        if text == "A0":
+            return f"A0 {self.plant.air_c(now):05.1f} {self.plant.set_point_c(now):05.1f}"
+        if text == "R1":
+            on = int(min(self.up, self.down) < self._FREE)
+            return f"R1 {on}{on * int(self.running)} {self.up:07.2f} {self.down:07.2f} {self.target_c:07.2f}"
+        if text == "S":
+            return f"S{int(self.running)}{int(self.error)}100000{'1' if self.error else '0'}"
+        if (match := re.fullmatch(r"a0 (-?\d+\.\d)", text)) is not None:
+            low, high = self.limits_c
+            if low <= float(match[1]) <= high:
+                self.target_c = float(match[1])
+                self._regulate(now)
+            return "a"
+        if (match := re.fullmatch(r"([ud])1 (\d{3}\.\d)", text)) is not None:
+            if match[1] == "u":
+                self.up = float(match[2])
+            else:
+                self.down = float(match[2])
+            return match[1]
+        if (match := re.fullmatch(r"s1 ([01])", text)) is not None:
+            self._run(match[1] == "1" and not self.error)
+            return "s1"
+        return ""
+
+    def _regulate(self, now: float) -> None:
+        rate = self.up if self.target_c >= self.plant.set_point_c(now) else self.down
+        self.plant.command(now, target_c=self.target_c, gradient_k_per_min=rate if rate < self._FREE else None)
+
+    def _run(self, on: bool) -> None:
+        self.running = on
+        self.plant.switch(self._clock.now(), on)
+
+
+class SimulatedJulabo:
+    """7E1, and no command has a reply. Commands count only in remote state, only 0.25 s after another, and only inside
+    the bath's warning limits; which of three set points is regulated to was chosen at the panel or by MODE_01. The very
+    first question after power-on is not answered."""
+
+    _DEAF_S = 0.25
+
+    def __init__(self, plant: ChamberPlant, clock: Clock, *, first_is_lost: bool = False) -> None:
+        self.plant = plant
+        self._clock = clock
+        self._buffer = b""
+        self._deaf_until_s = -1.0
+        self._lost = 1 if first_is_lost else 0
+        self.remote = True
+        self.running = False
+        self.chosen = 0
+        self.setpoints = [plant.truth.ambient_c, 40.0, 60.0]
+        self.limits_c = (-50.0, 200.0)
+        self.problem = ""
+        self.ignored: list[str] = []
+
+    def receive(self, data: bytes) -> list[bytes]:
+        *lines, self._buffer = (self._buffer + data).split(b"\r")
+        return [reply.encode() + b"\r\n" for reply in map(self._line, lines) if reply]
+
+    def reboot(self) -> None:
+        self._buffer = b""
+        self._run(False)
+
+    def raise_alarm(self) -> None:
+        self.problem = "-01 LOW LEVEL ALARM"
+        self._run(False)
+
+    def _line(self, line: bytes) -> str:
+        if self._lost:
+            self._lost -= 1
+            return ""
+        now, text = self._clock.now(), line.decode("latin-1").strip().upper()
+        if now < self._deaf_until_s - 1e-9:
+            self.ignored.append(text)
+            return ""
+        states = {(False, False): "00 MANUAL STOP", (False, True): "01 MANUAL START"}
+        states |= {(True, False): "02 REMOTE STOP", (True, True): "03 REMOTE START"}
+        answers = {
+            "VERSION": "JULABO HIGHTECH FL HL/SL VERSION 4.0",
+            "STATUS": self.problem or states[self.remote, self.running],
+            "IN_PV_00": f"{self.plant.air_c(now):.2f}",
+            "IN_SP_06": "0",
+            "IN_MODE_01": str(self.chosen),
+            "IN_MODE_05": str(int(self.running)),
+            **{f"IN_SP_0{number}": f"{value:.2f}" for number, value in enumerate(self.setpoints)},
+        }
+        if text in answers:
+            return answers[text]
+        if text.startswith("OUT_"):
+            self._deaf_until_s = now + self._DEAF_S
+            if not (self.remote and self._obeys(text)):
+                self.ignored.append(text)
+        return ""
+
+    def _obeys(self, text: str) -> bool:
+        now = self._clock.now()
+        if (match := re.fullmatch(r"OUT_SP_0([012]) (-?\d+(?:\.\d+)?)", text)) is not None:
+            value, (low, high) = round(float(match[2]), 2), self.limits_c
+            if not low <= value <= high:
+                return False
+            self.setpoints[int(match[1])] = value
+        elif (match := re.fullmatch(r"OUT_MODE_01 ([012])", text)) is not None:
+            self.chosen = int(match[1])
+        elif (match := re.fullmatch(r"OUT_MODE_05 ([01])", text)) is not None:
+            self._run(match[1] == "1" and not self.problem)
+        else:
+            return False
+        self.plant.command(now, target_c=self.setpoints[self.chosen])
+        return True
+
+    def _run(self, on: bool) -> None:
+        self.running = on
+        self.plant.switch(self._clock.now(), on)

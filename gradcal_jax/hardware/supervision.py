@@ -1,0 +1,109 @@
+"""What others see of a run: a status file, replaced whole every few seconds, and the alarm that the rig file names.
+
+Both have threads of their own: no disk and no program that is called holds up the run.
+"""
+
+import json
+import math
+import subprocess
+import threading
+import time
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from ..files.rig import RigFile
+from ..files.writing import write_whole
+from .runner import Progress, RunResult
+
+STATUS: Final = "status.json"
+FORMAT: Final = "gradcal-status/1"
+_ALARM_S: Final = 60.0
+
+
+class StatusFile:
+    """Writes the newest of what it is shown; what came in between is not written."""
+
+    def __init__(self, folder: Path, *, simulated: bool) -> None:
+        self._path = folder / STATUS
+        self._simulated = simulated
+        self._newest: dict[str, Any] | None = None
+        self._last: dict[str, Any] = {}
+        self._change = threading.Condition()
+        self._over = False
+        self._writer = threading.Thread(target=self._write_on, daemon=True, name="status file")
+
+    def __enter__(self) -> "StatusFile":
+        self._writer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._change:
+            self._over = True
+            self._change.notify()
+        self._writer.join(timeout=5.0)
+
+    def show(self, progress: Progress) -> None:
+        """How the run stands."""
+        said = asdict(progress)
+        self._put({**said, "state": progress.state.value})
+
+    def end(self, result: RunResult) -> None:
+        """How the run ended."""
+        state = "safe" if result.verified_safe else "failed"
+        ended = {"exit_status": result.exit_status, "reason": result.reason, "verified_safe": result.verified_safe}
+        self._put({**self._last, "state": state, "steps_done": result.steps_done, **ended})
+
+    def _put(self, said: dict[str, Any]) -> None:
+        with self._change:
+            self._last = said
+            head = {"format": FORMAT, "at_s": time.time(), "simulated": self._simulated}
+            self._newest = {**head, **said}
+            self._change.notify()
+
+    def _write_on(self) -> None:
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: self._newest is not None or self._over)
+                said, self._newest = self._newest, None
+                if said is None:
+                    return
+            # A full disk is the journal's to complain of.
+            with suppress(OSError):
+                write_whole(self._path, json.dumps(_plain(said), indent=1) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(entry) for name, entry in value.items()}  # pyright: ignore[reportUnknownVariableType]
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]  # pyright: ignore[reportUnknownVariableType]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def read_status(folder: Path) -> dict[str, Any]:
+    """The newest status of a run. Raises `ValueError` where there is none."""
+    try:
+        found = json.loads((folder / STATUS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        found = None
+    if not isinstance(found, dict) or found.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
+        raise ValueError(f"{folder} has no {STATUS}: it is not the folder of a run, or its run has not begun")
+    return found  # pyright: ignore[reportUnknownVariableType]
+
+
+def sound_alarm(rig: RigFile, sentence: str, *, wait: bool = False) -> None:
+    """Run the command that the rig file names, without a shell; the sentence is its last word."""
+    if rig.alarm is None:
+        return
+    command = [*rig.alarm.command, sentence]
+
+    def call() -> None:
+        with suppress(OSError, subprocess.SubprocessError):
+            subprocess.run(command, timeout=_ALARM_S, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+
+    thread = threading.Thread(target=call, daemon=not wait, name="alarm")
+    thread.start()
+    if wait:
+        thread.join()

@@ -1,0 +1,82 @@
+"""A chamber that is asked `T?`, `SP?` and `ON?`, and told `SP 25.0`, `ON` and `OFF`. It has no ramps of its own."""
+
+from dataclasses import dataclass
+
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.errors import FramingError, LimitExceeded, Rejected
+from gradcal_jax.hardware.exchange import Exchange, until_shown
+from gradcal_jax.hardware.framing import LineFramer
+from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from gradcal_jax.hardware.transport import Transport
+
+
+@dataclass(frozen=True)
+class AcmeConfig:
+    """Options of the rig file: a unit at the end of a name makes it a text with a unit there."""
+
+    baudrate: int = 9600
+    reply_timeout_s: float = 1.0
+    lowest_c: float = -40.0
+    highest_c: float = 120.0
+
+
+def open_exchange(transport: Transport, clock: Clock, config: AcmeConfig) -> Exchange:
+    timeout_s = config.reply_timeout_s
+    return Exchange(transport, LineFramer(), clock=clock, device="The ACME chamber", reply_timeout_s=timeout_s)
+
+
+class AcmeChamber:
+    def __init__(self, exchange: Exchange, config: AcmeConfig) -> None:
+        self._exchange, self._config = exchange, config
+
+    def identify(self) -> Identity:
+        return Identity("acme", "ACME 1", serial_number=f"{self._number('SN?'):.0f}")
+
+    def limits(self) -> ChamberLimits:
+        return ChamberLimits(self._config.lowest_c, self._config.highest_c, 0.1, hardware_ramp=False)
+
+    def read(self) -> ChamberReading:
+        air, setpoint, on = (self._number(question) for question in ("T?", "SP?", "ON?"))
+        return ChamberReading(self._exchange.clock.now(), air, None, setpoint, "ON" if on else "OFF", bool(on), ())
+
+    def hold(self, temperature_c: float) -> None:
+        if not self._config.lowest_c <= temperature_c <= self._config.highest_c:
+            raise LimitExceeded(f"{temperature_c:.1f} degC lies outside the chamber's range.")
+        self._until(f"SP {temperature_c:.1f}", "SP?", round(temperature_c, 1))
+        self._until("ON", "ON?", 1.0)
+
+    def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
+        raise Rejected("This chamber has no ramps; it is ramped by steps of its set point.")
+
+    def standby(self) -> None:
+        self._until("OFF", "ON?", 0.0)
+
+    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
+        if policy is ChamberSafe.STANDBY:
+            self.standby()
+        else:
+            self.hold(self.read().air_c if policy is ChamberSafe.HOLD else ambient_c)
+        reading = self.read()
+        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
+        return SafeReport(policy.value, verified, f"mode {reading.mode}")
+
+    def close(self) -> None:
+        self._exchange.transport.close()
+
+    def _until(self, command: str, question: str, value: float) -> None:
+        until_shown(
+            lambda: self._exchange.tell(command.encode() + b"\n"),
+            lambda: self._number(question),
+            lambda shown: abs(shown - value) < 0.05,
+            what=command,
+            clock=self._exchange.clock,
+        )
+
+    def _number(self, question: str) -> float:
+        def parse(frame: bytes) -> float:
+            try:
+                return float(frame)
+            except ValueError:
+                raise FramingError(f"{question} was answered {frame!r}, which is no number.") from None
+
+        return self._exchange.ask(question.encode() + b"\n", parse)

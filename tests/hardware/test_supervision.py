@@ -1,0 +1,207 @@
+"""Before and beside a run: the dry run, what is tried on the rig, the list, the status file, and the alarm."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hardware_bench import Rig, short_recipe
+
+from gradcal_jax.cli import main
+from gradcal_jax.files.rig import RigFile, rig_of
+from gradcal_jax.files.writing import write_toml
+from gradcal_jax.hardware.binding import track_of
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.dry_run import dry_run, rate_as_made
+from gradcal_jax.hardware.execute import log
+from gradcal_jax.hardware.roles import ChamberLimits
+from gradcal_jax.hardware.run_folder import RunFolder, new_folder
+from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware.supervision import read_status
+
+SLOWER = {"rig.table.max_acceleration": "300 deg/s^2"}
+# Writes its last word into the file that is named before it.
+ALARM = [sys.executable, "-c", "import sys; open(sys.argv[1], 'a').write(sys.argv[2] + '\\n')"]
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    write_toml(short_recipe(changes=SLOWER), tmp_path / "recipe.toml")
+    return tmp_path / "recipe.toml"
+
+
+def with_alarm(rig: RigFile, heard: Path) -> RigFile:
+    return rig_of(rig.model_dump(mode="json", exclude_unset=True) | {"alarm": {"command": [*ALARM, str(heard)]}})
+
+
+def commands(lab: Rig) -> list[str]:
+    return [text for text in lab.chamber.commands if not text.endswith("?") and "?," not in text]
+
+
+def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(made: Path, tmp_path: Path, capsys) -> None:
+    with Rig(RealClock(), stage=True) as lab:
+        write_toml(lab.rig, tmp_path / "rig.toml")
+        asked = ["run", str(made), "--rig", str(tmp_path / "rig.toml"), "--dry-run"]
+        assert main(asked) == 0
+        said = capsys.readouterr().out
+        assert "chamber: ramp to 28 degC at 2 K/min" in said
+        assert "up to 200 deg/s, 0 to 360 deg" in said
+        assert "nothing was moved" in said
+        assert main([*asked, "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        # What the dry run says stands in the recipe's own times.
+        assert found["duration_s"] == pytest.approx(sum(step["duration_s"] for step in found["steps"]))
+        assert (commands(lab), lab.axis.state(0.0)) == ([], (0.0, 0.0))
+        lab.chamber.options.high_c = 26.0
+        assert main(asked) != 0
+        assert "sets 28 degC; the chamber accepts -50 to 26" in capsys.readouterr().out
+    assert main(asked) != 0  # nobody answers any more
+    assert "cannot be opened" in capsys.readouterr().out
+
+
+def test_slopes_are_said_as_the_chamber_makes_them() -> None:
+    whole = ChamberLimits(-50.0, 150.0, 0.1, True, ramp_step_s=60.0)
+    tenths = ChamberLimits(-50.0, 150.0, 0.1, True, ramp_step_k_per_min=0.1)
+    # The ESPEC's whole minutes: 1 K at 2 K/min becomes 1 K/min.
+    assert rate_as_made(whole, 1.0, 2.0) == 1.0
+    assert rate_as_made(whole, 40.0, 1.5) == pytest.approx(40.0 / 27.0)
+    assert rate_as_made(tenths, 40.0, 0.26) == pytest.approx(0.3)
+    track = track_of(short_recipe(ramp_k=1.0, changes=SLOWER), ["x"])
+    assert "2 K/min become 1 K/min" in dry_run(track, whole, {}).rounded[0]
+    assert dry_run(track, tenths, {}).rounded == ()
+
+
+def test_what_is_said_of_a_slope_is_what_the_driver_makes_of_it() -> None:
+    from hardware_bench import cts_bench, espec_bench, thermotron_bench, weiss_bench
+
+    for bench in (espec_bench, weiss_bench, thermotron_bench, cts_bench):
+        clock = VirtualClock()
+        with bench(clock) as (chamber, _, _):
+            chamber.hold(20.0)
+            clock.sleep(3600.0)
+            limits = chamber.limits()
+            assert chamber.ramp(37.0, 1.26) == pytest.approx(rate_as_made(limits, 17.0, 1.26), abs=1e-6)
+
+
+def test_a_rig_is_tried_for_a_recipe_and_moves_only_where_it_is_said(made: Path, tmp_path: Path, capsys) -> None:
+    clock = RealClock()
+    with Rig(clock, stage=True) as lab:
+        write_toml(lab.rig, tmp_path / "rig.toml")
+        asked = ["rig", "check", str(tmp_path / "rig.toml"), "--recipe", str(made)]
+        assert main(asked) == 0
+        said = capsys.readouterr().out
+        assert "125 samples/s, 0 missing" in said
+        assert lab.axis.state(clock.now()) == (0.0, 0.0)
+        before = dict(lab.table.stages[0].settings)
+        assert main([*asked, "--move"]) == 0
+        assert capsys.readouterr().out.count("360 deg in") == 2
+        assert len(lab.axis._phases) > 4
+        assert not lab.axis.moving(clock.now())
+        assert lab.table.stages[0].settings == before
+        assert commands(lab) == []
+        # A stage that stalls, and one that goes slowly, are not good.
+        lab.table.stages[0].plant.move_to = lambda *_: None
+        assert main([*asked, "--move"]) != 0
+        lab.chamber.raise_alarm(18)
+        assert main(asked) != 0
+        assert "ALARM 18" in capsys.readouterr().out
+
+
+class Keyboard(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_list_is_confirmed_or_nothing_begins(made: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+    with Rig(RealClock(), stage=True) as lab:
+        write_toml(with_alarm(lab.rig, tmp_path / "heard"), tmp_path / "rig.toml")
+        monkeypatch.setattr(sys, "stdin", Keyboard("no\n"))
+        asked = ["run", str(made), "--rig", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "run"), "--unit", "SN 7"]
+        assert main(asked) != 0
+        said = capsys.readouterr()
+        for text in ("on the table: SN 7", "24 to 28 degC", "up to 200 deg/s", '"hold"', "an alarm calls: "):
+            assert text in said.out
+        assert "nothing was moved" in said.err
+        assert not (tmp_path / "run").exists()
+        assert (commands(lab), lab.axis.state(0.0)) == ([], (0.0, 0.0))
+
+
+def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: Path, capsys) -> None:
+    clock = VirtualClock()
+    seen: list[dict[str, Any]] = []
+    with Rig(clock, stage=True) as lab:
+        about = {"operator": "A. Person", "note": "second try"}
+        run = new_folder(tmp_path / "run", short_recipe(changes=SLOWER), lab.rig, simulated={}, about=about)
+
+        def look(progress: Any) -> None:
+            # The file is replaced whole: whoever reads it at any time finds all of it.
+            if (run.path / "status.json").exists():
+                seen.append(read_status(run.path))
+
+        result = run_session(run, lab.rig, clock, simulated=True, on_progress=look)
+    assert (result.exit_status, result.verified_safe) == ("success", True)
+    last = read_status(run.path)
+    assert (last["exit_status"], last["state"], last["simulated"]) == ("success", "safe", True)
+    assert last["samples"]["unit1"][0] > 1000
+    assert last["samples"]["unit1"][1] == 0
+    running = [status for status in seen if status["state"] == "running"]
+    assert running
+    assert any(status["course_c"] and status["chamber"]["air_c"] > 24.5 for status in running)
+    assert RunFolder(run.path).notes()["about"] == about
+    assert log(run.path).provenance["operator"] == "A. Person"
+    assert main(["watch", str(run.path)]) == 0
+    assert "ended: success" in capsys.readouterr().out
+    (run.path / "status.json").write_text(json.dumps(running[0] | {"at_s": time.time() - 300.0}))
+    assert main(["watch", str(run.path)]) != 0
+    assert "nothing was heard of it" in capsys.readouterr().err
+    assert main(["watch", str(tmp_path)]) != 0
+    assert "not the folder of a run" in capsys.readouterr().err
+
+
+def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Path) -> None:
+    clock = VirtualClock()
+    with Rig(clock, stage=True) as lab:
+        rig = with_alarm(lab.rig, tmp_path / "heard")
+        run = new_folder(tmp_path / "run", short_recipe(changes=SLOWER), rig, simulated={})
+
+        def alarm(progress: Any) -> None:
+            if progress.steps_done == 1:
+                lab.chamber.raise_alarm(18)
+
+        result = run_session(run, rig, clock, simulated=True, on_progress=alarm, wait_when_paused=False)
+    assert result.exit_status == "aborted"
+    heard = wait_for(tmp_path / "heard")
+    assert "aborted" in heard
+    assert "18" in heard
+    assert read_status(run.path)["exit_status"] == "aborted"
+
+
+def test_the_guard_of_a_run_that_was_killed_calls_it_too(tmp_path: Path) -> None:
+    rig = rig_of({"format": "gradcal-rig/1", "chamber": {"driver": "espec", "port": "COM199", "safe": "standby"}})
+    write_toml(with_alarm(rig, tmp_path / "heard"), tmp_path / "rig.toml")
+    command = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path)]
+    guard = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    try:
+        assert guard.stdin is not None
+        assert guard.stdout is not None
+        assert guard.stdout.readline() == b"ready\n"
+        guard.stdin.write(b"begun\n")
+        guard.stdin.close()
+        assert "the guard makes the rig safe" in wait_for(tmp_path / "heard")
+    finally:
+        guard.kill()
+        guard.wait()
+        guard.stdout.close()
+
+
+def wait_for(path: Path) -> str:
+    end = time.monotonic() + 20.0
+    while not (path.exists() and os.path.getsize(path)) and time.monotonic() < end:
+        time.sleep(0.1)
+    time.sleep(0.1)
+    return path.read_text()

@@ -4,6 +4,7 @@ the pages of other files that hold it link there."""
 import json
 import re
 from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Any, Final
 
 from gradcal_jax.files import schemas
@@ -14,20 +15,29 @@ Body = Mapping[str, Any]
 
 def reference(name: str) -> str:
     """The page of a file or contract, as `schema` names it. Errors: `ValueError` for other names."""
-    own = schemas.schema(name)
-    pages: dict[str, tuple[str, Body]] = {}
-    for page in schemas.names():
-        whole = schemas.schema(page)
-        for title, body in _tables(whole):
-            if pages.setdefault(title, (page, body))[1] != body:
-                raise AssertionError(f"two different tables are called {title}")
-        if whole["$id"] == own["$id"]:
-            break
+    page = name.removeprefix("gradcal-").partition("/")[0]
+    own, pages = _schema(name), _pages()
     lines = [f"# {own['$id']}", "", f"Made by `gradcal schema {page} --markdown`; all of a format's keys.", ""]
     for title, body in _tables(own):
         if pages[title][0] == page and "properties" in body:
             lines += _section(title, body, _places(own, title), pages, page)
     return "\n".join(lines)
+
+
+@cache
+def _schema(name: str) -> Body:
+    return schemas.schema(name)
+
+
+@cache
+def _pages() -> dict[str, tuple[str, Body]]:
+    """On which page each table stands, the first that has it, and the table."""
+    pages: dict[str, tuple[str, Body]] = {}
+    for page in schemas.names():
+        for title, body in _tables(_schema(page)):
+            if pages.setdefault(title, (page, body))[1] != body:
+                raise AssertionError(f"two different tables are called {title}")
+    return pages
 
 
 def _tables(whole: Body) -> Iterator[tuple[str, Body]]:

@@ -315,3 +315,63 @@ def test_the_shortest_plan_lies_between_the_points_of_the_frontier(best):
 
 def test_assembled_sources_of_the_spec_are_the_figures(spec):
     assert set(assemble(spec).sources) == {"bias instability"}
+
+
+def with_targets(spec, own: str, bias: str = "") -> files.Spec:
+    """The spec with a target for what is minimised, as a file would have it, and one for another statistic."""
+    (row,) = spec.requirement
+    rows = [row.model_dump(mode="json", exclude_unset=True) | {"target": own}]
+    if bias:
+        rows.append(rows[0] | {"name": "worst", "statistic": "max", "target": bias})
+    return changed(spec, {"requirement": rows})
+
+
+def test_until_met_searches_nothing_where_the_plan_meets_its_targets_with_margin(spec):
+    before = residual(spec)
+    (found,) = optimise(with_targets(spec, f"{before / 0.88} ppm"), until_met=True)
+    assert isinstance(found, Optimised)
+    assert "nothing was searched" in found.sentence
+    assert found.converged
+    assert found.starts == ()
+    # Within the target, but not by the margin: it is searched.
+    first = next(iter(optimise(with_targets(spec, f"{before / 0.95} ppm"), steps=40, until_met=True)))
+    assert not isinstance(first, Optimised)
+
+
+def test_until_met_stops_at_a_plan_that_meets_every_target_with_margin(spec, best):
+    """And far sooner than the search that goes on."""
+    target = best.now / 0.6
+    assert target < residual(spec)
+    *steps, found = optimise(with_targets(spec, f"{target} ppm", f"{4.0 * target} ppm"), steps=80, until_met=True)
+    assert isinstance(found, Optimised)
+    assert "stopped early: every target is met with a margin of 10%" in found.sentence
+    rows = {row.name: row for row in predict(found.spec).requirements}
+    assert rows["full range"].mean_of_max <= 0.9 * target
+    assert rows["worst"].max <= 0.9 * 4.0 * target
+    assert found.now == pytest.approx(rows["full range"].mean_of_max, rel=1e-12)
+    assert steps[-1].share < 0.5
+    # What no plan meets does not stop it.
+    *_, never = optimise(with_targets(spec, f"{0.5 * best.now} ppm"), steps=20, quick=True, until_met=True)
+    assert "stopped early" not in never.sentence
+
+
+@pytest.mark.parametrize("change", [{"requirement": None}, {"notice": True}, {"minimise": "motion time"}])
+def test_until_met_needs_targets_and_a_residual_to_minimise(spec, change):
+    from gradcal_jax.api.flow import optimise as whole
+
+    design = {"minimise": "full range", "free": ["duration"]}
+    made = with_targets(spec, "1000000 ppm") if "requirement" not in change else spec
+    if "notice" in change:
+        design["notice"] = {"standard_deviation": "10 ppm"}
+    design["minimise"] = change.get("minimise", "full range")
+    with pytest.raises(ValueError, match=r"target"):
+        whole(changed(made, {"design": design}), until_met=True)
+
+
+def test_a_plan_that_keeps_its_limits_is_not_left_for_a_worse_one(spec):
+    """A few steps of one start find nothing as good as an optimum; with another target as a limit, too."""
+    first = with_targets(spec, "1000000 ppm", "1000000 ppm")
+    *_, good = optimise(first, steps=80)
+    again = changed(good.spec, {"design.starts": 1, "design.seed": 5})
+    *_, worse = optimise(again, steps=20, quick=True)
+    assert worse.now <= good.now * (1.0 + 1e-9), worse.sentence

@@ -137,6 +137,8 @@ class Laboratory(Section):
     """Its name."""
     address: Text | None = None
     """Its address."""
+    country: Annotated[str, Field(strict=True, pattern=r"^[A-Z]{2}$")] | None = None
+    """Two letters of ISO 3166, such as "DE"; a digital certificate asks for it."""
     operator: Text | None = None
     """Who makes the calibration."""
 
@@ -286,6 +288,7 @@ sample_rate = "125 Hz"
 # For `gradcal report --certificate`: who signs, and what the values are traced to.
 # [laboratory]
 # name     = "Calibration laboratory"
+# country  = "DE"
 # operator = "A. Person"
 # [[reference]]
 # device      = "encoder"    # table, encoder, chamber, thermometer or clock

@@ -15,7 +15,7 @@ from gradcal_jax.api.frontier import Point, shortest
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.measure import measure
 from gradcal_jax.api.minimise_time import minimise_time
-from gradcal_jax.api.optimise import Optimised, exact, optimise
+from gradcal_jax.api.optimise import Optimised, _within_limits, exact, optimise, targets_met
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.sensitivity import sensitivities
 from gradcal_jax.api.structures import structures
@@ -333,26 +333,23 @@ def test_until_met_searches_nothing_where_the_plan_meets_its_targets_with_margin
     assert "nothing was searched" in found.sentence
     assert found.converged
     assert found.starts == ()
-    # Within the target, but not by the margin: it is searched.
-    first = next(iter(optimise(with_targets(spec, f"{before / 0.95} ppm"), steps=40, until_met=True)))
-    assert not isinstance(first, Optimised)
+    # Within the target, but not by the margin; and one of two is missed.
+    assert targets_met(with_targets(spec, f"{before / 0.88} ppm"))
+    assert not targets_met(with_targets(spec, f"{before / 0.95} ppm"))
+    assert not targets_met(with_targets(spec, f"{before / 0.88} ppm", "0.001 ppm"))
 
 
 def test_until_met_stops_at_a_plan_that_meets_every_target_with_margin(spec, best):
     """And far sooner than the search that goes on."""
     target = best.now / 0.6
     assert target < residual(spec)
-    *steps, found = optimise(with_targets(spec, f"{target} ppm", f"{4.0 * target} ppm"), steps=80, until_met=True)
+    *steps, found = optimise(with_targets(spec, f"{target} ppm"), steps=80, until_met=True)
     assert isinstance(found, Optimised)
     assert "stopped early: every target is met with a margin of 10%" in found.sentence
     rows = {row.name: row for row in predict(found.spec).requirements}
     assert rows["full range"].mean_of_max <= 0.9 * target
-    assert rows["worst"].max <= 0.9 * 4.0 * target
     assert found.now == pytest.approx(rows["full range"].mean_of_max, rel=1e-12)
     assert steps[-1].share < 0.5
-    # What no plan meets does not stop it.
-    *_, never = optimise(with_targets(spec, f"{0.5 * best.now} ppm"), steps=20, quick=True, until_met=True)
-    assert "stopped early" not in never.sentence
 
 
 @pytest.mark.parametrize("change", [{"requirement": None}, {"notice": True}, {"minimise": "motion time"}])
@@ -368,10 +365,9 @@ def test_until_met_needs_targets_and_a_residual_to_minimise(spec, change):
         whole(changed(made, {"design": design}), until_met=True)
 
 
-def test_a_plan_that_keeps_its_limits_is_not_left_for_a_worse_one(spec):
-    """A few steps of one start find nothing as good as an optimum; with another target as a limit, too."""
-    first = with_targets(spec, "1000000 ppm", "1000000 ppm")
-    *_, good = optimise(first, steps=80)
-    again = changed(good.spec, {"design.starts": 1, "design.seed": 5})
-    *_, worse = optimise(again, steps=20, quick=True)
-    assert worse.now <= good.now * (1.0 + 1e-9), worse.sentence
+def test_the_plan_as_it_was_counts_only_where_it_keeps_the_limits(spec):
+    for most, keeps in (("1000000 ppm", True), ("0.001 ppm", False)):
+        limited = with_targets(spec, "1000000 ppm", most)
+        assert measure(limited).limits == ("worst",)
+        assert _within_limits(limited, measure(limited)) == keeps
+    assert _within_limits(spec, measure(spec))

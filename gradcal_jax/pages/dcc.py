@@ -31,9 +31,9 @@ def write_dcc(certificate: Certificate, rig: RigFile | None, path: str | Path) -
     """Write a certificate as a DCC. Errors: `ValueError` for what the schema asks for and nobody stated; `OSError`."""
     for prefix, space in (("dcc", _DCC), ("si", _SI), ("xsi", _XSI)):
         ET.register_namespace(prefix, space)
-    tree = ET.ElementTree(_document(certificate, rig))
-    ET.indent(tree)
-    text = ET.tostring(tree.getroot(), encoding="unicode")
+    root = _document(certificate, rig)
+    ET.indent(root)
+    text = ET.tostring(root, encoding="unicode")
     write_whole(path, f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n')
 
 

@@ -21,6 +21,7 @@ def report(
     output: Output,
     before: Path | None = None,
     limits: Path | None = None,
+    panel: Flag = False,
     certificate: Flag = False,
     rig: Path | None = None,
     number: str = "",
@@ -44,6 +45,8 @@ def report(
         A spec or recipe whose plan to compare with; without it, what the spec's priors say.
     limits
         What `gradcal limit --json` printed of the plan, kept in a file: the page says how near the plan comes.
+    panel
+        Sliders on the page: what another time, encoder or slope would leave, from 75 predictions.
     certificate
         Two pages for a laboratory to sign, of a calibration, in the place of the whole page.
     rig
@@ -90,7 +93,7 @@ def report(
     from gradcal_jax.pages.facts import as_tables
     from gradcal_jax.pages.report import write_page
 
-    facts = write_page(found, output)
+    facts = write_page(found, output, panel=panel)
     if json:
         print(as_json(as_tables(facts)))
     else:

@@ -156,19 +156,21 @@ SMALL = {
 }
 """A ramp of minutes, for which searches and runs are short."""
 ELSEWHERE = {
-    "run --resume run1": "tests/hardware/test_killed_runs.py",
+    "run --resume run1": "tests/cli/test_run_cli.py",
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
+    "optimise unit.toml -o better.toml --steps 600": "tests/api/test_unit_optimise.py",
+    "sensitivity mine/spec.toml": "tests/cli/test_design_cli.py",
+    "sweep experiments/sweeps/tactical_bench.toml -o results.nc --plot results.png": "tests/cli/test_sweep_cli.py",
 }
-"""Lines that another test runs, on data that it makes."""
-SHORTER = {
-    "predict my.toml --monte-carlo 500": "predict my.toml --monte-carlo 20",
-    "optimise unit.toml -o better.toml --steps 600": "optimise small-unit.toml -o better.toml --steps 20",
-    # What 1000 plans are; that they are predicted is tested in tests/jobs.
-    "sweep experiments/sweeps/tactical_bench.toml -o results.nc --plot results.png": "sweep "
-    "experiments/sweeps/tactical_bench.toml -o results.nc --dry-run",
+"""Lines whose command another test runs, on less: they take minutes, or data that it makes."""
+IN_PYTHON = {
+    "optimise design.toml -o recipe.toml --steps 60": "gj.optimise(spec, steps=60)",
+    "run recipe.toml --simulate -o run": 'gj.run(recipe, "run", simulate=True)',
+    "run recipe.toml --simulate -o rehearsal": 'gj.run(recipe, "run", simulate=True)',
 }
-"""What stands for a line of minutes."""
+"""Lines that are one of Python's, which was run."""
+SHORTER = {"predict my.toml --monte-carlo 500": "predict my.toml --monte-carlo 60"}
 NO_DEVICE = {
     "rig check rig.toml",
     "rig check mine/rig.toml",
@@ -216,20 +218,21 @@ def test_the_lines_of_python_do_the_whole_job(whole_job):
 @pytest.mark.parametrize("page", PAGES)
 def test_every_line_of_a_page_runs(page, whole_job, tmp_path, monkeypatch):
     """In their order, in an empty folder; a run is the one of the lines of Python, not made again on every page."""
-    job = whole_job[0]
+    job, _, python = whole_job
     monkeypatch.chdir(tmp_path)
     for name in ("experiments", "gradcal_jax"):
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/rig.toml").write_text(rig_of_the_certificate(), encoding="utf-8")
-    (tmp_path / "small-unit.toml").write_text(gj.presets.text("accelerometer-six-positions"), encoding="utf-8")
     shutil.copy(job / "design.toml", "design.toml")
     for line in lines_of(TEXTS[page]):
         if line in ELSEWHERE:
             assert f'"{line.split()[0]}"' in (ROOT / ELSEWHERE[line]).read_text(encoding="utf-8")
-            continue
-        prepared(line, job)
-        ran(SHORTER.get(line, line))
+        elif line in IN_PYTHON:
+            assert IN_PYTHON[line] in python
+        else:
+            prepared(line, job)
+            ran(SHORTER.get(line, line))
 
 
 def prepared(line, job):
@@ -253,8 +256,6 @@ def prepared(line, job):
 
 def ran(line):
     """Run a line; its status is as it should be, and its output where it belongs."""
-    if line.startswith("run ") and "--simulate" in line:
-        return  # as the lines of Python did
     line, _, into = line.partition(" > ")
     shell = subprocess.run(["bash", "-c", f"printf '%s\\n' {line}"], capture_output=True, text=True, check=True)
     words = shell.stdout.splitlines()

@@ -92,7 +92,7 @@ def as_tables(facts: Facts) -> dict[str, Any]:
         done = {
             name: value
             for name, value in course._asdict().items()
-            if name not in ("chamber_s", "chamber_c", "angles", "waited", "devices")
+            if name not in ("chamber_s", "chamber_c", "rates", "waited", "devices")
         }
         done["waited"] = [row._asdict() for row in course.waited]
         done["devices"] = [row._asdict() for row in course.devices]

@@ -17,7 +17,7 @@ from gradcal_jax import plots
 from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.pages.course import Course, rates_of
+from gradcal_jax.pages.course import Course
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor
@@ -78,27 +78,22 @@ def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture
                 ax.plot(course.chamber_s / 3600.0, course.chamber_c, label="done", **style_of(1))
                 ax.legend()
 
-        caption = "Temperature of the chamber on the plan's clock."
-        if course is not None:
-            caption = "Temperature: planned, on the plan's clock, and done, on the run's, which counts waiting too."
-        found.append(picture("temperature", caption, temperatures, _LOW))
+        words = "Temperature of the chamber on the plan's clock"
+        words += "." if course is None else ", which stands while a step is waited for: planned and done."
+        found.append(picture("temperature", words, temperatures, _LOW))
         for axis in turned_axes(recipe):
+            done = None if course is None else course.rates.get(axis)
+
+            def rates(ax: Axes, axis=axis, done=done) -> None:
+                draw_planned_rate(recipe, axis, label="planned", ax=ax)
+                if done is not None:
+                    ax.plot(done[0] / 3600.0, done[1], linewidth=0.8, label="done", **style_of(1))
+                    ax.legend()
+
             words = f"Rate of table axis {axis} as planned."
-            found.append(
-                picture(f"planned-{axis}", words, lambda ax, a=axis: draw_planned_rate(recipe, a, ax=ax), _LOW)
-            )
-    if course is not None:
-        for axis, (time, angle) in course.angles.items():
-            if np.ptp(angle) < 1.0:
-                continue
-            step, rate = rates_of(time, angle)
-
-            def rates(ax: Axes, step=step, rate=rate) -> None:
-                ax.plot(step / 3600.0, rate, linewidth=0.8, color=style_of(1)["color"])
-                ax.set(xlabel="time since the run began, h", ylabel="rate, deg/s")
-
-            words = f"Rate of table axis {axis} as done: the mean between two readings of its angle."
-            found.append(picture(f"done-{axis}", words, rates, _LOW))
+            if done is not None:
+                words = f"Rate of table axis {axis}: planned, and as turned by the commands that it executed."
+            found.append(picture(f"rate-{axis}", words, rates, _LOW))
     return found
 
 

@@ -95,7 +95,7 @@ def test_sliders_show_the_numbers_of_the_grid(made, panel, tmp_path, width):
         assert chromium.messages == []
         assert all(url.startswith(("file:", "data:")) for url in chromium.requests)
         for at in [(2, 0, 2), (0, 1, 4), (4, 2, 0), (3, 1, 1)]:
-            shown = json.loads(chromium.evaluate(_MOVE % json.dumps(at)))
+            shown = json.loads(chromium.evaluate(_MOVE.replace("AT", json.dumps(at))))
             k = (at[0] * len(RAMPS) + at[1]) * len(ANGLES) + at[2]
             assert shown["labels"] == [c["labels"][i] for c, i in zip(panel["choices"], at, strict=True)]
             assert panel["lasts"][k] in shown["time"]
@@ -113,7 +113,7 @@ def test_sliders_show_the_numbers_of_the_grid(made, panel, tmp_path, width):
 
 _MOVE = """
 (() => {
-  const at = %s, panel = document.getElementById("panel");
+  const at = AT, panel = document.getElementById("panel");
   panel.querySelectorAll("input").forEach((input, i) => {
     input.value = at[i];
     input.dispatchEvent(new Event("input"));

@@ -190,12 +190,29 @@ def test_the_run_is_the_journals(made, whole):
     assert (course.status, course.sessions, course.simulated, course.verified_safe) == ("success", 1, True, True)
     assert course.duration_s > plan.duration_s
     assert course.chamber_c.min() >= 19.0
-    time, angle = course.angles["x"]
-    stepped, rate = rates_of(time, angle)
-    assert np.sum(rate[::2] * np.diff(stepped)[::2]) == pytest.approx(angle[-1] - angle[0], abs=1.0)
     assert "SIMULATED" in whole[1].text
     assert f"{course.steps} steps" in whole[1].text
     assert [row["device"] for row in whole[1].table("run", "device")] == [device.name for device in course.devices]
+
+
+def test_what_was_done_stands_on_the_clock_of_the_plan_with_the_rates_that_were_turned(made):
+    folder, plan, _, _ = made
+    course = course_of(read_sources([folder / "run"]).run)
+    assert 0.0 <= course.chamber_s.min() < course.chamber_s.max() <= plan.duration_s
+    (planned_t, planned), (done_t, done) = planned_rate(plan, "x"), course.rates["x"]
+    assert np.max(done) == pytest.approx(np.max(planned), rel=1e-6)
+    assert np.min(done) == pytest.approx(np.min(planned), rel=1e-6)
+    assert np.trapezoid(done, done_t) == pytest.approx(np.trapezoid(planned, planned_t), abs=1.0)
+    # Every turn begins when it was to, within what counts as executed.
+    begins = [t[:-1][(r[:-1] == 0.0) & (r[1:] != 0.0)] for t, r in ((planned_t, planned), (done_t, done))]
+    assert len(begins[0]) == len(begins[1]) > 10
+    assert np.max(np.abs(begins[0] - begins[1])) < 1.0
+
+
+def test_rates_between_angles_of_a_turn_by_hand_add_up_to_the_angle():
+    time, angle = np.array([0.0, 1.0, 1.01, 3.0, 4.0]), np.array([0.0, 10.0, 10.0, 90.0, 90.0])
+    stepped, rate = rates_of(time, angle)
+    assert np.sum(rate[::2] * np.diff(stepped)[::2]) == pytest.approx(90.0)
 
 
 def test_planned_motion_turns_by_the_planned_angles(made):

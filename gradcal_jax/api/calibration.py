@@ -301,6 +301,7 @@ def _result(row: Verdict) -> Result:
     given: dict[str, Any] = {"value": row.value, "worst": row.worst, "target": row.target, "verdict": row.verdict}
     if row.target is not None:
         given |= {"coverage": row.coverage, "rule": row.rule}
+        given["risk"] = None if row.requirement.risk is None else float(row.requirement.risk)
     return Result(
         name=row.requirement.name,
         axis=row.axis,

@@ -180,6 +180,8 @@ class Result(Section):
     """Whether it is met."""
     coverage: Number | None = None
     """Standard deviations that must be within the target."""
+    risk: Annotated[Number, Field(gt=0.0, le=0.5)] | None = None
+    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
     rule: Text | None = None
     """Rule of the verdict, in words."""
 

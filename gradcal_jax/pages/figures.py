@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -36,6 +36,8 @@ _STYLE: Any = {
 }
 # Residuals that differ by more than this are shown on logarithmic scales.
 _LOGARITHMIC = 4.0
+# Maps whose ratio is everywhere nearer to 1 than this look alike (a natural logarithm).
+_ALIKE = 0.3
 # Of labels on a map, as shares of its sides: how far from the edge, and from one another.
 _INSIDE, _APART = 0.06, np.array([0.15, 0.09])
 
@@ -48,8 +50,11 @@ class Picture(NamedTuple):
     svg: str
 
 
-def map_pictures(facts: Sequence[MapFact]) -> list[list[Picture]]:
-    """For each requirement whose box no earlier one holds: its maps on one scale of colours, then their curves."""
+def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], float]) -> list[list[Picture]]:
+    """For each requirement whose box no earlier one holds: its maps on one scale of colours, then their curves. A map
+    that looks like the one before it is shown as their ratio. `targets`: what the standard deviation may come to, by
+    requirement and axis.
+    """
     found: list[list[Picture]] = []
     drawn: list[MapFact] = []
     for fact in facts:
@@ -59,11 +64,20 @@ def map_pictures(facts: Sequence[MapFact]) -> list[list[Picture]]:
         where = fact.name if len({f.axis for f in facts}) == 1 else f"{fact.name}, axis {fact.axis}"
         key = f"{picture_key(fact.name)}-{fact.axis}-{fact.quantity}"
         if fact.quantity == "bias":
-            found.append([_curves(fact, f"{key}-curves", where)])
+            found.append([_curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
             continue
         norm = _norm([box for _, box in fact.maps])
-        group = [_map(box, label, f"{key}-{label}", where, norm) for label, box in fact.maps]
-        found.append([*group, _curves(fact, f"{key}-curves", where)])
+        group: list[Picture] = []
+        for place, (label, box) in enumerate(fact.maps):
+            earlier = fact.maps[place - 1] if place else None
+            if earlier is not None and _alike(box, earlier[1]):
+                ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
+                words = f"{where}: residual {label} over that {earlier[0]}."
+                group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, _norm([ratio])))
+            else:
+                words = f"{where}: residual {label}, one standard deviation."
+                group.append(_map(box, label, f"{key}-{label}", words, norm))
+        found.append([*group, _curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
     return found
 
 
@@ -130,6 +144,13 @@ def _holds(outer: MapFact, inner: MapFact) -> bool:
     )
 
 
+def _alike(box: Box, other: Box) -> bool:
+    """Whether two maps of one box differ nowhere by what colours show."""
+    if box.values.shape != other.values.shape or not np.all(np.isfinite(box.values) & (other.values > 0.0)):
+        return False
+    return bool(np.max(np.abs(np.log(box.values / other.values))) < _ALIKE)
+
+
 def _norm(boxes: Sequence[Box]) -> Normalize:
     """One scale of colours for all maps of a requirement."""
     seen = np.concatenate([box.values[np.isfinite(box.values)].ravel() for box in boxes])
@@ -141,7 +162,7 @@ def _norm(boxes: Sequence[Box]) -> Normalize:
     return Normalize(low, high if high > low else low + 1.0)
 
 
-def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture:
+def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Picture:
     def draw(ax: Axes) -> None:
         drawn = plots.draw_map(box.temperature_c, box.rate_dps, box.values, box.unit, title=label, ax=ax)
         drawn.mesh.set_norm(norm)
@@ -151,6 +172,8 @@ def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture
         bar.locator = LogLocator(10.0, subs=(1.0, 2.0, 5.0)) if logarithmic else MaxNLocator(5)
         bar.formatter = FuncFormatter(_tick)
         bar.minorformatter = NullFormatter()
+        if box.unit == "ratio":
+            bar.set_label("ratio")
         bar.update_ticks()
         if drawn.contours is not None:
             levels = drawn.contours.levels
@@ -161,7 +184,6 @@ def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture
                 ax.contour(box.rate_dps, box.temperature_c, shown, levels=levels, colors="white", linewidths=0.7),
             )
 
-    caption = f"{where}: residual {label}, one standard deviation."
     if not np.all(np.isfinite(box.values)):
         caption += " Blank: not observable."
     return picture(key, caption, draw, _HIGH)
@@ -193,7 +215,7 @@ def _label(ax: Axes, contours: QuadContourSet) -> None:
         )
 
 
-def _curves(fact: MapFact, key: str, where: str) -> Picture:
+def _curves(fact: MapFact, key: str, where: str, target: float | None) -> Picture:
     bias = fact.quantity == "bias"
 
     def draw(ax: Axes) -> None:
@@ -204,6 +226,9 @@ def _curves(fact: MapFact, key: str, where: str) -> Picture:
             else:
                 plots.draw_worst_over_temperature(box.rate_dps, box.values, box.unit, label=label, index=index, ax=ax)
             values.append(np.max(box.values, axis=1 if bias else 0))
+        if target is not None:
+            ax.axhline(target, color="#555555", linewidth=1.0, linestyle=(0, (6, 3)), label="target (1σ)")
+            values.append(np.array([target]))
         seen = np.concatenate(values)
         seen = seen[np.isfinite(seen) & (seen > 0.0)]
         if len(seen) and seen.max() > _LOGARITHMIC * seen.min():

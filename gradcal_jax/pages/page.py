@@ -39,7 +39,8 @@ def page(sources: Sources, facts: Facts, *, panel: bool = False) -> str:
     room = resources.files(__name__.rsplit(".", 1)[0])
     template = environment.get_template("page.html")
     recipe, calibration = sources.recipe, sources.calibration
-    left, tracks = map_pictures(facts.maps), track_pictures(recipe, facts.course)
+    targets = {(r.name, r.axis): r.target / r.coverage for r in facts.requirements if r.target is not None}
+    left, tracks = map_pictures(facts.maps, targets), track_pictures(recipe, facts.course)
     words = _words(facts, recipe)
     if sources.unit is not None:
         left, tracks = unit_pictures(sources)
@@ -89,6 +90,10 @@ def _words(facts: Facts, recipe: Recipe | None) -> dict[str, Any]:
                 (t.name, figures(t.value), "not observable" if t.std is None else figures(t.std, 3), t.unit, t.computed)
                 for t in axis.terms
             ]
+            for axis in facts.axes
+        ],
+        "fit": [
+            [(name, figures(value), str(degrees), figures(chance, 2)) for name, value, degrees, chance in axis.fit]
             for axis in facts.axes
         ],
         "basis": _basis(recipe, facts),

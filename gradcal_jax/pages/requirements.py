@@ -24,7 +24,8 @@ _SEEN: Final = 1e-3
 class RequirementFact(NamedTuple):
     """A requirement before, as predicted, as achieved (1σ, in `unit`); None: not observable, or not there to tell.
 
-    `verdict`: of what was achieved, otherwise of what is predicted; `limit`: proven for any plan.
+    `verdict`: of what was achieved, otherwise of what is predicted; `limit`: proven for any plan; `coverage`: standard
+    deviations that must be within the target.
     """
 
     name: str
@@ -41,6 +42,7 @@ class RequirementFact(NamedTuple):
     verdict: str | None
     limited_by: str | None
     limit: float | None
+    coverage: float = 1.0
 
 
 class MapFact(NamedTuple):
@@ -129,6 +131,7 @@ def _requirement(
         row.verdict if result is None else result.verdict,
         row.limited_by,
         limits.get(row.name),
+        row.coverage,
     )
 
 

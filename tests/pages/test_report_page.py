@@ -245,8 +245,8 @@ def test_a_page_stands_alone_and_escapes_what_files_say(whole):
     assert len(shown.ids) == len(set(shown.ids))
     figures_there = [i for i in shown.ids if f"{i}-caption" in shown.ids]
     assert len(figures_there) == text.count("<figure") == text.count("<svg")
-    # Maps before, predicted, achieved; their curves; bias curves; three tracks; two found maps.
-    assert len(figures_there) == 4 + 1 + 3 + 2
+    # Maps before, predicted, achieved; their curves; bias curves; two tracks; two found maps.
+    assert len(figures_there) == 4 + 1 + 2 + 2
     assert "nan" not in shown.text.lower().split()
     assert "None" not in shown.text
 

@@ -238,13 +238,11 @@ def test_every_line_of_a_page_runs(page, whole_job, tmp_path, monkeypatch):
 def prepared(line, job):
     """What the line works on, where it is from a search or a run that the page does not show."""
     words = line.split()
-    for folder in ("run", "run1", "rehearsal"):
-        if (
-            words[0] in ("log", "estimate", "report")
-            and re.search(rf"\b{folder}\b", line)
-            and not Path(folder).exists()
-        ):
-            shutil.copytree(job / "run", folder)
+    made = next((f for f in ("run1", "run", "rehearsal") if re.search(rf"\b{f}\b", line)), None)
+    if words[0] == "log" and made:
+        shutil.rmtree(made, ignore_errors=True)
+    if words[0] in ("log", "estimate", "report") and made and not Path(made).exists():
+        shutil.copytree(job / "run", made)
     if words[0] == "log":
         for name in ("log.nc", "calibration.toml"):
             Path(words[1], name).unlink(missing_ok=True)

@@ -104,6 +104,15 @@ class FitTest(Section):
     """Chance of one as large or larger."""
 
 
+class Residuals(Section):
+    """Whitened residuals of the fit, in standard deviations: independent and normal where the model is true."""
+
+    counts: Annotated[tuple[Whole, ...], Field(min_length=18, max_length=18)]
+    """How many lie below -4, in steps of one half from there to 4, and above."""
+    rms: Annotated[tuple[Number, ...], Field(max_length=10)] = ()
+    """Root mean square of each tenth of them, in the order of time."""
+
+
 class AxisCalibration(Section):
     """One axis."""
 
@@ -125,6 +134,8 @@ class AxisCalibration(Section):
     """Of the coefficients."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
     """Tests of the fit."""
+    residuals: Residuals | None = None
+    """What the fit leaves of the data."""
     unobservable: tuple[Text, ...] = ()
     """Combinations of coefficients of which the data say nothing."""
 

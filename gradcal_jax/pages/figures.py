@@ -20,7 +20,7 @@ from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.course import Course
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
-from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor
+from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor, draw_residual_parts, draw_residuals
 from gradcal_jax.plots.style import style_of
 from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, turned_axes
 
@@ -122,6 +122,12 @@ def found_pictures(calibration: Calibration) -> list[Picture]:
         if axis.bias is not None:
             words = f"Bias of axis {axis.name} as found; the band is one standard deviation."
             draw.append(("bias", words, lambda a, ax: draw_found_bias(a, ax=ax)))
+        if axis.residuals is not None and sum(axis.residuals.counts):
+            words = f"Residuals of axis {axis.name}, in standard deviations of what the noise of the spec says."
+            draw.append(("residuals", words, lambda a, ax: draw_residuals(a, ax=ax)))
+            if axis.residuals.rms:
+                words = f"Size of the residuals of axis {axis.name} along the run; the band holds 95 of 100 by chance."
+                draw.append(("residual-parts", words, lambda a, ax: draw_residual_parts(a, ax=ax)))
         found += [
             picture(f"found-{name}-{axis.name}", words, lambda ax, a=axis, d=function: d(a, ax), _HIGH)
             for name, words, function in draw

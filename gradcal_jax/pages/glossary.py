@@ -6,6 +6,7 @@ from typing import Final
 OF_THE_FIELD: Final[dict[str, str]] = {
     "certificate": "Two pages for a laboratory to sign: a unit's corrections and their uncertainty.",
     "coverage": "k: an expanded uncertainty is k standard deviations; 2 covers 95 % of normal errors.",
+    "guard band": "What an acceptance limit stays below its target, so that the risk of a wrong acceptance is small.",
     "guarded": "Of acceptance: a unit passes only where the risk that it exceeds its limit is below a chosen one.",
     "risk": "The chance of a wrong decision: of one unit (specific), or of any unit beforehand (global).",
     "angle random walk": "White noise of the rate; the angle integrated from it wanders as √time. In deg/√h.",
@@ -27,6 +28,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
     "covariance": "The variances of the coefficients, and how their errors go together.",
     "cycle": "Moves that repeat through a ramp; other axes have their turn in the rest of it.",
     "degree": "The highest power in a polynomial. (An angle's degree is written deg, a temperature's °C.)",
+    "DCC": "Digital Calibration Certificate: a certificate as XML for programs to read, by a schema of the PTB.",
     "device": "A chamber, a motion axis or a sensor behind a port.",
     "discrepancy": "How far the true map may be from the structure assumed, as a standard deviation.",
     "drift": "A first-order Gauss–Markov process in the bias, given by standard deviation and correlation time.",

@@ -32,6 +32,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
     "device": "A chamber, a motion axis or a sensor behind a port.",
     "discrepancy": "How far the true map may be from the structure assumed, as a standard deviation.",
     "drift": "A first-order Gauss–Markov process in the bias, given by standard deviation and correlation time.",
+    "encoder": "What reads the angle of a table's axis.",
     "Earth rate": "The Earth turns by 15.04 deg/h; the part along a sensor's axis is known and taken off.",
     "efficiency": "The proven limit over what a plan leaves: at 70 % no plan leaves less than 0.7 of it.",
     "generalised least squares": "Least squares that weighs errors by their covariance: the best linear estimate.",

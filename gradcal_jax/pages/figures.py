@@ -222,32 +222,35 @@ def _label(ax: Axes, contours: QuadContourSet) -> None:
 
 
 def _curves(fact: MapFact, key: str, where: str, target: float | None) -> Picture:
+    words = "over temperature" if fact.quantity == "bias" else "the worst over temperature, against rate"
+    caption = f"{where}: residual, {words}, one standard deviation."
+    return picture(key, caption, lambda ax: _draw_curves(fact, target, ax), _HIGH)
+
+
+def _draw_curves(fact: MapFact, target: float | None, ax: Axes) -> None:
     bias = fact.quantity == "bias"
-
-    def draw(ax: Axes) -> None:
-        values = []
-        for index, (label, box) in enumerate(fact.maps):
-            if bias:
-                plots.draw_over_temperature(box.temperature_c, box.values, box.unit, label=label, index=index, ax=ax)
-            else:
-                plots.draw_worst_over_temperature(box.rate_dps, box.values, box.unit, label=label, index=index, ax=ax)
-            values.append(np.max(box.values, axis=1 if bias else 0))
-        if target is not None:
-            ax.axhline(target, color="#555555", linewidth=1.0, linestyle=(0, (6, 3)), label="target (1σ)")
-            values.append(np.array([target]))
-        seen = np.concatenate(values)
-        seen = seen[np.isfinite(seen) & (seen > 0.0)]
-        if len(seen) and seen.max() > _LOGARITHMIC * seen.min():
-            ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))
-            ax.yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
-            ax.yaxis.set_major_formatter(FuncFormatter(_tick))
-            ax.yaxis.set_minor_formatter(NullFormatter())
-        if not bias:
-            ax.set_ylabel(f"worst residual over temperature, {fact.maps[0][1].unit}")
-        ax.legend()
-
-    words = "over temperature" if bias else "the worst over temperature, against rate"
-    return picture(key, f"{where}: residual, {words}, one standard deviation.", draw, _HIGH)
+    values = []
+    for index, (label, box) in enumerate(fact.maps):
+        if bias:
+            plots.draw_over_temperature(box.temperature_c, box.values, box.unit, label=label, index=index, ax=ax)
+        else:
+            plots.draw_worst_over_temperature(box.rate_dps, box.values, box.unit, label=label, index=index, ax=ax)
+        values.append(np.max(box.values, axis=1 if bias else 0))
+    if target is not None:
+        ax.axhline(target, color="#555555", linewidth=1.0, linestyle=(0, (6, 3)), label="target (1σ)")
+        values.append(np.array([target]))
+    seen = np.concatenate(values)
+    seen = seen[np.isfinite(seen) & (seen > 0.0)]
+    if len(seen) and seen.max() > _LOGARITHMIC * seen.min():
+        ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))
+        ax.yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FuncFormatter(_tick))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+    elif len(seen):
+        ax.set_ylim(0.0, 1.08 * seen.max())
+    if not bias:
+        ax.set_ylabel(f"worst residual over temperature, {fact.maps[0][1].unit}")
+    ax.legend()
 
 
 def _tick(value: float, _place: int) -> str:

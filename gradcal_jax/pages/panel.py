@@ -51,6 +51,8 @@ def panel_of(recipe: Recipe) -> dict[str, Any]:
                 "name": f"{row.name} ({row.statistic})",
                 "unit": row.unit,
                 "target": row.target,
+                # What one standard deviation may come to.
+                "allowed": None if row.target is None else row.target / row.coverage,
                 "values": [None if p is None else _sized(p[1][k][0]) for p in points],
                 "verdicts": [None if p is None else p[1][k][1] for p in points],
             }

@@ -33,6 +33,7 @@ def test_the_plan_itself_is_a_point_of_the_grid(made, panel):
     for row, told in zip(made.prediction.requirements, panel["requirements"], strict=True):
         assert told["values"][at] == pytest.approx(row.decisive, rel=1e-5)
         assert told["verdicts"][at] == row.verdict
+        assert told["allowed"] == (None if row.target is None else row.target / row.coverage)
     assert panel["hours"][at] == pytest.approx(made.duration_s / 3600.0)
 
 

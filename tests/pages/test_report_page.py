@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from report_samples import calibration, recipe, rehearse, spec
 
 from gradcal_jax.api.ieee_terms import found_map, prior_map, standard_terms
@@ -18,6 +19,7 @@ from gradcal_jax.files.writing import write_toml
 from gradcal_jax.information import statistic
 from gradcal_jax.pages.course import course_of, rates_of
 from gradcal_jax.pages.facts import as_tables, facts_of
+from gradcal_jax.pages.figures import _draw_curves
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.page import page
 from gradcal_jax.pages.sources import read_sources
@@ -322,3 +324,14 @@ def test_the_glossary_explains_what_is_asked(capsys):
     assert "each time it comes to rest" in " ".join(capsys.readouterr().out.split())
     assert main(["glossary", "warp", "drive"]) == 2
     assert "warp drive" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("allowed", [2000.0, 75.0, 20.0])
+def test_the_line_of_a_target_is_within_its_picture(made, allowed):
+    fact = next(f for f in facts_of(read_sources([made[0] / "run"])).maps if f.quantity == "scale_factor")
+    axes = Figure().add_subplot()
+    _draw_curves(fact, allowed, axes)
+    low, high = axes.get_ylim()
+    assert low < allowed < high
+    (line,) = [line for line in axes.get_lines() if line.get_label() == "target (1σ)"]
+    assert set(line.get_ydata()) == {allowed}

@@ -1,4 +1,4 @@
-"""The public names: each explained so that `help` is enough, and the README's lines do the whole job with them."""
+"""The public names: each explained so that `help` is enough."""
 
 import inspect
 import json
@@ -7,7 +7,6 @@ import subprocess
 import sys
 import typing
 from collections.abc import Iterator
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -15,45 +14,12 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.cli.app import build
-from gradcal_jax.files.recipe import read_recipe
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 CALLABLE = [name for name in gj.__all__ if name != "presets"]
 UNITS = re.compile(r"\bSI\b|\bs\b|°C|\brad\b|rad/s|\bppm\b|deg/h|deg/s|\bunits?\b")
 SHAPE = re.compile(r"`\(|\[[a-z]+(, [a-z ]+)*\]|\bShapes\s+broadcast\b")
 # Commands for whoever sits at a terminal: text to copy, to print or to look words up in.
 AT_A_TERMINAL = {"start", "demo", "glossary", "new", "rig", "watch"}
-# The paper's gyro with maps of degree one, for six minutes at room temperature.
-SMALL = {
-    "sensor.scale_factor.temperature.degree": 1,
-    "sensor.scale_factor.rate.degree": 1,
-    "rig.table.max_acceleration": "300 deg/s^2",
-    "requirement": [
-        {
-            "name": "all rates",
-            "quantity": "scale_factor",
-            "temperature": ["20 degC", "26 degC"],
-            "rate": ["-200 deg/s", "200 deg/s"],
-            "grid": [11, 21],
-        }
-    ],
-    "plan.temperature": ["20 degC", "26 degC"],
-    "plan.soak": {"duration": "60 s", "used": False},
-    "plan.cycle.moves": [
-        {"rest": "20 s", "read_every": "1 s"},
-        {"turn": "1080 deg", "peak_rate": "150 deg/s", "shape": "cosine ramps"},
-        {"rest": "20 s", "read_every": "1 s"},
-        {"turn": "-1080 deg", "peak_rate": "60 deg/s", "shape": "cosine ramps"},
-    ],
-    "plan.cycle.other_axes": None,
-    "design": {
-        "minimise": "all rates",
-        "free": ["duration", "peak_rate", "ramp"],
-        "moves": 2,
-        "cycles": "alike",
-        "starts": 1,
-    },
-}
 
 
 @pytest.mark.parametrize("name", CALLABLE)
@@ -150,23 +116,3 @@ print(json.dumps([name for name in gj.__all__ if name != "presets" and not calla
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1]) == []
-
-
-def test_the_lines_of_the_readme_do_the_whole_job(tmp_path, monkeypatch, capsys):
-    (lines,) = re.findall(r"```python\n(.+?)```", README, flags=re.S)
-    assert 8 <= sum(1 for line in lines.splitlines() if "gj." in line) <= 10
-    gj.write_toml(gj.changed(gj.parse_spec(gj.presets.text("paper-dynamic-gradient")), SMALL), tmp_path / "design.toml")
-    monkeypatch.chdir(tmp_path)
-    exec(compile(lines, "README.md", "exec"), {})
-    before, now, limit = (float(number) for number in re.findall(r"([\d.]+) ppm", capsys.readouterr().out))
-    made, found = read_recipe("run/recipe.toml"), gj.read_calibration("run/calibration.toml")
-    page = Path("report.html").read_text(encoding="utf-8")
-    assert limit < now < 0.8 * before
-    assert made.prediction.requirements[0].decisive == pytest.approx(now, rel=1e-9)
-    assert made.optimisation is not None
-    assert f"{now:.4g} ppm" in gj.show(made)
-    assert found.simulated
-    assert found.provenance["recipe"] == made.fingerprint
-    assert found.result[0].value == pytest.approx(now, rel=0.2)
-    for value in (before, now, found.result[0].value):
-        assert f"{value:.4g}\N{NO-BREAK SPACE}ppm" in page

@@ -35,6 +35,7 @@ from gradcal_jax.files.calibration import (
     Covariance,
     FitTest,
     Noise,
+    Residuals,
     Result,
     ScaleFactorMap,
     bias_names,
@@ -309,6 +310,7 @@ def _result(row: Verdict) -> Result:
     given: dict[str, Any] = {"value": row.value, "worst": row.worst, "target": row.target, "verdict": row.verdict}
     if row.target is not None:
         given |= {"coverage": row.coverage, "rule": row.rule}
+        given["risk"] = None if row.requirement.risk is None else float(row.requirement.risk)
     return Result(
         name=row.requirement.name,
         axis=row.axis,
@@ -330,6 +332,13 @@ def _estimator(options: Options, channel: UnitChannel) -> str:
     if options.clock == "host":
         parts.append("time of the computer")
     return "; ".join(parts)
+
+
+def _residuals(white: np.ndarray) -> Residuals:
+    """How whitened residuals (in standard deviations, in order of time) are spread, and their size along the run."""
+    counts = np.histogram(white, np.concatenate([[-np.inf], np.arange(-4.0, 4.25, 0.5), [np.inf]]))[0]
+    tenths = np.array_split(white, 10) if len(white) >= 100 else []
+    return Residuals(counts=tuple(counts.tolist()), rms=tuple(float(np.sqrt(np.mean(part**2))) for part in tenths))
 
 
 def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
@@ -367,6 +376,7 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
         for name, t in [*named, *((split.name, split.agreement) for split in tests.splits)]
         if np.isfinite(t.statistic) and np.isfinite(t.probability)
     )
+    given["residuals"] = _residuals(channel.found.residuals[0])
     hidden = tuple(unobservable_combinations(known, model))
     if hidden:
         given["unobservable"] = hidden

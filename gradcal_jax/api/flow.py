@@ -14,7 +14,7 @@ from gradcal_jax.api.build import assemble
 from gradcal_jax.api.calibration import EstimateReport, estimate_calibration
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.limit import PlanLimit, limits
-from gradcal_jax.api.minimise_time import minimise_time
+from gradcal_jax.api.minimise_time import NO_UNTIL_MET, minimise_time
 from gradcal_jax.api.posterior_of_plan import posterior_of_plan
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.sensitivity import Sensitivities, sensitivities
@@ -61,22 +61,27 @@ def optimise(
     *,
     steps: int = search.STEPS,
     quick: bool = False,
+    until_met: bool = False,
     watch: Callable[[search.Step], None] = _unwatched,
 ) -> search.Optimised:
     """The best plan that gradient descent finds for a spec with a [design], rounded to the controllers' steps.
 
-    `steps`: iterations of each start. `quick`: few starts, within some per cent of the best in seconds. `watch` is told
-    of progress (`api.optimise.Step`: `best` in `unit`, `share` of the work). Returns `api.optimise.Optimised`: the
-    rounded `spec`, `now` its residual and `before` the first plan's, in `unit` (ppm or deg/h; minutes, where time is
-    minimised), `converged` and a `sentence` that says why or why not, the limits that bind and what easing them is
-    worth. The best of several local optima: `limit` says how much another plan could still gain.
+    `steps`: iterations of each start. `quick`: few starts, within some per cent of the best in seconds. `until_met`: no
+    further than to a plan that meets every target with a margin of 10 %. `watch` is told of progress
+    (`api.optimise.Step`: `best` in `unit`, `share` of the work). Returns `api.optimise.Optimised`: the rounded `spec`,
+    `now` its residual and `before` the first plan's, in `unit` (ppm or deg/h; minutes, where time is minimised),
+    `converged` and a `sentence` that says why or why not, the limits that bind and what easing them is worth. The best
+    of several local optima: `limit` says how much another plan could still gain.
 
-    Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, and for
-    targets that are not met in the time allowed.
+    Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, for
+    targets that are not met in the time allowed, and for `until_met` without a target or of the shortest plan.
     """
     expect_spec(spec)
     shortest = spec.design is not None and spec.design.minimise in TIMES
-    events = (minimise_time if shortest else search.optimise)(spec, steps=steps, quick=quick)
+    if shortest and until_met:
+        raise ValueError(NO_UNTIL_MET)
+    options = {"steps": steps, "quick": quick}
+    events = minimise_time(spec, **options) if shortest else search.optimise(spec, **options, until_met=until_met)
     for event in events:
         if isinstance(event, search.Optimised):
             return event

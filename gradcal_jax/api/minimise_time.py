@@ -11,6 +11,7 @@ from gradcal_jax.api.structures import motion_time, ramp_ends
 from gradcal_jax.files import Spec
 from gradcal_jax.files.schedule import StandardSchedule
 
+NO_UNTIL_MET = "a search for the shortest plan ends where its targets are just met: leave --until-met out"
 # The time is found to this share; so many durations are tried at most.
 _NEAR = 1.02
 _TRIES = 8

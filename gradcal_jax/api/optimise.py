@@ -1,6 +1,7 @@
 """`optimise`: from a spec with [design] to the best plan found, rounded, with what there is to say about it."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
+from gradcal_jax.api.posterior_of_plan import limit_of
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.structures import Structure, structures
@@ -25,6 +27,9 @@ from gradcal_jax.files import Spec, SpecError
 from gradcal_jax.files.rounding import rounded, steps_of
 
 STEPS: Final = 240
+MARGIN: Final = 0.1
+"""A target is met with margin where the residual stays this share below what it asks for."""
+_MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
 # A turn within this share of its cap is said to be at its limit.
 _AT_LIMIT: Final = 1e-3
 _POLISH: Final = 300
@@ -72,7 +77,6 @@ class Optimised(NamedTuple):
 
     `before`: of the plan in the spec, None where it observes too little; `found`: of the optimum; `now`: of the rounded
     plan, exactly. `starts`: where the starts of the chosen structure ended. `active`: the limits that bind, in words.
-    `point` `(n,)`: the optimum before rounding, any numbers, which `coordinates` decode.
     """
 
     spec: Spec
@@ -84,12 +88,10 @@ class Optimised(NamedTuple):
     converged: bool
     sentence: str
     starts: tuple[float, ...]
-    gradient_norm: float
+    gradient_norm: float | None
     active: tuple[str, ...]
     prices: tuple[Price, ...]
     structure: str
-    coordinates: AnyCoordinates
-    point: np.ndarray
 
 
 def belief_of(spec: Spec) -> str:
@@ -121,6 +123,7 @@ def record_of(best: Optimised) -> dict[str, object]:
     }
     absent = {"before"} if best.before is None else set[str]()
     absent |= set() if np.isfinite(best.now) else {"now"}
+    absent |= {"gradient_norm"} if best.gradient_norm is None else set()
     return {name: value for name, value in {"before": best.before, **record}.items() if name not in absent}
 
 
@@ -137,25 +140,61 @@ def exact(spec: Spec, of: Measure) -> float:
     return value if np.isfinite(value) else np.inf
 
 
+def targets_met(spec: Spec) -> bool:
+    """Whether a plan meets every target by its rule, with `MARGIN`. Errors: `ValueError` where there is no target."""
+    limits = {r.name: limit for r in spec.requirement if (limit := limit_of(r)) is not None}
+    if not limits:
+        raise ValueError("to stop when every target is met, give a requirement a target")
+    for row in predict(spec).requirements:
+        if row.name in limits:
+            name, most = limits[row.name]
+            value = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[name]
+            if value is None or value > (1.0 - MARGIN) * most:
+                return False
+    return True
+
+
 def optimise(
     spec: Spec,
     *,
     steps: int = STEPS,
     quick: bool = False,
+    until_met: bool = False,
     motion: float | None = None,
     checkpoint: Checkpoint | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Step | Optimised]:
     """Yield a `Step` every few iterations and the `Optimised` plan at the end.
 
-    `quick`: few starts, and a brief polish by the same program. `motion` s: time without soaks, in the place of
-    [design]'s. `checkpoint`: go on from a step's. `stop`: asked after every step; once true, the best so far is
-    finished. Errors: `ValueError` when limits exclude each other or nothing can be observed.
+    `quick`: few starts, and a brief polish by the same program. `until_met`: no further than to a plan that, rounded,
+    meets every target with `MARGIN`, and nothing where the spec's own does. `motion` s: time without soaks, in the
+    place of [design]'s. `checkpoint`: go on from a step's. `stop`: asked after every step; once true, the best so far
+    is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed or, with `until_met`,
+    there is no target.
     """
     design = design_of(spec)
     of = measure(spec)
     before = exact(spec, of)
     known = before if np.isfinite(before) else None
+
+    def enough(plan: Callable[[], Spec], value: float, words: str, sentence: str) -> Optimised | None:
+        """The plan as the controllers take it, where that meets every target with margin in every scenario."""
+        try:
+            made = rounded(plan(), steps_of(spec)).spec
+        except SpecError:
+            return None
+        if not all(targets_met(scenario) for scenario, _ in scenario_specs(made)):
+            return None
+        now = exact(made, of)
+        return Optimised(made, of.name, of.unit, known, value, now, True, sentence, (), None, (), (), words)
+
+    if until_met:
+        if design.notice is not None:
+            raise ValueError("a search until every target is met does not look at design.notice: leave one of them out")
+        own = enough(lambda: spec, before, "as it was", f"the plan as it was: {_MET}, and nothing was searched")
+        if own is not None:
+            yield own
+            return
     choices = structures(spec, [s for s, _ in scenario_specs(spec)], motion=motion)
     best = None if checkpoint is None else (checkpoint.best_structure, checkpoint.best)
     first, state = (0, None) if checkpoint is None else (checkpoint.structure, checkpoint.state)
@@ -169,11 +208,18 @@ def optimise(
             state=state,
             stop=stop,
         ):
-            if best is None or progress.best < best[1].best:
+            better = best is None or progress.best < best[1].best
+            if best is None or better:
                 best = k, progress.state
             share = (k + progress.step / progress.steps) / len(choices)
             reached = Checkpoint(k, progress.state, *best)
             yield Step(of.name, of.unit, known, best[1].best, 0.95 * share, choices[k].words, reached)
+            if until_met and better:
+                point, coordinates = progress.state.best_point, choices[k].coordinates
+                decoded = partial(plan_to_spec, spec, coordinates, point)
+                if early := enough(decoded, progress.best, choices[k].words, f"stopped early: {_MET}"):
+                    yield early
+                    return
             if stop():
                 break
         state = None
@@ -226,7 +272,7 @@ def finished(
     elif now > (1.0 + _DEAR) * found.value:
         more = 100.0 * (now / found.value - 1.0)
         sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
-    kept = before is not None and now >= before and not of.limits and motion is None
+    kept = before is not None and now >= before and motion is None and _within_limits(spec, of)
     if kept or not np.isfinite(now):
         try:
             plan = rounded(spec, steps_of(spec)).spec
@@ -252,9 +298,13 @@ def finished(
         active_limits(coordinates, found.point) if isinstance(coordinates, Coordinates) else (),
         shadow_prices(of, coordinates, found) if isinstance(coordinates, Coordinates) else (),
         structure.words,
-        coordinates,
-        found.point,
     )
+
+
+def _within_limits(spec: Spec, of: Measure) -> bool:
+    """Whether the spec's own plan keeps the targets that limit the search, as far as a prediction says."""
+    rows = {row.name: row.verdict for row in predict(spec).requirements} if of.limits else {}
+    return all(rows.get(name) == "met" for name in of.limits)
 
 
 def best_programme(

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gradcal_jax.api.optimise import MARGIN
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, RequiredQuantity, quantity_of, summed_up
 from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
@@ -39,20 +40,25 @@ def optimise_unit(
     evaluations: int = EVALUATIONS,
     seed: int | None = None,
     warmest: float = WARMEST,
+    until_met: bool = False,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[PoseState | UnitOptimum]:
     """Yields the state of the search after every evaluation, and the optimum at the end.
 
-    `evaluations`: plans that are tried; `warmest`: see `design.pose_search.anneal`.
+    `evaluations`: plans that are tried; `warmest`: see `design.pose_search.anneal`. `until_met`: no further than to a
+    plan that meets every target with `MARGIN`.
 
-    Errors: `ValueError` where there is no requirement, or the plan's turns are no whole numbers of the angle step.
+    Errors: `ValueError` where there is no requirement (or, with `until_met`, no target), or the plan's turns are no
+    whole numbers of the angle step.
     """
     if not spec.requirement:
         raise ValueError("what is to be minimised? Give the spec a [[requirement]]")
     design = spec.design or UnitDesign()
     limits = _limits(spec, design)
     value = _Value(spec, design)
-    made = 0
+    if until_met and all(r.target is None for r in spec.requirement):
+        raise ValueError("to stop when every target is met, give a requirement a target")
+    made, judged = 0, None
     state, seed = None, design.seed if seed is None else seed
     # A plan beyond a gyro's full scale begins the search slowed down to it.
     start = tuple(item._replace(rate=min(item.rate, limits.rates[item.axis])) for item in _items(spec, design))
@@ -61,6 +67,10 @@ def optimise_unit(
         yield state
         if stop():
             break
+        if until_met and state.best != judged:
+            judged = state.best
+            if value.largest_ratio(judged) <= math.log(1.0 - MARGIN):
+                break
     assert state is not None
     tables = spec.model_dump(mode="json", exclude_unset=True)
     tables["plan"]["cycle"]["moves"] = value.moves_in_words(state.best)
@@ -81,25 +91,34 @@ class _Value:
         coarse = tuple(
             r.model_copy(update={"grid": tuple(min(g, _SEARCH_GRID) for g in r.grid)}) for r in spec.requirement
         )
-        if design.minimise not in (ALL, WORST):
-            coarse = tuple(r for r in coarse if r.name == design.minimise)
         self.built, self.schedule, self.design = assemble_unit(spec), spec.schedule, design
         self.quantities, self.worst = tuple(quantity_of(self.built, r) for r in coarse), design.minimise == WORST
+        own = tuple(q for q in self.quantities if q.requirement.name == design.minimise)
+        self.minimised = self.quantities if design.minimise in (ALL, WORST) else own
         self.prior = _gram(self.built.model.prior_rows())
 
     def __call__(self, cycle: PoseCycle) -> float:
+        logs = list(self._logs(cycle, self.minimised).values())
+        return max(logs) if self.worst else float(np.mean(logs))
+
+    def largest_ratio(self, cycle: PoseCycle) -> float:
+        """The logarithm of the largest residual over its target."""
+        limited = tuple(q for q in self.quantities if q.requirement.target is not None)
+        return max(self._logs(cycle, limited).values())
+
+    def _logs(self, cycle: PoseCycle, quantities: tuple[RequiredQuantity, ...]) -> dict[str, float]:
+        """By requirement, the logarithm of the residual over the target; without a target, of the residual."""
         plan = self.plan(cycle)
         if plan is None:
-            return math.inf
+            return {q.requirement.name: math.inf for q in quantities}
         built = self.built._replace(motion=motion_of(plan, self.built.spec))
-        values = _values(built, self.prior, self.quantities)
-        logs = [
-            math.log(v / (1.0 if r.target is None else float(r.target) * UNIT_OF_QUANTITY[r.quantity][1]))
+        values = _values(built, self.prior, quantities)
+        return {
+            r.name: math.log(v / (1.0 if r.target is None else float(r.target) * UNIT_OF_QUANTITY[r.quantity][1]))
             if v
             else math.inf
-            for (r, *_), v in zip(self.quantities, values, strict=True)
-        ]
-        return max(logs) if self.worst else float(np.mean(logs))
+            for (r, *_), v in zip(quantities, values, strict=True)
+        }
 
     def plan(self, cycle: PoseCycle) -> UnitSchedule | None:
         """The whole plan of a cycle; None where it does not fit."""

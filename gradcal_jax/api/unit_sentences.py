@@ -97,7 +97,7 @@ def _limited_by_priors(built: AssembledUnit, known: Posterior) -> list[str]:
     spread = own @ known.spread
     size = np.sqrt(np.sum(spread**2, axis=1))
     reasons: dict[tuple[str, str, float, float, str], list[str]] = {}
-    priors = _prior_deviations(built)
+    priors = prior_deviations(built)
     for i in range(model.calibrated, model.size):
         freedom = _FREEDOMS.get("mounting" if names[i].startswith("mounting") else names[i])
         std = np.sqrt(np.sum(known.spread[i] ** 2))

@@ -14,8 +14,9 @@ from gradcal_jax.api.log_rows import count_rows, table_axis_of
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
 from gradcal_jax.api.unit_channel import integrated_rows
 from gradcal_jax.files import correction
-from gradcal_jax.files.calibration import LOG_HASH, Calibration
+from gradcal_jax.files.calibration import LOG_HASH, Calibration, Result
 from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.information.conformity import acceptance_limit, specific_risk
 
 
 class Cell(NamedTuple):
@@ -29,6 +30,26 @@ class Cell(NamedTuple):
     after: float
     scatter: float
     unit: str
+
+
+class Acceptance(NamedTuple):
+    """A requirement of the calibration held against what was measured (JCGM 106, 8.2 and 8.3), in `unit`.
+
+    `error`, `std`: mean error of the cell with the largest risk, and its standard uncertainty by the scatter within the
+    cell; `specific_risk`: the chance that the error there is beyond the target; `acceptance`: the largest error that is
+    accepted there, None where none is; `verdict`: "met" or "missed".
+    """
+
+    name: str
+    axis: str
+    unit: str
+    target: float
+    error: float
+    std: float
+    specific_risk: float
+    acceptance: float | None
+    verdict: str
+    rule: str
 
 
 class AxisValidation(NamedTuple):
@@ -74,6 +95,39 @@ def validate(
     if not any(one.moves or one.rests for one in result):
         raise LogError("the log holds neither a move with a table angle nor a rest: there is nothing to compare with")
     return result
+
+
+def acceptances(calibration: Calibration, found: list[AxisValidation]) -> list[Acceptance]:
+    """Verdicts on the targets that the calibration carries: every cell's mean error must be within the target (simple
+    acceptance), or, where the requirement has a risk, within its acceptance limit, so that the chance of an error
+    beyond the target is no larger. Cells of a single move or rest have no scatter, and are left out.
+    """
+    rows: list[Acceptance] = []
+    by_axis = {one.axis: one for one in found}
+    for result in calibration.result:
+        if result.target is None or result.axis not in by_axis:
+            continue
+        cells = [c for c in by_axis[result.axis].cells if c.unit == result.unit and c.how_many > 1]
+        judged = [_judged(result, cell) for cell in cells]
+        if judged:
+            worst = max(judged, key=lambda row: (row.verdict == "missed", row.specific_risk, abs(row.error)))
+            rows.append(worst)
+    return rows
+
+
+def _judged(result: Result, cell: Cell) -> Acceptance:
+    target, error = float(result.target or 0.0), cell.after
+    # The scatter is that of a population about its own mean.
+    std = cell.scatter / float(np.sqrt(cell.how_many - 1))
+    limit = target if result.risk is None else acceptance_limit(std, target, result.risk)
+    met = limit is not None and abs(error) <= limit
+    if result.risk is None:
+        rule = f"simple acceptance: the mean error within {target:g} {result.unit}"
+    else:
+        rule = f"guarded: an error beyond {target:g} {result.unit} with a chance of {100.0 * result.risk:g} % at most"
+    verdict = "met" if met else "missed"
+    risk = specific_risk(error, std, target)
+    return Acceptance(result.name, result.axis, result.unit, target, error, std, risk, limit, verdict, rule)
 
 
 def _axis(

@@ -12,7 +12,7 @@ from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.validation import AxisValidation
+    from gradcal_jax.api.validation import Acceptance, AxisValidation
     from gradcal_jax.files.exports import Export
 
 
@@ -96,7 +96,8 @@ def validate(
 ) -> int:
     """Hold a calibration against a log that it was not made from: what is left by temperature and rate.
 
-    The exit status is 1 where the calibration makes the errors larger instead of smaller.
+    The targets that the calibration carries are judged by their rule, guard band included. The exit status is 1 where
+    one is missed, and where the calibration makes the errors larger instead of smaller.
 
     Parameters
     ----------
@@ -129,15 +130,19 @@ def validate(
 
     name = _unit(recorded, found.serial_number, unit)
     rows = work.validate(found, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis)
+    judged = work.acceptances(found, rows)
     if json:
         simulated = recorded.simulated or found.simulated
-        print(as_json({"simulated": simulated, "axes": work.validation_rows(rows)}))
+        verdicts = [row._asdict() for row in judged]
+        print(as_json({"simulated": simulated, "axes": work.validation_rows(rows), "requirements": verdicts}))
     else:
         print(described(recorded, str(log)))
         for row in rows:
             print("\n" + _validation_text(row))
+        for one in judged:
+            print("\n" + _acceptance_text(one))
     worse = [pair for row in rows for pair in (row.scale_factor_ppm, row.bias_deg_per_h) if pair and pair[1] > pair[0]]
-    return NOT_AS_WISHED if worse else DONE
+    return NOT_AS_WISHED if worse or any(row.verdict != "met" for row in judged) else DONE
 
 
 def export(
@@ -218,6 +223,18 @@ def _unit(log, serial_number: str, unit: str | None) -> str | int:
         return 0
     raise ValueError(
         f"the calibration is of {serial_number}, and the log has {', '.join(log.units)}: say which with --unit"
+    )
+
+
+def _acceptance_text(row: "Acceptance") -> str:
+    """A verdict, what it rests on and what it leaves out."""
+    from gradcal_jax.cli.predict import percent
+
+    limit = "none is accepted" if row.acceptance is None else f"at most {row.acceptance:.4g} {row.unit} is accepted"
+    return (
+        f"{row.name}, axis {row.axis}: {strong(row.verdict)}, {row.rule}\n"
+        f"  where it is likeliest beyond: {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ by the scatter alone, without "
+        f"what the table does to all moves alike); {limit}; specific risk {percent(row.specific_risk)}"
     )
 
 

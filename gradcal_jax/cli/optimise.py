@@ -33,6 +33,7 @@ def optimise(
     plot: Plot = None,
     steps: int = 240,
     quick: Flag = False,
+    until_met: Flag = False,
     resume: Flag = False,
     force: Flag = False,
 ) -> int:
@@ -56,6 +57,8 @@ def optimise(
         Iterations of each start; of a whole unit, plans that are tried in all.
     quick
         Few starts: a plan within some per cent of the best, in seconds.
+    until_met
+        Stop at the first plan that meets every target with a margin of 10 %; search nothing where the spec's own does.
     resume
         Go on from where an interrupted search of the same spec stopped; it is kept beside the output.
     force
@@ -73,23 +76,28 @@ def optimise(
     found = any_spec_in(spec)
     use_float64()
     if isinstance(found, UnitSpec):
-        return _of_unit(found, output, json=json, plot=plot, evaluations=steps)
+        return _of_unit(found, output, json=json, plot=plot, evaluations=steps, until_met=until_met)
     from gradcal_jax import api
     from gradcal_jax.api import checkpoints
     from gradcal_jax.api import optimise as room
-    from gradcal_jax.api.minimise_time import minimise_time
+    from gradcal_jax.api.minimise_time import NO_UNTIL_MET, minimise_time
     from gradcal_jax.api.optimise import Optimised
     from gradcal_jax.files.design import TIMES
 
     shortest = found.design is not None and found.design.minimise in TIMES
     if shortest and resume:
         raise ValueError("a search for the shortest plan is not kept: start anew, without --resume")
+    if shortest and until_met:
+        raise ValueError(NO_UNTIL_MET)
     kept = output.with_name(output.name + ".search.npz")
     checkpoint = checkpoints.read(kept, found) if resume else None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         best: Optimised | None = None
         options = {"steps": steps, "quick": quick, "stop": lambda: interrupt.asked}
-        events = minimise_time(found, **options) if shortest else room.optimise(found, **options, checkpoint=checkpoint)
+        if shortest:
+            events = minimise_time(found, **options)
+        else:
+            events = room.optimise(found, **options, until_met=until_met, checkpoint=checkpoint)
         for event in events:
             if isinstance(event, Optimised):
                 best = event
@@ -168,7 +176,9 @@ class _Interrupt:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def _of_unit(spec: "UnitSpec", output: Path, *, json: bool, plot: Path | None, evaluations: int) -> int:
+def _of_unit(
+    spec: "UnitSpec", output: Path, *, json: bool, plot: Path | None, evaluations: int, until_met: bool
+) -> int:
     """Search a unit's cycle and write the spec with the best one."""
     import math
     import time
@@ -179,7 +189,7 @@ def _of_unit(spec: "UnitSpec", output: Path, *, json: bool, plot: Path | None, e
     best: UnitOptimum | None = None
     begun, first = time.monotonic(), None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
-        for event in optimise_unit(spec, evaluations=evaluations, stop=lambda: interrupt.asked):
+        for event in optimise_unit(spec, evaluations=evaluations, until_met=until_met, stop=lambda: interrupt.asked):
             if isinstance(event, UnitOptimum):
                 best = event
                 continue

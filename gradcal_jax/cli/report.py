@@ -21,11 +21,14 @@ def report(
     output: Output,
     before: Path | None = None,
     limits: Path | None = None,
+    panel: Flag = False,
     certificate: Flag = False,
     rig: Path | None = None,
     number: str = "",
     customer: str = "",
     operator: str = "",
+    performed: str = "",
+    dcc: Path | None = None,
     force: Flag = False,
     json: Json = False,
 ) -> int:
@@ -42,6 +45,8 @@ def report(
         A spec or recipe whose plan to compare with; without it, what the spec's priors say.
     limits
         What `gradcal limit --json` printed of the plan, kept in a file: the page says how near the plan comes.
+    panel
+        Sliders on the page: what another time, encoder or slope would leave, from 75 predictions.
     certificate
         Two pages for a laboratory to sign, of a calibration, in the place of the whole page.
     rig
@@ -52,6 +57,10 @@ def report(
         For whom the certificate is.
     operator
         Who made the calibration; without it the rig file's.
+    performed
+        When, such as 2026-11-22 or 2026-11-21..2026-11-22; without it the day of the run.
+    dcc
+        Write the certificate as a Digital Calibration Certificate (PTB's XML), too.
     force
         Overwrite an existing file.
     json
@@ -61,6 +70,8 @@ def report(
     from gradcal_jax.pages.sources import read_sources
 
     writable(output, force)
+    if dcc is not None:
+        writable(dcc, force)
     found = read_sources(sources, before=before, limits=limits)
     use_float64()
     if certificate:
@@ -68,16 +79,21 @@ def report(
         from gradcal_jax.pages import certificate as room
 
         read = None if rig is None else read_rig(rig)
-        made = room.certificate_of(found, read, number=number, customer=customer, operator=operator)
+        words = {"number": number, "customer": customer, "operator": operator, "performed": performed}
+        made = room.certificate_of(found, read, **words)
+        if dcc is not None:
+            from gradcal_jax.pages.dcc import write_dcc
+
+            write_dcc(made, read, dcc)
         room.write_certificate(made, output)
-        print(as_json(room.as_tables(made)) if json else f"wrote {output}")
+        print(as_json(room.as_tables(made)) if json else f"wrote {output}" + (f" and {dcc}" if dcc is not None else ""))
         return DONE
-    if rig is not None or number or customer or operator:
-        raise ValueError("--rig, --number, --customer and --operator belong to --certificate")
+    if rig is not None or dcc is not None or number or customer or operator or performed:
+        raise ValueError("--rig, --number, --customer, --operator, --performed and --dcc belong to --certificate")
     from gradcal_jax.pages.facts import as_tables
     from gradcal_jax.pages.report import write_page
 
-    facts = write_page(found, output)
+    facts = write_page(found, output, panel=panel)
     if json:
         print(as_json(as_tables(facts)))
     else:

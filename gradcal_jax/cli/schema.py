@@ -4,7 +4,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.output import as_json
+from gradcal_jax.cli.output import Flag, as_json
 from gradcal_jax.cli.status import DONE
 
 
@@ -14,7 +14,11 @@ def register(app: App) -> None:
 
 
 def schema(
-    name: str | None = None, /, *, listing: Annotated[bool, Parameter(name="--list", negative="")] = False
+    name: str | None = None,
+    /,
+    *,
+    listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
+    markdown: Flag = False,
 ) -> int:
     """Print the JSON Schema of a file or contract.
 
@@ -24,6 +28,8 @@ def schema(
         Its name; see --list.
     listing
         List the names.
+    markdown
+        A page for people in its place: every key with its value, default and meaning.
     """
     from gradcal_jax.files import schemas
 
@@ -32,6 +38,11 @@ def schema(
         return DONE
     if name is None:
         raise ValueError(f"which one? Known: {', '.join(schemas.names())}")
+    if markdown:
+        from gradcal_jax.pages.reference import reference
+
+        print(reference(name), end="")
+        return DONE
     found = schemas.schema(name)
     if name.removeprefix("gradcal-").partition("/")[0] == "rig":
         from gradcal_jax.hardware.setup import with_options

@@ -30,13 +30,18 @@ def increasing(values: Sequence[float], key: str) -> list[Problem]:
 
 
 class TemperaturePolynomial(Section):
-    """Powers of (T − centre)/scale up to `degree`; `internal` names the orthogonal form that the engine computes in."""
+    """Powers of (T − centre)/scale."""
 
     basis: Literal["polynomial"]
+    """Kind of functions."""
     degree: Degree
+    """Highest power."""
     centre: Temperature = Quantity(20.0, "20 degC", "temperature")
+    """Temperature at which x is 0."""
     scale: PositiveTemperatureDifference
+    """Temperature difference at which x is 1."""
     internal: Literal["legendre", "chebyshev"] = "legendre"
+    """Orthogonal polynomials in which it is computed; results are in powers."""
 
     @property
     def size(self) -> int:
@@ -50,13 +55,18 @@ class TemperaturePolynomial(Section):
 
 
 class RatePolynomial(Section):
-    """Powers of (ω − centre)/scale up to `degree`."""
+    """Powers of (ω − centre)/scale."""
 
     basis: Literal["polynomial"]
+    """Kind of functions."""
     degree: Degree
+    """Highest power."""
     centre: Rate = Quantity(0.0, "0 deg/s", "angular rate")
+    """Rate at which x is 0."""
     scale: PositiveRate
+    """Rate at which x is 1."""
     internal: Literal["legendre", "chebyshev"] = "legendre"
+    """Orthogonal polynomials in which it is computed; results are in powers."""
 
     @property
     def size(self) -> int:
@@ -73,8 +83,11 @@ class TemperatureSpline(Section):
     """B-splines of `degree` on increasing knots, both ends included."""
 
     basis: Literal["b-spline"]
+    """Kind of functions."""
     degree: SplineDegree = 3
+    """Degree of the pieces."""
     knots: Annotated[tuple[Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
+    """Temperatures at which pieces meet, both ends included, rising."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "TemperatureSpline":
@@ -96,8 +109,11 @@ class RateSpline(Section):
     """B-splines of `degree` on increasing knots, both ends included."""
 
     basis: Literal["b-spline"]
+    """Kind of functions."""
     degree: SplineDegree = 3
+    """Degree of the pieces."""
     knots: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
+    """Rates at which pieces meet, both ends included, rising."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "RateSpline":
@@ -119,7 +135,9 @@ class TemperatureBins(Section):
     """One constant between each two neighbouring edges."""
 
     basis: Literal["bins"]
+    """Kind of functions."""
     edges: Annotated[tuple[Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
+    """Temperatures between which the value is constant, rising."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "TemperatureBins":
@@ -141,7 +159,9 @@ class RateBins(Section):
     """One constant between each two neighbouring edges."""
 
     basis: Literal["bins"]
+    """Kind of functions."""
     edges: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
+    """Rates between which the value is constant, rising."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "RateBins":

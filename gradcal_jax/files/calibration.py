@@ -40,10 +40,12 @@ Coefficients = Annotated[dict[str, Number], Field(min_length=1, max_length=40_00
 
 
 class BiasMap(Section):
-    """B(T): its basis and coefficients, rad/s."""
+    """B(T)."""
 
     temperature: TemperatureBasis
+    """Basis over temperature."""
     coefficients: Coefficients
+    """By name, rad/s."""
 
     @model_validator(mode="after")
     def _whole(self) -> "BiasMap":
@@ -52,11 +54,14 @@ class BiasMap(Section):
 
 
 class ScaleFactorMap(Section):
-    """M(T, ω): its bases and coefficients, a ratio."""
+    """M(T, ω)."""
 
     temperature: TemperatureBasis
+    """Basis over temperature."""
     rate: RateBasis
+    """Basis over rate."""
     coefficients: Coefficients
+    """By name, a ratio."""
 
     @model_validator(mode="after")
     def _whole(self) -> "ScaleFactorMap":
@@ -69,10 +74,12 @@ LOG_HASH: Final = "log_sha256"
 
 
 class Covariance(Section):
-    """Of the coefficients that could be observed, in their units, by name."""
+    """Of the coefficients that could be observed."""
 
     names: Annotated[tuple[Text, ...], Field(max_length=5000)]
+    """Names of the coefficients."""
     matrix: tuple[tuple[Number, ...], ...]
+    """Their covariance, row by row, in their units."""
 
     @model_validator(mode="after")
     def _square(self) -> "Covariance":
@@ -85,31 +92,52 @@ class Covariance(Section):
 
 
 class FitTest(Section):
-    """A test of the fit: χ² with its degrees of freedom, and the chance of one as large or larger."""
+    """A test of the fit."""
 
     name: Text
+    """Which test."""
     statistic: Number
+    """Its χ²."""
     degrees: Whole
+    """Degrees of freedom."""
     chance: Number
+    """Chance of one as large or larger."""
+
+
+class Residuals(Section):
+    """Whitened residuals of the fit, in standard deviations: independent and normal where the model is true."""
+
+    counts: Annotated[tuple[Whole, ...], Field(min_length=18, max_length=18)]
+    """How many lie below -4, in steps of one half from there to 4, and above."""
+    rms: Annotated[tuple[Number, ...], Field(max_length=10)] = ()
+    """Root mean square of each tenth of them, in the order of time."""
 
 
 class AxisCalibration(Section):
-    """One axis. `valid_temperature`, `valid_rate`: what the data covered; beyond, the maps' values at the edge hold.
-
-    `thermal_lag`: B and M follow the temperature that much late. `bias_temperature_gradient` in rad/K.
-    `unobservable`: combinations of coefficients of which the data say nothing.
-    """
+    """One axis."""
 
     name: Annotated[Text, Field(max_length=100)]
+    """Of the axis."""
     bias: BiasMap | None = None
+    """The map B."""
     scale_factor: ScaleFactorMap | None = None
+    """The map M."""
     bias_temperature_gradient: Number | None = None
+    """Bias in proportion to dT/dt (rad/K)."""
     thermal_lag: Time | None = None
+    """Time by which B and M follow the temperature."""
     valid_temperature: tuple[Temperature, Temperature]
+    """Temperatures that the data covered; beyond, the values at the edge hold."""
     valid_rate: tuple[Rate, Rate]
+    """Rates that the data covered; beyond, the values at the edge hold."""
     covariance: Covariance | None = None
+    """Of the coefficients."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
+    """Tests of the fit."""
+    residuals: Residuals | None = None
+    """What the fit leaves of the data."""
     unobservable: tuple[Text, ...] = ()
+    """Combinations of coefficients of which the data say nothing."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "AxisCalibration":
@@ -141,43 +169,70 @@ class AxisCalibration(Section):
 
 
 class Result(Section):
-    """What a requirement of the spec came to, in `unit`; `worst`: at its box's worst place; `rule`: of the verdict."""
+    """What a requirement of the spec came to, in `unit`."""
 
     name: Text
+    """Of the requirement."""
     axis: Text
+    """Of the sensor."""
     quantity: Literal["scale_factor", "bias", "heading", "north"]
+    """Which quantity."""
     statistic: Text
+    """The one that decides."""
     value: Number | None = None
+    """Its value, one sigma; absent: not observable."""
     worst: Number | None = None
+    """The standard deviation at the worst place of the box."""
     unit: Text
+    """Unit of all figures."""
     target: Number | None = None
+    """Limit on the error."""
     verdict: Text | None = None
+    """Whether it is met."""
     coverage: Number | None = None
+    """Standard deviations that must be within the target."""
+    risk: Annotated[Number, Field(gt=0.0, le=0.5)] | None = None
+    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
     rule: Text | None = None
+    """Rule of the verdict, in words."""
 
 
 class Noise(Section):
-    """The noise that the estimate assumed, for programs that filter; `sample_rate` of the log."""
+    """The noise that the estimate assumed, for programs that filter."""
 
     angle_random_walk: AngleRandomWalk
+    """White noise of the rate."""
     rate_random_walk: RateRandomWalk | None = None
+    """Random walk of the rate."""
     sample_rate: Frequency | None = None
+    """Of the log."""
 
 
 class Calibration(Section):
     """A whole calibration file."""
 
     format: Literal["gradcal-calibration/1"]
+    """Name and version of this file format."""
     title: Text | None = None
+    """A name for people."""
     serial_number: Text
+    """Of the unit."""
     quantity: Literal["gyro"]
+    """What the sensor measures."""
     simulated: Flag
+    """Whether no real sensor made the data."""
     frame: Text
+    """In which frame the axes are."""
     order: Text
+    """In which order the correction is applied, in words."""
     axis: Annotated[tuple[AxisCalibration, ...], Field(min_length=1, max_length=20)]
+    """Calibrations by axis."""
     noise: Noise | None = None
+    """The noise that was assumed."""
     result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
+    """What the requirements came to."""
     provenance: dict[str, Text] = Field(default_factory=dict)
+    """Texts by name: versions, sources, the log's hash."""
 
     @model_validator(mode="after")
     def _distinct(self) -> "Calibration":

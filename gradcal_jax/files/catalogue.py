@@ -52,23 +52,31 @@ class Entry(Section):
     """A sensor, a rig or a plan: a section of a base spec, with some of its keys changed."""
 
     name: Text
+    """Of the entry."""
     base: Text
+    """A preset, or the path of a spec, seen from this file."""
     change: dict[str, Any] = Field(default_factory=dict)
+    """Keys of its section that are other."""
 
 
 class PlanEntry(Entry):
     """A plan, and what its search may do beyond the catalogue's [design]."""
 
     design: dict[str, Any] = Field(default_factory=dict)
+    """Keys of [design] that are other for this plan."""
 
 
 class RequirementEntry(Section):
-    """What the calibration must serve: a base spec's requirements, or those written here; `minimise` names one."""
+    """What the calibration must serve: a base spec's requirements, or those written here."""
 
     name: Text
+    """Of the entry."""
     minimise: Text
+    """Which of its requirements the designs minimise."""
     base: Text | None = None
+    """A preset or the path of a spec, whose requirements are taken."""
     of: Annotated[tuple[dict[str, Any], ...], Field(min_length=1, max_length=100)] | None = None
+    """Requirements written here."""
 
     @model_validator(mode="after")
     def _one_source(self) -> "RequirementEntry":
@@ -81,12 +89,19 @@ class CatalogueFile(Section):
     """A whole catalogue."""
 
     format: Literal["gradcal-catalogue/1"]
+    """Name and version of this file format."""
     title: Text | None = None
+    """A name for people."""
     design: dict[str, Any] = Field(default_factory=dict)
+    """As in a spec, without `minimise`."""
     sensor: Annotated[tuple[Entry, ...], Field(min_length=1, max_length=1000)]
+    """Sensors."""
     rig: Annotated[tuple[Entry, ...], Field(min_length=1, max_length=1000)]
+    """Rigs."""
     requirement: Annotated[tuple[RequirementEntry, ...], Field(min_length=1, max_length=1000)]
+    """Requirements."""
     plan: Annotated[tuple[PlanEntry, ...], Field(min_length=1, max_length=1000)]
+    """Plans, from which the searches begin."""
 
     @model_validator(mode="after")
     def _distinct(self) -> "CatalogueFile":

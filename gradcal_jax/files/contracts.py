@@ -22,76 +22,91 @@ Functions = Literal["monomial", "legendre", "chebyshev", "b-spline", "bins"]
 
 
 class BasisRow(Section):
-    """A basis: `centre` and `scale` in °C and K, or in rad/s; `knots` or `edges` likewise.
+    """A basis: polynomials in x = (value − centre)/scale, splines or bins.
 
-    Functions of x = (value − centre)/scale for polynomials. B-splines are clamped: the end knots are repeated, and
-    beyond them the value at the end holds; beyond the outer edges the outer bins hold. `prior_functions`: the functions
-    whose coefficients the map's `prior` is on, and a prediction's `std`; `smoothness_functions`: those whose
-    coefficients its `smoothness` is on (null without one).
+    B-splines are clamped: the end knots are repeated, and beyond them the value at the end holds; beyond the outer
+    edges the outer bins hold.
     """
 
     basis: Literal["polynomial", "b-spline", "bins"]
+    """Kind of functions."""
     degree: int | None = None
+    """Highest power, or degree of the pieces."""
     centre: Finite | None = None
+    """Value at which x is 0 (°C or rad/s)."""
     scale: Size | None = None
+    """Difference at which x is 1 (K or rad/s)."""
     knots: tuple[Finite, ...] | None = None
+    """Where pieces meet (°C or rad/s)."""
     edges: tuple[Finite, ...] | None = None
+    """Where bins meet (°C or rad/s)."""
     prior_functions: Functions
+    """Functions whose coefficients the map's `prior` is on, and a prediction's `std`."""
     smoothness_functions: Functions | None = None
+    """Functions whose coefficients its `smoothness` is on; null without one."""
 
 
 class ProcessRow(Section):
-    """A first-order Gauss–Markov process: stationary standard deviation and correlation time (s)."""
+    """A first-order Gauss–Markov process."""
 
     sigma: Size
+    """Stationary standard deviation (rad/s, a ratio, or m/s²)."""
     tau: Size
+    """Correlation time (s)."""
 
 
 class DiscrepancyRow(Section):
-    """Prior standard deviation of each of the polynomials that the structure leaves out, up to these degrees.
-
-    Products of the `functions` of the map's own x in temperature and in rate, those of the structure excepted.
-    """
+    """The polynomials that the structure leaves out: products of functions of the map's own x in both directions."""
 
     sigma: Size
+    """Prior standard deviation of each coefficient."""
     functions: Literal["legendre"]
+    """Kind of polynomials."""
     temperature_degree: int
+    """Highest degree in temperature."""
     rate_degree: int | None = None
+    """Highest degree in rate; null for B."""
 
 
 class MapRow(Section):
-    """B(T) in rad/s, or M(T, ω) as a ratio, in products of the two bases. Standard deviations, null is flat:
-
-    `prior` of each coefficient, independent; `smoothness` of each difference of coefficients that are neighbours along
-    the axes `smoothness_along`.
-    """
+    """B(T) in rad/s, or M(T, ω) as a ratio, in products of the two bases."""
 
     temperature: BasisRow
+    """Basis over temperature."""
     rate: BasisRow | None = None
+    """Basis over rate; null for B."""
     prior: Size | None = None
+    """Standard deviation of each coefficient, independent; null: flat."""
     smoothness: Size | None = None
+    """Standard deviation of each difference of neighbouring coefficients; null: flat."""
     smoothness_along: tuple[Literal["temperature", "rate"], ...] = ()
+    """Axes along which neighbours count."""
     discrepancy: DiscrepancyRow | None = None
+    """Structure that the map leaves out."""
 
 
 class TemperatureErrorRow(Section):
-    """Error of the temperature measurement (K; `tau` null: constant) and the maps' slopes (rad/s/K, 1/K)."""
+    """Error of the temperature measurement."""
 
     sigma: Size
+    """Standard deviation (K)."""
     tau: Size | None = None
+    """Correlation time (s); null: constant."""
     bias_slope: Finite | None = None
+    """Slope of the bias (rad/s/K)."""
     scale_factor_slope: Finite | None = None
+    """Slope of the scale factor (1/K)."""
 
 
 class GradientSensitivityRow(Section):
-    """Bias sensitivity to dT/dt, estimated; `prior` in rad/K, null is flat."""
+    """Bias sensitivity to dT/dt, estimated."""
 
     prior: Size | None = None
+    """Standard deviation (rad/K); null: flat."""
 
 
 class StartsRow(Section):
-    """How each slow error begins with the first segment whose data are used: of each that the sensor has, null for the
-    others.
+    """How each slow error begins with the first segment whose data are used; null where the sensor has none.
 
     "stationary": a Gauss–Markov process in its stationary state; "zero": a walk from 0; "constant": one draw that
     stays; "prior": no noise, but a part of B's prior, where B has one: its variance is added to that of the
@@ -99,176 +114,228 @@ class StartsRow(Section):
     """
 
     drift: Literal["stationary"] | None = None
+    """Of each drift."""
     rate_random_walk: Literal["zero"] | None = None
+    """Of the rate random walk."""
     scale_factor_instability: Literal["stationary"] | None = None
+    """Of each scale-factor instability."""
     temperature_error: Literal["stationary", "constant"] | None = None
+    """Of the temperature error."""
     sample_clock_error: Literal["constant"] | None = None
+    """Of the clock."""
     turn_on_bias: Literal["constant", "prior"] | None = None
+    """Of the turn-on bias."""
 
 
 class SensorRow(Section):
-    """The error model. `arw` in rad/√s, `rate_random_walk` in rad/s/√s, `turn_on_bias` in rad/s.
-
-    `drift`, `rate_random_walk` and `turn_on_bias` are rate errors; `scale_factor_instability` and `sample_clock_error`
-    are multiplied by the rate. `thermal_lag` (s): first order, between the chamber and what the maps and
-    `bias_temperature_gradient` see; sensor and chamber are in equilibrium at the start of the first segment.
-    """
+    """The error model. Sensor and chamber are in equilibrium at the start of the first segment."""
 
     quantity: Literal["gyro"] = "gyro"
+    """What the sensor measures."""
     arw: Size
+    """Angle random walk (rad/√s)."""
     rate_random_walk: Size = 0.0
+    """Rate random walk (rad/s/√s)."""
     turn_on_bias: Size | None = None
+    """Standard deviation of the turn-on bias (rad/s)."""
     drift: tuple[ProcessRow, ...] = ()
+    """Rate errors (rad/s)."""
     scale_factor_instability: tuple[ProcessRow, ...] = ()
+    """Errors multiplied by the rate (a ratio)."""
     thermal_lag: Size | None = None
+    """Time constant (s), first order, between the chamber and what the maps and dT/dt see."""
     sample_clock_error: Size | None = None
+    """Standard deviation of an error multiplied by the rate (a ratio)."""
     starts: StartsRow
+    """How each slow error begins."""
     temperature_error: TemperatureErrorRow | None = None
+    """Error of the measured temperature."""
     bias_temperature_gradient: GradientSensitivityRow | None = None
+    """Bias in proportion to dT/dt."""
     bias: MapRow | None = None
+    """The map B."""
     scale_factor: MapRow | None = None
+    """The map M."""
 
 
 class SegmentRow(Section):
-    """What one sensor axis and the chamber do from `start` for `duration` (s).
+    """What one sensor axis and the chamber do from `start` for `duration`.
 
-    `shape` is "rest", "constant" or a motion shape, with the shape's own parameters: `ramp` (s), `cycles`, `controls`
-    (rates relative to `peak_rate`), `unevenness`. `peak_rate` (rad/s) and `angle` (rad) are signed. Temperatures
-    (°C) are the chamber's, linear from start to end, or through `temperature_bends` (time s, °C); where a segment
-    begins elsewhere than the one before it ended, the chamber steps.
-    `standstill_id` numbers the times that the axis stands; null while it moves. `table_axis`: the axis that the table
-    turns meanwhile; null: none. `read`: whether a reading of this axis falls into the segment, its start excepted.
-    `used`: false where the data are not part of the calibration; a reading that ends it is the angle's new origin.
+    Where a segment begins at another temperature than the one before it ended, the chamber steps.
     """
 
     axis: Axis
+    """Axis of the sensor."""
     table_axis: Axis | None = None
+    """Axis that the table turns meanwhile; null: none."""
     read: bool
+    """Whether a reading of this axis falls into the segment, its start excepted."""
     used: bool = True
+    """False where the data are not part of the calibration; a reading that ends it is the angle's new origin."""
     start: Finite
+    """Beginning (s)."""
     duration: Size
+    """Length (s)."""
     shape: str
+    """"rest", "constant" or a motion shape."""
     peak_rate: Finite = 0.0
+    """Largest rate, signed (rad/s)."""
     angle: Finite = 0.0
+    """Angle turned, signed (rad)."""
     ramp: Size | None = None
+    """Time from rest to the peak rate (s)."""
     cycles: int | None = None
+    """Oscillations."""
     controls: tuple[Finite, ...] | None = None
+    """Control values of a spline, relative to `peak_rate`."""
     unevenness: Size | None = None
+    """Of a turn by hand, as a share of the rate."""
     temperature_start: Finite
+    """The chamber's at the start (°C)."""
     temperature_end: Finite
+    """The chamber's at the end (°C), linear in between."""
     temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
+    """Points (time in s, °C) through which it goes in between."""
     standstill_id: int | None = None
+    """Number of the standstill; null while the axis moves."""
 
 
 class ReadingRow(Section):
-    """One reading. "angle": at `time` (s). "rate": the mean over `duration` up to `time`.
-
-    `origin`: the angle is counted from this reading on; of what was turned before it nothing is known. The first
-    reading of an axis is one.
-
-    `white_std`: of this reading alone; `offset_std`: common to the standstill (or the set point) `standstill_id`;
-    rad for angles, rad/s for rates. `timing_std` in s. A rate reading's `rate` is the reference in rad/s.
-    """
+    """One reading: an angle at a time, or the mean rate up to it."""
 
     time: Finite
+    """When (s); of a rate, the end of the mean."""
     kind: Literal["angle", "rate"]
+    """Angle or rate."""
     axis: Axis
+    """Axis of the sensor."""
     origin: bool = False
+    """Whether the angle counts from this reading on, and nothing is known of what was turned before."""
     white_std: Size
+    """Standard deviation of this reading alone (rad or rad/s)."""
     standstill_id: int | None = None
+    """Standstill or set point that it shares `offset_std` with."""
     offset_std: Size = 0.0
+    """Standard deviation of what is common to the standstill or set point (rad or rad/s)."""
     timing_std: Size = 0.0
+    """Standard deviation of its time (s)."""
     duration: Size | None = None
+    """Length of a rate's mean (s)."""
     rate: Finite | None = None
+    """Reference rate (rad/s)."""
 
 
 class HarmonicRow(Section):
-    """Repeatable angle error: standard deviation (rad) of the cosine and of the sine of `order` periods a turn."""
+    """Repeatable angle error."""
 
     order: int
+    """Periods in one turn."""
     sigma: Size
+    """Standard deviation of the cosine and of the sine (rad)."""
 
 
 class Timeline(Section):
-    """gradcal-timeline/2: all that another program needs to compute the information matrix by itself.
-
-    `estimator`: "best linear" is generalised least squares with all priors; "least squares" weighs the mean rate errors
-    of all readings alike and uses no prior. `points`, of the standard method: "independent" where every rate reading
-    has noise of its own, begun anew; "one run" where all share what `starts` begins, over the run's time, and only the
-    reference (`offset_std`) is drawn anew at each set point. Axes share nothing.
-    """
+    """gradcal-timeline/2: all that another program needs to compute the information matrix. Axes share nothing."""
 
     format: Literal["gradcal-timeline/2"] = "gradcal-timeline/2"
+    """Name and version of this contract."""
     title: str | None = None
+    """Of the spec."""
     estimator: Literal["best linear", "least squares"] = "best linear"
+    """Generalised least squares with all priors, or unweighted mean rate errors without priors."""
     points: Literal["independent", "one run"] | None = None
+    """Standard method: whether readings share what `starts` begins over the run, or each has noise of its own."""
     sensor: SensorRow
+    """The error model."""
     harmonics: tuple[HarmonicRow, ...] = ()
+    """Errors of the angle that repeat with it."""
     segments: tuple[SegmentRow, ...]
+    """What axes and chamber do."""
     readings: tuple[ReadingRow, ...]
+    """What is read."""
 
 
 class CheckRow(Section):
-    """Holding one unit's calibration against a second run of the same plan, at the worst place of the box: the chances,
-    before either run, that it is accepted, accepted although its error is beyond the target, rejected although within.
-    """
+    """Chances, before either run, of holding one unit's calibration against a second run of the same plan."""
 
     accepted: Size
+    """That it is accepted."""
     false_accept: Size
+    """That it is accepted although its error is beyond the target (global risk)."""
     false_reject: Size
+    """That it is rejected although its error is within (global risk)."""
 
 
 class MissionRow(Section):
-    """One mission, its weight, and `after_s` the error (deg, 1σ) that the calibration leaves, and the `own` noise's."""
+    """One mission of a requirement on the heading."""
 
     file: str
+    """Its table."""
     weight: Size
+    """How much it counts."""
     after_s: Size
+    """When its error is taken (s)."""
     left: Size | None = None
+    """Error that the calibration leaves then (deg, 1σ)."""
     own: Size
+    """Error of the unit's own noise then (deg, 1σ)."""
 
 
 class RequirementRow(Section):
-    """What is left, in `unit`: ppm for a scale factor, deg/h for a bias, deg for the heading in missions and for north.
-    Null: cannot be observed by this plan.
-
-    `own`, of heading and north: what the unit's own noise adds (root sum of squares), which no calibration takes off;
-    `own_sources`: its parts; `missions`: each alone.
-
-    Of a whole unit, `axis` says how its elements are summed up: "all" together, or the "worst".
-    `uncertain`: the least and the largest of the deciding statistic, where noise figures are uncertain.
-    `rule`: of the verdict, in words. `specific_risk`: chance that the error is beyond the target at the box's worst
-    place. `chance`, `chance_everywhere`: that a unit's error keeps the target, by the requirement's statistic, and at
-    every place of the box; `check`: global risks (JCGM 106) of a second run; `with_typical`: the residual with every
-    absent error term at what is typical of its class. Null where they were not asked for.
-    """
+    """What is left of a requirement, in `unit`. Null: cannot be observed by this plan, or was not asked for."""
 
     name: str
+    """Of the requirement."""
     quantity: Literal["scale_factor", "bias", "north"] | UnitQuantity
+    """Which quantity."""
     unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
+    """Unit of all figures."""
     axis: Axis | Literal["all", "worst"] = "x"
+    """Axis; of a whole unit also how its elements are summed up."""
     temperature_c: tuple[Finite, Finite]
+    """Range of temperature (°C)."""
     rate_dps: tuple[Finite, Finite] | None = None
+    """Range of rate (deg/s); null without one."""
     grid: tuple[int, ...]
+    """Points at which it was evaluated."""
     statistic: Literal["mean of max", "max", "mean", "rms"]
+    """The one that decides."""
     mean_of_max: Size | None = None
+    """Mean over rate of the largest over temperature."""
     max: Size | None = None
+    """Largest."""
     mean: Size | None = None
+    """Mean."""
     rms: Size | None = None
+    """Root mean square."""
     target: Size | None = None
+    """Limit on the error."""
     verdict: Literal["met", "missed", "unobservable"] | None = None
+    """Whether the target is met."""
     coverage: Size = 1.0
+    """Standard deviations that must be within the target."""
     rule: str | None = None
+    """Rule of the verdict, in words."""
     specific_risk: Size | None = None
+    """Chance that the error is beyond the target at the box's worst place."""
     chance: Size | None = None
+    """Chance that a unit's error keeps the target by the requirement's statistic."""
     chance_everywhere: Size | None = None
+    """Chance that it keeps the target at every place of the box."""
     check: CheckRow | None = None
+    """Global risks (JCGM 106) of a second run."""
     limited_by: str | None = None
+    """What the residual is limited by, in words."""
     uncertain: tuple[Size, Size] | None = None
+    """Least and largest of the deciding statistic, where noise figures are uncertain."""
     with_typical: Size | None = None
+    """Residual with every absent error term at what is typical of its class."""
     own: Size | None = None
+    """Of heading and north: what the unit's own noise adds (root sum of squares), which no calibration takes off."""
     own_sources: dict[str, Size] | None = None
+    """Its parts."""
     missions: tuple[MissionRow, ...] | None = None
+    """Each mission alone."""
 
     @property
     def decisive(self) -> float | None:
@@ -277,11 +344,14 @@ class RequirementRow(Section):
 
 
 class AbsentRow(Section):
-    """An error term that the spec does not name and the prediction counts as zero: its key, and what is typical."""
+    """An error term that the spec does not name and the prediction counts as zero."""
 
     key: str
+    """Its key."""
     typical: str
+    """What is typical of the class."""
     source: str
+    """Where that comes from."""
 
 
 class ParameterRow(Section):
@@ -291,31 +361,40 @@ class ParameterRow(Section):
     """
 
     name: str
+    """Name of the coefficient."""
     axis: Axis | Literal["unit"] = "x"
+    """Axis, or "unit"."""
     std: Size | None
+    """Standard deviation; null: cannot be observed."""
     unit: str
+    """Its unit."""
 
 
 class NoticeRow(Section):
-    """What a test of the log, whose level is `false_alarm`, notices of structure that a map has and the model lacks:
-    the polynomials after the map's, up to these degrees.
-
-    `power`: the probability where the coefficient of each has the `standard_deviation` (`unit`; both null where the
-    spec has no size for it); `sure_from`: the size from which on it is `sure_power`; null: never. `components`: how
-    many combinations of the coefficients the plan sees, the test's degrees of freedom.
-    """
+    """What a test of the log notices of structure that the model lacks: the polynomials after the map's."""
 
     quantity: Literal["scale_factor", "bias"]
+    """Which map."""
     axis: Axis = "x"
+    """Axis of the sensor."""
     unit: Literal["ppm", "deg/h"]
+    """Unit of the sizes."""
     temperature_degree: int
+    """Highest degree in temperature."""
     rate_degree: int | None = None
+    """Highest degree in rate."""
     components: int
+    """Combinations of the coefficients that the plan sees: the test's degrees of freedom."""
     false_alarm: Size
+    """Level of the test."""
     standard_deviation: Size | None = None
+    """Size of each coefficient that `power` is of; null where the spec names none."""
     power: Size | None = None
+    """Probability that it is noticed."""
     sure_power: Size
+    """Probability that counts as sure."""
     sure_from: Size | None = None
+    """Size from which on it is; null: never."""
 
     @property
     def sentence(self) -> str:
@@ -335,16 +414,27 @@ class NoticeRow(Section):
 
 
 class Prediction(Section):
-    """gradcal-prediction/1: the residual that a plan leaves. `covariance` is in the units of the parameters."""
+    """gradcal-prediction/1: the residual that a plan leaves."""
 
     format: Literal["gradcal-prediction/1"] = "gradcal-prediction/1"
+    """Name and version of this contract."""
     title: str | None = None
+    """Of the spec."""
     duration_s: Size
+    """Of the whole plan (s)."""
     soak_s: Size
+    """Of its soaks (s)."""
     motion_s: Size
+    """Of its ramp (s)."""
     requirements: tuple[RequirementRow, ...]
+    """What is left, by requirement."""
     parameters: tuple[ParameterRow, ...]
+    """Coefficients."""
     covariance: tuple[tuple[Finite | None, ...], ...] | None
+    """Of the coefficients, in the units of the parameters; null entries cannot be observed."""
     notices: tuple[NoticeRow, ...] = ()
+    """What tests of the log would notice."""
     warnings: tuple[str, ...] = ()
+    """What to know, in sentences."""
     counted_as_zero: tuple[AbsentRow, ...] = ()
+    """Error terms that the spec does not name."""

@@ -38,45 +38,57 @@ class Scenario(Section):
     """A variant of sensor or rig that the plan must serve too: overrides of single keys, and a weight."""
 
     name: Text | None = None
+    """A name for people."""
     weight: Annotated[Number, Field(gt=0.0)] = 1.0
+    """Its weight in the mean over scenarios."""
     sensor: dict[str, Any] = Field(default_factory=dict)
+    """Keys below [sensor] that are other here."""
     rig: dict[str, Any] = Field(default_factory=dict)
+    """Keys below [rig] that are other here."""
 
 
 class Notice(Section):
-    """What a design must notice: with the probability `power`, a hidden map of the scale factor whose polynomials
-    beyond the structure, up to these degrees, have this standard deviation each.
-
-    `false_alarm`: the level of the test, which `estimate` makes of the log. Degrees that are absent are those of the
-    sensor's discrepancy, or two more than the structure's.
-    """
+    """What a design must notice: a scale factor's polynomials beyond the structure, up to these degrees."""
 
     standard_deviation: PositiveScaleFactor
+    """Standard deviation of each hidden coefficient, a ratio."""
     temperature_degree: Degree | None = None
+    """Highest hidden degree in temperature; absent: the discrepancy's, or two more than the structure's."""
     rate_degree: Degree | None = None
+    """Highest hidden degree in rate; absent: likewise."""
     power: Probability = Quantity(0.9, "90 %", "scale factor")
+    """Probability with which it must be noticed."""
     false_alarm: Probability = Quantity(0.01, "1 %", "scale factor")
+    """Level of the test that `estimate` makes of the log."""
 
 
 class Design(Section):
-    """`minimise`: a requirement's name, "motion time", "total time", or "A-", "D-" or "E-optimality".
-
-    `cycles`: whether every turn at the table has moves of its own, or all have the same. `moves`: how many turns each
-    may have; absent: as many as are likely to help.
-    """
+    """What `optimise` may change, and what for."""
 
     minimise: Text
+    """A requirement's name, "motion time", "total time", "A-optimality", "D-optimality" or "E-optimality"."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)]
+    """Which parts of the plan may change."""
     max_motion: Time | None = None
+    """Longest ramp."""
     max_total: Time | None = None
+    """Longest plan, soaks included."""
     cycles: Literal["own", "alike"] = "own"
+    """Whether every turn at the table has moves of its own, or all have the same."""
     moves: Annotated[Count, Field(le=40)] | None = None
+    """Turns in each turn at the table; absent: as many as are likely to help."""
     starts: Count = 16
+    """Number of searches from different plans."""
     seed: Whole = 0
+    """Seed of their draws."""
     notice: Notice | None = None
+    """What the design must notice."""
     whole_turns: Flag = False
+    """Whether every turn must be a whole number of revolutions, where encoder errors repeat."""
     robust: Literal["mean", "worst"] = "mean"
+    """Whether the mean over the scenarios or the worst of them counts."""
     scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
+    """Variants of sensor or rig that the plan must serve too."""
 
     @model_validator(mode="before")
     @classmethod

@@ -64,37 +64,59 @@ class StatusColumn(Source):
     """The device's own status; rows in which it is anything but `good` are marked bad."""
 
     good: Number = 0.0
+    """Value of a usable row."""
 
 
 class SensorColumns(Section):
     """What belongs to one of several sensors."""
 
     name: Name
+    """Of the sensor."""
     rate: Annotated[dict[Name, RateColumn], Field(min_length=1, max_length=20)]
+    """Columns of its axes, by name."""
     temperature: TemperatureColumn | None = None
+    """Column of its temperature."""
     status: StatusColumn | None = None
+    """Column of its status."""
 
 
 class ColumnMap(Section):
     """What the columns of a recording mean; see the module's head."""
 
     format: Literal["gradcal-columns/1"]
+    """Name and version of this file format."""
     name: Name = "sensor"
+    """Name or serial number of the sensor."""
     sample_rate: Frequency | None = None
+    """As stated; needed where there is no time."""
     full_scale: PositiveRate | None = None
+    """Rate at which the sensor saturates."""
     skip_first: Whole = 0
+    """Rows left out at the beginning."""
     simulated: Flag = False
+    """Whether no real sensor made the data."""
     time: TimeColumn | None = None
+    """Column of the sensor's time."""
     host_time: TimeColumn | None = None
+    """Column of the computer's time."""
     rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
+    """Columns of the axes, by name."""
     temperature: TemperatureColumn | None = None
+    """Column of the temperature."""
     status: StatusColumn | None = None
+    """Column of the device's own status."""
     standstill: Source | None = None
+    """Column of truth values, or of the standstill's number (negative: moving)."""
     table_angle: Annotated[dict[Name, AngleColumn], Field(max_length=20, default_factory=dict[str, AngleColumn])]
+    """Columns of the table's angles, by axis."""
     table_rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
+    """Columns of the table's rates, by axis."""
     sensor: Annotated[tuple[SensorColumns, ...], Field(max_length=1000)] = ()
+    """Several sensors, in the place of `rate`, `temperature` and `status`."""
     csv: TextTable = TextTable()
+    """How a text file is laid out."""
     policy: Policy = Policy()
+    """What to do with each fault."""
 
     @model_validator(mode="after")
     def _together(self) -> "ColumnMap":

@@ -70,27 +70,44 @@ class Line(Section):
     """`[line]`. `frame` "stx-etx-xor8": STX, `address`, the text with its eighth bits set, their exclusive or, ETX."""
 
     baudrate: Count = 9600
+    """Bits per second."""
     bytesize: Literal[7, 8] = 8
+    """Data bits of a character."""
     parity: Literal["N", "E", "O"] = "N"
+    """None, even or odd."""
     stopbits: Literal[1, 2] = 1
+    """Stop bits of a character."""
     frame: Literal["plain", "stx-etx-xor8"] = "plain"
+    """"plain" lines, or frames of STX, address, text, checksum and ETX."""
     address: Annotated[int, Field(strict=True, ge=128, le=255)] = 129
+    """Of the device, in such frames."""
     ends: Annotated[str, Field(strict=True, max_length=4)] = "\r\n"
+    """What ends a line that is sent."""
     reply_ends: Annotated[str, Field(strict=True, max_length=4)] = ""
+    """What ends a reply; empty: the same."""
     timeout: Time = Quantity(2.0, "2 s", "time")
+    """How long a reply is waited for."""
     pause: SizeOfTime = Quantity(0.0, "0 s", "time")
+    """Least time between two messages."""
     pause_after_command: SizeOfTime = Quantity(0.0, "0 s", "time")
+    """Time that a command is given before the next message."""
     refusal: Text | None = None
+    """How a reply begins that refuses."""
 
 
 class DeviceUnits(Section):
     """`[units]`: what the device's own numbers are in."""
 
     temperature: Text = "degC"
+    """Of temperatures."""
     ramp: Text = "K/min"
+    """Of the chamber's slopes."""
     angle: Text = "deg"
+    """Of angles."""
     rate: Text = "deg/s"
+    """Of rates."""
     acceleration: Text = "deg/s^2"
+    """Of accelerations."""
 
     @model_validator(mode="after")
     def _measure(self) -> "DeviceUnits":
@@ -108,26 +125,42 @@ class DeviceLimits(Section):
     """`[limits]`, of a chamber or of an axis. `free_ramp`: the number that stands for "as fast as it can"."""
 
     lowest: Temperature | None = None
+    """Coldest temperature that it takes."""
     highest: Temperature | None = None
+    """Warmest temperature that it takes."""
     resolution: PositiveTemperatureDifference = Quantity(0.1, "0.1 K", "temperature difference")
+    """Finest step of a set temperature."""
     slowest: PositiveTemperatureSlope | None = None
+    """Slowest ramp that it takes."""
     fastest: PositiveTemperatureSlope | None = None
+    """Fastest ramp that it takes."""
     free_ramp: Number | None = None
+    """Number that stands for "as fast as it can"."""
     max_rate: PositiveRate | None = None
+    """Fastest that the axis turns."""
     max_acceleration: PositiveAcceleration | None = None
+    """Fastest change of its rate."""
     step: PositiveAngle | None = None
+    """Finest step of a set angle."""
     lowest_angle: Angle | None = None
+    """Lowest angle that it takes."""
     highest_angle: Angle | None = None
+    """Highest angle that it takes."""
     spin_angle: PositiveAngle | None = None
+    """How far a spin may go."""
 
 
 class Question(Section):
     """`[ask.NAME]`. `last`: the line that ends a reply of several; `bare`: nothing ends the question."""
 
     send: Text
+    """The question."""
     reply: Annotated[Texts, Field(min_length=1)]
+    """Its reply with fields in braces; several: lines of one reply, or other forms of it."""
     last: Text | None = None
+    """The line that ends a reply of several."""
     bare: Flag = False
+    """Nothing ends the question."""
 
     @property
     def fields(self) -> dict[str, str]:
@@ -147,10 +180,15 @@ class Command(Section):
     `reply_when_done`: it is acknowledged only when it has been done, as a homing may be."""
 
     send: Annotated[Texts, Field(min_length=1)]
+    """What is sent, with values in braces."""
     reply: Replies = ()
+    """What acknowledges it; empty: nothing."""
     shown_by: Texts = ()
+    """Fields that show its value."""
     bare: Flag = False
+    """Nothing ends the command."""
     reply_when_done: Flag = False
+    """Whether it is acknowledged only when it has been done, as a homing may be."""
 
 
 class Condition(Section):
@@ -158,11 +196,17 @@ class Condition(Section):
     bit set, or is below a number."""
 
     field: Text
+    """Which field of a reply."""
     equals: Texts = ()
+    """It is so where the field is one of these."""
     not_equals: Texts = ()
+    """It is so where the field is none of these."""
     begins: Texts = ()
+    """It is so where the field begins with one of these."""
     bit: Whole | None = None
+    """It is so where this bit of the field is set, counted from 0."""
     below: Number | None = None
+    """It is so where the field is a number below this."""
 
     @model_validator(mode="after")
     def _one(self) -> "Condition":
@@ -184,27 +228,40 @@ class Condition(Section):
         return text in self.equals or (bool(self.begins) and text.startswith(self.begins))
 
 
-class Requirement(Section):
+class RequiredSetting(Section):
     """`[[require]]`: how the device must be set before anything is told to it, and why."""
 
     field: Text
+    """Which field of a reply."""
     equals: Texts
+    """What it must be."""
     why: Text
+    """What goes wrong otherwise."""
 
 
 class LineProtocol(Section):
     """A whole description of a device that speaks in lines."""
 
     format: Literal["gradcal-lines/1"]
+    """Name and version of this file format."""
     role: Literal["chamber", "axis"]
+    """What the device is."""
     title: Text
+    """A name for people."""
     line: Line = Line()
+    """How a message is spoken."""
     units: DeviceUnits = DeviceUnits()
+    """What the device's own numbers are in."""
     limits: DeviceLimits = DeviceLimits()
+    """What it can do."""
     ask: dict[str, Question]
+    """What can be read, by name."""
     tell: dict[str, Command]
+    """What can be told, by name."""
     state: dict[str, Condition]
-    require: Annotated[tuple[Requirement, ...], Field(max_length=20)] = ()
+    """What fields say of the device, by name."""
+    require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
+    """How it must be set before anything is told to it."""
 
     @model_validator(mode="after")
     def _complete(self) -> "LineProtocol":

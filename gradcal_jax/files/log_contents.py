@@ -15,84 +15,113 @@ PerTableAxis = tuple[Literal["time"], Literal["table_axis"]]
 
 class _Variable(Section):
     description: Text | None = None
+    """In words."""
 
 
 class Stamps(_Variable):
     """Strictly increasing, of the sensor's clock (`time`) or the computer's (`host_time`)."""
 
     dimensions: PerSample
+    """Dimensions of the variable."""
     units: Literal["s"]
+    """Its unit."""
 
 
 class Rates(_Variable):
     """Angular rates: of a row, the mean since the row before."""
 
     dimensions: PerAxis
+    """Dimensions of the variable."""
     units: Literal["rad s-1"]
+    """Its unit."""
 
 
 class Temperatures(_Variable):
     """Of the sensors."""
 
     dimensions: PerUnit
+    """Dimensions of the variable."""
     units: Literal["degC"]
+    """Its unit."""
 
 
 class TableAngles(_Variable):
     """Not wrapped."""
 
     dimensions: PerTableAxis
+    """Dimensions of the variable."""
     units: Literal["rad"]
+    """Its unit."""
 
 
 class TableRates(_Variable):
     """Of the table's axes."""
 
     dimensions: PerTableAxis
+    """Dimensions of the variable."""
     units: Literal["rad s-1"]
+    """Its unit."""
 
 
 class Standstills(_Variable):
     """Number of the standstill that a row belongs to; -1 while the table moves."""
 
     dimensions: PerSample
+    """Dimensions of the variable."""
     units: Literal["1"]
+    """Its unit."""
 
 
 class Statuses(_Variable):
     """0: usable; otherwise bits: 1 no rate, 2 saturated, 4 marked, 8 no temperature, 16 it is frozen, 32 left out."""
 
     dimensions: PerUnit
+    """Dimensions of the variable."""
     units: Literal["1"]
+    """Its unit."""
 
 
 class StretchStarts(_Variable):
     """The rows at which unbroken stretches begin; the first is 0."""
 
     dimensions: tuple[Literal["stretch"]]
+    """Dimensions of the variable."""
     units: Literal["1"]
+    """Its unit."""
 
 
 class Variables(Section):
     """Of these, `time`, `rate` and `stretch_start` must be there."""
 
     time: Stamps
+    """Of the sensor's clock."""
     rate: Rates
+    """What the sensors said."""
     stretch_start: StretchStarts
+    """Where unbroken stretches begin."""
     temperature: Temperatures | None = None
+    """Of the sensors."""
     table_angle: TableAngles | None = None
+    """Of the table's axes."""
     table_rate: TableRates | None = None
+    """Of the table's axes."""
     standstill: Standstills | None = None
+    """Which standstill a row belongs to."""
     host_time: Stamps | None = None
+    """Of the computer's clock."""
     status: Statuses | None = None
+    """Whether a row is usable."""
 
 
 class Labels(Section):
-    """Coordinates: serial numbers or names of the sensors, names of their axes and of the table's."""
+    """Coordinates."""
 
     unit: Annotated[tuple[Text, ...], Field(min_length=1)]
+    """Serial numbers or names of the sensors."""
     axis: Annotated[tuple[Text, ...], Field(min_length=1)]
+    """Names of their axes."""
     table_axis: tuple[Text, ...] = ()
+    """Names of the table's axes."""
 
 
 class LogContents(Section):
@@ -103,13 +132,21 @@ class LogContents(Section):
     """
 
     format: Literal["gradcal-log/1"]
+    """Name and version of this file format."""
     labels: Labels
+    """Coordinates."""
     variables: Variables
+    """Variables."""
     rows: Whole
+    """Number of rows."""
     rows_read: Whole
+    """Rows of the source."""
     rows_removed: dict[str, Whole] = Field(default_factory=dict)
+    """Rows of the source that could not be kept, counted by reason (JSON in the file)."""
     simulated: Literal[0, 1]
+    """1 where no real sensor made the data."""
     provenance: dict[str, str] = Field(default_factory=dict)
+    """Texts by name (JSON in the file)."""
 
 
 def contents(dataset: Any) -> LogContents:

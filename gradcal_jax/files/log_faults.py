@@ -71,16 +71,27 @@ class Policy(Section):
     """What to do with each fault; see the module's head."""
 
     unreadable_rows: Literal["mask", "refuse"] = "mask"
+    """Rows whose time is no number."""
     duplicate_stamps: Literal["mask", "refuse"] = "mask"
+    """Rows with the time of an earlier one."""
     unordered_stamps: Literal["mask", "refuse"] = "mask"
+    """Rows with a time before that of an earlier one."""
     gaps: Literal["split", "refuse"] = "split"
+    """Intervals that later stamps do not make up for."""
     missing_rates: Literal["mask", "refuse"] = "mask"
+    """Rates that are no finite number."""
     saturated: Literal["mask", "keep", "refuse"] = "mask"
+    """Rates at full scale, or stuck at their own extreme."""
     marked: Literal["mask", "keep", "refuse"] = "mask"
+    """Rows that the device itself calls bad."""
     missing_temperatures: Literal["mask", "keep", "refuse"] = "mask"
+    """Temperatures that are no finite number."""
     frozen_temperatures: Literal["mask", "keep", "refuse"] = "mask"
+    """Temperatures that stay unchanged for long in a record where they change."""
     wrong_units: Literal["keep", "refuse"] = "refuse"
+    """Sizes that no sensor has, and factors against the table or the stated rate."""
     clock_drift: Literal["keep", "refuse"] = "keep"
+    """Sample rates against the stated one, against the host, or wandering."""
 
 
 @dataclass

@@ -65,8 +65,11 @@ class Mission(Section):
     """One mission: the `file` of its table, the text of it once it was read (`table`), its `weight` among others."""
 
     file: Text
+    """Table of time, rate and temperature with units in its header (CSV), seen from the spec's folder."""
     weight: Annotated[Number, Field(gt=0.0, le=1e6)] = 1.0
+    """How much it counts among others."""
     table: str = ""
+    """Text of the table, once it was read; filled in by the program."""
 
     @model_validator(mode="before")
     @classmethod

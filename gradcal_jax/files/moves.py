@@ -78,9 +78,13 @@ class ResolvedMove:
 
 class _Move(Section):
     axis: Axis = "x"
+    """Axis of the sensor."""
     repeat: Count = 1
+    """How often the move is made."""
     read: Literal["end", "none"] | None = None
+    """One reading at its end, or none."""
     read_every: Time | None = None
+    """Spacing of readings from its start, in the place of one at the end."""
 
     @model_validator(mode="after")
     def _one_way_to_read(self) -> "_Move":
@@ -95,10 +99,12 @@ class _Move(Section):
 
 
 class Rest(_Move):
-    """Standing still. `other_axes`: because the table turns other axes meanwhile."""
+    """Standing still."""
 
     rest: Time
+    """How long."""
     other_axes: Flag = False
+    """Whether the table turns other axes meanwhile."""
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """The rest in SI."""
@@ -116,8 +122,11 @@ class Rest(_Move):
 
 class _Turn(_Move):
     turn: Angle | None = None
+    """Angle, signed."""
     turns: Number | None = None
+    """Number of revolutions, signed, in the place of an angle."""
     duration: Time | None = None
+    """How long, ramps included."""
 
     @model_validator(mode="after")
     def _one_angle(self) -> "_Turn":
@@ -144,6 +153,7 @@ class _Turn(_Move):
 
 class _PeakedTurn(_Turn):
     peak_rate: Rate | None = None
+    """Largest rate; signed where the angle follows from the other keys."""
 
     @model_validator(mode="after")
     def _signs(self) -> "_PeakedTurn":
@@ -193,6 +203,7 @@ class _PeakedTurn(_Turn):
 
 class _RampedTurn(_PeakedTurn):
     ramp: Time | None = None
+    """Time from rest to the peak rate; absent: as short as the table allows."""
 
     def solve(self, shape: str, steepness: float, max_acceleration: float) -> ResolvedMove:
         """Complete (θ, A, D, r) by θ = A(D − r); `steepness` is the peak acceleration times r/A."""
@@ -278,6 +289,7 @@ class CosineRamps(_RampedTurn):
     """Constant rate between two half-cosine ramps (the paper's turn)."""
 
     shape: Literal["cosine ramps"]
+    """Course of the rate."""
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """The turn in SI. Raises `SpecError`, keys relative to the move."""
@@ -288,6 +300,7 @@ class LinearRamps(_RampedTurn):
     """Constant rate between two ramps of constant acceleration."""
 
     shape: Literal["linear ramps"]
+    """Course of the rate."""
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """The turn in SI. Raises `SpecError`, keys relative to the move."""
@@ -328,6 +341,7 @@ class HalfSine(_WholeTurn):
     """Half a period of a sine."""
 
     shape: Literal["half sine"]
+    """Course of the rate."""
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """The turn in SI. Raises `SpecError`, keys relative to the move."""
@@ -338,6 +352,7 @@ class RaisedCosine(_WholeTurn):
     """One period of 1 − cos."""
 
     shape: Literal["raised cosine"]
+    """Course of the rate."""
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """The turn in SI. Raises `SpecError`, keys relative to the move."""
@@ -348,9 +363,13 @@ class Sinusoid(_Move):
     """Whole periods of A·sin(2πt/period): an oscillation that ends where it began."""
 
     shape: Literal["sinusoid"]
+    """Course of the rate."""
     peak_rate: Rate
+    """Largest rate."""
     period: Time
+    """Length of one oscillation."""
     cycles: Annotated[Count, Field(le=10_000)] = 1
+    """Number of oscillations."""
 
     @model_validator(mode="after")
     def _moving(self) -> "Sinusoid":
@@ -383,8 +402,11 @@ class Spline(_Move):
     """Free-form: a clamped uniform cubic B-spline of the rate whose first and last control values are zero."""
 
     shape: Literal["spline"]
+    """Course of the rate."""
     duration: Time
+    """How long."""
     rates: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=60)]
+    """Control values of the rate between the two zeros at the ends."""
 
     @model_validator(mode="after")
     def _moving(self) -> "Spline":
@@ -432,7 +454,9 @@ class Hand(_Turn):
     """A turn by hand, slow and uneven: A·½(1 − cos 2πu)·(1 + unevenness·sin 6πu). Only its ends are known."""
 
     shape: Literal["hand"]
+    """Course of the rate."""
     unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
+    """How unevenly a hand turns, as a share of the rate."""
 
     @model_validator(mode="after")
     def _ends_only(self) -> "Hand":

@@ -31,33 +31,43 @@ from gradcal_jax.files.section import Section, a_table, choose, refuse
 
 
 class Soak(Section):
-    """Waiting at the start temperature; `used`: whether its readings are part of the data."""
+    """Waiting at the start temperature."""
 
     duration: Time
+    """How long."""
     used: Flag = False
+    """Whether its readings are part of the data."""
 
 
 class SoakItem(Section):
-    """An item of a programme: stay for `soak`; `at` is needed for the first item alone."""
+    """An item of a programme: stay."""
 
     soak: Time
+    """How long."""
     at: Temperature | None = None
+    """Temperature; of the first item alone."""
     used: Flag = False
+    """Whether its readings are part of the data."""
 
 
 class RampItem(Section):
-    """An item of a programme: go to `ramp_to` at `rate` (a size)."""
+    """An item of a programme: go to another temperature at a constant slope."""
 
     ramp_to: Temperature
+    """Temperature at its end."""
     rate: PositiveTemperatureSlope
+    """Slope, as a size."""
     used: Flag = True
+    """Whether its readings are part of the data."""
 
 
 class StepItem(Section):
-    """An item of a programme: go to `step_to` as fast as the chamber can."""
+    """An item of a programme: go to another temperature as fast as the chamber can."""
 
     step_to: Temperature
+    """Temperature at its end."""
     used: Flag = False
+    """Whether its readings are part of the data."""
 
 
 _ITEMS: dict[str, type[Section]] = {"soak": SoakItem, "ramp_to": RampItem, "step_to": StepItem}
@@ -82,14 +92,14 @@ ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, BeforeValidator(_choos
 
 
 class OtherAxes(Section):
-    """The time that the other axes take in each cycle, during which this axis stands; `read`: whether it is read then.
-
-    `read_every` absent: as in the first rest of the cycle that has one.
-    """
+    """The time that the other axes take in each cycle, during which this axis stands."""
 
     duration: Time
+    """How long."""
     read: Flag = False
+    """Whether this axis is read meanwhile."""
     read_every: Time | None = None
+    """Spacing of these readings; absent: as in the first rest of the cycle that has one."""
 
     @model_validator(mode="after")
     def _reading(self) -> "OtherAxes":
@@ -99,11 +109,14 @@ class OtherAxes(Section):
 
 
 class Cycle(Section):
-    """The motion that repeats. `duration` absent: what moves and other axes take; longer: the rest is standing."""
+    """The motion that repeats."""
 
     moves: Annotated[tuple[Move, ...], Field(min_length=1, max_length=1000)]
+    """Rests and turns, in order."""
     other_axes: OtherAxes | None = None
+    """Time that the other axes take in each cycle."""
     duration: Time | None = None
+    """Length of a cycle; absent: what moves and other axes take; longer: the axis stands for the rest."""
 
 
 class _Slopes:
@@ -144,12 +157,16 @@ Slopes = Annotated[Quantity | tuple[Quantity, ...], _Slopes()]
 
 
 class ChamberCourse(Section):
-    """The chamber's course, in one of the three ways. `gradient`: one size, or one signed slope for each cycle."""
+    """The chamber's course, in one of the three ways."""
 
     temperature: Annotated[tuple[Temperature, ...], Field(min_length=1, max_length=2)] | None = None
+    """[start, end] of the ramp; [start] with a list of gradients."""
     gradient: Slopes | None = None
+    """Slope of the ramp as a size, or a list of signed slopes, one for each cycle."""
     soak: Soak | None = None
+    """Waiting at the start."""
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
+    """Soaks, ramps and steps one after the other, in the place of the keys above."""
 
     def course_problems(self, *, with_cycle: bool) -> list[Problem]:
         """What is wrong with the course. `with_cycle`: whether there may be a slope for each cycle."""
@@ -185,12 +202,16 @@ class ChamberCourse(Section):
 
 
 class GradientPlan(ChamberCourse):
-    """The gradient method. `read_every`: without a cycle."""
+    """The gradient method: the temperature ramps, the axis turns and rests, the reference is the angle."""
 
     method: Literal["gradient"]
+    """The method."""
     reference: Literal["angle"] = "angle"
+    """What the readings are compared with."""
     read_every: Time | None = None
+    """Spacing of the readings of a plan without a cycle."""
     cycle: Cycle | None = None
+    """Motion that repeats during the ramp; absent: the axis stands."""
 
     @model_validator(mode="after")
     def _complete(self) -> "GradientPlan":
@@ -208,19 +229,22 @@ class GradientPlan(ChamberCourse):
 
 
 class StandardPlan(Section):
-    """The standard method: `rates` absent means standing still; `integration` is the time at each point.
-
-    `points`: they share the clock, the turn-on bias, the drifts and the random walks of "one run"; "independent" points
-    draw everything anew, and it averages away: the paper's reading, which no run follows.
-    """
+    """The standard method: stable temperatures, a reference rate at each."""
 
     method: Literal["standard"]
+    """The method."""
     temperatures: Annotated[tuple[Temperature, ...], Field(min_length=1, max_length=1000)]
+    """Set points, in order."""
     soak: Time
+    """Waiting at each before it counts."""
     integration: Time
+    """Time of each mean."""
     rates: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=1000)] | None = None
+    """Reference rates at each set point; absent: the axis stands."""
     estimator: Literal["best linear", "least squares"] = "best linear"
+    """Generalised least squares with all priors, or unweighted least squares as in the paper."""
     points: Literal["one run", "independent"] = "one run"
+    """Whether the points share clock, turn-on bias, drifts and walks ("one run"), or draw all anew (the paper)."""
 
     @model_validator(mode="after")
     def _distinct(self) -> "StandardPlan":

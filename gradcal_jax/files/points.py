@@ -50,14 +50,23 @@ class PointMap(Section):
     """What the columns of a table of points mean; see the module's head."""
 
     format: Literal["gradcal-points/1"]
+    """Name and version of this file format."""
     name: Name = "sensor"
+    """Name or serial number of the sensor."""
     axis: Name = "x"
+    """Name of the axis."""
     simulated: Flag = False
+    """Whether no real sensor made the data."""
     temperature: TemperatureColumn
+    """Column of the temperature."""
     reference_rate: RateColumn
+    """Column of the rate of the table."""
     output: RateColumn
+    """Column of what the sensor said."""
     sigma: RateColumn | None = None
+    """Column of the output's standard deviation; absent: the spec's noise counts."""
     csv: TextTable = TextTable()
+    """How a text file is laid out."""
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""

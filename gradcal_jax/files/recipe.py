@@ -32,18 +32,26 @@ class PredictedParameter(ParameterRow):
     """A coefficient and its standard deviation; absent: cannot be observed."""
 
     std: Size | None = None
+    """Standard deviation; absent: cannot be observed."""
 
 
 class Predicted(Section):
     """What the rounded plan leaves, as `gradcal predict` says it of the spec inside; the covariance is left out."""
 
     duration_s: Size
+    """Of the whole plan (s)."""
     soak_s: Size
+    """Of its soaks (s)."""
     motion_s: Size
+    """Of its ramp (s)."""
     requirements: tuple[RequirementRow, ...] = ()
+    """What is left, by requirement."""
     parameters: tuple[PredictedParameter, ...] = ()
+    """Coefficients."""
     notices: tuple[NoticeRow, ...] = ()
+    """What tests of the log would notice."""
     warnings: tuple[Text, ...] = ()
+    """What to know, in sentences."""
 
     @classmethod
     def of(cls, prediction: Prediction) -> "Predicted":
@@ -56,8 +64,11 @@ class Made(Section):
     """How a recipe came about."""
 
     by: Text
+    """Program and version."""
     versions: dict[str, str]
+    """Versions of what it computed with."""
     seed: Whole | None = None
+    """Of the search."""
 
 
 class Recipe(Section):
@@ -68,18 +79,31 @@ class Recipe(Section):
     """
 
     format: Literal["gradcal-recipe/1"]
+    """Name and version of this file format."""
     title: Text | None = None
+    """A name for people."""
     status: Text
+    """How the plan came about, in a sentence."""
     notes: tuple[Text, ...] = ()
+    """What else to know."""
     rounded: tuple[Text, ...] = ()
+    """What rounding changed."""
     made: Made
+    """How the file came about."""
     resolution: ControllerSteps
+    """Steps of the controllers that it is rounded to."""
     stability: Stability
+    """When a temperature counts as stable."""
     chamber: ChamberTrack
+    """The chamber's track."""
     motion: tuple[MotionBlock, ...]
+    """The table's track."""
     prediction: Predicted
+    """What the rounded plan leaves."""
     optimisation: dict[str, Any] | None = None
+    """The optimiser's own record: objective, before, now, starts, limits."""
     spec: Spec = Field(title="gradcal-spec/1")
+    """The spec whose plan these tracks are."""
 
     @model_validator(mode="after")
     def _of_one_piece(self) -> "Recipe":

@@ -32,22 +32,31 @@ def _rates_only(value: object) -> object:
 
 
 class ScaleFactorRequirement(Section):
-    """A box of temperature and rate. `grid`: numbers of temperatures and of rates, ends included.
+    """What a calibration must serve: the scale factor's error over a box of temperature and rate.
 
-    `target` is a limit on the error. It is met where `coverage` times the statistic of the standard deviation is
-    within it (simple acceptance; 1, where the key is absent, as in files of before and in the paper). With `risk` it is
-    guarded: met where the error at the worst place of the box is beyond it with no more than that chance.
+    The target is met where `coverage` times the statistic is within it (simple acceptance); with `risk` it is guarded:
+    met where the error at the worst place of the box is beyond it with no more than that chance.
     """
 
     name: Text
+    """Its name, by which verdicts and [design] speak of it."""
     quantity: Literal["scale_factor"]
+    """What must be good."""
     temperature: tuple[Temperature, Temperature]
+    """Lowest and highest temperature of the box."""
     rate: tuple[Rate, Rate]
+    """Lowest and highest rate of the box."""
     statistic: Literal["mean of max", "max", "mean", "rms"] = "mean of max"
+    """How the standard deviation is summed up over the box; "mean of max": mean over rate of the largest over
+    temperature."""
     target: PositiveScaleFactor | None = None
+    """Limit on the error, which gives a verdict; absent: none."""
     coverage: Coverage = 1.0
+    """Standard deviations that must be within the target; 1 as in the paper."""
     risk: Risk | None = None
+    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
     grid: tuple[Points, Points] = (101, 121)
+    """Numbers of temperatures and of rates at which the box is evaluated, ends included."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "ScaleFactorRequirement":
@@ -62,16 +71,24 @@ class ScaleFactorRequirement(Section):
 
 
 class BiasRequirement(Section):
-    """A range of temperature. `grid`: number of temperatures, ends included. `target`: as of a scale factor."""
+    """What a calibration must serve: the bias's error over a range of temperature. Targets as of a scale factor."""
 
     name: Text
+    """Its name, by which verdicts and [design] speak of it."""
     quantity: Literal["bias"]
+    """What must be good."""
     temperature: tuple[Temperature, Temperature]
+    """Lowest and highest temperature."""
     statistic: Annotated[Literal["max", "mean", "rms"], BeforeValidator(_rates_only)] = "mean"
+    """How the standard deviation is summed up over temperature."""
     target: PositiveRate | None = None
+    """Limit on the error, which gives a verdict; absent: none."""
     coverage: Coverage = 1.0
+    """Standard deviations that must be within the target; 1 as in the paper."""
     risk: Risk | None = None
+    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
     grid: tuple[Points] = (101,)
+    """Number of temperatures at which the range is evaluated, ends included."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "BiasRequirement":
@@ -87,13 +104,21 @@ class HeadingRequirement(Section):
     """
 
     name: Text
+    """Its name, by which verdicts and [design] speak of it."""
     quantity: Literal["heading"]
+    """What must be good."""
     mission: Missions
+    """Tables of rate and temperature over time, with weights."""
     after: Time | None = None
+    """When the error is taken; absent: at the end of each mission."""
     statistic: Literal["rms", "max"] = "rms"
+    """How several missions are summed up."""
     target: PositiveAngle | None = None
+    """Limit on the error that the calibration leaves, which gives a verdict; absent: none."""
     coverage: Coverage = 1.0
+    """Standard deviations that must be within the target; 1 as in the paper."""
     risk: Risk | None = None
+    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
 
     @model_validator(mode="after")
     def _within(self) -> "HeadingRequirement":
@@ -135,15 +160,25 @@ class NorthRequirement(Section):
     """
 
     name: Text
+    """Its name, by which verdicts and [design] speak of it."""
     quantity: Literal["north"]
+    """What must be good."""
     latitude: Annotated[Quantity, Of("angle", at_least="-89 deg", at_most="89 deg")]
+    """Where north is sought."""
     after: Time
+    """How long it stands to find north, on which the unit's own noise depends."""
     temperature: tuple[Temperature, Temperature]
+    """Lowest and highest temperature."""
     statistic: Literal["max", "mean", "rms"] = "mean"
+    """How the standard deviation is summed up over temperature."""
     target: PositiveAngle | None = None
+    """Limit on the error that the calibration leaves, which gives a verdict; absent: none."""
     coverage: Coverage = 1.0
+    """Standard deviations that must be within the target; 1 as in the paper."""
     risk: Risk | None = None
+    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
     grid: tuple[Points] = (101,)
+    """Number of temperatures at which the range is evaluated, ends included."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "NorthRequirement":

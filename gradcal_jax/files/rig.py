@@ -42,21 +42,24 @@ Port = Annotated[Text, AfterValidator(_port)]
 
 
 class ChamberDevice(Section):
-    """`[chamber]`. `safe` says what it does when a run ends badly; `ambient` is where "ambient" goes.
-
-    While a run follows its course, the air may be `lag` behind it and `band` beside it; more pauses the run.
-
-    `serial_number`, where given, must be the device's own: another chamber on the same cable is refused.
-    """
+    """`[chamber]`: the device that makes the temperature."""
 
     driver: Text
+    """Name of its driver: espec, weiss or watlow_f4."""
     port: Port
+    """Where it is connected: a device path, COM3, or a socket:// or rfc2217:// address."""
     safe: Literal["standby", "hold", "ambient"]
+    """What it does when a run ends badly."""
     ambient: Temperature = Quantity(23.0, "23 degC", "temperature")
+    """Temperature to which "ambient" goes."""
     lag: Time = Quantity(300.0, "5 min", "time")
+    """How far the air may be behind its course in time before a run pauses."""
     band: PositiveTemperatureDifference = Quantity(3.0, "3 K", "temperature difference")
+    """How far the air may be beside its course before a run pauses."""
     serial_number: Text | None = None
+    """The device's own number; another device on the same cable is refused."""
     options: Options = Field(default_factory=dict)
+    """What the driver leaves open; its documentation says which."""
 
 
 class EncoderDevice(Section):
@@ -64,25 +67,35 @@ class EncoderDevice(Section):
     read."""
 
     driver: Text
+    """Name of its driver."""
     port: Port
+    """Where it is connected."""
     options: Options = Field(default_factory=dict)
+    """What the driver leaves open."""
 
 
 class AxisDevice(Section):
-    """`[[axis]]`, outermost first. `gravity_loaded` says that it moves by itself without power.
+    """`[[axis]]`, outermost first: the device that turns an axis of the table.
 
-    The driver "operator" is a person who turns the axis and types its angle, at the port "terminal" where the run was
-    started; with an `encoder` the angle is read from there.
+    The driver "operator" is a person who turns the axis and types its angle; with an `encoder` it is read.
     """
 
     name: Name
+    """Its name, by which runs and logs speak of it."""
     driver: Text
+    """Name of its driver: zaber, odrive or operator."""
     port: Port
+    """Where it is connected; "terminal" for an operator."""
     safe: Literal["hold", "controlled stop", "unpower"]
+    """What it does when a run ends badly."""
     gravity_loaded: Flag
+    """Whether it moves by itself without power."""
     serial_number: Text | None = None
+    """The device's own number; another device on the same cable is refused."""
     options: Options = Field(default_factory=dict)
+    """What the driver leaves open; its documentation says which."""
     encoder: EncoderDevice | None = None
+    """Device that reads the angle of an axis that is turned by hand."""
 
     @model_validator(mode="after")
     def _does_not_fall(self) -> "AxisDevice":
@@ -106,47 +119,69 @@ class ImuDevice(Section):
     """`[[imu]]`: a unit under calibration."""
 
     name: Name
+    """Its name, by which runs and logs speak of it."""
     driver: Text
+    """Name of its driver: stim300 or vectornav."""
     port: Port
+    """Where it is connected."""
     serial_number: Text | None = None
+    """The device's own number; another unit on the same cable is refused."""
     options: Options = Field(default_factory=dict)
+    """What the driver leaves open; its documentation says which."""
 
 
 class Laboratory(Section):
     """`[laboratory]`: who signs a certificate."""
 
     name: Text
+    """Its name."""
     address: Text | None = None
+    """Its address."""
+    country: Annotated[str, Field(strict=True, pattern=r"^[A-Z]{2}$")] | None = None
+    """Two letters of ISO 3166, such as "DE"; a digital certificate asks for it."""
     operator: Text | None = None
+    """Who makes the calibration."""
 
 
 class TraceableReference(Section):
-    """`[[reference]]`: what a certificate's values are traced to; `due`: until when its own certificate holds."""
+    """`[[reference]]`: what a certificate's values are traced to."""
 
     device: Literal["table", "encoder", "chamber", "thermometer", "clock"]
+    """Which device of the rig."""
     identity: Text
+    """Its make and number."""
     certificate: Text | None = None
+    """Number of its own certificate."""
     due: Text | None = None
+    """Until when that holds."""
 
 
 class Alarm(Section):
-    """`[alarm]`: a program that a run calls where it pauses by itself or ends badly, as the guard does; the sentence
-    that says why is its last word. No shell reads it."""
+    """`[alarm]`: a program that a run calls where it pauses by itself or ends badly, as the guard does."""
 
     command: Annotated[tuple[Text, ...], Field(min_length=1, max_length=20)]
+    """Program and its words; the sentence that says why is added as the last. No shell reads it."""
 
 
 class RigFile(Section):
     """A whole rig file."""
 
     format: Literal["gradcal-rig/1"]
+    """Name and version of this file format."""
     title: Text | None = None
+    """A name for people."""
     chamber: ChamberDevice | None = None
+    """The chamber; absent: none."""
     axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()
+    """Axes of the table."""
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
+    """Units under calibration."""
     alarm: Alarm | None = None
+    """What is called when somebody must come."""
     laboratory: Laboratory | None = None
+    """Who signs a certificate."""
     reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
+    """What a certificate's values are traced to."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "RigFile":
@@ -266,6 +301,7 @@ sample_rate = "125 Hz"
 # For `gradcal report --certificate`: who signs, and what the values are traced to.
 # [laboratory]
 # name     = "Calibration laboratory"
+# country  = "DE"
 # operator = "A. Person"
 # [[reference]]
 # device      = "encoder"    # table, encoder, chamber, thermometer or clock

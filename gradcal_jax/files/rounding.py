@@ -37,10 +37,15 @@ class ControllerSteps(Section):
     """The steps of the controllers. The defaults suit the drivers here; `[rig.resolution]` of a spec goes first."""
 
     temperature: PositiveTemperatureDifference = Quantity(0.1, "0.1 K", "temperature difference")
+    """Step of a temperature."""
     slope: PositiveTemperatureSlope = Quantity(0.01 / 60.0, "0.01 K/min", "temperature slope")
+    """Step of a slope."""
     time: Time = Quantity(0.1, "0.1 s", "time")
+    """Step of a duration."""
     rate: PositiveRate = Quantity(math.radians(0.01), "0.01 deg/s", "angular rate")
+    """Step of a rate."""
     angle: Angle = Quantity(math.radians(0.001), "0.001 deg", "angle")
+    """Step of an angle."""
 
 
 def steps_of(spec: Spec) -> ControllerSteps:

@@ -23,6 +23,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "points": ("points", "PointMap"),
     "log": ("log_contents", "LogContents"),
     "calibration": ("calibration", "Calibration"),
+    "unit-calibration": ("unit_calibration", "UnitCalibration"),
     "recipe": ("recipe", "Recipe"),
     "sweep": ("sweep", "SweepFile"),
     "catalogue": ("catalogue", "CatalogueFile"),

@@ -1,9 +1,15 @@
 """The base of every table in a file: frozen, closed to unknown keys, and plain-spoken about what is wrong."""
 
+import ast
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any, cast
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
 
@@ -22,6 +28,40 @@ class Section(BaseModel):
         except ValidationError as error:
             raise SpecError(with_spelling(from_validation(error), cls, value)) from None
 
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """The schema, each key with its meaning."""
+        body = handler(schema)
+        keys: dict[str, Any] = handler.resolve_ref_schema(body).get("properties", {})
+        for name, meaning in meanings(cls).items():
+            keys[name]["description"] = meaning
+        return body
+
+
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """What each key of a table means: the texts below the fields, those of its bases first."""
+    texts: dict[str, str] = {}
+    for owner in reversed(model.__mro__):
+        texts |= _texts(owner.__module__).get(owner.__qualname__, {}) if issubclass(owner, Section) else {}
+    return {name: text for name, text in texts.items() if name in model.model_fields}
+
+
+@cache
+def _texts(module: str) -> dict[str, dict[str, str]]:
+    """By class and field, from the source: pydantic's own way reads every file anew for each class, at import."""
+    tree = ast.parse(Path(sys.modules[module].__file__ or "").read_text(encoding="utf-8"))
+    return {
+        table.name: {
+            field.target.id: " ".join(below.value.value.split())
+            for field, below in zip(table.body, table.body[1:], strict=False)
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+            if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+            if isinstance(below.value.value, str)
+        }
+        for table in tree.body
+        if isinstance(table, ast.ClassDef)
+    }
+
 
 def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: object) -> list[Problem]:
     """Add the nearest right spelling to unknown keys, and drop "missing" where a misspelt key stands for it."""
@@ -39,6 +79,10 @@ def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: ob
             else:
                 ending = f"; known here: {', '.join(known)}"
             problem = Problem(problem.key, "this key is unknown" + ending, problem.value, "unknown")
+        elif problem.kind == "missing" and len(problem.key) == 1:
+            meaning = meanings(model).get(str(problem.key[0]), "")
+            ending = f" ({meaning[0].lower()}{meaning[1:].rstrip('.')})" if meaning else ""
+            problem = Problem(problem.key, problem.message + ending, problem.value, "missing")
         spelt.append(problem)
     return [p for p in spelt if not (p.kind == "missing" and len(p.key) == 1 and p.key[0] in meant)]
 

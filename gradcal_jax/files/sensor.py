@@ -34,7 +34,9 @@ class Drift(UncertainSection):
     FIGURES: ClassVar[tuple[str, ...]] = _PROCESS
 
     standard_deviation: PositiveRate
+    """Stationary standard deviation of the rate error."""
     correlation_time: Time
+    """Time constant of its autocorrelation."""
 
 
 class ScaleFactorInstability(UncertainSection):
@@ -43,21 +45,24 @@ class ScaleFactorInstability(UncertainSection):
     FIGURES: ClassVar[tuple[str, ...]] = _PROCESS
 
     standard_deviation: PositiveScaleFactor
+    """Stationary standard deviation of the scale factor's error, a ratio."""
     correlation_time: Time
+    """Time constant of its autocorrelation."""
 
 
 class TemperatureError(UncertainSection):
-    """Error of the temperature measurement; the maps' slopes in temperature turn it into rate error.
-
-    Without `correlation_time` the error is one draw for the whole run.
-    """
+    """Error of the temperature measurement; the maps' slopes in temperature turn it into rate error."""
 
     FIGURES: ClassVar[tuple[str, ...]] = _PROCESS
 
     standard_deviation: PositiveTemperatureDifference
+    """Standard deviation of the temperature's error."""
     correlation_time: Time | None = None
+    """Time constant of its autocorrelation; absent: one draw for the whole run."""
     bias_slope: BiasSlope | None = None
+    """Typical slope of the bias over temperature, through which the error acts."""
     scale_factor_slope: ScaleFactorSlope | None = None
+    """Typical slope of the scale factor over temperature, through which the error acts."""
 
     @model_validator(mode="after")
     def _slopes(self) -> "TemperatureError":
@@ -69,33 +74,43 @@ class TemperatureError(UncertainSection):
 
 
 class BiasTemperatureGradient(Section):
-    """Bias sensitivity to dT/dt; the table's presence makes it a parameter to estimate. `prior` absent: flat."""
+    """Bias sensitivity to dT/dt; the table's presence makes it a parameter to estimate."""
 
     prior: PositiveGradientSensitivity | None = None
+    """Standard deviation of the coefficient before the calibration; absent: unknown."""
 
 
 class BiasDiscrepancy(Section):
     """What the chosen structure of B(T) may hide: the next orthogonal polynomials, with a prior."""
 
     standard_deviation: PositiveRate
+    """Prior standard deviation of each of the hidden coefficients."""
     temperature_degree: Degree
+    """Highest degree in temperature that may be hidden."""
 
 
 class ScaleFactorDiscrepancy(Section):
     """What the chosen structure of M(T, ω) may hide: polynomials up to these degrees, with a prior."""
 
     standard_deviation: PositiveScaleFactor
+    """Prior standard deviation of each of the hidden coefficients, a ratio."""
     temperature_degree: Degree
+    """Highest degree in temperature that may be hidden."""
     rate_degree: Degree
+    """Highest degree in rate that may be hidden."""
 
 
 class Bias(Section):
-    """B(T), to be estimated. `prior`: std of each coefficient; `smoothness`: of the differences of neighbours."""
+    """B(T), to be estimated."""
 
     temperature: TemperatureBasis
+    """Basis over temperature."""
     prior: PositiveRate | None = None
+    """Standard deviation of each coefficient before the calibration; absent: unknown."""
     smoothness: PositiveRate | None = None
+    """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
     discrepancy: BiasDiscrepancy | None = None
+    """Structure beyond the basis that the map may hide."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "Bias":
@@ -112,10 +127,15 @@ class ScaleFactor(Section):
     """M(T, ω), to be estimated: a tensor basis in temperature and rate."""
 
     temperature: TemperatureBasis
+    """Basis over temperature."""
     rate: RateBasis
+    """Basis over rate."""
     prior: PositiveScaleFactor | None = None
+    """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
     smoothness: PositiveScaleFactor | None = None
+    """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
     discrepancy: ScaleFactorDiscrepancy | None = None
+    """Structure beyond the basis that the map may hide."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "ScaleFactor":
@@ -142,10 +162,7 @@ def _gyro(value: object) -> object:
 
 
 class Sensor(UncertainSection):
-    """A gyro axis: every term of the error model (paper, eq. 1). Absent terms count as zero.
-
-    `grade`: the class whose typical figures are named beside absent terms; without it, that of drift or random walk.
-    """
+    """A gyro axis: every term of the error model (paper, eq. 1). Absent terms count as zero."""
 
     FIGURES: ClassVar[tuple[str, ...]] = (
         "angle_random_walk",
@@ -155,21 +172,37 @@ class Sensor(UncertainSection):
     )
 
     name: Text | None = None
+    """A name for people."""
     grade: Literal["consumer", "tactical", "navigation"] | None = None
+    """Class whose typical figures are named beside absent terms; absent: that of drift or random walk."""
     quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
+    """What the sensor measures."""
     angle_random_walk: AngleRandomWalk
+    """White noise of the rate, as the angle's growth with the square root of time."""
     rate_random_walk: RateRandomWalk | None = None
+    """Random walk of the rate."""
     turn_on_bias: SizeOfRate | None = None
+    """Standard deviation of the bias that is new at every power-on and not part of the map."""
     full_scale: PositiveRate | None = None
+    """Largest rate that the sensor measures."""
     full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
+    """Share of the full scale that plans keep away from."""
     thermal_lag: Time | None = None
+    """Time constant, first order, between the chamber's air and the sensor's die."""
     sample_clock_error: SizeOfScaleFactor | None = None
+    """Standard deviation of the sensor's clock, a ratio; it acts as a scale factor."""
     drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
+    """In-run bias instabilities, which add."""
     scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
+    """In-run instabilities of the scale factor, which add."""
     temperature_error: TemperatureError | None = None
+    """Error of the measured temperature."""
     bias_temperature_gradient: BiasTemperatureGradient | None = None
+    """Bias in proportion to dT/dt, estimated."""
     bias: Bias | None = None
+    """The bias over temperature, estimated; absent: known."""
     scale_factor: ScaleFactor | None = None
+    """The scale factor over temperature and rate, estimated; absent: known."""
 
     @model_validator(mode="after")
     def _something_to_find(self) -> "Sensor":

@@ -33,12 +33,19 @@ class Spec(Section):
     """
 
     format: Literal["gradcal-spec/1"]
+    """Name and version of this file format."""
     title: Text | None = None
+    """A name for people; it heads tables and pages."""
     sensor: Sensor
+    """The gyro axis that is calibrated."""
     rig: Rig
+    """Table and chamber."""
     requirement: Requirements = ()
+    """What the calibration must serve."""
     plan: Plan
+    """What chamber and table do, and when the axis is read."""
     design: Design | None = None
+    """What `optimise` may change; no other command reads it."""
 
     @model_validator(mode="after")
     def _together(self) -> "Spec":

@@ -49,19 +49,26 @@ End = str | float | int
 
 
 class Axis(Section):
-    """`[[axis]]`: keys of the spec that change together, and their values: a list, or from `start` to `stop` by `count`
-    or by `step`. Ends are texts with the same unit, or plain numbers. In a drawn sweep ends alone are enough.
-    """
+    """`[[axis]]`: keys of the spec that change together, and their values."""
 
     name: Text | None = None
+    """Of the dimension in the results; absent: the last word of the key."""
     key: Text | None = None
+    """Key of the spec, such as "plan.gradient"."""
     keys: Annotated[tuple[Text, ...], Field(min_length=1, max_length=1000)] | None = None
+    """Several keys that take the same values."""
     values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)] | None = None
+    """List of values."""
     start: End | None = None
+    """First value, with its unit."""
     stop: End | None = None
+    """Last value, with the same unit."""
     count: Annotated[int, Field(strict=True, ge=2, le=100_000)] | None = None
+    """How many values between them."""
     step: End | None = None
+    """Distance of the values."""
     spacing: Literal["linear", "logarithmic"] = "linear"
+    """Even in the value, or in its logarithm."""
 
     @model_validator(mode="after")
     def _whole(self) -> "Axis":
@@ -216,20 +223,30 @@ class Samples(Section):
     """`[samples]`: points drawn over all axes together, the same for the same seed."""
 
     method: Literal["latin hypercube", "sobol"]
+    """How the points are drawn."""
     count: Count
+    """How many."""
     seed: Whole = 0
+    """Of the draws."""
 
 
 class SweepFile(Section):
     """A whole sweep file."""
 
     format: Literal["gradcal-sweep/1"]
+    """Name and version of this file format."""
     title: Text | None = None
+    """A name for people."""
     base: Text
+    """A preset, or the path of a spec or recipe, seen from this file."""
     do: Literal["predict", "optimise"] = "predict"
+    """What to do at each point."""
     change: dict[str, Any] = Field(default_factory=dict)
+    """Keys of the base that are other at every point."""
     axis: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=20)]
+    """What is varied."""
     samples: Samples | None = None
+    """Draws over all axes together; absent: a grid."""
 
     @model_validator(mode="after")
     def _distinct(self) -> "SweepFile":

@@ -49,7 +49,9 @@ class Source(Section):
     """Where the numbers of a column stand: by name, or by number counted from 0."""
 
     column: Text | Whole
+    """Name of the column, or its number counted from 0."""
     index: Whole | None = None
+    """Column of a two-dimensional array."""
 
     def words(self) -> str:
         """As people say it."""
@@ -61,8 +63,11 @@ class Measured(Source):
     """A quantity: (number - zero) × scale, in the unit."""
 
     unit: Text
+    """Unit of the values."""
     scale: Number = 1.0
+    """Factor of the numbers, after `zero` is taken off."""
     zero: Number = 0.0
+    """Number that stands for zero."""
 
     @field_validator("scale")
     @classmethod
@@ -113,11 +118,17 @@ class TextTable(Section):
     """How a text file is laid out."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=10)] = ","
+    """Between columns: ",", ";", "tab" or "whitespace"."""
     header: Flag = True
+    """Whether the first line names the columns."""
     comment: Annotated[str, Field(min_length=1, max_length=1)] = "#"
+    """A line that begins so is left out."""
     skip: Whole = 0
+    """Lines before the table."""
     decimal: Literal[".", ","] = "."
+    """The decimal sign."""
     encoding: Text = "utf-8-sig"
+    """How text is encoded."""
 
     @field_validator("encoding")
     @classmethod

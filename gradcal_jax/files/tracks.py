@@ -42,72 +42,96 @@ _RAMP_SHARE: Final = {"half sine": 1.0 - 2.0 / math.pi, "raised cosine": 0.5, "h
 
 
 class Stability(Section):
-    """When a temperature counts as stable: it stays `within` of its goal, and of itself, `for_at_least` so long.
-
-    A segment that waits for it gives up after `timeout`, the first one, for which the chamber comes from the room's
-    temperature, after `first_timeout`.
-    """
+    """When a temperature counts as stable."""
 
     within: PositiveTemperatureDifference = Quantity(0.5, "0.5 K", "temperature difference")
+    """How near it stays to its goal, and to itself."""
     for_at_least: Time = Quantity(300.0, "5 min", "time")
+    """For how long."""
     first_timeout: Time = Quantity(14400.0, "4 h", "time")
+    """When to give up at the first segment, for which the chamber comes from the room's temperature."""
     timeout: Time = Quantity(7200.0, "2 h", "time")
+    """When to give up at the others."""
 
 
 class ChamberSegment(Section):
-    """One line of the chamber's track. `start` is on the plan's clock, which does not count waiting.
-
-    `slope` is absent where the chamber stays (a soak) or goes as fast as it can (a step).
-    """
+    """One line of the chamber's track."""
 
     name: Text
+    """By which blocks of motion speak of it."""
     kind: Literal["soak", "ramp", "step"]
+    """What the chamber does."""
     begins: Begins
+    """At its time, or when the temperature is stable."""
     start: SizeOfTime
+    """On the plan's clock, which does not count waiting."""
     duration: Time
+    """How long."""
     temperature_start: Temperature
+    """As it begins."""
     temperature_end: Temperature
+    """As it ends."""
     slope: TemperatureSlope | None = None
+    """Of a ramp, signed; absent: it stays, or goes as fast as it can."""
     used: Flag
+    """Whether its readings are part of the data."""
 
 
 class TrackMove(Section):
-    """One line of a block of motion; `start` counts from the beginning of the repetition.
-
-    "rest" belongs to the axis's own moves; "wait" is standing while other axes have their turn, or idle.
-    """
+    """One line of a block of motion."""
 
     start: SizeOfTime
+    """From the beginning of the repetition."""
     do: Doing
+    """What the axis does; "wait": it stands while others have their turn, or idle."""
     duration: Time
+    """How long."""
     axis: Axis = "x"
+    """Axis of the sensor."""
     angle: Angle | None = None
+    """Angle turned, signed."""
     rate: Rate | None = None
+    """Largest rate."""
     acceleration: PositiveAcceleration | None = None
+    """Of the trapezoid with the same angle, peak rate and duration; of a spline, the steepest."""
     shape: Text | None = None
+    """Course of the rate as planned."""
     cycles: Count | None = None
+    """Oscillations."""
     rates: tuple[Rate, ...] | None = None
+    """Control values of a spline."""
     repeat: Count = 1
+    """How often."""
     read: Literal["end", "none"] | None = None
+    """One reading at its end, or none."""
     read_every: Time | None = None
+    """Spacing of readings."""
 
 
 class MotionBlock(Section):
-    """Moves that repeat. The last repetition ends before its waits; then the axis stands for `standing_after`."""
+    """Moves that repeat. The last repetition ends before its waits."""
 
     name: Text
+    """Of the block."""
     begins_with: Text
+    """Segment of the chamber's track with which it begins."""
     repeat: Count
+    """How often."""
     period: Time
+    """Time from one repetition to the next."""
     standing_after: SizeOfTime
+    """How long the axis stands after the last one."""
     read_every_after: Time | None = None
+    """Spacing of readings while it stands then."""
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
+    """One after the other."""
 
 
 class ChamberTrack(Section):
     """`[chamber]` of a recipe."""
 
     programme: Annotated[tuple[ChamberSegment, ...], Field(min_length=1)]
+    """Segments, in order."""
 
 
 def tracks_of(spec: Spec) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:

@@ -46,6 +46,7 @@ class UncertainSection(Section):
     FIGURES: ClassVar[tuple[str, ...]] = ()
 
     uncertain: Uncertain | None = None
+    """How far figures may be from what is written: "factor 2", or by figure "factor 2" or [least, largest]."""
 
     @model_validator(mode="after")
     def _uncertain(self) -> "UncertainSection":

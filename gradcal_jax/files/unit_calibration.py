@@ -52,11 +52,17 @@ class CalibratedTerm(Section):
     """One term of a channel, in `unit` (SI). Without `temperature` it is constant; `rate`: of its own rate."""
 
     name: Text
+    """Of the term, such as scale_factor."""
     unit: Text
+    """SI unit of its coefficients."""
     signals: Annotated[tuple[Text, ...], Field(max_length=4)] = ()
+    """True inputs that it is multiplied by, such as "rate x" or "force z"; none: 1."""
     temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     rate: RateBasis | None = None
+    """Basis over the channel's own rate; absent: the same at every rate."""
     coefficients: Coefficients
+    """By name, in SI; temperature slow, rate fast."""
 
     @model_validator(mode="after")
     def _whole(self) -> "CalibratedTerm":
@@ -81,8 +87,11 @@ class CalibratedChannel(Section):
     """A gyro or an accelerometer along an axis of the body."""
 
     kind: Literal["gyro", "accelerometer"]
+    """Which kind of sensor."""
     axis: BodyAxis
+    """Along which axis of the body."""
     term: Annotated[tuple[CalibratedTerm, ...], Field(max_length=40)] = ()
+    """Its errors, which add."""
 
     @property
     def name(self) -> str:
@@ -98,55 +107,90 @@ class TableError(Section):
     """What the run says of the *table*: one error of its installation, SI, and what was known of it before."""
 
     name: Text
+    """Of the error."""
     value: Number
+    """What was found (SI)."""
     standard_deviation: Number
+    """What it is uncertain by (SI)."""
     prior: Number
+    """What the spec called its uncertainty (SI)."""
     unit: Text
+    """SI unit of all three."""
 
 
 class UnitResult(Section):
     """What a requirement of the spec came to, in `unit`."""
 
     name: Text
+    """Of the requirement."""
     quantity: Text
+    """Which quantity."""
     axis: Text
+    """Which axis, or how several are summed up."""
     statistic: Text
+    """The one that decides."""
     value: Number | None = None
+    """Its value, one sigma; absent: not observable."""
     unit: Text
+    """Unit of all figures."""
     target: Number | None = None
+    """Limit on the error."""
     verdict: Text | None = None
+    """Whether it is met."""
 
 
 class UnitNoise(Section):
     """The noise that the estimate assumed, for programs that filter; random walks of drifts over short times."""
 
     angle_random_walk: AngleRandomWalk | None = None
+    """White noise of the rate."""
     rate_random_walk: RateRandomWalk | None = None
+    """Of the gyros' drifts, over times much shorter than their own."""
     velocity_random_walk: VelocityRandomWalk | None = None
+    """White noise of the specific force."""
     sample_rate: Frequency | None = None
+    """Of the log."""
 
 
 class UnitCalibration(Section):
     """The calibration file of a whole unit. Beyond `valid_temperature` and `valid_rate` the values at the edge hold."""
 
     format: Literal["gradcal-calibration/1"]
+    """Name and version of this file format."""
     title: Text | None = None
+    """A name for people."""
     serial_number: Text
+    """Of the unit."""
     quantity: Literal["unit"]
+    """A whole unit."""
     simulated: Flag
+    """Whether the log was simulated."""
     frame: Text
+    """What the misalignments count from."""
     order: Text
+    """What the numbers mean, and in which order they are taken off."""
     thermal_lag: Time | None = None
+    """How much later than the thermometer all terms follow; absent: not at all."""
     valid_temperature: tuple[Temperature, Temperature]
+    """Temperatures that the data covered; beyond, the values at the edge hold."""
     valid_rate: tuple[Rate, Rate]
+    """Rates that the data covered; beyond, the maps' values at the edge hold."""
     channel: Annotated[tuple[CalibratedChannel, ...], Field(min_length=1, max_length=6)]
+    """Gyros and accelerometers."""
     covariance: Covariance | None = None
+    """Of the coefficients that were observed; absent: not kept."""
     table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
+    """What the run says of the table."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
+    """Tests of the fit."""
     unobservable: Annotated[tuple[Text, ...], Field(max_length=5000)] = ()
+    """Coefficients of which the data say next to nothing."""
     noise: UnitNoise | None = None
+    """The noise that the estimate assumed."""
     result: Annotated[tuple[UnitResult, ...], Field(max_length=1000)] = ()
+    """What the spec's requirements came to."""
     provenance: dict[str, Text] = Field(default_factory=dict)
+    """Program, files and fingerprints that it came from."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "UnitCalibration":

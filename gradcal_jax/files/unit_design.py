@@ -12,15 +12,17 @@ WORST = "worst ratio"
 
 
 class UnitDesign(Section):
-    """`minimise`: "all requirements" (the geometric mean of residual over target; without a target, of the residual),
-    "worst ratio" (the largest residual over target), or a requirement's name.
-
-    `angle_step`: turns are whole numbers of it. `moves`: at most so many turns in a cycle.
-    """
+    """What `optimise` changes in the plan of a whole unit, and what for."""
 
     minimise: Text = ALL
+    """"all requirements" (geometric mean of residual over target), "worst ratio", or a requirement's name."""
     angle_step: PositiveAngle = Quantity.read("45 deg", "angle")
+    """Turns are whole numbers of it."""
     shortest_rest: Time = Quantity(2.0, "2 s", "time")
+    """Shortest rest."""
     longest_rest: Time = Quantity(120.0, "2 min", "time")
+    """Longest rest."""
     moves: Annotated[Count, Field(ge=2, le=400)] = 80
+    """Most turns in a cycle."""
     seed: Whole = 0
+    """Seed of the annealing."""

@@ -32,21 +32,29 @@ _STEEPNESS = math.pi / 2.0
 
 
 class Pose(Section):
-    """Go where the named axes stand at these angles; `rest`: and stay there."""
+    """Go where the named axes stand at these angles, one axis after the other, outermost first."""
 
     pose: dict[Text, Angle]
+    """Angles by the name of the axis; others stay."""
     peak_rate: PositiveRate | None = None
+    """Largest rate; absent: the axis's own."""
     rest: Time | None = None
+    """How long to stay there."""
 
 
 class QuickTurn(Section):
-    """A turn of one axis with cosine ramps, as fast as the axis goes, or at `peak_rate` where it gets that far."""
+    """A turn of one axis with cosine ramps, as fast as the axis goes."""
 
     turn: Angle | None = None
+    """Angle, signed."""
     turns: Number | None = None
+    """Number of revolutions, signed, in the place of an angle."""
     axis: Text | None = None
+    """Name of the table axis; absent: the only one."""
     peak_rate: PositiveRate | None = None
+    """Largest rate; absent: the axis's own. A short turn does not reach it."""
     repeat: Count = 1
+    """How often the move is made."""
 
     @model_validator(mode="after")
     def _turns(self) -> "QuickTurn":
@@ -68,7 +76,9 @@ class AxisMove(Section):
     """A rest, or one move of one axis."""
 
     axis: Text | None = None
+    """Name of the table axis; absent: the only one."""
     move: Move
+    """The rest or turn; its keys stand beside `axis`."""
 
     @model_serializer(mode="wrap")
     def _as_written(self, handler: Callable[[Any], Any]) -> dict[str, Any]:
@@ -130,7 +140,9 @@ class UnitCycle(Section):
     """The motion that repeats."""
 
     moves: Annotated[tuple[UnitMove, ...], Field(min_length=1, max_length=2000)]
+    """Rests, turns and poses, in order."""
     start: dict[Text, Angle] = Field(default_factory=dict)
+    """Angles of the axes as it begins, by name; absent: zero."""
 
 
 class UnitPlan(ChamberCourse):
@@ -138,7 +150,9 @@ class UnitPlan(ChamberCourse):
     is made once with each, and the chamber returns in between."""
 
     method: Literal["gradient"]
+    """The method."""
     cycle: UnitCycle
+    """Motion that repeats."""
 
     @model_validator(mode="after")
     def _complete(self) -> "UnitPlan":

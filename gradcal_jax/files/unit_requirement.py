@@ -32,8 +32,11 @@ class _OfUnit(Section):
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
 
     name: Text
+    """Its name, by which verdicts and [design] speak of it."""
     temperature: tuple[Temperature, Temperature]
+    """Lowest and highest temperature."""
     axis: Elements = "worst"
+    """One element, the worst of them, or all (root mean square)."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "_OfUnit":
@@ -45,27 +48,36 @@ class _OfUnit(Section):
 
 
 class _OverTemperature(_OfUnit):
-    """`statistic`: of each element over temperature; then `axis`: the worst of them, or "all" (root mean square)."""
+    """A requirement over temperature, summed up first of each element, then over the elements."""
 
     grid: tuple[Points] = (101,)
+    """Number of temperatures, ends included."""
     statistic: Over = "mean"
+    """How the standard deviation of each element is summed up over temperature."""
 
 
 class GyroBiasRequirement(_OverTemperature):
     """Bias of the gyros, over temperature."""
 
     quantity: Literal["gyro_bias"]
+    """What must be good."""
     target: PositiveRate | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
 
 class GyroScaleFactorRequirement(_OfUnit):
     """Scale factor of the gyros over a box of temperature and rate."""
 
     quantity: Literal["gyro_scale_factor"]
+    """What must be good."""
     rate: tuple[Rate, Rate]
+    """Lowest and highest rate."""
     grid: tuple[Points, Points] = (101, 121)
+    """Numbers of temperatures and of rates, ends included."""
     statistic: Literal["mean of max", "mean", "max", "rms"] = "mean of max"
+    """How the standard deviation is summed up over the box."""
     target: PositiveScaleFactor | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
     @model_validator(mode="after")
     def _rates(self) -> "GyroScaleFactorRequirement":
@@ -74,54 +86,71 @@ class GyroScaleFactorRequirement(_OfUnit):
 
 
 class MisalignmentRequirement(_OverTemperature):
-    """Misalignments of gyros or accelerometers, `relative_to` the table's axes, the case (adds
-    the mounting's accuracy), or to the unit itself ("internal": non-orthogonality, and gyros to accelerometers)."""
+    """Misalignments of gyros or accelerometers."""
 
     quantity: Literal["gyro_misalignment", "accelerometer_misalignment"]
+    """What must be good."""
     relative_to: Literal["table", "case", "internal"] = "table"
+    """The table's axes, the case (adds the mounting's accuracy), or the unit itself."""
     axis: Elements = "all"
+    """One element, the worst of them, or all (root mean square)."""
     target: PositiveAngle | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
 
 class SensitivityRequirement(_OverTemperature):
     """Drift of the gyros for a unit of specific force."""
 
     quantity: Literal["g_sensitivity"]
+    """What must be good."""
     axis: Elements = "all"
+    """One element, the worst of them, or all (root mean square)."""
     target: PositiveAccelerationSensitivity | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
 
 class AccelerometerBiasRequirement(_OverTemperature):
     """Bias of the accelerometers."""
 
     quantity: Literal["accelerometer_bias"]
+    """What must be good."""
     target: PositiveSpecificForce | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
 
 class AccelerometerScaleFactorRequirement(_OverTemperature):
     """Scale factor of the accelerometers."""
 
     quantity: Literal["accelerometer_scale_factor"]
+    """What must be good."""
     target: PositiveScaleFactor | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
 
 class SecondOrderRequirement(_OverTemperature):
     """K2 of the accelerometers."""
 
     quantity: Literal["second_order"]
+    """What must be good."""
     target: PositiveSecondOrder | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
 
 class PositionRequirement(_OfUnit):
-    """Horizontal position after free-inertial navigation at rest, level, for `after`: the calibration's part."""
+    """Horizontal position after free-inertial navigation at rest, level: the calibration's part."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
 
     quantity: Literal["position"]
+    """What must be good."""
     after: Time
+    """How long the navigation lasts."""
     grid: tuple[Points] = (101,)
+    """Number of temperatures, ends included."""
     statistic: Over = "mean"
+    """How the standard deviation is summed up over temperature."""
     target: PositiveLength | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
 
 class TiltRequirement(_OfUnit):
@@ -130,22 +159,32 @@ class TiltRequirement(_OfUnit):
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
 
     quantity: Literal["tilt"]
+    """What must be good."""
     grid: tuple[Points] = (101,)
+    """Number of temperatures, ends included."""
     statistic: Over = "mean"
+    """How the standard deviation is summed up over temperature."""
     target: PositiveAngle | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
 
 class TurnRequirement(_OfUnit):
-    """Heading error after a level turn by `turn` at the rate `rate`, about the body's z axis."""
+    """Heading error after a level turn about the body's z axis."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "z")
 
     quantity: Literal["heading"]
+    """What must be good."""
     turn: PositiveAngle
+    """Angle of the turn."""
     rate: PositiveRate
+    """Rate of the turn."""
     grid: tuple[Points] = (101,)
+    """Number of temperatures, ends included."""
     statistic: Over = "mean"
+    """How the standard deviation is summed up over temperature."""
     target: PositiveAngle | None = None
+    """Limit on the standard deviation, which gives a verdict."""
 
 
 def _requirement(value: object) -> object:

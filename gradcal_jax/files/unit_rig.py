@@ -36,34 +36,46 @@ Vector = tuple[Number, Number, Number]
 
 
 class Site(Section):
-    """Where the rig stands. `gravity` as far as it is known; its error is common to all accelerometers."""
+    """Where the rig stands."""
 
     latitude: Latitude
+    """Geodetic latitude, north positive."""
     gravity: PositiveSpecificForce = Quantity(9.80665, "9.80665 m/s^2", "acceleration")
+    """Local gravity as it is used."""
     gravity_accuracy: SizeOfSpecificForce = Quantity(0.0, "0 mg", "acceleration")
+    """Standard deviation of gravity; its error is common to all accelerometers."""
 
 
 class AxisEncoder(Section):
-    """An axis's angle: one draw of `standstill_offset` and one of `reading_noise` for each reading, `read_every` apart
-    while it stands; `harmonics`: what repeats with the angle."""
+    """Error budget of an axis's angle."""
 
     reading_noise: SizeOfAngle = NO_ANGLE
+    """Standard deviation of each reading, independent of all others."""
     standstill_offset: SizeOfAngle = NO_ANGLE
+    """Standard deviation of what is common to all readings of one standstill."""
     read_every: Time = Quantity(1.0, "1 s", "time")
+    """Spacing of the readings while the axis stands."""
     harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
+    """Errors that repeat with the angle."""
 
 
 class TableAxis(Section):
-    """`[[rig.table.axis]]`, outermost first. `direction`: of the axis while all stand at zero, in the frame that the
-    axis outside it carries (the outermost: East, North, up). `orthogonality`: how well it is known to the next one."""
+    """An axis of the table, outermost first."""
 
     name: Name
+    """Its name, by which moves speak of it."""
     direction: Vector
+    """Direction while all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
     max_rate: PositiveRate
+    """Largest rate."""
     max_acceleration: PositiveAcceleration
+    """Largest acceleration."""
     travel: Travel = Quantity(float("inf"), "unlimited", "angle")
+    """How far it may turn each way from zero; "unlimited" where no cable winds up."""
     orthogonality: SizeOfAngle = NO_ANGLE
+    """Standard deviation of the angle to the next axis inside."""
     angle: AxisEncoder = AxisEncoder()
+    """Error budget of its angle."""
 
     @model_validator(mode="after")
     def _points_somewhere(self) -> "TableAxis":
@@ -79,15 +91,20 @@ class TableAxis(Section):
 
 
 class UnitMounting(Section):
-    """`[rig.table.mounting]`: along which axes of the innermost table axis's frame the body's x, y and z point, turned
-    on by the rotation vector `rotation` (body); `accuracy`: of each of the three angles."""
+    """How the unit hangs on the innermost axis."""
 
     name: Text | None = None
+    """A name for people."""
     x: Direction = "+x"
+    """Axis of the innermost table axis's frame along which the body's x points."""
     y: Direction = "+y"
+    """The same of the body's y."""
     z: Direction = "+z"
+    """The same of the body's z."""
     rotation: tuple[Angle, Angle, Angle] | None = None
+    """Rotation vector (body) by which it is turned further."""
     accuracy: SizeOfAngle = NO_ANGLE
+    """Standard deviation of each of the three angles."""
 
     @model_validator(mode="after")
     def _right_handed(self) -> "UnitMounting":
@@ -113,21 +130,22 @@ def _one_or_more(value: object) -> object:
 
 
 class UnitTable(Section):
-    """The table. `tilt`, `azimuth`: how well it is known how the base stands.
-
-    `standing`: "held", it is known not to turn while it stands, and the encoder's readings of a standstill are one; or
-    "read", its angle is what each reading says, every `read_every` (as the source reads it, Berman 2026). `drive`:
-    "hand" for a gimbal that a person turns.
-    """
+    """The table."""
 
     standing: Literal["held", "read"] = "held"
+    """"held": a standing axis is known not to turn; "read": its angle is what each reading says, every `read_every`."""
     drive: Literal["motor", "hand"] = "motor"
+    """"hand": a gimbal that a person turns."""
     tilt: SizeOfAngle = NO_ANGLE
+    """Standard deviation of the base's two tilts."""
     azimuth: SizeOfAngle = NO_ANGLE
+    """Standard deviation of the base's azimuth."""
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
+    """Axes, outermost first."""
     mounting: Annotated[tuple[UnitMounting, ...], BeforeValidator(_one_or_more), Field(min_length=1, max_length=12)] = (
         UnitMounting(),
     )
+    """One mounting, or several that are used one after the other."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "UnitTable":
@@ -155,6 +173,10 @@ class UnitRig(Section):
     """The bench of a whole unit."""
 
     name: Text | None = None
+    """A name for people."""
     site: Site
+    """Where the rig stands."""
     table: UnitTable
+    """The table."""
     chamber: Chamber
+    """The climatic chamber."""

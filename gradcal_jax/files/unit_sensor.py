@@ -33,82 +33,111 @@ BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 
 
 class Misalignment(Section):
-    """Small angles of an input axis towards the two others. `temperature` absent: constant; `prior` absent: flat."""
+    """Small angles of an input axis towards the two others."""
 
     temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     prior: PositiveAngle | None = None
+    """Standard deviation before the calibration; absent: unknown."""
 
 
 class AccelerationSensitivity(Section):
     """Drift of a gyro in proportion to the specific force, three coefficients each (IEEE 528)."""
 
     temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     prior: PositiveAccelerationSensitivity | None = None
+    """Standard deviation before the calibration; absent: unknown."""
 
 
 class SquaredSensitivity(Section):
     """Drift of a gyro in proportion to the square of the specific force along each axis."""
 
     temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     prior: PositiveSquareSensitivity | None = None
+    """Standard deviation before the calibration; absent: unknown."""
 
 
 class SpecificForceDrift(Section):
     """Instability of an accelerometer's bias: a first-order Gauss–Markov process."""
 
     standard_deviation: PositiveSpecificForce
+    """Stationary standard deviation."""
     correlation_time: Time
+    """Time constant of its autocorrelation."""
 
 
 class SpecificForceBias(Section):
     """An accelerometer's bias over temperature."""
 
     temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     prior: PositiveSpecificForce | None = None
+    """Standard deviation before the calibration; absent: unknown."""
 
 
 class SpecificForceScale(Section):
     """An accelerometer's scale factor, or its asymmetry, over temperature."""
 
     temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     prior: PositiveScaleFactor | None = None
+    """Standard deviation before the calibration, a ratio; absent: unknown."""
 
 
 class SecondOrder(Section):
     """An accelerometer's K2, or its cross-coupling of two axes, over temperature."""
 
     temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     prior: PositiveSecondOrder | None = None
+    """Standard deviation before the calibration; absent: unknown."""
 
 
 class ThirdOrder(Section):
     """An accelerometer's K3 over temperature."""
 
     temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     prior: PositiveThirdOrder | None = None
+    """Standard deviation before the calibration; absent: unknown."""
 
 
 class LeverArm(Section):
-    """Where an accelerometer sits, from where the table's axes meet: three coordinates, each with the prior `prior`."""
+    """Where an accelerometer sits, from where the table's axes meet."""
 
     prior: PositiveLength | None = None
+    """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
 
 
 class GyroTriad(Section):
     """`[sensor.gyro]`: what is the same for every gyro of the unit. A table that is absent is not estimated: known."""
 
     axes: BodyAxes = ("x", "y", "z")
+    """Which gyros the unit has."""
     angle_random_walk: AngleRandomWalk
+    """White noise of the rate, as the angle's growth with the square root of time."""
     rate_random_walk: RateRandomWalk | None = None
+    """Random walk of the rate."""
     full_scale: PositiveRate | None = None
+    """Largest rate that a gyro measures."""
     full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
+    """Share of the full scale that plans keep away from."""
     drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
+    """In-run bias instabilities, which add."""
     scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
+    """In-run instabilities of the scale factor, which add."""
     bias: Bias
+    """Bias over temperature."""
     scale_factor: ScaleFactor | None = None
+    """Scale factor over temperature and rate."""
     misalignment: Misalignment | None = None
+    """Directions of the input axes."""
     g_sensitivity: AccelerationSensitivity | None = None
+    """Drift in proportion to the specific force."""
     g_squared: SquaredSensitivity | None = None
+    """Drift in proportion to the square of the specific force."""
 
     @property
     def usable_rate(self) -> float | None:
@@ -121,17 +150,29 @@ class AccelerometerTriad(Section):
     on moves no faster than `read_on_moves_below`."""
 
     axes: BodyAxes = ("x", "y", "z")
+    """Which accelerometers the unit has."""
     velocity_random_walk: VelocityRandomWalk
+    """White noise of the specific force."""
     drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
+    """In-run bias instabilities, which add."""
     bias: SpecificForceBias
+    """Bias over temperature."""
     scale_factor: SpecificForceScale | None = None
+    """Scale factor over temperature."""
     misalignment: Misalignment | None = None
+    """Directions of the input axes."""
     second_order: SecondOrder | None = None
+    """K2, output in proportion to the square of the force."""
     third_order: ThirdOrder | None = None
+    """K3, output in proportion to its cube."""
     asymmetry: SpecificForceScale | None = None
+    """Scale factor of positive force less that of negative."""
     read_on_moves_below: PositiveRate | None = None
+    """Read on moves no faster than this, too; absent: at rest alone."""
     lever_arm: LeverArm | None = None
+    """Where the accelerometers sit, from where the table's axes meet."""
     cross_coupling: SecondOrder | None = None
+    """Output in proportion to products of the force along two axes."""
 
     @model_validator(mode="after")
     def _seen(self) -> "AccelerometerTriad":
@@ -145,21 +186,28 @@ class AccelerometerTriad(Section):
 
 
 class UnitFrame(Section):
-    """What the misalignments count from. "table axes": the table's at zero, through the nominal mounting; "case": the
-    case, whose mounting is only known to its accuracy."""
+    """What the misalignments count from."""
 
     fixed_by: Literal["table axes", "case"] = "table axes"
+    """"table axes": the table's at zero, through the nominal mounting; "case": the case, known to the mounting's
+    accuracy."""
 
 
 class UnitSensor(Section):
-    """A whole unit: gyros, accelerometers, or both. `thermal_lag` between chamber and dies; one clock stamps all."""
+    """A whole unit: gyros, accelerometers, or both."""
 
     name: Text | None = None
+    """A name for people."""
     thermal_lag: Time | None = None
+    """Time constant, first order, between chamber and dies."""
     sample_clock_error: SizeOfScaleFactor | None = None
+    """Standard deviation of the one clock that stamps all, a ratio."""
     gyro: GyroTriad | None = None
+    """What is the same for every gyro."""
     accelerometer: AccelerometerTriad | None = None
+    """What is the same for every accelerometer."""
     frame: UnitFrame | None = None
+    """What the misalignments count from."""
 
     @model_validator(mode="after")
     def _something_to_find(self) -> "UnitSensor":

@@ -38,12 +38,19 @@ class UnitSpec(Section):
     """
 
     format: Literal["gradcal-spec/1"]
+    """Name and version of this file format."""
     title: Text | None = None
+    """A name for people; it heads tables and pages."""
     sensor: UnitSensor
+    """The unit that is calibrated."""
     rig: UnitRig
+    """Site, table and chamber."""
     requirement: UnitRequirements = ()
+    """What the calibration must serve."""
     plan: UnitPlan
+    """What chamber and table do."""
     design: UnitDesign | None = None
+    """What `optimise` may change; no other command reads it."""
 
     @model_validator(mode="after")
     def _together(self) -> "UnitSpec":

@@ -23,62 +23,76 @@ Matrix3 = tuple[Vector3, Vector3, Vector3]
 
 
 class SiteRow(Section):
-    """Latitude (rad), gravity as it is used (m/s²), and the Earth's rate (East, North, up; rad/s)."""
+    """Where the rig stands."""
 
     latitude: Finite
+    """North positive (rad)."""
     gravity: Size
+    """As it is used (m/s²)."""
     earth_rate: Vector3
+    """East, North, up (rad/s)."""
 
 
 class TableAxisRow(Section):
-    """A table axis, outermost first. `direction` while all stand at zero, in the frame that the axis outside it
-    carries (the outermost: East, North, up). An encoder error at each standstill: variance standstill_offset² +
-    reading_noise²/n (rad), with n = 1 + the whole number of `read_every` (s) in the standstill.
-    """
+    """A table axis, outermost first. An encoder error at each standstill has the variance standstill_offset² +
+    reading_noise²/n, with n = 1 + the whole number of `read_every` in the standstill."""
 
     name: str
+    """Of the axis."""
     direction: Vector3
+    """While all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
     reading_noise: Size
+    """Standard deviation of a reading (rad)."""
     standstill_offset: Size
+    """Standard deviation of what a standstill's readings share (rad)."""
     read_every: Size
+    """Spacing of readings (s)."""
     harmonics: tuple[HarmonicRow, ...] = ()
+    """Errors that repeat with the angle."""
 
 
 class MountingRow(Section):
-    """How the body hangs on the innermost axis: the rotation from body to that axis's frame."""
+    """How the body hangs on the innermost axis."""
 
     name: str | None = None
+    """Of the mounting."""
     rotation: Matrix3
+    """Matrix from the body to the innermost axis's frame."""
 
 
 class UnitTermRow(MapRow):
-    """One term of a channel: a function of temperature (and of the channel's own rate) times the product of `signals`.
-
-    Signals are "rate x" (rad/s) and "force x" (m/s²), components in the body, "|force x|" a magnitude; none: 1. "size
-    ik" (1/s²) is ω_i (ω + 2ω_earth)_k − δ_ik (ω + 2ω_earth)·ω, with ω the rate against the Earth.
-    `parameters`: names of the coefficients in a prediction; `unit` of each, in SI.
-    """
+    """One term of a channel: a function of temperature (and the channel's own rate) times the product of `signals`."""
 
     name: str
+    """Of the term."""
     signals: tuple[str, ...]
+    """"rate x" (rad/s) and "force x" (m/s²) in the body, "|force x|" a magnitude; none: 1. "size ik" (1/s²) is
+    ω_i (ω + 2ω_earth)_k − δ_ik (ω + 2ω_earth)·ω, ω the rate against the Earth."""
     parameters: tuple[str, ...]
+    """Names of the coefficients in a prediction."""
     unit: str
+    """Of each coefficient, in SI."""
 
 
 class ChannelRow(Section):
-    """A gyro (rad) or accelerometer (m/s) along one axis of the body. `white`: of the integral, for √s; `rate_random_
-    walk` for s√s; `drift` in rad/s or m/s², stationary at the first used segment; `scale_factor_instability` is
-    multiplied by the rate along the axis.
-    """
+    """A gyro (rad) or accelerometer (m/s) along one axis of the body."""
 
     name: str
+    """Of the channel."""
     kind: Literal["gyro", "accelerometer"]
+    """Gyro or accelerometer."""
     axis: Literal["x", "y", "z"]
+    """Axis of the body."""
     white: Size
+    """White noise of the integral, for √s (rad or m/s)."""
     rate_random_walk: Size = 0.0
+    """For s√s (rad or m/s)."""
     drift: tuple[ProcessRow, ...] = ()
+    """In rad/s or m/s², stationary at the first used segment."""
     scale_factor_instability: tuple[ProcessRow, ...] = ()
+    """Multiplied by the rate along the axis."""
     terms: tuple[UnitTermRow, ...]
+    """What is estimated."""
 
 
 class InstallationRow(Section):
@@ -92,62 +106,92 @@ class InstallationRow(Section):
     """
 
     kind: Literal["base", "orthogonality", "harmonics", "mounting", "gravity", "sample_clock"]
+    """Which error."""
     parameters: tuple[str, ...]
+    """Names of the parameters in a prediction."""
     stds: tuple[Size, ...]
+    """Prior standard deviation of each."""
     unit: str
+    """Of the parameters, in SI."""
     axis: str | None = None
+    """Table axis; null where it concerns none."""
     orders: tuple[int, ...] | None = None
+    """Periods in one turn, of harmonics."""
 
 
 class UnitSegmentRow(Section):
-    """A rest, or the move of one axis, from `start` for `duration` (s).
-
-    `axis`: which moves; null: all stand. `shape` and its figures are those of gradcal-timeline/2. `angles_before`,
-    `angles_after` (rad) of all axes, outermost first; `attitude` as it begins, from body to East, North, up.
-    `standstill_ids` number each axis's standstills; null while it moves. `read`: channels that have a row of it.
-    `mounting` counts from 0. Temperatures (°C) are the chamber's, linear or through `temperature_bends` (time s, °C).
-    `used`: false where the data are not part of the calibration.
-    """
+    """A rest, or the move of one axis."""
 
     start: Finite
+    """Beginning (s)."""
     duration: Size
+    """Length (s)."""
     axis: str | None = None
+    """Which axis moves; null: all stand."""
     shape: str
+    """As of gradcal-timeline/2."""
     peak_rate: Finite = 0.0
+    """Largest rate, signed (rad/s)."""
     angle: Finite = 0.0
+    """Angle turned, signed (rad)."""
     ramp: Size | None = None
+    """Time from rest to the peak rate (s)."""
     cycles: int | None = None
+    """Oscillations."""
     controls: tuple[Finite, ...] | None = None
+    """Control values of a spline, relative to `peak_rate`."""
     unevenness: Size | None = None
+    """Of a turn by hand, as a share of the rate."""
     angles_before: tuple[Finite, ...]
+    """Angles of all axes as it begins, outermost first (rad)."""
     angles_after: tuple[Finite, ...]
+    """Angles of all axes as it ends (rad)."""
     attitude: Matrix3
+    """Matrix from the body to East, North, up as it begins."""
     mounting: int
+    """Which mounting is used, counted from 0."""
     standstill_ids: tuple[int | None, ...]
+    """Number of each axis's standstill; null while it moves."""
     read: tuple[str, ...]
+    """Channels that have a row of it."""
     used: bool = True
+    """False where the data are not part of the calibration."""
     temperature_start: Finite
+    """The chamber's at the start (°C)."""
     temperature_end: Finite
+    """The chamber's at the end (°C), linear in between."""
     temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
+    """Points (time in s, °C) through which it goes in between."""
 
 
 class UnitTimeline(Section):
-    """gradcal-unit-timeline/1. `standing`: "held", as said at the head; "read": every segment ends with a reading of
-    all axes, whose error is its standstill's draw of `standstill_offset` and a draw of `reading_noise`, and a rest from
-    reading to reading is a segment; a gyro's row has each axis's mean direction times its error's change, and what
-    stands turns the attitude by the mean of the errors at both ends. `thermal_lag` (s) is first order, between the
-    chamber and what all terms see, in equilibrium at the start of the first segment. Processes go on through segments
-    that are not used.
+    """gradcal-unit-timeline/1: all that another program needs to compute a whole unit's covariance by itself.
+
+    With `standing` "read" every segment ends with a reading of all axes, whose error is its standstill's draw of
+    `standstill_offset` and a draw of `reading_noise`, and a rest from reading to reading is a segment; a gyro's row has
+    each axis's mean direction times its error's change, and what stands turns the attitude by the mean of the errors at
+    both ends. Processes go on through segments that are not used.
     """
 
     format: Literal["gradcal-unit-timeline/1"] = "gradcal-unit-timeline/1"
+    """Name and version of this contract."""
     title: str | None = None
+    """Of the spec."""
     frame: Literal["table axes", "case"]
+    """What the misalignments count from."""
     site: SiteRow
+    """Where the rig stands."""
     table: tuple[TableAxisRow, ...]
+    """Axes of the table, outermost first."""
     standing: Literal["held", "read"]
+    """What axes do that do not move: see above."""
     mountings: tuple[MountingRow, ...]
+    """How the unit hangs on the innermost axis."""
     thermal_lag: Size | None = None
+    """Time constant (s), first order, between the chamber and what all terms see; equilibrium at the start."""
     channels: tuple[ChannelRow, ...]
+    """Gyros and accelerometers."""
     installation: tuple[InstallationRow, ...]
+    """Errors that all channels see."""
     segments: tuple[UnitSegmentRow, ...]
+    """What the table and the chamber do."""

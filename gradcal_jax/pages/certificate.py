@@ -5,7 +5,7 @@ is the exact share of each input in the variance of a requirement's residual: co
 Nothing here claims an accreditation, and what is not known stands as "not stated".
 """
 
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from importlib import resources
 from math import sqrt
 from pathlib import Path
@@ -89,14 +89,23 @@ class Certificate(NamedTuple):
     fit: tuple[tuple[str, str, float, int, float], ...]
     corrections: tuple[Correction, ...]
     fastest_dps: float
+    serial_number: str
     validity: tuple[str, ...]
     simulated: bool
 
 
 def certificate_of(
-    sources: Sources, rig: RigFile | None = None, *, number: str = "", customer: str = "", operator: str = ""
+    sources: Sources,
+    rig: RigFile | None = None,
+    *,
+    number: str = "",
+    customer: str = "",
+    operator: str = "",
+    performed: str = "",
 ) -> Certificate:
-    """What a certificate says. Errors: `ValueError` without a calibration."""
+    """What a certificate says. `performed`: a date, or the first and the last as "2026-11-21..2026-11-22"; without it
+    that of the run. Errors: `ValueError` without a calibration, or for what is no date.
+    """
     calibration = sources.calibration
     if calibration is None:
         raise ValueError("a certificate is of a calibration: name its file, or the folder of a run that has one")
@@ -110,6 +119,7 @@ def certificate_of(
         ("customer", customer or NOT_STATED),
         ("operator", who or NOT_STATED),
         ("unit", f"{calibration.title or calibration.quantity}, serial number {calibration.serial_number}"),
+        ("performed", _performed(performed, sources)),
     )
     return Certificate(
         heading=heading,
@@ -123,10 +133,22 @@ def certificate_of(
         budgets=tuple(_budgets(sources)),
         fit=tuple((axis.name, t.name, t.statistic, t.degrees, t.chance) for axis in calibration.axis for t in axis.fit),
         corrections=tuple(row for axis in calibration.axis for row in _corrections(axis, len(calibration.axis))),
+        serial_number=calibration.serial_number,
         fastest_dps=min(float(np.degrees(axis.valid_rate[1])) for axis in calibration.axis),
         validity=_validity(calibration),
         simulated=calibration.simulated,
     )
+
+
+def _performed(stated: str, sources: Sources) -> str:
+    text = stated or ("" if sources.run is None else str(sources.run.notes().get("begun", ""))[:10])
+    try:
+        days = [date.fromisoformat(day) for day in text.split("..")] if text else []
+    except ValueError:
+        days = []
+    if text and not (len(days) in (1, 2) and days == sorted(days)):
+        raise ValueError(f'expected a date such as "2026-11-22", or "2026-11-21..2026-11-22", not "{text}"')
+    return text or NOT_STATED
 
 
 def _method(sources: Sources, calibration: Calibration) -> str:

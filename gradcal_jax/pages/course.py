@@ -1,13 +1,17 @@
 """What a run did, from its journal: when, by which devices, how long it waited, temperatures and angles."""
 
 import math
-from typing import NamedTuple
+from bisect import bisect_right
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import SESSION, RunFolder, exit_status, sessions, steps_done
+from gradcal_jax.hardware.track import Move
 
 Floats = NDArray[np.float64]
 _INSTANT_S = 0.05
@@ -32,11 +36,12 @@ class Device(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What was done. Times in s since the run began.
+    """What was done.
 
-    `chamber_s`, `chamber_c` `(n,)`: when the chamber was read, and its temperature. `angles`: of each axis, when it was
-    read and its angle (deg), both `(m,)`. `status`: "success", "stopped", "aborted" or "lost"; `damaged_bytes`: of the
-    journal, that belong to no record.
+    `chamber_s`, `chamber_c` `(n,)`: when the chamber was read, and its temperature. `rates`: of each axis that turned,
+    times and rates (deg/s) between which the rate is a straight line, both `(m,)`. Both in s on the plan's clock, which
+    stands still while a step is waited for; what was read before the first step began is left out. `status`: "success",
+    "stopped", "aborted" or "lost"; `damaged_bytes`: of the journal, that belong to no record.
     """
 
     begun: str
@@ -53,7 +58,7 @@ class Course(NamedTuple):
     version: str
     chamber_s: Floats
     chamber_c: Floats
-    angles: dict[str, tuple[Floats, Floats]]
+    rates: dict[str, tuple[Floats, Floats]]
 
 
 def course_of(folder: RunFolder) -> Course:
@@ -64,13 +69,15 @@ def course_of(folder: RunFolder) -> Course:
         raise ValueError(f"{folder.path} holds a run that never began: its journal is empty")
     start = events[0][0]
     last = max(time for time, _ in events)
+    on_plan = _plan_clock(folder, events)
     chamber = [
-        (time - start, _temperature(event))
+        (on_plan(time), _temperature(event))
         for time, event in events
         if event.name == "chamber" and _temperature(event) is not None
     ]
     devices: dict[str, Device] = {}
     angles: dict[str, list[tuple[float, float]]] = {}
+    moves: dict[str, list[tuple[float, Mapping[str, Any]]]] = {}
     waited: list[Waited] = []
     verified = False
     for time, event in events:
@@ -81,7 +88,10 @@ def course_of(folder: RunFolder) -> Course:
         elif event.name == "stable":
             waited.append(Waited(str(data["step"]), float(data["waited_s"]), float(data["temperature_c"])))
         elif event.name == "angle" and data.get("position_deg") is not None:
-            angles.setdefault(str(data["axis"]), []).append((time - start, float(data["position_deg"])))
+            angles.setdefault(str(data["axis"]), []).append((on_plan(time), float(data["position_deg"])))
+        elif event.name == "move":
+            began = on_plan(time - event.time_s + float(data["began_s"]))
+            moves.setdefault(str(data["axis"]), []).append((began, data))
         elif event.name == "end":
             verified = bool(data.get("verified_safe"))
     return Course(
@@ -97,10 +107,54 @@ def course_of(folder: RunFolder) -> Course:
         verified_safe=verified,
         damaged_bytes=contents.damaged_bytes,
         version=str(notes.get("version", "")),
-        chamber_s=np.array([time for time, _ in chamber]),
-        chamber_c=np.array([value for _, value in chamber], dtype=np.float64),
-        angles={axis: _columns(rows) for axis, rows in angles.items()},
+        chamber_s=np.array([time for time, _ in chamber if time >= 0.0]),
+        chamber_c=np.array([value for time, value in chamber if time >= 0.0], dtype=np.float64),
+        rates={axis: _turned(made, angles.get(axis, [])) for axis, made in moves.items()},
     )
+
+
+def _plan_clock(folder: RunFolder, events: list[tuple[float, Event]]) -> Callable[[float], float]:
+    """From the run's clock to the plan's: within a step they go alike; negative before the first step began."""
+    steps = track_of(folder.recipe(), [axis.name for axis in folder.rig().axis]).steps
+    planned = np.concatenate([[0.0], np.cumsum([step.duration_s for step in steps])])
+    begun = [
+        (time - event.time_s + float(event.data["begins_s"]), int(event.data["number"]))
+        for time, event in events
+        if event.name == "step begins"
+    ]
+
+    def on_plan(time: float) -> float:
+        here = [(begins, number) for begins, number in begun[_first(begun, time) :] if begins <= time]
+        if not here:
+            return -1.0
+        begins, number = here[-1]
+        return float(planned[number] + min(time - begins, steps[number].duration_s))
+
+    return on_plan
+
+
+def _first(begun: list[tuple[float, int]], time: float) -> int:
+    """Where to look: steps begin one after the other."""
+    return max(0, bisect_right(begun, (time, 10**9)) - 1)
+
+
+def _turned(moves: list[tuple[float, Mapping[str, Any]]], angles: list[tuple[float, float]]) -> tuple[Floats, Floats]:
+    """The rate of an axis by the commands that it executed; by the mean between angles where a hand turned it."""
+    if any(move["kind"] == "turn" and not move["acceleration_dps2"] for _, move in moves):
+        return rates_of(*_columns(angles))
+    points, rate = [(0.0, 0.0)], 0.0
+    for began, move in moves:
+        peak, steep = float(move["rate_dps"]), float(move["acceleration_dps2"])
+        if move["kind"] == "turn":
+            turned = Move(0.0, "", "turn", 0.0, peak, steep, float(move["angle_deg"]))
+            signed = math.copysign(min(abs(peak), math.sqrt(abs(turned.angle_deg) * steep)), turned.angle_deg)
+            ramp, end = abs(signed) / steep, turned.duration_s
+            points += [(began, 0.0), (began + ramp, signed), (began + end - ramp, signed), (began + end, 0.0)]
+        elif move["kind"] in ("spin", "stop"):
+            then = peak if move["kind"] == "spin" else 0.0
+            points += [(began, rate), (began + abs(then - rate) / (steep or math.inf), then)]
+            rate = then
+    return _columns(points)
 
 
 def rates_of(time_s: Floats, angle_deg: Floats) -> tuple[Floats, Floats]:

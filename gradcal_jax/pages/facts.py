@@ -13,13 +13,15 @@ from gradcal_jax.pages.sources import Sources
 
 
 class AxisFact(NamedTuple):
-    """What was found of one axis. `agreement`: χ² of found against hidden truth, its degrees, its chance."""
+    """What was found of one axis. `fit`: tests of the fit, each with its name, χ², degrees of freedom and chance;
+    `agreement`: χ² of found against hidden truth, its degrees, its chance."""
 
     axis: str
     terms: tuple[Term, ...]
     valid_temperature: tuple[str, str]
     valid_rate: tuple[str, str]
     unobservable: tuple[str, ...]
+    fit: tuple[tuple[str, float, int, float], ...]
     agreement: tuple[float, int, float] | None
 
 
@@ -92,7 +94,7 @@ def as_tables(facts: Facts) -> dict[str, Any]:
         done = {
             name: value
             for name, value in course._asdict().items()
-            if name not in ("chamber_s", "chamber_c", "angles", "waited", "devices")
+            if name not in ("chamber_s", "chamber_c", "rates", "waited", "devices")
         }
         done["waited"] = [row._asdict() for row in course.waited]
         done["devices"] = [row._asdict() for row in course.devices]
@@ -120,5 +122,6 @@ def _axis(axis: AxisCalibration, truth: dict[str, Any] | None) -> AxisFact:
         (str(axis.valid_temperature[0]), str(axis.valid_temperature[1])),
         (str(axis.valid_rate[0]), str(axis.valid_rate[1])),
         axis.unobservable,
+        tuple((t.name, t.statistic, t.degrees, t.chance) for t in axis.fit),
         agreement(axis, (truth or {}).get(axis.name)),
     )

@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -17,10 +17,10 @@ from gradcal_jax import plots
 from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.pages.course import Course, rates_of
+from gradcal_jax.pages.course import Course
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
-from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor
+from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor, draw_residual_parts, draw_residuals
 from gradcal_jax.plots.style import style_of
 from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, turned_axes
 
@@ -36,6 +36,8 @@ _STYLE: Any = {
 }
 # Residuals that differ by more than this are shown on logarithmic scales.
 _LOGARITHMIC = 4.0
+# Maps whose ratio is everywhere nearer to 1 than this look alike (a natural logarithm).
+_ALIKE = 0.3
 # Of labels on a map, as shares of its sides: how far from the edge, and from one another.
 _INSIDE, _APART = 0.06, np.array([0.15, 0.09])
 
@@ -48,8 +50,11 @@ class Picture(NamedTuple):
     svg: str
 
 
-def map_pictures(facts: Sequence[MapFact]) -> list[list[Picture]]:
-    """For each requirement whose box no earlier one holds: its maps on one scale of colours, then their curves."""
+def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], float]) -> list[list[Picture]]:
+    """For each requirement whose box no earlier one holds: its maps on one scale of colours, then their curves. A map
+    that looks like the one before it is shown as their ratio. `targets`: what the standard deviation may come to, by
+    requirement and axis.
+    """
     found: list[list[Picture]] = []
     drawn: list[MapFact] = []
     for fact in facts:
@@ -64,11 +69,20 @@ def map_pictures(facts: Sequence[MapFact]) -> list[list[Picture]]:
         where = fact.name if len({f.axis for f in facts}) == 1 else f"{fact.name}, axis {fact.axis}"
         key = f"{picture_key(fact.name)}-{fact.axis}-{fact.quantity}"
         if fact.quantity != "scale_factor":
-            found.append([_curves(fact, f"{key}-curves", where)])
+            found.append([_curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
             continue
         norm = _norm([box for _, box in fact.maps])
-        group = [_map(box, label, f"{key}-{label}", where, norm) for label, box in fact.maps]
-        found.append([*group, _curves(fact, f"{key}-curves", where)])
+        group: list[Picture] = []
+        for place, (label, box) in enumerate(fact.maps):
+            earlier = fact.maps[place - 1] if place else None
+            if earlier is not None and _alike(box, earlier[1]):
+                ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
+                words = f"{where}: residual {label} over that {earlier[0]}."
+                group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, _norm([ratio])))
+            else:
+                words = f"{where}: residual {label}, one standard deviation."
+                group.append(_map(box, label, f"{key}-{label}", words, norm))
+        found.append([*group, _curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
     return found
 
 
@@ -83,27 +97,22 @@ def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture
                 ax.plot(course.chamber_s / 3600.0, course.chamber_c, label="done", **style_of(1))
                 ax.legend()
 
-        caption = "Temperature of the chamber on the plan's clock."
-        if course is not None:
-            caption = "Temperature: planned, on the plan's clock, and done, on the run's, which counts waiting too."
-        found.append(picture("temperature", caption, temperatures, _LOW))
+        words = "Temperature of the chamber on the plan's clock"
+        words += "." if course is None else ", which stands while a step is waited for: planned and done."
+        found.append(picture("temperature", words, temperatures, _LOW))
         for axis in turned_axes(recipe):
+            done = None if course is None else course.rates.get(axis)
+
+            def rates(ax: Axes, axis=axis, done=done) -> None:
+                draw_planned_rate(recipe, axis, label="planned", ax=ax)
+                if done is not None:
+                    ax.plot(done[0] / 3600.0, done[1], linewidth=0.8, label="done", **style_of(1))
+                    ax.legend()
+
             words = f"Rate of table axis {axis} as planned."
-            found.append(
-                picture(f"planned-{axis}", words, lambda ax, a=axis: draw_planned_rate(recipe, a, ax=ax), _LOW)
-            )
-    if course is not None:
-        for axis, (time, angle) in course.angles.items():
-            if np.ptp(angle) < 1.0:
-                continue
-            step, rate = rates_of(time, angle)
-
-            def rates(ax: Axes, step=step, rate=rate) -> None:
-                ax.plot(step / 3600.0, rate, linewidth=0.8, color=style_of(1)["color"])
-                ax.set(xlabel="time since the run began, h", ylabel="rate, deg/s")
-
-            words = f"Rate of table axis {axis} as done: the mean between two readings of its angle."
-            found.append(picture(f"done-{axis}", words, rates, _LOW))
+            if done is not None:
+                words = f"Rate of table axis {axis}: planned, and as turned by the commands that it executed."
+            found.append(picture(f"rate-{axis}", words, rates, _LOW))
     return found
 
 
@@ -118,6 +127,12 @@ def found_pictures(calibration: Calibration) -> list[Picture]:
         if axis.bias is not None:
             words = f"Bias of axis {axis.name} as found; the band is one standard deviation."
             draw.append(("bias", words, lambda a, ax: draw_found_bias(a, ax=ax)))
+        if axis.residuals is not None and sum(axis.residuals.counts):
+            words = f"Residuals of axis {axis.name}, in standard deviations of what the noise of the spec says."
+            draw.append(("residuals", words, lambda a, ax: draw_residuals(a, ax=ax)))
+            if axis.residuals.rms:
+                words = f"Size of the residuals of axis {axis.name} along the run; the band holds 95 of 100 by chance."
+                draw.append(("residual-parts", words, lambda a, ax: draw_residual_parts(a, ax=ax)))
         found += [
             picture(f"found-{name}-{axis.name}", words, lambda ax, a=axis, d=function: d(a, ax), _HIGH)
             for name, words, function in draw
@@ -140,6 +155,13 @@ def _holds(outer: MapFact, inner: MapFact) -> bool:
     )
 
 
+def _alike(box: Box, other: Box) -> bool:
+    """Whether two maps of one box differ nowhere by what colours show."""
+    if box.values.shape != other.values.shape or not np.all(np.isfinite(box.values) & (other.values > 0.0)):
+        return False
+    return bool(np.max(np.abs(np.log(box.values / other.values))) < _ALIKE)
+
+
 def _norm(boxes: Sequence[Box]) -> Normalize:
     """One scale of colours for all maps of a requirement."""
     seen = np.concatenate([box.values[np.isfinite(box.values)].ravel() for box in boxes])
@@ -151,7 +173,7 @@ def _norm(boxes: Sequence[Box]) -> Normalize:
     return Normalize(low, high if high > low else low + 1.0)
 
 
-def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture:
+def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Picture:
     def draw(ax: Axes) -> None:
         drawn = plots.draw_map(box.temperature_c, box.rate_dps, box.values, box.unit, title=label, ax=ax)
         drawn.mesh.set_norm(norm)
@@ -161,6 +183,8 @@ def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture
         bar.locator = LogLocator(10.0, subs=(1.0, 2.0, 5.0)) if logarithmic else MaxNLocator(5)
         bar.formatter = FuncFormatter(_tick)
         bar.minorformatter = NullFormatter()
+        if box.unit == "ratio":
+            bar.set_label("ratio")
         bar.update_ticks()
         if drawn.contours is not None:
             levels = drawn.contours.levels
@@ -171,7 +195,6 @@ def _map(box: Box, label: str, key: str, where: str, norm: Normalize) -> Picture
                 ax.contour(box.rate_dps, box.temperature_c, shown, levels=levels, colors="white", linewidths=0.7),
             )
 
-    caption = f"{where}: residual {label}, one standard deviation."
     if not np.all(np.isfinite(box.values)):
         caption += " Blank: not observable."
     return picture(key, caption, draw, _HIGH)
@@ -203,30 +226,36 @@ def _label(ax: Axes, contours: QuadContourSet) -> None:
         )
 
 
-def _curves(fact: MapFact, key: str, where: str) -> Picture:
+def _curves(fact: MapFact, key: str, where: str, target: float | None) -> Picture:
+    words = "over temperature" if fact.quantity != "scale_factor" else "the worst over temperature, against rate"
+    caption = f"{where}: residual, {words}, one standard deviation."
+    return picture(key, caption, lambda ax: _draw_curves(fact, target, ax), _HIGH)
+
+
+def _draw_curves(fact: MapFact, target: float | None, ax: Axes) -> None:
     bias = fact.quantity != "scale_factor"
-
-    def draw(ax: Axes) -> None:
-        values = []
-        for index, (label, box) in enumerate(fact.maps):
-            if bias:
-                plots.draw_over_temperature(box.temperature_c, box.values, box.unit, label=label, index=index, ax=ax)
-            else:
-                plots.draw_worst_over_temperature(box.rate_dps, box.values, box.unit, label=label, index=index, ax=ax)
-            values.append(np.max(box.values, axis=1 if bias else 0))
-        seen = np.concatenate(values)
-        seen = seen[np.isfinite(seen) & (seen > 0.0)]
-        if len(seen) and seen.max() > _LOGARITHMIC * seen.min():
-            ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))
-            ax.yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
-            ax.yaxis.set_major_formatter(FuncFormatter(_tick))
-            ax.yaxis.set_minor_formatter(NullFormatter())
-        if not bias:
-            ax.set_ylabel(f"worst residual over temperature, {fact.maps[0][1].unit}")
-        ax.legend()
-
-    words = "over temperature" if bias else "the worst over temperature, against rate"
-    return picture(key, f"{where}: residual, {words}, one standard deviation.", draw, _HIGH)
+    values = []
+    for index, (label, box) in enumerate(fact.maps):
+        if bias:
+            plots.draw_over_temperature(box.temperature_c, box.values, box.unit, label=label, index=index, ax=ax)
+        else:
+            plots.draw_worst_over_temperature(box.rate_dps, box.values, box.unit, label=label, index=index, ax=ax)
+        values.append(np.max(box.values, axis=1 if bias else 0))
+    if target is not None:
+        ax.axhline(target, color="#555555", linewidth=1.0, linestyle=(0, (6, 3)), label="target (1σ)")
+        values.append(np.array([target]))
+    seen = np.concatenate(values)
+    seen = seen[np.isfinite(seen) & (seen > 0.0)]
+    if len(seen) and seen.max() > _LOGARITHMIC * seen.min():
+        ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))
+        ax.yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FuncFormatter(_tick))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+    elif len(seen):
+        ax.set_ylim(0.0, 1.08 * seen.max())
+    if not bias:
+        ax.set_ylabel(f"worst residual over temperature, {fact.maps[0][1].unit}")
+    ax.legend()
 
 
 def _tick(value: float, _place: int) -> str:

@@ -14,23 +14,33 @@ from gradcal_jax.pages.facts import Facts
 from gradcal_jax.pages.figures import found_pictures, map_pictures, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.panel import panel_of
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.pages.unit import unit_pictures, unit_words
 from gradcal_jax.units import time_text
 
 
-def page(sources: Sources, facts: Facts) -> str:
-    """The whole page as HTML, in one file: styles and figures inside, no scripts."""
-    from jinja2 import Environment, StrictUndefined
+def page(sources: Sources, facts: Facts, *, panel: bool = False) -> str:
+    """The whole page as HTML, in one file: styles and figures inside, and no script but that of the `panel`."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    if panel and sources.recipe is None:
+        raise ValueError("the panel is of a recipe's plan, and there is none here: leave --panel out")
+    environment = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=FunctionLoader(lambda name: (room / name).read_text(encoding="utf-8")),
+    )
     environment.filters["figures"] = figures
     environment.filters["sentence"] = sentence
     room = resources.files(__name__.rsplit(".", 1)[0])
-    template = environment.from_string((room / "page.html").read_text(encoding="utf-8"))
+    template = environment.get_template("page.html")
     recipe, calibration = sources.recipe, sources.calibration
-    left, tracks = map_pictures(facts.maps), track_pictures(recipe, facts.course)
+    targets = {(r.name, r.axis): r.target / r.coverage for r in facts.requirements if r.target is not None}
+    left, tracks = map_pictures(facts.maps, targets), track_pictures(recipe, facts.course)
     words = _words(facts, recipe)
     if sources.unit is not None:
         left, tracks = unit_pictures(sources)
@@ -38,6 +48,7 @@ def page(sources: Sources, facts: Facts) -> str:
         words |= {name: words["unit"][name] for name in words["unit"] if name in words}
     given: dict[str, Any] = {
         "facts": facts,
+        "panel": panel_of(recipe) if panel and recipe is not None else None,
         "recipe": recipe,
         "calibration_name": sources.calibration_name,
         "css": (room / "style.css").read_text(encoding="utf-8"),
@@ -79,6 +90,10 @@ def _words(facts: Facts, recipe: Recipe | None) -> dict[str, Any]:
                 (t.name, figures(t.value), "not observable" if t.std is None else figures(t.std, 3), t.unit, t.computed)
                 for t in axis.terms
             ]
+            for axis in facts.axes
+        ],
+        "fit": [
+            [(name, figures(value), str(degrees), figures(chance, 2)) for name, value, degrees, chance in axis.fit]
             for axis in facts.axes
         ],
         "basis": _basis(recipe, facts),

@@ -16,13 +16,15 @@ def report(
     *,
     before: str | Path | None = None,
     limits: str | Path | None = None,
+    panel: bool = False,
 ) -> Facts:
     """Make one HTML page of a recipe, a run or a calibration, planned, predicted, done, found, how to apply it; or of
     the plan of a whole unit.
 
     `sources`: the folder of a run (its calibration.toml is taken with it), a recipe, a calibration, or those of them
     that belong together; or the spec of a whole unit alone. `before`: a spec or recipe whose plan to compare with.
-    `limits`: what `gradcal limit --json` printed. The page replaces `output`; it fetches nothing.
+    `limits`: what `gradcal limit --json` printed. `panel`: what another time, encoder or slope would leave, to be tried
+    on the page. The page replaces `output`; it fetches nothing.
 
     Returns every number of the page, once (`pages.facts.Facts`): ppm, deg/h, °C and deg/s, 1σ. Terms are those of IEEE
     952, 1431 and 1780. Errors: `ValueError` for sources that cannot be read or do not belong on one page.
@@ -33,11 +35,11 @@ def report(
         before=None if before is None else Path(before),
         limits=None if limits is None else Path(limits),
     )
-    return write_page(found, output)
+    return write_page(found, output, panel=panel)
 
 
-def write_page(sources: Sources, output: str | Path) -> Facts:
+def write_page(sources: Sources, output: str | Path, *, panel: bool = False) -> Facts:
     """The page of sources that are read already."""
     facts = facts_of(sources) if sources.unit is None else unit_facts(sources)
-    write_whole(output, page(sources, facts))
+    write_whole(output, page(sources, facts, panel=panel))
     return facts

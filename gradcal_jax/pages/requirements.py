@@ -25,7 +25,8 @@ _SEEN: Final = 1e-3
 class RequirementFact(NamedTuple):
     """A requirement before, as predicted, as achieved (1σ, in `unit`); None: not observable, or not there to tell.
 
-    `verdict`: of what was achieved, otherwise of what is predicted; `limit`: proven for any plan.
+    `verdict`: of what was achieved, otherwise of what is predicted; `limit`: proven for any plan; `coverage`: standard
+    deviations that must be within the target.
     """
 
     name: str
@@ -43,6 +44,7 @@ class RequirementFact(NamedTuple):
     limited_by: str | None
     limit: float | None
     own: float | None = None
+    coverage: float = 1.0
 
 
 class MapFact(NamedTuple):
@@ -141,6 +143,7 @@ def _requirement(
         row.limited_by,
         limits.get(row.name),
         row.own,
+        row.coverage,
     )
 
 

@@ -1,5 +1,6 @@
 """Maps of a calibration file with one standard deviation."""
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -32,4 +33,30 @@ def draw_found_bias(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[A
     (line,) = ax.plot(value.temperature_c, middle, **style_of(0))
     ax.fill_between(value.temperature_c, middle - spread, middle + spread, alpha=0.25, color=PALETTE[0])
     ax.set(xlabel="temperature, °C", ylabel="bias B ± 1σ, deg/h")
+    return ax, line
+
+
+def draw_residuals(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """How whitened residuals are spread, beside the normal distribution that they have where the model is true."""
+    ax = new_axes(ax)
+    assert axis.residuals is not None
+    counts, edges = np.array(axis.residuals.counts), np.arange(-4.5, 4.75, 0.5)
+    ax.bar(edges[:-1], counts, width=0.5, align="edge", color=PALETTE[0], alpha=0.6, label="residuals")
+    x = np.linspace(-4.5, 4.5, 181)
+    normal = 0.5 * counts.sum() * np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
+    (line,) = ax.plot(x, normal, label="normal", **style_of(1))
+    ax.set(xlabel="residual in standard deviations (ends: all beyond 4)", ylabel="readings")
+    ax.legend()
+    return ax, line
+
+
+def draw_residual_parts(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """The size of the residuals in each tenth of the run, and the band that holds 95 of 100 where the model is true."""
+    ax = new_axes(ax)
+    assert axis.residuals is not None
+    rms = np.array(axis.residuals.rms)
+    (line,) = ax.plot(np.arange(1, len(rms) + 1), rms, marker="o", **style_of(0))
+    half = 1.96 / np.sqrt(2.0 * sum(axis.residuals.counts) / len(rms))
+    ax.axhspan(1.0 - half, 1.0 + half, color=PALETTE[1], alpha=0.2)
+    ax.set(xlabel="tenth of the run", ylabel="rms residual, standard deviations", ylim=(0.0, None))
     return ax, line

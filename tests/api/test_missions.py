@@ -105,7 +105,8 @@ def test_twin_and_risks_count_missions():
 
 def test_a_limit_lies_below_the_plan_whatever_is_free():
     for free in (["duration", "peak_rate"], ["duration", "peak_rate", "gradient"]):
-        spec = with_requirements(heading(hover()), heading(spin(), name="s"), NORTH, design={"free": free, "minimise": "h"})
+        design = {"free": free, "minimise": "h"}
+        spec = with_requirements(heading(hover()), heading(spin(), name="s"), NORTH, design=design)
         spec = spec_of(tables_of(spec) | {"requirement": tables_of(spec)["requirement"][1:]})
         found = {row.name: row for row in limits(spec)}
         for name in ("h", "s", "n"):

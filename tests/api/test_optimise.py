@@ -15,7 +15,7 @@ from gradcal_jax.api.frontier import Point, shortest
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.measure import measure
 from gradcal_jax.api.minimise_time import minimise_time
-from gradcal_jax.api.optimise import Optimised, exact, optimise
+from gradcal_jax.api.optimise import Optimised, _within_limits, exact, optimise, targets_met
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.sensitivity import sensitivities
 from gradcal_jax.api.structures import structures
@@ -315,3 +315,59 @@ def test_the_shortest_plan_lies_between_the_points_of_the_frontier(best):
 
 def test_assembled_sources_of_the_spec_are_the_figures(spec):
     assert set(assemble(spec).sources) == {"bias instability"}
+
+
+def with_targets(spec, own: str, bias: str = "") -> files.Spec:
+    """The spec with a target for what is minimised, as a file would have it, and one for another statistic."""
+    (row,) = spec.requirement
+    rows = [row.model_dump(mode="json", exclude_unset=True) | {"target": own}]
+    if bias:
+        rows.append(rows[0] | {"name": "worst", "statistic": "max", "target": bias})
+    return changed(spec, {"requirement": rows})
+
+
+def test_until_met_searches_nothing_where_the_plan_meets_its_targets_with_margin(spec):
+    before = residual(spec)
+    (found,) = optimise(with_targets(spec, f"{before / 0.88} ppm"), until_met=True)
+    assert isinstance(found, Optimised)
+    assert "nothing was searched" in found.sentence
+    assert found.converged
+    assert found.starts == ()
+    # Within the target, but not by the margin; and one of two is missed.
+    assert targets_met(with_targets(spec, f"{before / 0.88} ppm"))
+    assert not targets_met(with_targets(spec, f"{before / 0.95} ppm"))
+    assert not targets_met(with_targets(spec, f"{before / 0.88} ppm", "0.001 ppm"))
+
+
+def test_until_met_stops_at_a_plan_that_meets_every_target_with_margin(spec, best):
+    """And far sooner than the search that goes on."""
+    target = best.now / 0.6
+    assert target < residual(spec)
+    *steps, found = optimise(with_targets(spec, f"{target} ppm"), steps=80, until_met=True)
+    assert isinstance(found, Optimised)
+    assert "stopped early: every target is met with a margin of 10%" in found.sentence
+    rows = {row.name: row for row in predict(found.spec).requirements}
+    assert rows["full range"].mean_of_max <= 0.9 * target
+    assert found.now == pytest.approx(rows["full range"].mean_of_max, rel=1e-12)
+    assert steps[-1].share < 0.5
+
+
+@pytest.mark.parametrize("change", [{"requirement": None}, {"notice": True}, {"minimise": "motion time"}])
+def test_until_met_needs_targets_and_a_residual_to_minimise(spec, change):
+    from gradcal_jax.api.flow import optimise as whole
+
+    design = {"minimise": "full range", "free": ["duration"]}
+    made = with_targets(spec, "1000000 ppm") if "requirement" not in change else spec
+    if "notice" in change:
+        design["notice"] = {"standard_deviation": "10 ppm"}
+    design["minimise"] = change.get("minimise", "full range")
+    with pytest.raises(ValueError, match=r"target"):
+        whole(changed(made, {"design": design}), until_met=True)
+
+
+def test_the_plan_as_it_was_counts_only_where_it_keeps_the_limits(spec):
+    for most, keeps in (("1000000 ppm", True), ("0.001 ppm", False)):
+        limited = with_targets(spec, "1000000 ppm", most)
+        assert measure(limited).limits == ("worst",)
+        assert _within_limits(limited, measure(limited)) == keeps
+    assert _within_limits(spec, measure(spec))

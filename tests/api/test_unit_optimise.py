@@ -44,6 +44,24 @@ def test_a_search_can_be_stopped_and_keeps_the_best(searched):
     assert best.evaluations == 5
 
 
+def test_until_met_stops_where_every_target_is_met_with_margin(searched):
+    spec, states, best = searched
+    reached = {name: now for name, _, _, now in best.rows}
+    rows = [r.model_dump(mode="json", exclude_unset=True) for r in spec.requirement]
+    units = {name: unit for name, unit, _, _ in best.rows}
+    easy = [row | {"target": f"{1.6 * reached[row['name']]} {units[row['name']]}"} for row in rows]
+    *some, found = optimise_unit(gj.changed(spec, {"requirement": easy}), evaluations=60, seed=3, until_met=True)
+    assert len(some) < len(states)
+    for name, _, _, now in found.rows:
+        assert now <= 0.91 * 1.6 * reached[name]
+    hard = [row | {"target": f"{0.5 * reached[row['name']]} {units[row['name']]}"} for row in rows]
+    *some, _ = optimise_unit(gj.changed(spec, {"requirement": hard}), evaluations=3, seed=3, until_met=True)
+    assert len(some) == 3
+    without = [{k: v for k, v in row.items() if k != "target"} for row in rows]
+    with pytest.raises(ValueError, match="give a requirement a target"):
+        next(optimise_unit(gj.changed(spec, {"requirement": without}), until_met=True))
+
+
 def test_the_command_writes_a_spec_that_is_read_again(tmp_path, capsys):
     source, goal = tmp_path / "unit.toml", tmp_path / "better.toml"
     gj.write_toml(small(), source)

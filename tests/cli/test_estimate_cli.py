@@ -1,6 +1,7 @@
 """`gradcal estimate`, `apply`, `validate`, `export` from outside: a simulated log to a calibration and to firmware."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -87,7 +88,10 @@ def test_applied_and_validated_on_data_that_were_not_used(bench, calibration, ca
     assert log.rows_read == read_log(bench / "fresh.nc").rows_read
     status, said = told(capsys, "validate", calibration, bench / "fresh.nc", "--json")
     assert status == 0
-    (axis,) = json.loads(said.out)["axes"]
+    told_of_it = json.loads(said.out)
+    (axis,) = told_of_it["axes"]
+    assert {row["name"] for row in told_of_it["requirements"]} <= {r.name for r in read_calibration(calibration).result}
+    assert {row["verdict"] for row in told_of_it["requirements"]} == {"met"}
     before, after = axis["scale_factor_ppm"]
     assert after < 0.5 * before
     assert axis["bias_deg_per_h"][1] < axis["bias_deg_per_h"][0]
@@ -97,6 +101,15 @@ def test_applied_and_validated_on_data_that_were_not_used(bench, calibration, ca
     status, said = told(capsys, "validate", calibration, tmp_path / "renamed.nc")
     assert status == 2
     assert "this log made the calibration" in said.err
+    status, said = told(capsys, "validate", calibration, bench / "fresh.nc")
+    assert "simple acceptance: the mean error within" in said.out
+    assert "specific risk" in said.out
+    # A target that nothing keeps is missed.
+    text = Path(calibration).read_text(encoding="utf-8")
+    (tmp_path / "strict.toml").write_text(re.sub(r"(?m)^target = .*", "target = 1e-9", text), encoding="utf-8")
+    status, said = told(capsys, "validate", tmp_path / "strict.toml", bench / "fresh.nc")
+    assert status == 1
+    assert "missed" in said.out
     # A log that was corrected already is worse off after a second correction.
     status, _ = told(capsys, "validate", calibration, corrected)
     assert status == 1

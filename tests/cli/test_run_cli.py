@@ -24,9 +24,11 @@ CHANGES = {
     "plan.temperature": ["23 degC", "24 degC"],
     "plan.gradient": "2 K/min",
     "plan.soak.duration": "2 s",
+    "rig.table.travel": "360 deg",  # all of which a plan may use
     "plan.cycle.moves": [
         {"rest": "3 s", "read_every": "1 s"},
         {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"},
+        {"turns": -1, "peak_rate": "200 deg/s", "shape": "linear ramps"},
     ],
     "plan.cycle.other_axes": None,
 }

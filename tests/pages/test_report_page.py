@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from report_samples import calibration, recipe, rehearse, spec
 
 from gradcal_jax.api.ieee_terms import found_map, prior_map, standard_terms
@@ -18,6 +19,7 @@ from gradcal_jax.files.writing import write_toml
 from gradcal_jax.information import statistic
 from gradcal_jax.pages.course import course_of, rates_of
 from gradcal_jax.pages.facts import as_tables, facts_of
+from gradcal_jax.pages.figures import _draw_curves
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.page import page
 from gradcal_jax.pages.sources import read_sources
@@ -190,12 +192,29 @@ def test_the_run_is_the_journals(made, whole):
     assert (course.status, course.sessions, course.simulated, course.verified_safe) == ("success", 1, True, True)
     assert course.duration_s > plan.duration_s
     assert course.chamber_c.min() >= 19.0
-    time, angle = course.angles["x"]
-    stepped, rate = rates_of(time, angle)
-    assert np.sum(rate[::2] * np.diff(stepped)[::2]) == pytest.approx(angle[-1] - angle[0], abs=1.0)
     assert "SIMULATED" in whole[1].text
     assert f"{course.steps} steps" in whole[1].text
     assert [row["device"] for row in whole[1].table("run", "device")] == [device.name for device in course.devices]
+
+
+def test_what_was_done_stands_on_the_clock_of_the_plan_with_the_rates_that_were_turned(made):
+    folder, plan, _, _ = made
+    course = course_of(read_sources([folder / "run"]).run)
+    assert 0.0 <= course.chamber_s.min() < course.chamber_s.max() <= plan.duration_s
+    (planned_t, planned), (done_t, done) = planned_rate(plan, "x"), course.rates["x"]
+    assert np.max(done) == pytest.approx(np.max(planned), rel=1e-6)
+    assert np.min(done) == pytest.approx(np.min(planned), rel=1e-6)
+    assert np.trapezoid(done, done_t) == pytest.approx(np.trapezoid(planned, planned_t), abs=1.0)
+    # Every turn begins when it was to, within what counts as executed.
+    begins = [t[:-1][(r[:-1] == 0.0) & (r[1:] != 0.0)] for t, r in ((planned_t, planned), (done_t, done))]
+    assert len(begins[0]) == len(begins[1]) > 10
+    assert np.max(np.abs(begins[0] - begins[1])) < 1.0
+
+
+def test_rates_between_angles_of_a_turn_by_hand_add_up_to_the_angle():
+    time, angle = np.array([0.0, 1.0, 1.01, 3.0, 4.0]), np.array([0.0, 10.0, 10.0, 90.0, 90.0])
+    stepped, rate = rates_of(time, angle)
+    assert np.sum(rate[::2] * np.diff(stepped)[::2]) == pytest.approx(90.0)
 
 
 def test_planned_motion_turns_by_the_planned_angles(made):
@@ -228,8 +247,8 @@ def test_a_page_stands_alone_and_escapes_what_files_say(whole):
     assert len(shown.ids) == len(set(shown.ids))
     figures_there = [i for i in shown.ids if f"{i}-caption" in shown.ids]
     assert len(figures_there) == text.count("<figure") == text.count("<svg")
-    # Maps before, predicted, achieved; their curves; bias curves; three tracks; two found maps.
-    assert len(figures_there) == 4 + 1 + 3 + 2
+    # Maps before, predicted, achieved; their curves; bias curves; two tracks; two found maps.
+    assert len(figures_there) == 4 + 1 + 2 + 2
     assert "nan" not in shown.text.lower().split()
     assert "None" not in shown.text
 
@@ -305,3 +324,14 @@ def test_the_glossary_explains_what_is_asked(capsys):
     assert "each time it comes to rest" in " ".join(capsys.readouterr().out.split())
     assert main(["glossary", "warp", "drive"]) == 2
     assert "warp drive" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("allowed", [2000.0, 75.0, 20.0])
+def test_the_line_of_a_target_is_within_its_picture(made, allowed):
+    fact = next(f for f in facts_of(read_sources([made[0] / "run"])).maps if f.quantity == "scale_factor")
+    axes = Figure().add_subplot()
+    _draw_curves(fact, allowed, axes)
+    low, high = axes.get_ylim()
+    assert low < allowed < high
+    (line,) = [line for line in axes.get_lines() if line.get_label() == "target (1σ)"]
+    assert set(line.get_ydata()) == {allowed}

@@ -40,6 +40,8 @@ _TYPICAL_BIAS_DPS: Final = 0.02
 _TYPICAL_SCALE: Final = 1000e-6
 _SLIPS: Final = 0.02
 _SENSOR_NAME: Final = "unit1"
+# A plan may use all of the travel that it is allowed: the cable's hard end lies this far beyond.
+_BEYOND_DEG: Final = 2.0
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,8 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         cosine, sine = np.degrees(float(harmonic.amplitude)) * random.standard_normal(2)
         harmonics.append((harmonic.order, float(cosine), float(sine)))
     axis = AxisTruth(
-        lowest_deg=None if limited is None else -limited,
-        highest_deg=limited,
+        lowest_deg=None if limited is None else -limited - _BEYOND_DEG,
+        highest_deg=None if limited is None else limited + _BEYOND_DEG,
         harmonics=tuple(harmonics),
         standstill_offset_deg=float(np.degrees(angle.standstill_offset)),
         reading_noise_deg=float(np.degrees(angle.reading_noise)),
@@ -208,7 +210,7 @@ class SimulatedLab:
             start_s=now,
         )
         cold, hot = (float(end) for end in chamber.range)
-        limited = self.truth.axis.highest_deg
+        limited = None if np.isinf(float(table.travel)) else float(np.degrees(float(table.travel)))
         self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
         self.table: SimulatedZaber | SimulatedOperator
         if table.drive == "hand":

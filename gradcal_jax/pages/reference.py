@@ -1,0 +1,140 @@
+"""Reference pages in Markdown: every key of a file or contract, from its JSON Schema. A table stands on one page only;
+the pages of other files that hold it link there."""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import Any, Final
+
+from gradcal_jax.files import schemas
+
+_PLAIN: Final = {"string": "text", "integer": "whole number", "number": "number", "boolean": "`true` or `false`"}
+Body = Mapping[str, Any]
+
+
+def reference(name: str) -> str:
+    """The page of a file or contract, as `schema` names it. Errors: `ValueError` for other names."""
+    page = name.removeprefix("gradcal-").partition("/")[0]
+    own, pages = _schema(name), _pages()
+    lines = [f"# {own['$id']}", "", f"Made by `gradcal schema {page} --markdown`; all of a format's keys.", ""]
+    for title, body in _tables(own):
+        if pages[title][0] == page and "properties" in body:
+            lines += _section(title, body, _places(own, title), pages, page)
+    return "\n".join(lines)
+
+
+@cache
+def _schema(name: str) -> Body:
+    return schemas.schema(name)
+
+
+@cache
+def _pages() -> dict[str, tuple[str, Body]]:
+    """On which page each table stands, the first that has it, and the table."""
+    pages: dict[str, tuple[str, Body]] = {}
+    for page in schemas.names():
+        for title, body in _tables(_schema(page)):
+            if pages.setdefault(title, (page, body))[1] != body:
+                raise AssertionError(f"two different tables are called {title}")
+    return pages
+
+
+def _tables(whole: Body) -> Iterator[tuple[str, Body]]:
+    """The file itself and the tables in it, each by its name in words, in the order in which the keys lead to them."""
+    named = {"": {k: v for k, v in whole.items() if not k.startswith("$")}, **whole.get("$defs", {})}
+    found = [""]
+    for name in found:
+        found += [inner for inner in _refs(named[name]) if inner not in found]
+    for name in found:
+        yield _words(name or str(whole["title"])), named[name]
+
+
+def _refs(value: Any) -> list[str]:
+    if isinstance(value, dict):
+        own = [value["$ref"].rsplit("/", 1)[1]] if "$ref" in value else []
+        # A recipe's spec is called by its format; the reference of the spec has its keys.
+        inner = (v for k, v in value.items() if k not in ("default", "examples"))
+        return list(dict.fromkeys([*own, *(r for v in inner for r in _refs(v))]))
+    return list(dict.fromkeys(r for v in value for r in _refs(v))) if isinstance(value, list) else []
+
+
+def _words(title: str) -> str:
+    """``AngleReference`` -> ``Angle reference``."""
+    return re.sub(r"(?<=[a-z0-9])([A-Z])", lambda m: " " + m.group(1).lower(), title)
+
+
+def _places(whole: Body, title: str) -> list[str]:
+    """Where a table stands, as paths of keys; a list's entries are marked []."""
+    found: list[str] = []
+
+    def walk(value: Any, path: str, above: tuple[str, ...]) -> None:
+        if "$ref" in value:
+            name = value["$ref"].rsplit("/", 1)[1]
+            if _words(name) == title and path not in found:
+                found.append(path)
+            if name not in above:
+                walk(whole["$defs"][name], path, (*above, name))
+        for part in value.get("anyOf", ()):
+            walk(part, path, above)
+        for part in (value.get("items"), *value.get("prefixItems", ())):
+            if isinstance(part, dict):
+                walk(part, path + "[]", above)
+        if isinstance(value.get("additionalProperties"), dict):
+            walk(value["additionalProperties"], path + ".NAME", above)
+        for key, part in value.get("properties", {}).items():
+            walk(part, f"{path}.{key}".lstrip("."), above)
+
+    walk({k: v for k, v in whole.items() if k != "$defs"}, "", ())
+    return found
+
+
+def _section(title: str, body: Body, places: list[str], pages: Mapping[str, tuple[str, Body]], page: str) -> list[str]:
+    lines = [f"## {title}", ""]
+    if places:
+        lines += [f"In {', '.join(f'`{place}`' for place in places[:6])}{', …' if len(places) > 6 else ''}.", ""]
+    said = body.get("description", "").strip()
+    if said:  # of a whole file, what comes after its first paragraph is for who reads it in Python
+        lines += [re.sub(r"(?<!\n)\n(?!\n)", " ", said if places else said.split("\n\n")[0]), ""]
+    lines += ["| key | value | default | meaning |", "|---|---|---|---|"]
+    required = body.get("required", ())
+    for key, entry in body["properties"].items():
+        value = _value(entry, pages, page).replace("|", "\\|")
+        default = "required" if key in required else _default(entry)
+        meaning = entry.get("description", "").replace("|", "\\|")
+        lines.append(f"| `{key}` | {value} | {default} | {meaning} |")
+    return [*lines, ""]
+
+
+def _default(entry: Body) -> str:
+    value = entry.get("default")
+    if value in (None, [], {}):
+        return "–"
+    return "its own defaults" if isinstance(value, dict) else f"`{json.dumps(value, ensure_ascii=False)}`"
+
+
+def _value(entry: Body, pages: Mapping[str, tuple[str, Body]], page: str) -> str:
+    """What may stand there, in words."""
+    if "$ref" in entry:
+        title = _words(entry["$ref"].rsplit("/", 1)[1])
+        where, table = pages[title]
+        if "properties" not in table:
+            return _value(table, pages, page)
+        link = "" if where == page else f"{where}.md"
+        return f"[{title}]({link}#{title.lower().replace(' ', '-')})"
+    if "anyOf" in entry:
+        kinds = (_value(kind, pages, page) for kind in entry["anyOf"] if kind.get("type") != "null")
+        return " or ".join(dict.fromkeys(kinds))
+    if "const" in entry or "enum" in entry:
+        return ", ".join(f"`{json.dumps(v)}`" for v in entry.get("enum", (entry.get("const"),)))
+    kind = entry.get("type")
+    if kind == "array":
+        if "prefixItems" in entry:
+            return f"[{', '.join(_value(part, pages, page) for part in entry['prefixItems'])}]"
+        return f"list of {_value(entry.get('items', {}), pages, page)}"
+    if kind == "object":
+        each = entry.get("additionalProperties")
+        return f"by name: {_value(each, pages, page)}" if isinstance(each, dict) else "table"
+    if kind == "string" and entry.get("examples"):
+        return f'such as `"{entry["examples"][0]}"`'
+    return _PLAIN.get(str(kind), "any value")

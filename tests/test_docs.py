@@ -1,0 +1,300 @@
+"""What README and docs say is so: commands and options exist, lines run, links lead somewhere, figures are right."""
+
+import contextlib
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.cli import main
+from gradcal_jax.cli.app import build
+from gradcal_jax.files import schemas
+from gradcal_jax.files.recipe import read_recipe
+
+ROOT = Path(__file__).parents[1]
+GENERATED = {f"docs/reference/{name}.md" for name in schemas.names()}
+FILES = ["README.md", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))]
+TEXTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in FILES}
+WRITTEN = {name: text for name, text in TEXTS.items() if name not in GENERATED}
+README = TEXTS["README.md"]
+
+
+def section(title, page="README.md"):
+    return TEXTS[page].split(f"## {title}\n", 1)[1].split("\n## ", 1)[0]
+
+
+def rows(text):
+    """Cells of a Markdown table's rows, head and rule left out."""
+    lines = [line for line in text.splitlines() if line.startswith("|")][2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def lines_of(text):
+    """Every `gradcal …` line of the code blocks, without its comment."""
+    return [line.split(" #")[0].strip() for line in re.findall(r"^ {4}gradcal (.+)$", text, flags=re.M)]
+
+
+def command_of(words):
+    """Its command: one word, or two."""
+    return " ".join(words[: 2 if words[0] == "rig" or words[:2] == ["log", "turns"] else 1])
+
+
+# ------------------------------------------------------------------------------------------------------- what is said
+
+
+def usages():
+    """Every option that a page gives to a command, in text and in code blocks."""
+    found = {}
+    for text in WRITTEN.values():
+        for use in re.findall(r"`gradcal ([^`]+)`", text) + lines_of(text):
+            words = use.split()
+            options = re.findall(r"(?<![\w-])--?[a-z-]+", use)
+            found.setdefault(command_of(words), set()).update(options)
+    return found
+
+
+@pytest.mark.parametrize("command", sorted(usages()))
+def test_every_option_that_is_named_exists(command, capsys):
+    assert main([*command.split(), "--help"]) == 0
+    said = capsys.readouterr().out
+    for option in usages()[command]:
+        assert re.search(rf"(?<![\w-]){option}(?![\w-])", said), (command, option)
+
+
+def test_the_table_of_commands_is_whole():
+    page = TEXTS["docs/reference/commands.md"]
+    named = {re.match(r"`gradcal (\w+)", cell[0]).group(1) for cell in rows(page)}
+    assert named == {name for name in build() if not name.startswith("-")}
+
+
+def test_the_readme_is_a_page_and_begins_with_what_is_simulated():
+    assert len(README.split()) <= 1200
+    assert README.split("\n\n")[1].startswith("**Simulated, not yet run on hardware")
+
+
+def test_the_two_commands_use_what_is_here():
+    job, tests = (line.strip() for line in re.findall(r"^ {4}python3\.11 -m venv .*$", README, flags=re.M))
+    for line in (job, tests):
+        assert line.startswith("python3.11 -m venv .venv && .venv/bin/pip install -q -c constraints/py311.txt ")
+    assert tests.endswith(".venv/bin/pytest -n 2")
+    for version in ("311", "312", "313"):
+        pins = (ROOT / "constraints" / f"py{version}.txt").read_text(encoding="utf-8").splitlines()
+        assert all(re.fullmatch(r"#.*|[a-zA-Z0-9._-]+==[0-9][0-9a-zA-Z.]*", line) for line in pins)
+    assert job.endswith(".venv/bin/gradcal demo")
+
+
+def anchors(text):
+    """The places that a link can lead to, as hosts of code make them of headings."""
+    heads = re.findall(r"^#+ (.+)$", text, flags=re.M)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+@pytest.mark.parametrize("page", FILES)
+def test_every_link_leads_somewhere(page):
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", TEXTS[page]):
+        path = (ROOT / page).parent / target if target else ROOT / page
+        assert path.is_file(), (page, target)
+        assert path.stat().st_size < 300_000
+        if anchor:
+            assert anchor in anchors(path.read_text(encoding="utf-8")), (page, target, anchor)
+
+
+def test_every_page_is_in_the_contents():
+    linked = {str(Path("docs") / t) for t in re.findall(r"\]\(([^)#\s]+)", TEXTS["docs/README.md"])}
+    assert linked == set(FILES) - {"README.md", "docs/README.md"}
+
+
+def test_notebooks_of_the_readme_are_all_there_are():
+    linked = set(re.findall(r"\((notebooks/[^)]+)\)", README))
+    assert linked == {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
+
+
+def test_the_known_answers_are_those_of_the_table():
+    table = {tuple(row) for row in rows((ROOT / "experiments/paper/table.md").read_text(encoding="utf-8"))}
+    known = rows(TEXTS["docs/explanation/paper.md"])
+    assert len(known) >= 8
+    assert {tuple(row) for row in known} <= table
+
+
+# -------------------------------------------------------------------------------------------------- what is shown runs
+
+SMALL = {
+    "sensor.scale_factor.temperature.degree": 1,
+    "sensor.scale_factor.rate.degree": 1,
+    "rig.table.max_acceleration": "300 deg/s^2",
+    "requirement": [
+        {
+            "name": "all rates",
+            "quantity": "scale_factor",
+            "temperature": ["20 degC", "26 degC"],
+            "rate": ["-200 deg/s", "200 deg/s"],
+            "grid": [11, 21],
+            "target": "100000 ppm",
+        }
+    ],
+    "plan.temperature": ["20 degC", "26 degC"],
+    "plan.soak": {"duration": "60 s", "used": False},
+    "plan.cycle.moves": [
+        {"rest": "20 s", "read_every": "1 s"},
+        {"turn": "1080 deg", "peak_rate": "150 deg/s", "shape": "cosine ramps"},
+        {"rest": "20 s", "read_every": "1 s"},
+        {"turn": "-1080 deg", "peak_rate": "60 deg/s", "shape": "cosine ramps"},
+    ],
+    "plan.cycle.other_axes": None,
+    "design": {
+        "minimise": "all rates",
+        "free": ["duration", "peak_rate", "ramp"],
+        "moves": 2,
+        "starts": 2,
+    },
+}
+"""A ramp of minutes, for which searches and runs are short."""
+ELSEWHERE = {
+    "run --resume run1": "tests/cli/test_run_cli.py",
+    "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
+    "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
+    "optimise unit.toml -o better.toml --steps 600": "tests/api/test_unit_optimise.py",
+    "sensitivity mine/spec.toml": "tests/cli/test_design_cli.py",
+    "sweep experiments/sweeps/tactical_bench.toml -o results.nc --plot results.png": "tests/cli/test_sweep_cli.py",
+}
+"""Lines whose command another test runs, on less: they take minutes, or data that it makes."""
+IN_PYTHON = {
+    "optimise design.toml -o recipe.toml --steps 60": "gj.optimise(spec, steps=60)",
+    "run recipe.toml --simulate -o run": 'gj.run(recipe, "run", simulate=True)',
+    "run recipe.toml --simulate -o rehearsal": 'gj.run(recipe, "run", simulate=True)',
+}
+"""Lines that are one of Python's, which was run."""
+SHORTER = {"predict my.toml --monte-carlo 500": "predict my.toml --monte-carlo 60"}
+NO_DEVICE = {
+    "rig check rig.toml",
+    "rig check mine/rig.toml",
+    "run recipe.toml --rig rig.toml -o run1",
+    "run recipe.toml --rig mine/rig.toml -o monday",
+}
+"""Lines that want hardware: without it they say so, and end with status 3."""
+PAGES = [page for page, text in WRITTEN.items() if lines_of(text)]
+
+
+@pytest.fixture(scope="module")
+def whole_job(tmp_path_factory):
+    """A folder in which the lines of Python have done the whole job, and what they printed."""
+    folder = tmp_path_factory.mktemp("job")
+    (lines,) = re.findall(r"```python\n(.+?)```", TEXTS["docs/how-to/objective.md"], flags=re.S)
+    gj.write_toml(gj.changed(gj.parse_spec(gj.presets.text("paper-dynamic-gradient")), SMALL), folder / "design.toml")
+    here = os.getcwd()
+    os.chdir(folder)
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said):
+            exec(compile(lines, "objective.md", "exec"), {})
+    finally:
+        os.chdir(here)
+    return folder, said.getvalue(), lines
+
+
+def test_the_lines_of_python_do_the_whole_job(whole_job):
+    folder, said, lines = whole_job
+    assert 8 <= sum(1 for line in lines.splitlines() if "gj." in line) <= 10
+    before, now, limit = (float(number) for number in re.findall(r"([\d.]+) ppm", said))
+    made, found = read_recipe(folder / "run/recipe.toml"), gj.read_calibration(folder / "run/calibration.toml")
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert limit < now < 0.8 * before
+    assert made.prediction.requirements[0].decisive == pytest.approx(now, rel=1e-9)
+    assert made.optimisation is not None
+    assert f"{now:.4g} ppm" in gj.show(made)
+    assert found.simulated
+    assert found.provenance["recipe"] == made.fingerprint
+    assert found.result[0].value == pytest.approx(now, rel=0.35)
+    for value in (before, now, found.result[0].value):
+        assert f"{value:.4g}\N{NO-BREAK SPACE}ppm" in page
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_line_of_a_page_runs(page, whole_job, tmp_path, monkeypatch):
+    """In their order, in an empty folder; a run is the one of the lines of Python, not made again on every page."""
+    job, _, python = whole_job
+    monkeypatch.chdir(tmp_path)
+    for name in ("experiments", "gradcal_jax"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/rig.toml").write_text(rig_of_the_certificate(), encoding="utf-8")
+    shutil.copy(job / "design.toml", "design.toml")
+    for line in lines_of(TEXTS[page]):
+        if line in ELSEWHERE:
+            assert f'"{line.split()[0]}"' in (ROOT / ELSEWHERE[line]).read_text(encoding="utf-8")
+        elif line in IN_PYTHON:
+            assert IN_PYTHON[line] in python
+        else:
+            prepared(line, job)
+            ran(SHORTER.get(line, line))
+
+
+def prepared(line, job):
+    """What the line works on, where it is from a search or a run that the page does not show."""
+    words = line.split()
+    made = next((f for f in ("run1", "run", "rehearsal") if re.search(rf"\b{f}\b", line)), None)
+    if words[0] == "log" and made:
+        shutil.rmtree(made, ignore_errors=True)
+    if words[0] in ("log", "estimate", "report") and made and not Path(made).exists():
+        shutil.copytree(job / "run", made)
+    if words[0] == "log":
+        for name in ("log.nc", "calibration.toml"):
+            Path(words[1], name).unlink(missing_ok=True)
+    if words[0] in ("run", "limit", "show"):
+        shutil.copy(job / "run/recipe.toml", "recipe.toml")
+    if "mine/spec.toml" in words:
+        shutil.copy(job / "design.toml", "mine/spec.toml")
+
+
+def ran(line):
+    """Run a line; its status is as it should be, and its output where it belongs."""
+    line, _, into = line.partition(" > ")
+    shell = subprocess.run(["bash", "-c", f"printf '%s\\n' {line}"], capture_output=True, text=True, check=True)
+    words = shell.stdout.splitlines()
+    if words[0] == "start":
+        words.append("--force")
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        status = main(words)
+    if line in NO_DEVICE:
+        assert status == 3, line
+    else:
+        assert status == 0 or (status == 1 and words[0] in ("predict", "optimise", "estimate")), (line, said.getvalue())
+    if into:
+        Path(into).write_text(said.getvalue(), encoding="utf-8")
+
+
+def rig_of_the_certificate():
+    """A rig file with what the page shows."""
+    shown = re.findall(r"(?:^ {4}.*\n)+", TEXTS["docs/how-to/certificate.md"], flags=re.M)[0]
+    device = 'format = "gradcal-rig/1"\n[chamber]\ndriver = "espec"\nport = "/dev/no"\nsafe = "hold"\n'
+    return device + re.sub(r"^ {4}", "", shown, flags=re.M)
+
+
+def test_the_worked_example_is_what_the_program_says(monkeypatch, capsys):
+    """The page's own line, with JSON in the place of the picture."""
+    text = TEXTS["docs/how-to/table.md"]
+    (line,) = re.findall(r"^ {4}gradcal (compare .+) --plot \S+$", text, flags=re.M)
+    monkeypatch.chdir(ROOT)
+    words = subprocess.run(["bash", "-c", f"echo {line}"], capture_output=True, text=True, check=True).stdout.split()
+    assert main([*words, "--json"]) == 0
+    told, found = rows(text), json.loads(capsys.readouterr().out)
+    assert len(told) == len(found) == 3
+    for (name, scale_factor, limits, bias), prediction in zip(told, found, strict=True):
+        by_name = {row["name"]: row for row in prediction["requirements"]}
+        assert prediction["title"] == gj.presets.title(name)
+        assert f"{by_name['scale factor']['mean_of_max']:.4g} ppm" == scale_factor
+        assert by_name["scale factor"]["limited_by"] == limits
+        assert f"{by_name['bias']['mean']:.4g} deg/h" == bias
+
+
+def test_the_rig_file_of_the_certificate_is_read(tmp_path):
+    (tmp_path / "rig.toml").write_text(rig_of_the_certificate(), encoding="utf-8")
+    rig = gj.read_rig(tmp_path / "rig.toml")
+    assert (rig.laboratory.country, rig.reference[0].device) == ("DE", "encoder")

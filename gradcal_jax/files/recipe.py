@@ -9,20 +9,21 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal, cast
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from gradcal_jax.files.changes import any_spec_of
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
-from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
+from gradcal_jax.files.section import Section, a_table, refuse
+from gradcal_jax.files.spec import Spec, is_of_unit, of_one_axis, spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
-from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 
 FORMAT: Final = "gradcal-recipe/1"
 
@@ -59,6 +60,13 @@ class Made(Section):
     seed: Whole | None = None
 
 
+def _spec_inside(value: object) -> Spec | UnitSpec:
+    if isinstance(value, Spec | UnitSpec):
+        return value
+    tables = a_table(value)
+    return UnitSpec.model_validate(tables) if is_of_unit(tables) else Spec.model_validate(tables)
+
+
 class Recipe(Section):
     """A whole recipe.
 
@@ -78,7 +86,7 @@ class Recipe(Section):
     motion: tuple[MotionBlock, ...]
     prediction: Predicted
     optimisation: dict[str, Any] | None = None
-    spec: Spec = Field(title="gradcal-spec/1")
+    spec: Annotated[Spec | UnitSpec, BeforeValidator(_spec_inside)] = Field(title="gradcal-spec/1")
 
     @model_validator(mode="after")
     def _of_one_piece(self) -> "Recipe":
@@ -128,17 +136,27 @@ def read_recipe(path: str | Path) -> Recipe:
 
 
 def spec_in(path: str | Path) -> Spec:
-    """The spec in a file, or the one inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
+    """The spec of one axis in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
     text = read_text(path)
     with with_lines(text):
         document = read_toml(text, str(path))
-        return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
+        return spec_inside(document, str(path)) if is_recipe(document) else spec_of(document, str(path))
+
+
+def spec_inside(document: Mapping[str, Any], source: str = "") -> Spec:
+    """The spec of one axis inside the tables of a recipe. Raises `SpecError` where it is of a whole unit."""
+    found = recipe_of(document, source).spec
+    if isinstance(found, UnitSpec):
+        raise of_one_axis(source)
+    return found
 
 
 def any_spec_in(path: str | Path) -> Spec | UnitSpec:
     """As `spec_in`, and the spec of a whole unit, too."""
     text = read_text(path)
-    return parse_unit_spec(text, str(path)) if is_of_unit(read_toml(text, str(path))) else spec_in(path)
+    with with_lines(text):
+        document = read_toml(text, str(path))
+        return recipe_of(document, str(path)).spec if is_recipe(document) else any_spec_of(document, str(path))
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:

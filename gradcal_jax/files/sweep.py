@@ -35,7 +35,7 @@ from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Count, Text, Whole
-from gradcal_jax.files.recipe import is_recipe, recipe_of
+from gradcal_jax.files.recipe import is_recipe, recipe_of, spec_inside
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec import Spec, spec_of
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -298,7 +298,7 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
 def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
-    return recipe_of(tables, place).spec if is_recipe(tables) else spec_of(tables, place)
+    return spec_inside(tables, place) if is_recipe(tables) else spec_of(tables, place)
 
 
 def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:

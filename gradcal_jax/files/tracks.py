@@ -4,17 +4,21 @@ A temperature segment begins at its time, which is the end of the one before, or
 first one, and every one whose data are used and that follows a soak or a step. A block of motion begins with a segment
 and repeats its moves; times in it count from the beginning of each repetition.
 
+Of a whole unit every axis of the table has its own name, one of them turns at a time, and all are read as often as the
+encoder that is read most; a block says where they stand as it begins, and of several mountings how the unit hangs.
+
 The controllers of rotary stages turn by trapezoids of the rate. `acceleration` is that of the trapezoid which has the
 move's angle, peak rate and duration; of a spline, which has none, the steepest.
 """
 
 import math
+from collections.abc import Sequence
 from decimal import Decimal
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.files.moves import Axis, ResolvedMove
+from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import (
     Angle,
@@ -30,9 +34,13 @@ from gradcal_jax.files.quantity import (
     Text,
     Time,
 )
+from gradcal_jax.files.rig import Name
 from gradcal_jax.files.schedule import GradientSchedule, Stretch, TemperatureSegment
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.unit_plan import UnitSchedule
+from gradcal_jax.files.unit_rig import UnitMounting, UnitRig
+from gradcal_jax.files.unit_spec import UnitSpec
 
 Begins = Literal["at its time", "when stable"]
 Doing = Literal["rest", "turn", "spin", "oscillate", "spline", "turn by hand", "wait"]
@@ -80,7 +88,7 @@ class TrackMove(Section):
     start: SizeOfTime
     do: Doing
     duration: Time
-    axis: Axis = "x"
+    axis: Name = "x"
     angle: Angle | None = None
     rate: Rate | None = None
     acceleration: PositiveAcceleration | None = None
@@ -93,7 +101,11 @@ class TrackMove(Section):
 
 
 class MotionBlock(Section):
-    """Moves that repeat. The last repetition ends before its waits; then the axis stands for `standing_after`."""
+    """Moves that repeat. The last repetition ends before its waits; then the axis stands for `standing_after`.
+
+    Of a whole unit: `start` is where the table's axes stand as it begins, outermost first, `hang` how the unit hangs on
+    the table, where that changes between blocks: somebody is asked to hang it so before.
+    """
 
     name: Text
     begins_with: Text
@@ -101,6 +113,8 @@ class MotionBlock(Section):
     period: Time
     standing_after: SizeOfTime
     read_every_after: Time | None = None
+    hang: Text | None = None
+    start: dict[Name, Angle] = Field(default_factory=dict)
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
 
 
@@ -110,11 +124,16 @@ class ChamberTrack(Section):
     programme: Annotated[tuple[ChamberSegment, ...], Field(min_length=1)]
 
 
-def tracks_of(spec: Spec) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+def tracks_of(spec: Spec | UnitSpec) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
     """The two tracks of a spec's plan."""
     schedule = spec.schedule
+    if isinstance(spec, UnitSpec):
+        segments = _course(spec.schedule.segments)
+        return ChamberTrack(programme=tuple(segments)), _unit_blocks(spec.schedule, spec.rig, segments)
     if isinstance(schedule, GradientSchedule):
-        return _gradient(schedule)
+        segments = _course(schedule.segments)
+        blocks = [_block(schedule, stretch, number, segments) for number, stretch in enumerate(schedule.stretches, 1)]
+        return ChamberTrack(programme=tuple(segments)), tuple(blocks)
     assert isinstance(spec.plan, StandardPlan)
     return _standard(spec.plan)
 
@@ -122,11 +141,11 @@ def tracks_of(spec: Spec) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
 # ------------------------------------------------------------------------------------------------- gradient method
 
 
-def _gradient(schedule: GradientSchedule) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+def _course(course: Sequence[TemperatureSegment]) -> list[ChamberSegment]:
     segments: list[ChamberSegment] = []
     counts: dict[str, int] = {}
     before: TemperatureSegment | None = None
-    for segment in schedule.segments:
+    for segment in course:
         counts[segment.kind] = counts.get(segment.kind, 0) + 1
         settled = before is None or (segment.used and not before.used and before.kind in ("soak", "step"))
         slope: dict[str, Any] = {"slope": _in("K/min", 60.0 * segment.slope)} if segment.kind == "ramp" else {}
@@ -144,12 +163,15 @@ def _gradient(schedule: GradientSchedule) -> tuple[ChamberTrack, tuple[MotionBlo
             )
         )
         before = segment
-    blocks = [_block(schedule, stretch, number, segments) for number, stretch in enumerate(schedule.stretches, 1)]
-    return ChamberTrack(programme=tuple(segments)), tuple(blocks)
+    return segments
+
+
+def _first(stretch: Stretch, segments: list[ChamberSegment]) -> ChamberSegment:
+    return min(segments, key=lambda segment: abs(segment.start - stretch.start))
 
 
 def _block(schedule: GradientSchedule, stretch: Stretch, number: int, segments: list[ChamberSegment]) -> MotionBlock:
-    first = min(segments, key=lambda segment: abs(segment.start - stretch.start))
+    first = _first(stretch, segments)
     name = f"motion {number}"
     cycle = schedule.cycle
     if cycle is None or not stretch.cycles:
@@ -184,6 +206,54 @@ def _block(schedule: GradientSchedule, stretch: Stretch, number: int, segments: 
         moves=tuple(moves),
         **after,
     )
+
+
+# ---------------------------------------------------------------------------------------------------- a whole unit
+
+
+def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
+    axes, hung = rig.table.axis, rig.table.mounting
+    every = {"read_every": _in("s", min(float(axis.angle.read_every) for axis in axes))}
+    moves: list[TrackMove] = []
+    clock = 0.0
+    for step in schedule.steps:
+        own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(step.move)}
+        if step.move.repeat > 1:
+            own["repeat"] = step.move.repeat
+        moves.append(TrackMove(start=_in("s", clock), duration=_in("s", step.move.duration), **own, **every))
+        clock += step.move.repeat * step.move.duration
+    blocks: list[MotionBlock] = []
+    for number, stretch in enumerate(schedule.stretches):
+        where = min(number, len(hung) - 1)
+        hang = {"hang": hanging(hung[where], where + 1)} if len(hung) > 1 and where == number else {}
+        start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
+        standing = (TrackMove(start=_in("s", 0.0), do="rest", duration=_in("s", stretch.duration), **every),)
+        blocks.append(
+            MotionBlock(
+                name=f"motion {number + 1}",
+                begins_with=_first(stretch, segments).name,
+                repeat=max(stretch.cycles, 1),
+                period=_in("s", schedule.period if stretch.cycles else stretch.duration),
+                standing_after=_in("s", stretch.leftover if stretch.cycles else 0.0),
+                read_every_after=every["read_every"],
+                **hang,
+                start=start,
+                moves=tuple(moves) if stretch.cycles else standing,
+            )
+        )
+    return tuple(blocks)
+
+
+def hanging(mounting: UnitMounting, number: int) -> str:
+    """How a unit is to hang, for whoever hangs it; directions are those of the innermost axis while all stand at zero.
+
+    ``mounting 2 (on its side): x along +y, y along -x, z along +z``
+    """
+    name = "" if mounting.name is None else f" ({mounting.name})"
+    said = f"mounting {number}{name}: x along {mounting.x}, y along {mounting.y}, z along {mounting.z}"
+    if mounting.rotation is None:
+        return said
+    return f"{said}, turned on by {', '.join(angle.text for angle in mounting.rotation)} about its x, y and z"
 
 
 def _move(move: ResolvedMove, start: float) -> TrackMove:

@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal, cast
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from gradcal_jax.files.bench import Chamber, Harmonic
+from gradcal_jax.files.bench import Chamber, Harmonic, Resolution
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     Angle,
@@ -147,3 +147,4 @@ class UnitRig(Section):
     site: Site
     table: UnitTable
     chamber: Chamber
+    resolution: Resolution | None = None

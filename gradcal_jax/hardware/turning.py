@@ -94,7 +94,8 @@ class AxesDuty:
                 self.settle(name, meanwhile)
 
     def move(self, step: str, move: Move, due_s: float, meanwhile: Callable[[], None]) -> None:
-        """A turn waits until the turn before it has ended; how late that makes it is in the journal."""
+        """A turn waits until the turn before it has ended, of whichever axis: one turns at a time, the others hold. How
+        late that makes it is in the journal."""
         name = move.axis
         if (late_s := self._clock.now() - due_s) > self._latest_s:
             self.amiss.append(f"a {move.kind} of axis {name} began {late_s:.1f} s late")
@@ -103,6 +104,8 @@ class AxesDuty:
                 self._axes[name].stop()
                 self._spinning.discard(name)
             self.settle(name, meanwhile)
+        for other in sorted(self._turning):
+            self.settle(other, meanwhile)
         self._command(step, move)
 
     def look(self) -> None:

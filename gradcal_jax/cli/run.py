@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-from gradcal_jax import units
+from gradcal_jax.units import parse, time_text
 from gradcal_jax.cli.console import complain
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, as_json
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED
-from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.hardware.execute import Attended
@@ -40,6 +39,7 @@ def run(
     speed: float | None = None,
     seed: int = 0,
     sample_rate: str = "125 Hz",
+    units: int = 1,
     json: Json = False,
 ) -> int:
     """Execute a recipe, and leave the rig safe whatever happens.
@@ -66,6 +66,8 @@ def run(
         Of a simulated run: what its devices' hidden errors are drawn by.
     sample_rate
         Of a simulated sensor: "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
+    units
+        Of a simulated run of a whole unit: how many units hang on the table.
     json
         Print nothing but how the run ended, as JSON.
     """
@@ -82,11 +84,11 @@ def run(
     from gradcal_jax.hardware.execute import run as execute
 
     found, bench = read_recipe(recipe), None if rig is None else read_rig(rig)
-    rate = units.parse(sample_rate, "frequency")
+    rate = parse(sample_rate, "frequency")
     if simulate and not json:
         print(_REHEARSAL)
     with _Watcher(simulate, quiet=json) as watcher:
-        simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate}
+        simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate, "units": units}
         result = execute(found, output, rig=bench, **simulation, **watcher.attends())
     return _say(output, result, json)
 

@@ -112,6 +112,12 @@ class ImuDevice(Section):
     options: Options = Field(default_factory=dict)
 
 
+class OperatorPlace(Section):
+    """`[operator]`: where somebody is asked to hang the units anew; absent: the terminal where the run was started."""
+
+    port: Port = TERMINAL
+
+
 class Laboratory(Section):
     """`[laboratory]`: who signs a certificate."""
 
@@ -137,6 +143,7 @@ class RigFile(Section):
     chamber: ChamberDevice | None = None
     axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
+    operator: OperatorPlace | None = None
     laboratory: Laboratory | None = None
     reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
 

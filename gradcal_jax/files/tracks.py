@@ -104,7 +104,8 @@ class MotionBlock(Section):
     """Moves that repeat. The last repetition ends before its waits; then the axis stands for `standing_after`.
 
     Of a whole unit: `start` is where the table's axes stand as it begins, outermost first, `hang` how the unit hangs on
-    the table, where that changes between blocks: somebody is asked to hang it so before.
+    the table, in words, where that changes between blocks: mounting number `mounting`, from 1, and somebody is asked to
+    hang it so before.
     """
 
     name: Text
@@ -113,6 +114,7 @@ class MotionBlock(Section):
     period: Time
     standing_after: SizeOfTime
     read_every_after: Time | None = None
+    mounting: Count | None = None
     hang: Text | None = None
     start: dict[Name, Angle] = Field(default_factory=dict)
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
@@ -225,7 +227,9 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
     blocks: list[MotionBlock] = []
     for number, stretch in enumerate(schedule.stretches):
         where = min(number, len(hung) - 1)
-        hang = {"hang": hanging(hung[where], where + 1)} if len(hung) > 1 and where == number else {}
+        hang: dict[str, Any] = {}
+        if len(hung) > 1:
+            hang = {"mounting": where + 1, "hang": hanging(hung[where], where + 1)}
         start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
         standing = (TrackMove(start=_in("s", 0.0), do="rest", duration=_in("s", stretch.duration), **every),)
         blocks.append(

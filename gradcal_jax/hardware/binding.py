@@ -148,7 +148,8 @@ def _stretch(
                 read_at_s=tuple(piece.read_at_s),
                 slack_s=piece.slack_s,
                 goes_there=bool(block.start) and number == 0,
-                hang=block.hang or "" if number == 0 else "",
+                hang=block.hang or "",
+                mounting=block.mounting or 0,
             )
         )
         for move in piece.moves:

@@ -63,6 +63,8 @@ _ARRIVAL_S = 0.1
 _PIECES_S = 0.2
 _LONGEST_ARRIVAL_S = 60.0
 _TRIES = 3
+# Where somebody reaches into the chamber.
+_FOR_HANDS_C = 23.0
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,8 @@ class Runner:
     safe_deadline_s: float = 60.0
     wait_when_paused: bool = True
     first_step: int = 0
+    mounting: int = 0
+    """How the units hang when the run begins, as `Step.mounting`; 0: nobody knows."""
 
     def __post_init__(self) -> None:
         self.state = State.IDLE
@@ -482,7 +486,9 @@ class Runner:
 
     def _begin(self, step: Step, again: bool) -> float:
         """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
-        if again:
+        if step.mounting and step.mounting != self.mounting:
+            self._hang(step)
+        if again or step.goes_there:
             self._axes.go_to_start(step.name, step.start_deg, self._duties)
         ready = step.ready or (step.again if again else None)
         duty, at_c = self._duty, step.begins_c
@@ -496,6 +502,27 @@ class Runner:
             duty.expect(course, self.clock.now())
             duty.follow(course)
         return self.clock.now()
+
+    def _hang(self, step: Step) -> None:
+        """Have somebody hang the units as the step says; a person takes the time that a person takes."""
+        console, duty = self.bench.console, self._duty
+        if console is None:
+            raise HardwareError(f"Somebody is to hang the units anew ({step.hang}), and nobody can be asked.")
+        self._axes.go_to_start(step.name, dict.fromkeys(step.start_deg, 0.0), self._duties)
+        ready = step.again or step.ready
+        if duty is not None and ready is not None:
+            duty.expected.unknown()
+            duty.hold(_FOR_HANDS_C)
+            self._await(step, duty, _FOR_HANDS_C, ready)
+        console.ask(f"hang the units so: {step.hang}; press Enter when they hang:")
+        try:
+            while console.answer() is None:
+                self._duties()
+                self.clock.sleep(_SLICE_S)
+        finally:
+            console.withdraw("never mind, leave the units as they hang.")
+        self.mounting = step.mounting
+        self._event("hung", step=step.name, mounting=step.mounting, how=step.hang)
 
     def _await(self, step: Step, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
         began = self.clock.now()

@@ -20,7 +20,7 @@ from .errors import HardwareError
 from .guard import BEAT_S, Guard, guarded
 from .interlocks import Interlocks, Limits, standard_rules
 from .journal import Journal
-from .run_folder import RunFolder, begin_session, require_same_devices, sessions
+from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
 from .runner import Progress, Runner, RunResult, State
 from .setup import open_rig
 from .terminal import Terminal
@@ -83,6 +83,7 @@ def run_session(
             safe_deadline_s=safe_deadline_s,
             wait_when_paused=wait_when_paused,
             first_step=first_step,
+            mounting=0 if resumed is None else mounting_of(resumed),
         )
         if with_runner is not None:
             with_runner(runner)

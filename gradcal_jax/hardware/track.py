@@ -69,8 +69,9 @@ class Step:
     unless a course says otherwise; where it must begin by itself (after a pause, or when a run is resumed) the chamber
     first goes to `start_c` and is stable by `again`, and the axes go to `start_deg`.
 
-    With `goes_there` the axes go to `start_deg` however the step begins. `hang` is how somebody is to hang the units on
-    the table before it, with the axes at zero and the chamber at a temperature for hands.
+    With `goes_there` the axes go to `start_deg` however the step begins. Of several
+    mountings `hang` is how the units hang in it, number `mounting`, from 1: where they hang otherwise somebody is asked
+    to hang them so before, with the axes at zero and the chamber at a temperature for hands.
 
     The last `slack_s` of the step are waiting only: a turn by hand that was late takes its time from there.
 
@@ -94,6 +95,7 @@ class Step:
     slack_s: float = 0.0
     goes_there: bool = False
     hang: str = ""
+    mounting: int = 0
 
     @property
     def begins_c(self) -> float | None:

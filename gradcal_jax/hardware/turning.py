@@ -104,7 +104,7 @@ class AxesDuty:
                 self._axes[name].stop()
                 self._spinning.discard(name)
             self.settle(name, meanwhile)
-        for other in sorted(self._turning):
+        for other in sorted(self._turning.keys() - {name}):
             self.settle(other, meanwhile)
         self._command(step, move)
 

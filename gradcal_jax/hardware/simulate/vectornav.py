@@ -12,7 +12,7 @@ import numpy as np
 
 from ..checksums import crc16_vectornav, xor8
 from ..clock import Clock
-from .sensor import SimulatedSensor
+from .sensor import SampledSensor
 
 _STANDARD_GRAVITY = 9.80665
 
@@ -26,7 +26,7 @@ class VectorNavOptions:
 
 
 class SimulatedVectorNav:
-    def __init__(self, sensor: SimulatedSensor, clock: Clock, options: VectorNavOptions | None = None) -> None:
+    def __init__(self, sensor: SampledSensor, clock: Clock, options: VectorNavOptions | None = None) -> None:
         self.options = options or VectorNavOptions()
         self.sensor = sensor
         self._clock = clock

@@ -164,6 +164,8 @@ class Runner:
     first_step: int = 0
     mounting: int = 0
     """How the units hang when the run begins, as `Step.mounting`; 0: nobody knows."""
+    draw: Callable[[Mapping[str, float], int], str] | None = None
+    """How a unit stands at angles (deg) of the axes, in a mounting: for whoever turns them by hand."""
 
     def __post_init__(self) -> None:
         self.state = State.IDLE
@@ -172,7 +174,9 @@ class Runner:
         self._duty: ChamberDuty | None = None
         if self.bench.chamber is not None:
             self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
-        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, self.interlocks.limits.latest_s)
+        draw = self.draw
+        drawn = None if draw is None else lambda angles: draw(angles, self.mounting)  # pyright: ignore[reportUnknownLambdaType]
+        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, self.interlocks.limits.latest_s, drawn)
         self._imu_heard_s: dict[str, float] = {}
         self._losses: dict[str, _Losses] = {}
         self._unconfirmed: list[_Executed] = []

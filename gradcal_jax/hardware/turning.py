@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from .clock import Clock
 from .errors import HardwareError
 from .journal import plain
-from .roles import AxisLimits, AxisReading, MotionAxis
+from .roles import AxisLimits, AxisReading, DrawnAxis, MotionAxis
 from .track import Move
 
 _POLL_S = 0.05
@@ -31,16 +31,26 @@ _OFF_READINGS = 3
 
 Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
+Draw = Callable[[Mapping[str, float]], str]
+"""How a unit stands when the axes are at these angles, deg."""
 
 
 class AxesDuty:
     """Tells the axes their moves and remembers what they say. One thread, the run's own."""
 
-    def __init__(self, axes: Mapping[str, MotionAxis], clock: Clock, event: Tell, latest_s: float = 1.0) -> None:
+    def __init__(
+        self,
+        axes: Mapping[str, MotionAxis],
+        clock: Clock,
+        event: Tell,
+        latest_s: float = 1.0,
+        draw: Draw | None = None,
+    ) -> None:
         self._axes = axes
         self._clock = clock
         self._event = event
         self._latest_s = latest_s
+        self._draw = draw
         self._goal_deg: dict[str, float] = {}
         # What ends by itself: when to look next; and when it was to end, of those that are turned by hand.
         self._turning: dict[str, float] = {}
@@ -196,6 +206,8 @@ class AxesDuty:
         if move.kind in ("go", "turn"):
             turned = self._goal_deg.get(name, 0.0) + move.angle_deg
             goal = turned if move.kind == "turn" else move.position_deg
+            if self._draw is not None and isinstance(axis, DrawnAxis):
+                axis.draw(self._draw({**self._goal_deg, name: goal}))
             axis.move_to(goal, move.rate_dps, move.acceleration_dps2)
             self._goal_deg[name] = goal
             self._spinning.discard(name)

@@ -4,8 +4,8 @@ Attitude is a product of quaternions, body to East-North-Up, outermost stage fir
 
     base (tilt, azimuth) · axis 1 · (its non-orthogonality to axis 2) · axis 2 · … · mounting · (mounting's error)
 
-The unit turns at the Earth's rate and at those of the axes, and feels what holds it up, and what turns it where it sits
-off the axes. Of every sample the mean over its interval is said, through the sensors' own errors (IEEE 1431, 1293):
+The unit turns at the Earth's rate and at those of the axes, and feels what holds it up. Its gyros sit where the axes
+meet; its accelerometers a `lever` off, and they feel the turning, too. Of every sample the mean over its interval is said, through the sensors' own errors (IEEE 1431, 1293):
 
     gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + drift + walks
     accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift + walk
@@ -105,7 +105,8 @@ class Hanging:
 
 @dataclass(frozen=True)
 class UnitTruth:
-    """A unit's errors. `lever`: of the accelerometers from where the axes meet, m, in the body."""
+    """A unit's errors. `lever`: of the accelerometers from where the axes meet, m, in the body. `names`: its hidden
+    parameters as a calibration names them."""
 
     gyro: TriadTruth | None
     accelerometer: TriadTruth | None
@@ -158,14 +159,14 @@ class SimulatedUnit(SampledSensor):
         shares = np.arange(count * _PARTS + 1) / _PARTS
         edges = np.interp(shares, np.arange(count + 1.0), ends)
         rate, force = self._motion(edges)
+        felt = force + self._at_the_lever(rate, edges)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
         said = {"gyro": np.zeros((count, 3)), "accelerometer": np.zeros((count, 3))}
         for kind, triad in self._triads():
-            of = _gyro if kind == "gyro" else _accelerometer
-            noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else force
+            noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else felt
             mean = own.reshape(count, _PARTS, 3).mean(axis=1)
-            ideal = of(triad, rate, force, temperature).reshape(count, _PARTS, 3).mean(axis=1)
-            said[kind] = ideal + noise[0] + noise[1] * mean
+            ideal = _gyro(triad, rate, force, temperature) if kind == "gyro" else _felt(triad, felt, temperature)
+            said[kind] = ideal.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
         return SensorSamples(
             ends[1:],
             np.degrees(said["gyro"]),
@@ -203,11 +204,14 @@ class SimulatedUnit(SampledSensor):
         earth = EARTH_RATE * np.array([0.0, np.cos(table.latitude), np.sin(table.latitude)])
         rate = _rotate(_back(attitude), turning + earth)
         up = np.broadcast_to(np.array([0.0, 0.0, table.gravity]), rate.shape)
+        return rate, _rotate(_back(attitude), up)
+
+    def _at_the_lever(self, rate: Vectors, edges: NDArray[np.float64]) -> Vectors:
+        """What turning adds to the specific force: ω × (ω × r) + ω̇ × r."""
         lever = np.array(self.truth.lever)
-        force = _rotate(_back(attitude), up) + np.cross(rate, np.cross(rate, lever))
-        if any(self.truth.lever) and len(middles) > 1:
-            force += np.cross(np.gradient(rate, middles, axis=0), lever)
-        return rate, force
+        return np.cross(rate, np.cross(rate, lever)) + np.cross(
+            np.gradient(rate, (edges[1:] + edges[:-1]) / 2.0, axis=0), lever
+        )
 
 
 # --------------------------------------------------------------------------------------------- what the sensors say
@@ -225,8 +229,7 @@ def _gyro(truth: TriadTruth, rate: Vectors, force: Vectors, temperature: NDArray
     return said
 
 
-def _accelerometer(truth: TriadTruth, rate: Vectors, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
-    del rate
+def _felt(truth: TriadTruth, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
     said = force + truth.bias.at(temperature)[..., 0]
     own = ((truth.scale, force), (truth.second, force**2), (truth.third, force**3), (truth.asymmetry, np.abs(force)))
     for coefficients, seen in own:

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ...files.bases import TemperatureBasis
 from ...files.unit_sensor import AccelerometerTriad, GyroTriad
@@ -204,7 +205,9 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
     errors: list[tuple[float, float, float]] = []
     for number, mounting in enumerate(table.mounting, start=1):
         matrix = np.array(mounting.columns).T
-        mountings.append(matrix if mounting.rotation is None else matrix @ _turned(mounting.rotation))
+        if mounting.rotation is not None:
+            matrix = matrix @ Rotation.from_rotvec([float(angle) for angle in mounting.rotation]).as_matrix()
+        mountings.append(matrix)
         size = float(mounting.accuracy) if in_case else 0.0
         x, y, z = (draw(size, f"mounting{number}_{axis}") for axis in _XYZ)
         errors.append((x, y, z))
@@ -218,16 +221,6 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
         mounting_errors=tuple(errors),
     )
     return truth, encoders, named
-
-
-def _turned(vector: tuple[Any, ...]) -> NDArray[np.float64]:
-    """The matrix of a rotation vector (Rodrigues)."""
-    x, y, z = (float(angle) for angle in vector)
-    size = np.sqrt(x * x + y * y + z * z)
-    if size == 0.0:
-        return np.eye(3)
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / size
-    return np.eye(3) + np.sin(size) * k + (1.0 - np.cos(size)) * k @ k
 
 
 class SimulatedUnitLab:

@@ -10,8 +10,8 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.recipe import FORMAT, Made, Predicted, Recipe
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.files.tracks import Stability, tracks_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 if TYPE_CHECKING:
     from gradcal_jax.api.optimise import Optimised
@@ -31,7 +31,8 @@ def recipe(
     optimisation: Mapping[str, Any] | None = None,
     notes: tuple[str, ...] = (),
 ) -> Recipe:
-    """The plan of a spec (of one axis or of a whole unit), or an optimised one, made executable, with the prediction (ppm, deg/h) of what is executed.
+    """The plan of a spec (of one axis or of a whole unit), or an optimised one, made executable, with the prediction
+    (ppm, deg/h) of what is executed.
 
     `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
     temperature counts as stable, and how long to wait for it. `keep_shapes`: the table follows any shape of motion;

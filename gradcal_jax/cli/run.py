@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-from gradcal_jax.units import parse, time_text
 from gradcal_jax.cli.console import complain
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, as_json
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED
+from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.hardware.execute import Attended

@@ -98,6 +98,13 @@ class Recipe(Section):
         return self
 
     @property
+    def axis_spec(self) -> Spec:
+        """The spec of one axis. Raises `SpecError` where it is of a whole unit."""
+        if isinstance(self.spec, UnitSpec):
+            raise of_one_axis()
+        return self.spec
+
+    @property
     def duration_s(self) -> float:
         """Of the plan; what is waited for stable temperatures comes on top."""
         return self.spec.schedule.duration
@@ -145,10 +152,10 @@ def spec_in(path: str | Path) -> Spec:
 
 def spec_inside(document: Mapping[str, Any], source: str = "") -> Spec:
     """The spec of one axis inside the tables of a recipe. Raises `SpecError` where it is of a whole unit."""
-    found = recipe_of(document, source).spec
-    if isinstance(found, UnitSpec):
-        raise of_one_axis(source)
-    return found
+    try:
+        return recipe_of(document, source).axis_spec
+    except SpecError as error:
+        raise SpecError(error.problems, source) from None
 
 
 def any_spec_in(path: str | Path) -> Spec | UnitSpec:

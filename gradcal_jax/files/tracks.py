@@ -198,7 +198,9 @@ def _block(schedule: GradientSchedule, stretch: Stretch, number: int, segments: 
         clock += cycle.other
     if cycle.idle > 0.0:
         moves.append(TrackMove(start=_in("s", clock), do="wait", duration=_in("s", cycle.idle), read="none"))
-    after = {} if cycle.other_read_every is None else {"read_every_after": _in("s", cycle.other_read_every)}
+    after: dict[str, Any] = (
+        {} if cycle.other_read_every is None else {"read_every_after": _in("s", cycle.other_read_every)}
+    )
     return MotionBlock(
         name=name,
         begins_with=first.name,
@@ -215,7 +217,7 @@ def _block(schedule: GradientSchedule, stretch: Stretch, number: int, segments: 
 
 def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
     axes, hung = rig.table.axis, rig.table.mounting
-    every = {"read_every": _in("s", min(float(axis.angle.read_every) for axis in axes))}
+    every: dict[str, Any] = {"read_every": _in("s", min(float(axis.angle.read_every) for axis in axes))}
     moves: list[TrackMove] = []
     clock = 0.0
     for step in schedule.steps:

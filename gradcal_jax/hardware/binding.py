@@ -50,7 +50,8 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
 
 def _names(recipe: Recipe, axes: Sequence[str]) -> dict[str, str]:
     placed = {name for block in recipe.motion for name in block.start}
-    turned = sorted({move.axis for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")} | placed)
+    moves = [move for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")]
+    turned = sorted(placed | {move.axis for move in moves})
     if len(turned) == 1 and len(axes) == 1:
         return {turned[0]: axes[0]}
     if missing := [name for name in turned if name not in axes]:

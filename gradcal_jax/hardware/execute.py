@@ -64,8 +64,9 @@ def run(
 
     Give either the `rig`, or `simulate`: then the devices are simulated, in virtual time or `speed` times faster than
     the clock, their hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz), of a
-    whole unit as many as `units` on the table; log, calibration and page say so. `attended`: for whoever watches (`on_progress`, `with_runner`, `wait_when_paused`,
-    `handle_signals`), and the `terminal` at which somebody turns the axes that are turned by hand.
+    whole unit as many as `units` on the table; log, calibration and page say so. `attended`: for whoever watches
+    (`on_progress`, `with_runner`, `wait_when_paused`, `handle_signals`), and the `terminal` at which somebody turns the
+    axes that are turned by hand.
 
     Returns how it ended: `exit_status` "success", "stopped" or "aborted", `reason`, `steps_done`, `verified_safe`.
     Errors: `ValueError` for a folder that is not empty, for neither or both of rig and simulation, and for another

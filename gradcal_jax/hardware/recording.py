@@ -1,11 +1,11 @@
 """From a run's journal to a log: samples decoded from the raw bytes, angles and standstills from the events.
 
 Only rows of stretches with data are kept: soaks, waiting and what a run did before a stretch began are counted as
-removed. So is a pause: nobody knows what became of the rig in it, and it ends stretches and standstills. A standstill is
-of all axes; a row of one carries the readings of the table's angles that are nearest to it in time. While other axes
-move, one that stands carries its own nearest reading, and one that a motor turns the trapezoid that it was told, between
-what was read before and after; every other angle is drawn straight between readings, good for a look and not for
-estimation.
+removed. So is a pause: nobody knows what became of the rig in it, and it ends stretches and standstills. A standstill
+is of all axes; a row of one carries the readings of the table's angles that are nearest to it in time. While other axes
+move, one that stands carries its own nearest reading, and one that a motor turns goes by the trapezoid that it was
+told, between what was read before and after; every other angle is drawn straight between readings, good for a look and
+not for estimation.
 
 The stamps of a row are the sensor's own clock, laid on the computer's where data begin; `host_time` is the computer's,
 by a straight line through the quickest arrivals, whose slope and residuals are in the log's provenance. Where a run was
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ..files.log import Finding, Log, Reason
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
+from ..files.unit_spec import UnitSpec
 from .clockmap import ClockMap, fit_clock
 from .drivers.imu_common import STANDARD_GRAVITY, join
 from .errors import HardwareError
@@ -79,9 +80,10 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
     aside = 0
     found = _sessions(contents)
     names = [axis.name for axis in rig.axis]
-    if placed := {name for block in recipe.motion for name in block.start}:
-        # The table of a whole unit has these axes, in the order of its spec, and no other.
-        names = [axis.name for axis in recipe.spec.rig.table.axis] if placed <= set(names) else names
+    if isinstance(recipe.spec, UnitSpec):
+        # The table of a whole unit has the axes of its spec, in that order; a single one may be named otherwise.
+        drawn = [axis.name for axis in recipe.spec.rig.table.axis]
+        names = drawn if set(drawn) <= set(names) else names
     axes = _axes_of(found, names)
     for session in found:
         kept, left = _parts(session, device, axes)
@@ -362,10 +364,10 @@ def _own_course(
     for k in range(-1, len(told)):
         begin = moved[k] if k >= 0 else -math.inf
         until = moved[k + 1] if k + 1 < len(told) else math.inf
-        first, last = np.searchsorted(times, [begin, until])
+        first, last = np.searchsorted(times, np.array([begin, until]))
         if first == last:
             continue
-        low, middle, high = np.searchsorted(host, [begin, times[first], until])
+        low, middle, high = np.searchsorted(host, np.array([begin, float(times[first]), until]))
         own = times[first:last]
         result[middle:high] = values[first:last][np.searchsorted((own[1:] + own[:-1]) / 2.0, host[middle:high])]
         move = told[k].data if k >= 0 else {}

@@ -174,9 +174,7 @@ class Runner:
         self._duty: ChamberDuty | None = None
         if self.bench.chamber is not None:
             self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
-        draw = self.draw
-        drawn = None if draw is None else lambda angles: draw(angles, self.mounting)  # pyright: ignore[reportUnknownLambdaType]
-        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, self.interlocks.limits.latest_s, drawn)
+        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, self.interlocks.limits.latest_s, self._drawn)
         self._imu_heard_s: dict[str, float] = {}
         self._losses: dict[str, _Losses] = {}
         self._unconfirmed: list[_Executed] = []
@@ -239,6 +237,9 @@ class Runner:
             good = all(outcome.verified for outcome in outcomes)
             self._event("end", quietly=True, exit_status=status, reason=reason, verified_safe=good)
         return RunResult(status, reason, outcomes, self._steps_done)
+
+    def _drawn(self, angles_deg: Mapping[str, float]) -> str:
+        return "" if self.draw is None else self.draw(angles_deg, self.mounting)
 
     # -------------------------------------------------------------------------------------------------------- start
 
@@ -444,6 +445,9 @@ class Runner:
             now, motion = self.clock.now(), begin + axes.late_s
             end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
             reads = [read for read in reads if motion + read <= end + 1e-6]
+            if axes.by_hand:
+                # In somebody's hands nothing is read: of what fell due meanwhile only the last counts.
+                reads = reads[max(sum(motion + read <= now for read in reads) - 1, 0) :]
             if reads and motion + reads[0] <= now and not axes.turned_by_hand:
                 if late := sum(motion + read < now - latest_s for read in reads):
                     axes.amiss.append(f"{late} readings are up to {now - motion - reads[0]:.1f} s late")

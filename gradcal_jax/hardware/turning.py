@@ -86,6 +86,11 @@ class AxesDuty:
         return bool(self._planned_end_s)
 
     @property
+    def by_hand(self) -> bool:
+        """Whether an axis of the run is turned by hand."""
+        return bool(self._by_hand)
+
+    @property
     def look_s(self) -> list[float]:
         """When the axes are to be looked at next."""
         return list(self._turning.values())

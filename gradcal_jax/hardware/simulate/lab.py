@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...files.bench import Chamber
 from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
+from ...files.bench import Chamber
 from ...files.moves import AXES, Axis
 from ...files.rig import RigFile, rig_of
 from ...files.sensor import Sensor

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..checksums import crc8_stim300, crc32_mpeg2
 from ..clock import Clock
-from .sensor import SensorSamples, SampledSensor
+from .sensor import SampledSensor, SensorSamples
 
 RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 # Identifier and bytes that the CRC counts but nobody sends, by the code of `$sd`; contents follow from the code.

@@ -5,16 +5,19 @@ Attitude is a product of quaternions, body to East-North-Up, outermost stage fir
     base (tilt, azimuth) · axis 1 · (its non-orthogonality to axis 2) · axis 2 · … · mounting · (mounting's error)
 
 The unit turns at the Earth's rate and at those of the axes, and feels what holds it up. Its gyros sit where the axes
-meet; its accelerometers a `lever` off, and they feel the turning, too. Of every sample the mean over its interval is said, through the sensors' own errors (IEEE 1431, 1293):
+meet; its accelerometers a `lever` off, and they feel the turning, too. Of every sample the mean over its interval is
+said, through the sensors' own errors (IEEE 1431, 1293):
 
     gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + drift + walks
-    accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift + walk
+    accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift
+                   + walk
 
 Units are SI here (rad/s, m/s², °C), unlike the rest of this room.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +30,7 @@ _STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
 # Of a sample: within each the attitude is taken in the middle, and rates are exact means.
 _PARTS = 3
 Quaternion = NDArray[np.float64]
+Kind = Literal["gyro", "accelerometer"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class Coefficients:
     """Functions of temperature, `values` `(3, k, nT)`: by sensor axis, and by what it multiplies."""
 
     values: NDArray[np.float64]
-    basis: TruthBasis = TruthBasis()
+    basis: TruthBasis
 
     def at(self, temperature_c: NDArray[np.float64]) -> NDArray[np.float64]:
         """`(n,) -> (n, 3, k)`."""
@@ -84,7 +88,7 @@ class TriadTruth:
 @dataclass(frozen=True)
 class TableTruth:
     """How the table stands and its axes lie, rad. `axes` outermost first, each in the frame that the one outside it
-    carries while all stand at zero. `mountings`: body to the innermost axis's frame, and the error of each (body).
+    carries while all stand at zero. `mountings`: body to the innermost axis's frame, as they are (`hung`).
     """
 
     axes: tuple[tuple[float, ...], ...]
@@ -92,8 +96,7 @@ class TableTruth:
     gravity: float
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)
     orthogonality: tuple[float, ...] = ()
-    mountings: tuple[NDArray[np.float64], ...] = (np.eye(3),)
-    mounting_errors: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
+    mountings: tuple[Quaternion, ...] = (np.array([1.0, 0.0, 0.0, 0.0]),)
 
 
 @dataclass
@@ -136,20 +139,16 @@ class SimulatedUnit(SampledSensor):
         self.clock_error = truth.clock_error
         self._chamber, self._axes = chamber, tuple(axes)
         self._random = np.random.default_rng([seed, 20263])
-        self._mounted = [
-            _times(_of_matrix(matrix), _of_vector(error))
-            for matrix, error in zip(table.mountings, table.mounting_errors, strict=True)
-        ]
-        self._states: dict[str, Vectors] = {}
-        self._walked = dict.fromkeys(("gyro", "accelerometer"), np.zeros(3))
+        self._states: dict[Kind, Vectors] = {}
+        self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
         for kind, triad in self._triads():
             sigmas = np.array(triad.drifts.sigmas)
             self._states[kind] = sigmas * self._random.standard_normal((3, len(sigmas)))
         self.restart(start_s, sample_rate_hz)
 
-    def _triads(self) -> list[tuple[str, TriadTruth]]:
-        both = (("gyro", self.truth.gyro), ("accelerometer", self.truth.accelerometer))
-        return [(kind, triad) for kind, triad in both if triad is not None]
+    def _triads(self) -> list[tuple[Kind, TriadTruth]]:
+        both: dict[Kind, TriadTruth | None] = {"gyro": self.truth.gyro, "accelerometer": self.truth.accelerometer}
+        return [(kind, triad) for kind, triad in both.items() if triad is not None]
 
     def take(self, count: int) -> SensorSamples:
         ends = self.ends_of(count)
@@ -161,7 +160,7 @@ class SimulatedUnit(SampledSensor):
         rate, force = self._motion(edges)
         felt = force + self._at_the_lever(rate, edges)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
-        said = {"gyro": np.zeros((count, 3)), "accelerometer": np.zeros((count, 3))}
+        said: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
         for kind, triad in self._triads():
             noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else felt
             mean = own.reshape(count, _PARTS, 3).mean(axis=1)
@@ -174,7 +173,7 @@ class SimulatedUnit(SampledSensor):
             self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0),
         )
 
-    def _noise(self, kind: str, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors]:
+    def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors]:
         """What is added, and what the scale factor is off by, of every sample: `(count, 3)` each."""
         drifts, dt = triad.drifts, self.true_period_s
         draws = self._random.standard_normal((count, 3, 2 + len(drifts.sigmas)))
@@ -195,12 +194,13 @@ class SimulatedUnit(SampledSensor):
         for l, (axis, plant) in enumerate(zip(table.axes, self._axes, strict=True)):
             direction = np.array(axis)
             outside = np.broadcast_to(direction, turning.shape)
-            turning = turning + _rotate(attitude, outside) * (np.radians(np.diff(plant.position(edges))) / lasting)[:, None]
+            pace = np.radians(np.diff(plant.position(edges))) / lasting
+            turning = turning + _rotate(attitude, outside) * pace[:, None]
             attitude = _times(attitude, _about(direction, np.radians(plant.position(middles))))
             if l + 1 < len(table.axes):
                 off = table.orthogonality[l] * np.cross(np.array(table.axes[l + 1]), direction)
                 attitude = _times(attitude, _of_vector(off))
-        attitude = _times(attitude, self._mounted[self.hanging.mounting])
+        attitude = _times(attitude, table.mountings[self.hanging.mounting])
         earth = EARTH_RATE * np.array([0.0, np.cos(table.latitude), np.sin(table.latitude)])
         rate = _rotate(_back(attitude), turning + earth)
         up = np.broadcast_to(np.array([0.0, 0.0, table.gravity]), rate.shape)
@@ -243,6 +243,14 @@ def _felt(truth: TriadTruth, force: Vectors, temperature: NDArray[np.float64]) -
 
 
 # ------------------------------------------------------------------------------------------------------ quaternions
+
+
+def hung(columns: NDArray[np.float64], *vectors: Sequence[float]) -> Quaternion:
+    """A mounting: body to the axis's frame by a matrix, turned on by rotation vectors (body)."""
+    found = _of_matrix(columns)
+    for vector in vectors:
+        found = _times(found, _of_vector(vector))
+    return found
 
 
 def _about(axis: NDArray[np.float64], angle: NDArray[np.float64]) -> Quaternion:

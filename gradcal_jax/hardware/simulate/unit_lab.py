@@ -11,10 +11,7 @@ import itertools
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from ...files.bases import TemperatureBasis
 from ...files.unit_sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
@@ -25,7 +22,18 @@ from .plants import AxisPlant, AxisTruth, ChamberPlant
 from .port import SimulatedPort
 from .sensor import TruthBasis
 from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
-from .unit import Coefficients, Drifts, Hanging, ScaleFactors, SimulatedUnit, TableTruth, TriadTruth, UnitTruth
+from .unit import (
+    Coefficients,
+    Drifts,
+    Hanging,
+    Quaternion,
+    ScaleFactors,
+    SimulatedUnit,
+    TableTruth,
+    TriadTruth,
+    UnitTruth,
+    hung,
+)
 from .zaber import SimulatedZaber, ZaberOptions
 
 _XYZ: Final = "xyz"
@@ -201,16 +209,12 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
             )
         )
     in_case = spec.sensor.frame is not None and spec.sensor.frame.fixed_by == "case"
-    mountings: list[NDArray[np.float64]] = []
-    errors: list[tuple[float, float, float]] = []
+    mountings: list[Quaternion] = []
     for number, mounting in enumerate(table.mounting, start=1):
-        matrix = np.array(mounting.columns).T
-        if mounting.rotation is not None:
-            matrix = matrix @ Rotation.from_rotvec([float(angle) for angle in mounting.rotation]).as_matrix()
-        mountings.append(matrix)
         size = float(mounting.accuracy) if in_case else 0.0
-        x, y, z = (draw(size, f"mounting{number}_{axis}") for axis in _XYZ)
-        errors.append((x, y, z))
+        off = [draw(size, f"mounting{number}_{axis}") for axis in _XYZ]
+        drawn = mounting.rotation or (0.0, 0.0, 0.0)
+        mountings.append(hung(np.array(mounting.columns).T, [float(angle) for angle in drawn], off))
     truth = TableTruth(
         axes=tuple(axis.unit_vector for axis in table.axis),
         latitude=float(site.latitude),
@@ -218,7 +222,6 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
         base=(*base, azimuth),
         orthogonality=leans,
         mountings=tuple(mountings),
-        mounting_errors=tuple(errors),
     )
     return truth, encoders, named
 

@@ -80,7 +80,7 @@ class SimulatedVectorNav:
         force = samples.acceleration_g * _STANDARD_GRAVITY
         rate = np.radians(samples.rate_dps)
         # The unit's own clock: fast by the same share as its sampling.
-        own = (samples.time_s - self._powered_s) * (1.0 + self.sensor.truth.clock_error)
+        own = (samples.time_s - self._powered_s) * (1.0 + self.sensor.clock_error)
         for index in range(count):
             if attitude:
                 body = bytes.fromhex("010800") + struct.pack("<3f", 0.0, 0.0, 0.0)

@@ -364,7 +364,8 @@ def _own_course(
     for k in range(-1, len(told)):
         begin = moved[k] if k >= 0 else -math.inf
         until = moved[k + 1] if k + 1 < len(told) else math.inf
-        first, last = np.searchsorted(times, np.array([begin, until]))
+        # A reading at the very instant of a command is of the standstill before it.
+        first, last = np.searchsorted(times, np.array([begin, until]), side="right")
         if first == last:
             continue
         low, middle, high = np.searchsorted(host, np.array([begin, float(times[first]), until]))

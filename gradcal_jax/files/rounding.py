@@ -8,8 +8,9 @@ the axes stand that is rounded, so that poses do not wander, and every pose is w
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, Generic, cast
 
 from gradcal_jax import units
 from gradcal_jax.files.changes import AnySpec, any_spec_of, tables_of
@@ -54,15 +55,16 @@ def steps_of(spec: Spec | UnitSpec) -> ControllerSteps:
     return ControllerSteps(**{name: value for name in names if (value := getattr(given, name)) is not None})
 
 
-class Rounded(NamedTuple):
+@dataclass(frozen=True)
+class Rounded(Generic[AnySpec]):
     """`changes`: what rounding did, a sentence each; `notes`: what the controllers do otherwise than the plan says."""
 
-    spec: Spec | UnitSpec
+    spec: AnySpec
     changes: tuple[str, ...]
     notes: tuple[str, ...]
 
 
-def rounded(spec: Spec | UnitSpec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded:
+def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded[AnySpec]:
     """The spec as the controllers can execute it.
 
     `keep_shapes`: the table follows any shape by itself; without it turns become trapezoids ("linear ramps") of the
@@ -73,6 +75,7 @@ def rounded(spec: Spec | UnitSpec, steps: ControllerSteps | None = None, *, keep
     rounder = _Rounder(steps or steps_of(spec))
     tables = tables_of(spec)
     notes: list[str] = []
+    made: Spec | UnitSpec
     if isinstance(spec, UnitSpec):
         _temperatures(tables["plan"], rounder, ROUND_HALF_EVEN)
         _unit_cycle(spec, tables["plan"]["cycle"], rounder, keep_shapes, notes)
@@ -86,7 +89,9 @@ def rounded(spec: Spec | UnitSpec, steps: ControllerSteps | None = None, *, keep
         if "rates" in plan:
             plan["rates"] = [rounder.rate(text) for text in plan["rates"]]
         made = any_spec_of(tables)
-    return Rounded(made, tuple(_changes(tables_of(spec)["plan"], tables_of(made)["plan"], "plan")), tuple(notes))
+    return Rounded(
+        cast("AnySpec", made), tuple(_changes(tables_of(spec)["plan"], tables_of(made)["plan"], "plan")), tuple(notes)
+    )
 
 
 class _Rounder:

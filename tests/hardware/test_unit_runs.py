@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from unit_bench import estimated, hand, made, short
 
 from gradcal_jax.files import changed, presets
-from gradcal_jax.files.log import Log, read_log, write_log
+from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import RigFile, parse_rig
 from gradcal_jax.files.unit_spec import parse_unit_spec
 from gradcal_jax.hardware import execute
@@ -87,7 +87,7 @@ def test_standstills_are_of_all_axes(ran: tuple[Path, Log]) -> None:
         assert np.ptp(log.time_s[log.standstill == number]) == pytest.approx(3.0, abs=1.4)
 
 
-def test_specific_force_is_gravity_at_rest(ran: tuple[Path, Log], tmp_path: Path) -> None:
+def test_specific_force_is_gravity_at_rest(ran: tuple[Path, Log]) -> None:
     _, log = ran
     force, angles = log.specific_force_m_per_s2, log.table_angle_rad
     assert force is not None
@@ -101,8 +101,6 @@ def test_specific_force_is_gravity_at_rest(ran: tuple[Path, Log], tmp_path: Path
         up = np.array([np.sin(tilt) * np.sin(spin), np.sin(tilt) * np.cos(spin), np.cos(tilt)])
         # 20 mg, 5000 ppm and 10 mrad of hidden errors, three times.
         np.testing.assert_allclose(force[0, rows].mean(axis=0), 9.80665 * up, atol=1.2)
-    write_log(log, tmp_path / "log.nc")
-    np.testing.assert_array_equal(read_log(tmp_path / "log.nc").specific_force_m_per_s2, force)
 
 
 def test_the_estimate_finds_what_was_hidden(ran: tuple[Path, Log]) -> None:
@@ -137,7 +135,7 @@ def one_axis_rig() -> RigFile:
 
 
 def test_a_rig_without_an_axis_of_the_spec_is_refused() -> None:
-    with pytest.raises(HardwareError, match="spin, tilt"):
+    with pytest.raises(HardwareError, match="turns axis spin, and the rig's axes are tilt, turn"):
         track_of(made(short()), ["tilt", "turn"])
 
 

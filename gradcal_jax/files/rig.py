@@ -258,6 +258,10 @@ port   = "/dev/ttyUSB2"
 [imu.options]
 sample_rate = "125 Hz"
 
+# Who hangs a whole unit anew, where its spec has several mountings; without it, whoever started the run.
+# [operator]
+# port = "/dev/ttyUSB4"
+
 # For `gradcal report --certificate`: who signs, and what the values are traced to.
 # [laboratory]
 # name     = "Calibration laboratory"

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -197,7 +198,8 @@ def test_a_run_that_was_interrupted_goes_on(tmp_path: Path) -> None:
 
 @pytest.mark.evidence
 def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
-    """Somebody hangs the unit anew between the ramps; the log says how it hung, and the estimate is in its band."""
+    """Somebody hangs the unit anew between the ramps, once each although the run is stopped in the second; the log says
+    how it hung, and the estimate is in its band."""
     moves = [{"rest": "4 s"}]
     for turn in ("360 deg", "-360 deg", "90 deg", "90 deg", "-180 deg"):
         moves += [{"turn": turn, "axis": "turn"}, {"rest": "4 s"}]
@@ -211,7 +213,17 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
     }
     recipe = made(changed(parse_unit_spec(presets.text("one-axis-table")), keys))
     run = tmp_path / "run"
-    assert execute.run(recipe, run, simulate=True, seed=2).exit_status == "success"
+    runners: list[Runner] = []
+
+    def look(progress: Progress) -> None:
+        if progress.step.startswith("motion 2, 2 of") and (progress.step_left_s or math.inf) < 15.0:
+            runners[0].request("stop", "enough")
+
+    first = execute.run(recipe, run, simulate=True, seed=2, on_progress=look, with_runner=runners.append)
+    assert first.exit_status == "stopped"
+    assert execute.resume(run).exit_status == "success"
+    hung = [event.data["mounting"] for event in RunFolder(run).contents().events if event.name == "hung"]
+    assert hung == [1, 2, 3]
     log = execute.log(run)
     assert log.mounting is not None
     assert np.unique(log.mounting).tolist() == [0, 1, 2]

@@ -15,9 +15,9 @@ import numpy as np
 from ..clock import Clock
 from .plants import AxisPlant
 
-_TURN = re.compile(r"(\w+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
-_ZERO = re.compile(r"(\w+): bring it to its zero mark")
-_AGAIN = re.compile(r"(\w+): .*(?:again if it is so|Type the angle that it shows):$")
+_TURN = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
+_ZERO = re.compile(r"([\w-]+): bring it to its zero mark")
+_AGAIN = re.compile(r"([\w-]+): .*(?:again if it is so|Type the angle that it shows):$")
 _HANG = re.compile(r"hang the units so: mounting (\d+)")
 _HOME_S = 5.0
 _HANGS_S = 120.0

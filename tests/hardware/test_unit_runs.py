@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +18,16 @@ from gradcal_jax.files.rig import RigFile, parse_rig
 from gradcal_jax.files.unit_spec import parse_unit_spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.binding import track_of
+from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import Chunk
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Progress, Runner
+from gradcal_jax.hardware.settings import KeptSettings
+from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.hardware.track import Move
+from gradcal_jax.hardware.turning import AxesDuty
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +56,49 @@ def test_one_axis_turns_at_a_time(ran: tuple[Path, Log]) -> None:
     assert " ".join(axis for axis, _, _ in moves) == "spin spin tilt tilt tilt tilt spin tilt spin tilt spin"
     for (_, _, ended), (_, begins, _) in itertools.pairwise(moves):
         assert begins >= ended
+
+
+class SlowStage:
+    """A stage that turns at half the rate that it is told."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.plant, self.clock, self.settings = AxisPlant(None, clock.now()), clock, KeptSettings()
+
+    def not_asked(self, *said: Any) -> Any:
+        raise AssertionError("nothing but turns is asked for here")
+
+    identify = home = spin = stop = arm_watchdog = heartbeat = safe = close = not_asked
+
+    def limits(self) -> AxisLimits:
+        return AxisLimits(100.0, 100.0, None, None, 0.001, hardware_watchdog=False)
+
+    def read(self) -> AxisReading:
+        now = self.clock.now()
+        angle, rate = self.plant.state(now)
+        return AxisReading(now, angle, rate, self.plant.moving(now), True, (), ())
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        self.plant.move_to(self.clock.now(), position_deg, rate_dps / 2.0, acceleration_dps2)
+
+
+def test_a_turn_waits_for_the_one_of_another_axis() -> None:
+    clock = VirtualClock()
+    stages: dict[str, Any] = {"tilt": SlowStage(clock), "spin": SlowStage(clock)}
+    moving: list[bool] = []
+
+    def told(name: str, **data: Any) -> None:
+        if name == "move":
+            moving.append(any(stage.plant.moving(clock.now()) for n, stage in stages.items() if n != data["axis"]))
+
+    with clock.party():
+        duty = AxesDuty(stages, clock, told)
+        for axis in ("tilt", "spin", "tilt"):
+            turn = Move(0.0, axis, "turn", rate_dps=60.0, acceleration_dps2=60.0, angle_deg=90.0)
+            duty.move("a step", turn, clock.now(), lambda: None)
+            clock.sleep(turn.duration_s)
+    assert moving == [False, False, False]
+    # That it took too long is said.
+    assert "a turn of axis tilt ended" in duty.amiss[0]
 
 
 def test_the_log_knows_every_axis_at_every_reading(ran: tuple[Path, Log]) -> None:

@@ -11,6 +11,7 @@ from gradcal_jax.files.recipe import FORMAT, Made, Predicted, Recipe
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.tracks import Stability, tracks_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 if TYPE_CHECKING:
     from gradcal_jax.api.optimise import Optimised
@@ -20,7 +21,7 @@ NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
 
 
 def recipe(
-    plan: "Spec | Optimised",
+    plan: "Spec | UnitSpec | Optimised",
     *,
     resolution: ControllerSteps | None = None,
     stability: Stability | None = None,
@@ -30,7 +31,8 @@ def recipe(
     optimisation: Mapping[str, Any] | None = None,
     notes: tuple[str, ...] = (),
 ) -> Recipe:
-    """The plan of a spec, or an optimised one, made executable, with the prediction (ppm, deg/h) of what is executed.
+    """The plan of a spec (of one axis or of a whole unit), or an optimised one, made executable, with the prediction
+    (ppm, deg/h) of what is executed.
 
     `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
     temperature counts as stable, and how long to wait for it. `keep_shapes`: the table follows any shape of motion;
@@ -39,12 +41,12 @@ def recipe(
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
-    spec = expect_spec(getattr(plan, "spec", plan))
-    if not isinstance(plan, Spec):
+    spec = plan if isinstance(plan, UnitSpec) else expect_spec(getattr(plan, "spec", plan))
+    if not isinstance(plan, Spec | UnitSpec):
         from gradcal_jax.api.optimise import record_of
 
         status, optimisation = status or plan.sentence, optimisation or record_of(plan)
-        seed = spec.design.seed if seed is None and spec.design is not None else seed
+        seed = plan.spec.design.seed if seed is None and plan.spec.design is not None else seed
     steps = resolution or steps_of(spec)
     made = rounded(spec, steps, keep_shapes=keep_shapes)
     chamber, motion = tracks_of(made.spec)

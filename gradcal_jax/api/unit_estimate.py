@@ -42,7 +42,6 @@ from gradcal_jax.units import DEG_PER_H, PPM, G
 _REHUNG_S = 6 * 3600.0
 # Residuals so many times the noise are of another table, order of axes, or sign.
 _ABSURD = 100.0
-_PASSES = 2
 # An error of the table so many times what the spec calls its uncertainty is said.
 _CONTRADICTED = 4.0
 
@@ -105,7 +104,7 @@ def estimate_units(
             "angle is read while it stands"
         )
     mountings = len(spec.rig.table.mounting)
-    if len(logs) != mountings:
+    if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
         raise LogError(
             f"the spec hangs the unit in {mountings} mounting(s), one after the other, and there are {len(logs)} "
             "log(s): give one log for each, in the spec's order"
@@ -127,26 +126,12 @@ def _report(
         raise ValueError("the lag of a whole unit is not fitted: give a time, such as --lag 90s")
     temperature = correction.followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)
     model = built.model
-    found, seen = None, rows
+    first = _read(built, name, rows, rows, temperature)[2]
     # How a move went is first taken from the gyros as they are, then corrected by what that gave: a scale factor of a
     # per cent that depends on the rate is otherwise seen at the wrong rates.
-    for _ in range(_PASSES):
-        if found is not None:
-            held = tuple(_channels(built, model.to_reported @ found.parameters))
-            seen = rows._replace(rates=correct_unit(held, rows.rates, rows.force, temperature)[0])
-        try:
-            done = estimation.executed_unit(seen, built.motion.geometry)
-        except ValueError as error:
-            raise LogError(f"{name}: {error}") from None
-        readings = estimation.readings_of(model, done, rows, temperature, built.points)
-        found = estimation.estimate_unit(readings)
-        scale = float(np.sqrt(found.estimate.chi_squared[0] / max(int(found.estimate.degrees[0]), 1)))
-        if scale > _ABSURD:
-            raise LogError(
-                f"{name}: what the unit says is {scale:.3g} times further from the table than the noise explains: is "
-                "the unit mounted as the spec says, with its axes and signs, and the table's angles likewise?"
-            )
-    assert found is not None
+    held = tuple(_channels(built, model.to_reported @ first.parameters))
+    better = rows._replace(rates=correct_unit(held, rows.rates, rows.force, temperature)[0])
+    done, readings, found = _read(built, name, rows, better, temperature)
     at = segments_of(done.motion, model)
     half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
     of_segment = rows.time_s[done.rows[at.first + 1]]
@@ -184,6 +169,25 @@ def _report(
     return report._replace(messages=(*messages, *_words(report, found)))
 
 
+def _read(
+    built: AssembledUnit, name: str, rows: UnitRows, seen: UnitRows, temperature: np.ndarray
+) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
+    """What was done, by the rates of `seen`; what the unit said of it; and the estimate."""
+    try:
+        done = estimation.executed_unit(seen, built.motion.geometry)
+    except ValueError as error:
+        raise LogError(f"{name}: {error}") from None
+    readings = estimation.readings_of(built.model, done, rows, temperature, built.points)
+    found = estimation.estimate_unit(readings)
+    scale = float(np.sqrt(found.estimate.chi_squared[0] / max(int(found.estimate.degrees[0]), 1)))
+    if scale > _ABSURD:
+        raise LogError(
+            f"{name}: what the unit says is {scale:.3g} times further from the table than the noise explains: is the "
+            "unit mounted as the spec says, with its axes and signs, and the table's angles likewise?"
+        )
+    return done, readings, found
+
+
 def unit_rows(
     built: AssembledUnit, logs: Sequence[Log], name: str, options: Options
 ) -> tuple[UnitRows, tuple[str, ...]]:
@@ -194,9 +198,12 @@ def unit_rows(
         messages += said
         begin = part.time_s[0] if end is None else end + _REHUNG_S
         shifted = part.time_s - part.time_s[0] + begin
-        # The unit is hung anew between two logs: no standstill goes on.
-        part.standing[0] = k == 0 and part.standing[0]
-        parts.append(part._replace(time_s=shifted, mounting=np.full(len(shifted), k)))
+        mounting = part.mounting if len(logs) == 1 else np.full(len(shifted), k)
+        if (highest := int(mounting.max())) >= len(built.spec.rig.table.mounting):
+            raise LogError(f"the log was recorded in mounting {highest + 1}, which the spec has not")
+        # No standstill goes on while the unit is hung anew.
+        part.standing[np.flatnonzero(np.diff(mounting, prepend=mounting[0] if k == 0 else -1))] = False
+        parts.append(part._replace(time_s=shifted, mounting=mounting))
         end = shifted[-1]
     whole = UnitRows(*(np.concatenate([getattr(part, field) for part in parts]) for field in UnitRows._fields))
     return whole, tuple(dict.fromkeys(messages))
@@ -237,7 +244,8 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
     else:
         raise LogError("a log without gyros must mark its standstills (a column standstill in the column map)")
     smooth = estimation.smoothed_temperature(time, temperature)
-    return UnitRows(time, rates, force, smooth, angles, standing, usable, np.zeros(len(time), int)), messages
+    mounting = np.zeros(len(time), int) if log.mounting is None else log.mounting
+    return UnitRows(time, rates, force, smooth, angles, standing, usable, mounting), messages
 
 
 def _table_angles(built: AssembledUnit, log: Log) -> np.ndarray:

@@ -142,8 +142,8 @@ def _elements(
             if requirement.axis in ("all", "worst", label):
                 yield QuantityElement(label, slice(None), rows)
     elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
-        kind: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
-        for label, rows in internal_misalignments(model, kind, temperatures):
+        own: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
+        for label, rows in internal_misalignments(model, own, temperatures):
             if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
                 yield QuantityElement(label, slice(None), rows)
     else:

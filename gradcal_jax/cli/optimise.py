@@ -119,7 +119,7 @@ def optimise(
     if plot is not None:
         from gradcal_jax.plots import draw_comparison
 
-        save_figure(draw_comparison([("before", found), ("optimised", made.spec)]), plot, quiet=json)
+        save_figure(draw_comparison([("before", found), ("optimised", made.axis_spec)]), plot, quiet=json)
     if interrupt.asked:
         complain("interrupted" + ("" if shortest else f"; go on with: gradcal optimise {spec} -o {output} --resume"))
         return INTERRUPTED

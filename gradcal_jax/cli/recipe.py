@@ -51,10 +51,10 @@ def recipe(
     """
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import Quantity, to_toml
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.tracks import Stability
 
-    found = spec_in(spec)
+    found = any_spec_in(spec)
     wishes = {
         "within": ("temperature difference", stable_within),
         "for_at_least": ("time", stable_for),

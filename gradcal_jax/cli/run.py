@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-from gradcal_jax import units
 from gradcal_jax.cli.console import complain
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, as_json
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED
-from gradcal_jax.units import time_text
+from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.files.recipe import Recipe
@@ -47,6 +46,7 @@ def run(
     operator: str = "",
     unit: str = "",
     note: str = "",
+    units: int = 1,
     json: Json = False,
 ) -> int:
     """Execute a recipe, and leave the rig safe whatever happens.
@@ -83,6 +83,8 @@ def run(
         Which unit is on the table.
     note
         Anything to remember.
+    units
+        Of a simulated run of a whole unit: how many units hang on the table.
     json
         Print nothing but how the run ended, as JSON.
     """
@@ -103,7 +105,7 @@ def run(
     from gradcal_jax.hardware.execute import run as execute
 
     found, bench = read_recipe(recipe), None if rig is None else read_rig(rig)
-    rate = units.parse(sample_rate, "frequency")
+    rate = parse(sample_rate, "frequency")
     if simulate and not json:
         print(_REHEARSAL)
     about = {name: text for name, text in (("operator", operator), ("on the table", unit), ("note", note)) if text}
@@ -111,7 +113,7 @@ def run(
         complain("not begun: nothing was moved")
         return INTERRUPTED
     with _Watcher(simulate, quiet=json) as watcher:
-        simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate}
+        simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate, "units": units}
         result = execute(found, output, rig=bench, about=about, **simulation, **watcher.attends())
     return _say(output, result, json)
 

@@ -1,5 +1,6 @@
 """A recipe's tracks as rows of text, for whoever stands at the bench: the same on a terminal and on a page."""
 
+import math
 from typing import Final
 
 from gradcal_jax.files.quantity import Quantity
@@ -60,6 +61,8 @@ def block_heading(block: MotionBlock) -> str:
         said = f"{block.name}: begins with {block.begins_with}"
     else:
         said = f"{block.name}: begins with {block.begins_with}, {block.repeat} times, one every {block.period}"
+    if any(block.start.values()):
+        said += f"; before, {', '.join(f'{name} to {angle}' for name, angle in block.start.items())}"
     if block.standing_after > 0.0:
         read = "not read" if block.read_every_after is None else f"read every {block.read_every_after}"
         said += f"; then stand for {block.standing_after} ({read})"
@@ -67,17 +70,23 @@ def block_heading(block: MotionBlock) -> str:
 
 
 def move_rows(block: MotionBlock) -> list[tuple[str, ...]]:
-    """A row of `MOVES_HEAD` for each move; times count from the beginning of a repetition."""
+    """A row of `MOVES_HEAD` for each move; times count from the beginning of a repetition. Of a whole unit, whose axes
+    have places to be, the angle is followed by where it leads."""
     rows: list[tuple[str, ...]] = []
+    at = {name: math.degrees(angle) for name, angle in block.start.items()}
     for move in block.moves:
+        where, standing = "", move.do in ("rest", "wait") and bool(at)
+        if move.axis in at and move.angle is not None:
+            at[move.axis] += move.repeat * math.degrees(move.angle)
+            where = f", to {round(at[move.axis], 6) + 0.0:g} deg"
         times = f"{move.repeat} × " if move.repeat > 1 else ""
         rows.append(
             (
                 clock_text(move.start),
-                move.axis,
+                "" if standing else move.axis,
                 f"{times}{move.do}",
                 str(move.duration),
-                _signed(move.angle),
+                _signed(move.angle) + where,
                 _signed(move.rate),
                 "" if move.acceleration is None else str(move.acceleration),
                 _read(move),

@@ -112,6 +112,8 @@ class Log:
     """[time, table axis]"""
     standstill: Whole | None = None
     """[time]; the number of the standstill a row belongs to, -1 while the table moves."""
+    mounting: Whole | None = None
+    """[time]; how the unit hung, of the mountings of its spec the number from 0. `None`: always the first."""
     host_time_s: Floats | None = None
     """[time]; the computer's stamp of each row, where the sensor has a clock of its own."""
     status: Flags | None = None
@@ -140,6 +142,7 @@ class Log:
             "table angle": (self.table_angle_rad, (rows, len(self.table_axes))),
             "table rate": (self.table_rate_rad_per_s, (rows, len(self.table_axes))),
             "standstill": (self.standstill, (rows,)),
+            "mounting": (self.mounting, (rows,)),
             "host time": (self.host_time_s, (rows,)),
             "status": (self.status, shape[:2]),
         }
@@ -266,6 +269,7 @@ def part_of(
         table_angle_rad=of(log.table_angle_rad),
         table_rate_rad_per_s=of(log.table_rate_rad_per_s),
         standstill=of(log.standstill),
+        mounting=of(log.mounting),
         host_time_s=of(log.host_time_s),
         status=by_unit(log.status),
         stretch_starts=np.concatenate([[0], inside]).astype(np.int64),
@@ -287,6 +291,7 @@ def write_log(log: Log, path: str | Path) -> None:
         ("table_angle", ("time", "table_axis"), log.table_angle_rad, "angle of the table, not wrapped"),
         ("table_rate", ("time", "table_axis"), log.table_rate_rad_per_s, "rate of the table"),
         ("standstill", ("time",), log.standstill, "number of the standstill, -1 while moving"),
+        ("mounting", ("time",), log.mounting, "number of the mounting, from 0"),
         ("host_time", ("time",), log.host_time_s, "stamp of the computer"),
         ("status", ("unit", "time"), log.status, "0 usable, otherwise bits: " + _bits()),
         ("stretch_start", ("stretch",), log.stretch_starts, "row at which a stretch begins"),
@@ -376,6 +381,7 @@ def _from_dataset(dataset: Any) -> Log:
         table_angle_rad=array("table_angle", ("time", "table_axis"), np.float64),
         table_rate_rad_per_s=array("table_rate", ("time", "table_axis"), np.float64),
         standstill=array("standstill", ("time",), np.int64),
+        mounting=array("mounting", ("time",), np.int64),
         host_time_s=array("host_time", ("time",), np.float64),
         status=array("status", ("unit", "time"), np.uint16),
         stretch_starts=array("stretch_start", ("stretch",), np.int64, needed=True),

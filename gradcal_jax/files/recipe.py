@@ -9,10 +9,11 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal, cast
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from gradcal_jax.files.changes import any_spec_of
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
@@ -20,10 +21,10 @@ from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
-from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
+from gradcal_jax.files.section import Section, a_table, refuse
+from gradcal_jax.files.spec import Spec, is_of_unit, of_one_axis, spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
-from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 
 FORMAT: Final = "gradcal-recipe/1"
 
@@ -71,6 +72,13 @@ class Made(Section):
     """Of the search."""
 
 
+def _spec_inside(value: object) -> Spec | UnitSpec:
+    if isinstance(value, Spec | UnitSpec):
+        return value
+    tables = a_table(value)
+    return UnitSpec.model_validate(tables) if is_of_unit(tables) else Spec.model_validate(tables)
+
+
 class Recipe(Section):
     """A whole recipe.
 
@@ -102,7 +110,7 @@ class Recipe(Section):
     """What the rounded plan leaves."""
     optimisation: dict[str, Any] | None = None
     """The optimiser's own record: objective, before, now, starts, limits."""
-    spec: Spec = Field(title="gradcal-spec/1")
+    spec: Annotated[Spec | UnitSpec, BeforeValidator(_spec_inside)] = Field(title="gradcal-spec/1")
     """The spec whose plan these tracks are."""
 
     @model_validator(mode="after")
@@ -113,6 +121,13 @@ class Recipe(Section):
         problems += _differences(expected, written, ("motion",))
         refuse(*problems[:5])
         return self
+
+    @property
+    def axis_spec(self) -> Spec:
+        """The spec of one axis. Raises `SpecError` where it is of a whole unit."""
+        if isinstance(self.spec, UnitSpec):
+            raise of_one_axis()
+        return self.spec
 
     @property
     def duration_s(self) -> float:
@@ -153,17 +168,27 @@ def read_recipe(path: str | Path) -> Recipe:
 
 
 def spec_in(path: str | Path) -> Spec:
-    """The spec in a file, or the one inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
+    """The spec of one axis in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
     text = read_text(path)
     with missions_from(Path(path).parent), with_lines(text):
         document = read_toml(text, str(path))
-        return recipe_of(document, str(path)).spec if is_recipe(document) else spec_of(document, str(path))
+        return spec_inside(document, str(path)) if is_recipe(document) else spec_of(document, str(path))
+
+
+def spec_inside(document: Mapping[str, Any], source: str = "") -> Spec:
+    """The spec of one axis inside the tables of a recipe. Raises `SpecError` where it is of a whole unit."""
+    try:
+        return recipe_of(document, source).axis_spec
+    except SpecError as error:
+        raise SpecError(error.problems, source) from None
 
 
 def any_spec_in(path: str | Path) -> Spec | UnitSpec:
     """As `spec_in`, and the spec of a whole unit, too."""
     text = read_text(path)
-    return parse_unit_spec(text, str(path)) if is_of_unit(read_toml(text, str(path))) else spec_in(path)
+    with with_lines(text):
+        document = read_toml(text, str(path))
+        return recipe_of(document, str(path)).spec if is_recipe(document) else any_spec_of(document, str(path))
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:

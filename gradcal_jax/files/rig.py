@@ -130,6 +130,13 @@ class ImuDevice(Section):
     """What the driver leaves open; its documentation says which."""
 
 
+class OperatorPlace(Section):
+    """`[operator]`: where somebody is asked to hang the units anew."""
+
+    port: Port = TERMINAL
+    """The terminal, or where its own is connected."""
+
+
 class Laboratory(Section):
     """`[laboratory]`: who signs a certificate."""
 
@@ -178,6 +185,8 @@ class RigFile(Section):
     """Units under calibration."""
     alarm: Alarm | None = None
     """What is called when somebody must come."""
+    operator: OperatorPlace | None = None
+    """Where somebody is asked to hang the units anew; absent: the terminal where the run was started."""
     laboratory: Laboratory | None = None
     """Who signs a certificate."""
     reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
@@ -297,6 +306,10 @@ sample_rate = "125 Hz"
 # What to call where a run pauses by itself or ends badly; the reason is put behind it.
 # [alarm]
 # command = ["notify-send", "gradcal"]
+
+# Who hangs a whole unit anew, where its spec has several mountings; without it, whoever started the run.
+# [operator]
+# port = "/dev/ttyUSB4"
 
 # For `gradcal report --certificate`: who signs, and what the values are traced to.
 # [laboratory]

@@ -2,16 +2,18 @@
 
 Moves keep their place: a turn's duration is rounded up, so that its ramps do not become steeper than they may, and what
 that adds to a cycle is taken from the longest time of standing. A ramp's slope is rounded to the nearest step, or to
-the next slower one where a repetition of the cycle would be lost. Whole turns stay whole.
+the next slower one where a repetition of the cycle would be lost. Whole turns stay whole. Of a whole unit it is where
+the axes stand that is rounded, so that poses do not wander, and every pose is written out as the turns that lead there.
 """
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, Generic, cast
 
 from gradcal_jax import units
-from gradcal_jax.files.changes import tables_of
+from gradcal_jax.files.changes import AnySpec, any_spec_of, tables_of
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import Cycle
 from gradcal_jax.files.problems import Problem, SpecError
@@ -25,8 +27,9 @@ from gradcal_jax.files.quantity import (
 )
 from gradcal_jax.files.schedule import GradientSchedule, resolve_cycle
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.tracks import trapezoid_acceleration
+from gradcal_jax.files.unit_spec import UnitSpec
 
 _HAIR: Final = Decimal("1e-6")  # of a step: rounding of the arithmetic, never of the plan
 _MOST_MOVES: Final = 1000
@@ -48,7 +51,7 @@ class ControllerSteps(Section):
     """Step of an angle."""
 
 
-def steps_of(spec: Spec) -> ControllerSteps:
+def steps_of(spec: Spec | UnitSpec) -> ControllerSteps:
     """The steps that a spec's `[rig.resolution]` gives, defaults for the others."""
     given = spec.rig.resolution
     if given is None:
@@ -57,15 +60,16 @@ def steps_of(spec: Spec) -> ControllerSteps:
     return ControllerSteps(**{name: value for name in names if (value := getattr(given, name)) is not None})
 
 
-class Rounded(NamedTuple):
+@dataclass(frozen=True)
+class Rounded(Generic[AnySpec]):
     """`changes`: what rounding did, a sentence each; `notes`: what the controllers do otherwise than the plan says."""
 
-    spec: Spec
+    spec: AnySpec
     changes: tuple[str, ...]
     notes: tuple[str, ...]
 
 
-def rounded(spec: Spec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded:
+def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded[AnySpec]:
     """The spec as the controllers can execute it.
 
     `keep_shapes`: the table follows any shape by itself; without it turns become trapezoids ("linear ramps") of the
@@ -76,8 +80,12 @@ def rounded(spec: Spec, steps: ControllerSteps | None = None, *, keep_shapes: bo
     rounder = _Rounder(steps or steps_of(spec))
     tables = tables_of(spec)
     notes: list[str] = []
-    schedule = spec.schedule
-    if isinstance(schedule, GradientSchedule):
+    made: Spec | UnitSpec
+    if isinstance(spec, UnitSpec):
+        _temperatures(tables["plan"], rounder, ROUND_HALF_EVEN)
+        _unit_cycle(spec, tables["plan"]["cycle"], rounder, keep_shapes, notes)
+        made = _keep_cycles(spec, tables, rounder, notes)
+    elif isinstance(schedule := spec.schedule, GradientSchedule):
         made = _gradient(spec, tables, schedule, rounder, keep_shapes, notes)
     else:
         plan = tables["plan"]
@@ -85,8 +93,10 @@ def rounded(spec: Spec, steps: ControllerSteps | None = None, *, keep_shapes: bo
         plan["soak"], plan["integration"] = rounder.time_up(plan["soak"]), rounder.time(plan["integration"])
         if "rates" in plan:
             plan["rates"] = [rounder.rate(text) for text in plan["rates"]]
-        made = spec_of(tables)
-    return Rounded(made, tuple(_changes(tables_of(spec)["plan"], tables_of(made)["plan"], "plan")), tuple(notes))
+        made = any_spec_of(tables)
+    return Rounded(
+        cast("AnySpec", made), tuple(_changes(tables_of(spec)["plan"], tables_of(made)["plan"], "plan")), tuple(notes)
+    )
 
 
 class _Rounder:
@@ -136,6 +146,16 @@ class _Rounder:
     def rate(self, text: str) -> str:
         return self._text("rate", "angular rate", text, least=1)
 
+    def angle(self, text: str) -> str:
+        return self._text("angle", "angle", text)
+
+    def on_grid(self, angle: float) -> float:
+        """The nearest multiple of the controllers' step, rad; whole turns stay whole."""
+        turns = angle / (2.0 * math.pi)
+        if abs(turns - round(turns)) <= 1e-9 * max(abs(turns), 1.0):
+            return 2.0 * math.pi * round(turns)
+        return units.parse(self.to("angle", "angle", angle), "angle")
+
 
 # ------------------------------------------------------------------------------------------------- gradient method
 
@@ -149,19 +169,26 @@ def _gradient(
         plan["read_every"] = rounder.time(plan["read_every"])
     if schedule.cycle is not None:
         _cycle(spec, plan["cycle"], schedule, rounder, keep_shapes, notes)
-    made = spec_of(tables)
-    lost = schedule.cycles - made.gradient_schedule.cycles
-    if lost > 0 and isinstance(plan.get("gradient"), str):
-        slower = {
-            **tables,
-            "plan": {**plan, "gradient": rounder.slope(tables_of(spec)["plan"]["gradient"], ROUND_FLOOR)},
-        }
-        again = spec_of(slower)
-        if again.gradient_schedule.cycles > made.gradient_schedule.cycles:
-            made, lost = again, schedule.cycles - again.gradient_schedule.cycles
-    if lost > 0:
-        notes.append(f"rounding leaves room for {made.gradient_schedule.cycles} cycles instead of {schedule.cycles}")
-    return made
+    return _keep_cycles(spec, tables, rounder, notes)
+
+
+def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder, notes: list[str]) -> AnySpec:
+    """The spec of rounded tables, its slope the next slower one where a repetition of the cycle would be lost."""
+    plan = tables["plan"]
+    made, before = any_spec_of(tables), _cycles(spec)
+    if _cycles(made) < before and isinstance(plan.get("gradient"), str):
+        slope = rounder.slope(tables_of(spec)["plan"]["gradient"], ROUND_FLOOR)
+        again = any_spec_of({**tables, "plan": {**plan, "gradient": slope}})
+        made = again if _cycles(again) > _cycles(made) else made
+    if _cycles(made) < before:
+        notes.append(f"rounding leaves room for {_cycles(made)} cycles instead of {before}")
+    return cast("AnySpec", made)
+
+
+def _cycles(spec: Spec | UnitSpec) -> int:
+    if isinstance(spec, UnitSpec):
+        return sum(stretch.cycles for stretch in spec.schedule.stretches)
+    return spec.gradient_schedule.cycles
 
 
 def _temperatures(plan: Table, rounder: _Rounder, way: str) -> None:
@@ -190,9 +217,10 @@ def _cycle(
 ) -> None:
     assert schedule.cycle is not None
     fastest = min(float(spec.rig.table.max_rate), spec.sensor.usable_rate or math.inf)
+    steepest = float(spec.rig.table.max_acceleration)
     moves: list[Table] = []
     for table, move in zip(cycle["moves"], schedule.cycle.moves, strict=True):
-        moves += _moves(table, move, spec, fastest, rounder, keep_shapes, notes)
+        moves += _moves(table, move, steepest, fastest, rounder, keep_shapes, notes)
     if len(moves) > _MOST_MOVES:
         message = f"as turns to and fro these are {len(moves)} moves, at most {_MOST_MOVES}: make fewer cycles"
         raise SpecError([Problem(("plan", "cycle", "moves"), message)])
@@ -205,6 +233,62 @@ def _cycle(
     if "duration" in cycle:
         cycle["duration"] = rounder.time(cycle["duration"])
     _keep_period(cycle, spec, schedule.cycle.duration, rounder)
+
+
+def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder, keep_shapes: bool, notes: list[str]) -> None:
+    """Every rest and turn of a unit's cycle, written out, and from where the axes begin."""
+    schedule, axes = spec.schedule, spec.rig.table.axis
+    gyro = spec.sensor.gyro
+    usable = math.inf if gyro is None else gyro.usable_rate or math.inf
+    given = tables_of(spec)["plan"]["cycle"]["moves"]
+    if "start" in cycle:
+        cycle["start"] = {name: rounder.angle(text) for name, text in cycle["start"].items()}
+    moves: list[Table] = []
+    before, at = list(schedule.start), [rounder.on_grid(angle) for angle in schedule.start]
+    for step in schedule.steps:
+        move, k = step.move, step.axis
+        if k < 0:
+            again = {"repeat": move.repeat} if move.repeat > 1 else {}
+            moves.append({"rest": rounder.to("time", "time", move.duration) if move.duration else "0 s"} | again)
+            continue
+        before[k] += move.repeat * move.angle
+        kept = {"axis": axes[k].name} | ({"repeat": move.repeat} if move.repeat > 1 else {})
+        fastest = min(float(axes[k].max_rate), usable)
+        steepest = float(axes[k].max_acceleration)
+        if move.shape == "spline":
+            message = "the controllers of a whole unit's table turn by ramps; expected another shape"
+            raise SpecError([Problem(("plan", "cycle", "moves", step.source, "shape"), message, move.shape)])
+        if move.shape in ("hand", "sinusoid"):
+            made = _moves(dict(given[step.source]), move, steepest, fastest, rounder, keep_shapes, notes)
+            moves += [{name: value for name, value in table.items() if name != "read"} for table in made]
+            at[k] += move.repeat * move.angle
+            continue
+        shape = move.shape if keep_shapes and move.shape == "cosine ramps" else "linear ramps"
+        if move.shape != shape:
+            note = f'turns of shape "{move.shape}" are made as trapezoids of the same angle, peak rate and duration'
+            notes += [note] if note not in notes else []
+        angle = rounder.on_grid(before[k]) - at[k] if move.repeat == 1 else move.angle
+        if angle == 0.0:
+            # Less than a step of the controller: nothing turns.
+            moves.append({"rest": rounder.to("time", "time", move.duration, ROUND_CEILING)})
+            continue
+        ramp = abs(move.peak_rate) / trapezoid_acceleration(move)
+        steepness = math.pi / 2.0 if shape == "cosine ramps" else 1.0
+        peak = abs(move.peak_rate)
+        moves.append(_turn(angle, peak, ramp, shape, steepness, steepest, fastest, rounder) | kept)
+        at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle") if "turn" in moves[-1] else move.repeat * angle
+    cycle["moves"] = moves
+    over = math.fsum(_duration(move) for move in moves) - schedule.period
+    longest = max((m for m in moves if "rest" in m and "repeat" not in m), key=_duration, default=None)
+    if longest is not None and over > 1e-9 * schedule.period:
+        left = _duration(longest) - over
+        if left >= 2.0 * float(rounder.steps.time):
+            longest["rest"] = rounder.to("time", "time", left, ROUND_FLOOR)
+
+
+def _duration(move: Table) -> float:
+    """Of a rest or turn as it is written out, with its repetitions, s."""
+    return int(move.get("repeat", 1)) * units.parse(move["rest" if "rest" in move else "duration"], "time")
 
 
 def _keep_period(cycle: Table, spec: Spec, period: float, rounder: _Rounder) -> None:
@@ -226,7 +310,7 @@ def _keep_period(cycle: Table, spec: Spec, period: float, rounder: _Rounder) -> 
 def _moves(
     table: Table,
     move: ResolvedMove,
-    spec: Spec,
+    steepest: float,
     fastest: float,
     rounder: _Rounder,
     keep_shapes: bool,
@@ -247,7 +331,7 @@ def _moves(
         return [table]
     kept = {key: table[key] for key in ("axis", "read", "read_every") if key in table}
     if move.shape == "sinusoid":
-        return _oscillation(table, move, kept, spec, fastest, rounder, keep_shapes, notes)
+        return _oscillation(table, move, kept, steepest, fastest, rounder, keep_shapes, notes)
     if keep_shapes and move.shape not in ("cosine ramps", "linear ramps"):
         peak = "peak_rate"
         table = {**table, "duration": rounder.time_up(table.get("duration") or _seconds(move.duration))}
@@ -263,7 +347,7 @@ def _moves(
     shape = move.shape if keep_shapes else "linear ramps"
     steepness = math.pi / 2.0 if shape == "cosine ramps" else 1.0
     ramp = abs(move.peak_rate) / trapezoid_acceleration(move)
-    return [_turn(move.angle, abs(move.peak_rate), ramp, shape, steepness, spec, fastest, rounder) | kept]
+    return [_turn(move.angle, abs(move.peak_rate), ramp, shape, steepness, steepest, fastest, rounder) | kept]
 
 
 def _turn(
@@ -272,7 +356,7 @@ def _turn(
     ramp: float,
     shape: str,
     steepness: float,
-    spec: Spec,
+    steepest: float,
     fastest: float,
     rounder: _Rounder,
 ) -> Table:
@@ -295,7 +379,7 @@ def _turn(
     if peak <= 0.0:
         text = rounder.to("rate", "angular rate", float(rounder.steps.rate))
         peak = units.parse(text, "angular rate")
-    least = steepness * peak / float(spec.rig.table.max_acceleration)
+    least = steepness * peak / steepest
     duration_text = rounder.to("time", "time", size / peak + max(ramp, least), ROUND_CEILING)
     duration = units.parse(duration_text, "time")
     if peak > 2.0 * size / duration:
@@ -312,7 +396,7 @@ def _oscillation(
     table: Table,
     move: ResolvedMove,
     kept: Table,
-    spec: Spec,
+    steepest: float,
     fastest: float,
     rounder: _Rounder,
     keep_shapes: bool,
@@ -327,7 +411,7 @@ def _oscillation(
     angle = 2.0 * move.peak_rate * swing / math.pi
     ramp = abs(move.peak_rate) / trapezoid_acceleration(move)
     halves = [
-        _turn(way * angle, abs(move.peak_rate), ramp, "linear ramps", 1.0, spec, fastest, rounder) | kept
+        _turn(way * angle, abs(move.peak_rate), ramp, "linear ramps", 1.0, steepest, fastest, rounder) | kept
         for way in (1.0, -1.0)
     ]
     made = [dict(half) for _ in range(move.cycles * move.repeat) for half in halves]

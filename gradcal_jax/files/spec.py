@@ -112,8 +112,7 @@ def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
         # Another kind or version of file: the rest would only be noise.
         raise SpecError([problem], source)
     if is_of_unit(document):
-        message = "is of a whole unit (gyros, accelerometers); this serves one gyro axis alone"
-        raise SpecError([Problem(("sensor",), message)], source)
+        raise of_one_axis(source)
     try:
         return Spec.model_validate(document)
     except ValidationError as error:
@@ -121,6 +120,12 @@ def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
     if problem is not None:
         problems.insert(0, problem)
     raise SpecError([*problems, *_still_visible(document, problems)], source)
+
+
+def of_one_axis(source: str = "") -> SpecError:
+    """What is said where the spec of a whole unit stands in the place of one axis's."""
+    message = "is of a whole unit (gyros, accelerometers); this serves one gyro axis alone"
+    return SpecError([Problem(("sensor",), message)], source)
 
 
 def is_of_unit(document: Mapping[str, Any]) -> bool:

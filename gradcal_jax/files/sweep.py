@@ -36,7 +36,7 @@ from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Count, Text, Whole
-from gradcal_jax.files.recipe import is_recipe, recipe_of
+from gradcal_jax.files.recipe import is_recipe, recipe_of, spec_inside
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec import Spec, spec_of
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -318,7 +318,7 @@ def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
     with missions_from(Path(place).parent):
-        return recipe_of(tables, place).spec if is_recipe(tables) else spec_of(tables, place)
+        return spec_inside(tables, place) if is_recipe(tables) else spec_of(tables, place)
 
 
 def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:

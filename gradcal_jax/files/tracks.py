@@ -4,17 +4,21 @@ A temperature segment begins at its time, which is the end of the one before, or
 first one, and every one whose data are used and that follows a soak or a step. A block of motion begins with a segment
 and repeats its moves; times in it count from the beginning of each repetition.
 
+Of a whole unit every axis of the table has its own name, one of them turns at a time, and all are read as often as the
+encoder that is read most; a block says where they stand as it begins, and of several mountings how the unit hangs.
+
 The controllers of rotary stages turn by trapezoids of the rate. `acceleration` is that of the trapezoid which has the
 move's angle, peak rate and duration; of a spline, which has none, the steepest.
 """
 
 import math
+from collections.abc import Sequence
 from decimal import Decimal
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.files.moves import Axis, ResolvedMove
+from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import (
     Angle,
@@ -30,9 +34,13 @@ from gradcal_jax.files.quantity import (
     Text,
     Time,
 )
+from gradcal_jax.files.rig import Name
 from gradcal_jax.files.schedule import GradientSchedule, Stretch, TemperatureSegment
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.unit_plan import UnitSchedule
+from gradcal_jax.files.unit_rig import UnitMounting, UnitRig
+from gradcal_jax.files.unit_spec import UnitSpec
 
 Begins = Literal["at its time", "when stable"]
 Doing = Literal["rest", "turn", "spin", "oscillate", "spline", "turn by hand", "wait"]
@@ -86,8 +94,8 @@ class TrackMove(Section):
     """What the axis does; "wait": it stands while others have their turn, or idle."""
     duration: Time
     """How long."""
-    axis: Axis = "x"
-    """Axis of the sensor."""
+    axis: Name = "x"
+    """Axis of the sensor; of a whole unit, of the table."""
     angle: Angle | None = None
     """Angle turned, signed."""
     rate: Rate | None = None
@@ -123,6 +131,12 @@ class MotionBlock(Section):
     """How long the axis stands after the last one."""
     read_every_after: Time | None = None
     """Spacing of readings while it stands then."""
+    mounting: Count | None = None
+    """Of a whole unit: number of the mounting, from 1."""
+    hang: Text | None = None
+    """How the unit hangs on the table, in words, where that changes between blocks: somebody is asked to hang it so."""
+    start: dict[Name, Angle] = Field(default_factory=dict)
+    """Where the table's axes stand as it begins, outermost first."""
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
     """One after the other."""
 
@@ -134,11 +148,16 @@ class ChamberTrack(Section):
     """Segments, in order."""
 
 
-def tracks_of(spec: Spec) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+def tracks_of(spec: Spec | UnitSpec) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
     """The two tracks of a spec's plan."""
     schedule = spec.schedule
+    if isinstance(spec, UnitSpec):
+        segments = _course(spec.schedule.segments)
+        return ChamberTrack(programme=tuple(segments)), _unit_blocks(spec.schedule, spec.rig, segments)
     if isinstance(schedule, GradientSchedule):
-        return _gradient(schedule)
+        segments = _course(schedule.segments)
+        blocks = [_block(schedule, stretch, number, segments) for number, stretch in enumerate(schedule.stretches, 1)]
+        return ChamberTrack(programme=tuple(segments)), tuple(blocks)
     assert isinstance(spec.plan, StandardPlan)
     return _standard(spec.plan)
 
@@ -146,11 +165,11 @@ def tracks_of(spec: Spec) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
 # ------------------------------------------------------------------------------------------------- gradient method
 
 
-def _gradient(schedule: GradientSchedule) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+def _course(course: Sequence[TemperatureSegment]) -> list[ChamberSegment]:
     segments: list[ChamberSegment] = []
     counts: dict[str, int] = {}
     before: TemperatureSegment | None = None
-    for segment in schedule.segments:
+    for segment in course:
         counts[segment.kind] = counts.get(segment.kind, 0) + 1
         settled = before is None or (segment.used and not before.used and before.kind in ("soak", "step"))
         slope: dict[str, Any] = {"slope": _in("K/min", 60.0 * segment.slope)} if segment.kind == "ramp" else {}
@@ -168,12 +187,15 @@ def _gradient(schedule: GradientSchedule) -> tuple[ChamberTrack, tuple[MotionBlo
             )
         )
         before = segment
-    blocks = [_block(schedule, stretch, number, segments) for number, stretch in enumerate(schedule.stretches, 1)]
-    return ChamberTrack(programme=tuple(segments)), tuple(blocks)
+    return segments
+
+
+def _first(stretch: Stretch, segments: list[ChamberSegment]) -> ChamberSegment:
+    return min(segments, key=lambda segment: abs(segment.start - stretch.start))
 
 
 def _block(schedule: GradientSchedule, stretch: Stretch, number: int, segments: list[ChamberSegment]) -> MotionBlock:
-    first = min(segments, key=lambda segment: abs(segment.start - stretch.start))
+    first = _first(stretch, segments)
     name = f"motion {number}"
     cycle = schedule.cycle
     if cycle is None or not stretch.cycles:
@@ -198,7 +220,9 @@ def _block(schedule: GradientSchedule, stretch: Stretch, number: int, segments: 
         clock += cycle.other
     if cycle.idle > 0.0:
         moves.append(TrackMove(start=_in("s", clock), do="wait", duration=_in("s", cycle.idle), read="none"))
-    after = {} if cycle.other_read_every is None else {"read_every_after": _in("s", cycle.other_read_every)}
+    after: dict[str, Any] = (
+        {} if cycle.other_read_every is None else {"read_every_after": _in("s", cycle.other_read_every)}
+    )
     return MotionBlock(
         name=name,
         begins_with=first.name,
@@ -208,6 +232,56 @@ def _block(schedule: GradientSchedule, stretch: Stretch, number: int, segments: 
         moves=tuple(moves),
         **after,
     )
+
+
+# ---------------------------------------------------------------------------------------------------- a whole unit
+
+
+def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
+    axes, hung = rig.table.axis, rig.table.mounting
+    every: dict[str, Any] = {"read_every": _in("s", min(float(axis.angle.read_every) for axis in axes))}
+    moves: list[TrackMove] = []
+    clock = 0.0
+    for step in schedule.steps:
+        own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(step.move)}
+        if step.move.repeat > 1:
+            own["repeat"] = step.move.repeat
+        moves.append(TrackMove(start=_in("s", clock), duration=_in("s", step.move.duration), **own, **every))
+        clock += step.move.repeat * step.move.duration
+    blocks: list[MotionBlock] = []
+    for number, stretch in enumerate(schedule.stretches):
+        where = min(number, len(hung) - 1)
+        hang: dict[str, Any] = {}
+        if len(hung) > 1:
+            hang = {"mounting": where + 1, "hang": hanging(hung[where], where + 1)}
+        start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
+        standing = (TrackMove(start=_in("s", 0.0), do="rest", duration=_in("s", stretch.duration), **every),)
+        blocks.append(
+            MotionBlock(
+                name=f"motion {number + 1}",
+                begins_with=_first(stretch, segments).name,
+                repeat=max(stretch.cycles, 1),
+                period=_in("s", schedule.period if stretch.cycles else stretch.duration),
+                standing_after=_in("s", stretch.leftover if stretch.cycles else 0.0),
+                read_every_after=every["read_every"],
+                **hang,
+                start=start,
+                moves=tuple(moves) if stretch.cycles else standing,
+            )
+        )
+    return tuple(blocks)
+
+
+def hanging(mounting: UnitMounting, number: int) -> str:
+    """How a unit is to hang, for whoever hangs it; directions are those of the innermost axis while all stand at zero.
+
+    ``mounting 2 (on its side): x along +y, y along -x, z along +z``
+    """
+    name = "" if mounting.name is None else f" ({mounting.name})"
+    said = f"mounting {number}{name}: x along {mounting.x}, y along {mounting.y}, z along {mounting.z}"
+    if mounting.rotation is None:
+        return said
+    return f"{said}, turned on by {', '.join(angle.text for angle in mounting.rotation)} about its x, y and z"
 
 
 def _move(move: ResolvedMove, start: float) -> TrackMove:

@@ -126,9 +126,9 @@ def _signal(name: str) -> int:
 def _shape(term: CalibratedTerm) -> tuple[float, float, int, float, float, int]:
     """Centre, scale and number of powers, of temperature and of rate."""
     t, w = term.temperature, term.rate
-    of_t = (float(t.centre), float(t.scale), t.size) if isinstance(t, TemperaturePolynomial) else (0.0, 1.0, 1)
-    of_w = (float(w.centre), float(w.scale), w.size) if isinstance(w, RatePolynomial) else (0.0, 1.0, 1)
-    return (*of_t, *of_w)
+    t0, ts, nt = (float(t.centre), float(t.scale), t.size) if isinstance(t, TemperaturePolynomial) else (0.0, 1.0, 1)
+    w0, ws, nw = (float(w.centre), float(w.scale), w.size) if isinstance(w, RatePolynomial) else (0.0, 1.0, 1)
+    return t0, ts, nt, w0, ws, nw
 
 
 def _coefficients(term: CalibratedTerm) -> list[float]:
@@ -179,7 +179,7 @@ def _errors(calibration: UnitCalibration) -> tuple[list[tuple[str, str, float, s
     )
     said = corrected_in_single(calibration, raw, temperature)
     apart = np.max(np.abs(said - np.concatenate([rate, force], axis=1)), axis=0)
-    errors = []
+    errors: list[tuple[str, str, float, str]] = []
     for channel in calibration.channel:
         k = _INPUTS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")
         unit, factor = ("deg/h", DEG_PER_H) if channel.kind == "gyro" else ("ug", 1e6 / G)

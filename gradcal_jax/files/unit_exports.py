@@ -186,7 +186,9 @@ def _at(calibration: UnitCalibration, options: Mapping[str, Any], target: str) -
     return float(at)
 
 
-def _both(calibration: UnitCalibration, target: str, options: Mapping[str, Any]) -> tuple[list[str], list[Loss], list]:
+def _both(
+    calibration: UnitCalibration, target: str, options: Mapping[str, Any]
+) -> tuple[list[str], list[Loss], list[str]]:
     """What a target of single axes takes of the gyros, where there are any."""
     gyros = axes_of(calibration, "gyro")
     if gyros is None:
@@ -265,7 +267,7 @@ def ardupilot_offset(parameters: Mapping[str, float], axis: str, temperature_c: 
 def _accelerometer_bias_losses(parts: Calibration, taken_off: Callable[[str, Floats], Floats]) -> list[Loss]:
     from gradcal_jax.files import correction
 
-    losses = []
+    losses: list[Loss] = []
     for axis in parts.axis:
         t = np.linspace(float(axis.valid_temperature[0]), float(axis.valid_temperature[1]), _GRID)
         error = float(np.max(np.abs(taken_off(axis.name, t) - correction.bias(axis, t))))
@@ -417,7 +419,12 @@ def _matrices(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expor
         ("accelerometer", linear.accelerometer, linear.accelerometer_bias),
         ("gyro", linear.gyro, linear.gyro_bias),
     ):
-        lines += [f"{name}:", "  matrix:", *_matrix(np.linalg.inv(matrix)), f"  bias: {_row(bias)}"]
+        lines += [
+            f"{name}:",
+            "  matrix:",
+            *_matrix(np.asarray(np.linalg.inv(matrix), np.float64)),
+            f"  bias: {_row(bias)}",
+        ]
     lines += ["  sensitivity:", *_matrix(linear.sensitivity)]
     return Export("\n".join(lines) + "\n", tuple(_one_temperature(calibration, at)), ())
 

@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal, cast
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from gradcal_jax.files.bench import Chamber, Harmonic
+from gradcal_jax.files.bench import Chamber, Harmonic, Resolution
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     Angle,
@@ -180,3 +180,5 @@ class UnitRig(Section):
     """The table."""
     chamber: Chamber
     """The climatic chamber."""
+    resolution: Resolution | None = None
+    """Steps of the controllers, to which a recipe is rounded."""

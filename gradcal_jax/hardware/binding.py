@@ -3,6 +3,7 @@
 A step is what a run resumes by, so a ramp of hours is cut into the repetitions of its cycle (or into pieces of ten
 minutes where the table only stands). Steps of one stretch of data follow one another without a break. Angles stay
 relative to where the axis began; every step carries where the axis and the chamber are to be when it begins by itself.
+Of a whole unit angles count from the axes' zeros, and before each stretch the axes go to where it begins.
 """
 
 import math
@@ -48,7 +49,9 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
 
 
 def _names(recipe: Recipe, axes: Sequence[str]) -> dict[str, str]:
-    turned = sorted({move.axis for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")})
+    placed = {name for block in recipe.motion for name in block.start}
+    moves = [move for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")]
+    turned = sorted(placed | {move.axis for move in moves})
     if len(turned) == 1 and len(axes) == 1:
         return {turned[0]: axes[0]}
     if missing := [name for name in turned if name not in axes]:
@@ -120,6 +123,7 @@ def _stretch(
         knees.append(_course(segment, clock))
         clock += float(segment.duration)
     at = dict.fromkeys(names.values(), 0.0)
+    at |= {names[name]: to_unit(float(angle), "deg") for name, angle in block.start.items()}
     steps: list[Step] = []
     for number, piece in enumerate(pieces):
         end = piece.start_s + piece.duration_s
@@ -144,6 +148,9 @@ def _stretch(
                 start_deg=dict(at),
                 read_at_s=tuple(piece.read_at_s),
                 slack_s=piece.slack_s,
+                goes_there=bool(block.start) and number == 0,
+                hang=block.hang or "",
+                mounting=block.mounting or 0,
             )
         )
         for move in piece.moves:

@@ -4,34 +4,39 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, TypedDict, Unpack
+from typing import Any, Final, TypedDict, Unpack
 
 from ..files.log import Log
 from ..files.recipe import Recipe
-from ..files.rig import TERMINAL, RigFile
+from ..files.rig import OPERATOR, TERMINAL, RigFile
+from ..files.unit_spec import UnitSpec
 from ..files.writing import write_whole
 from .clock import RealClock, VirtualClock
 from .recording import log_of, log_of_recording
-from .run_folder import RunFolder, new_folder, prepare_resume
+from .run_folder import RunFolder, mounting_of, new_folder, prepare_resume
 from .runner import Progress, Runner, RunResult
 from .session import run_session
 from .setup import configs_of
 from .simulate.lab import SimulatedLab
 from .simulate.stim300 import RATES_HZ
+from .simulate.unit_lab import SimulatedUnitLab
 from .terminal import Terminal
 
 # A simulated run goes on so long after the last thing that it recorded.
 _LATER_S: Final = 60.0
+_MOST_UNITS: Final = 8
+_ONE: Final = "one sensor hangs on the simulated table of a single axis"
 
 
 class Simulation(TypedDict):
     """Simulated devices: what their hidden errors are drawn by, so many times faster than real time (None: as fast as
-    it goes), samples in Hz.
+    it goes), samples in Hz, how many units.
     """
 
     seed: int
     speed: float | None
     sample_rate_hz: float
+    units: int
 
 
 class Attended(TypedDict, total=False):
@@ -54,15 +59,17 @@ def run(
     speed: float | None = None,
     sample_rate_hz: float = 125.0,
     about: Mapping[str, str] | None = None,
+    units: int = 1,
     **attended: Unpack[Attended],
 ) -> RunResult:
     """Execute a recipe and leave everything safe; `folder` becomes the run's, with all that was sent and received.
 
     Give either the `rig`, or `simulate`: then the devices are simulated, in virtual time or `speed` times faster than
-    the clock, their hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz); log,
-    calibration and page say so. `attended`: for whoever watches (`on_progress`, `with_runner`, `wait_when_paused`,
-    `handle_signals`), and the `terminal` at which somebody turns the axes that are turned by hand. `about`: texts by
-    name, such as operator, unit and note, kept with the run and in its log.
+    the clock, their hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz), of a
+    whole unit as many as `units` on the table; log, calibration and page say so. `attended`: for whoever watches
+    (`on_progress`, `with_runner`, `wait_when_paused`, `handle_signals`), and the `terminal` at which somebody turns the
+    axes that are turned by hand. `about`: texts by name, such as operator, unit and note, kept with the run and in its
+    log.
 
     Returns how it ended: `exit_status` "success", "stopped" or "aborted", `reason`, `steps_done`, `verified_safe`.
     Errors: `ValueError` for a folder that is not empty, for neither or both of rig and simulation, and for another
@@ -73,12 +80,15 @@ def run(
     path = Path(folder)
     if rig is not None:
         configs_of(rig)
-        _require_somebody(rig, attended)
+        _require_somebody(rig, recipe, attended)
         return _on_rig(new_folder(path, recipe, rig, about=about), 0, attended)
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; it does at {known} Hz")
-    simulation = Simulation(seed=seed, speed=speed, sample_rate_hz=sample_rate_hz)
+    if not 1 <= units <= (_MOST_UNITS if isinstance(recipe.spec, UnitSpec) else 1):
+        most = f"1 to {_MOST_UNITS} units hang on the simulated table" if isinstance(recipe.spec, UnitSpec) else _ONE
+        raise ValueError(f"{most}; expected another number than {units}")
+    simulation = Simulation(seed=seed, speed=speed, sample_rate_hz=sample_rate_hz, units=units)
     return _simulated(path, recipe, simulation, None, attended, about)
 
 
@@ -96,7 +106,7 @@ def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack
     notes = found.notes()
     if notes["simulated"]:
         return _simulated(found.path, found.recipe(), notes["simulation"], first, attended)
-    _require_somebody(found.rig(), attended)
+    _require_somebody(found.rig(), found.recipe(), attended)
     return _on_rig(found, first, attended)
 
 
@@ -117,7 +127,15 @@ def log(folder: str | Path, unit: str | None = None, *, recording: Log | None = 
     return replace(made, provenance={**about, **made.provenance})
 
 
-def _require_somebody(rig: RigFile, attended: Attended) -> None:
+def _require_somebody(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
+    at_terminal = rig.operator is None or rig.operator.port == TERMINAL
+    by_hand = any(axis.driver == OPERATOR for axis in rig.axis)
+    hung = any(block.hang for block in recipe.motion)
+    if hung and at_terminal and not by_hand and attended.get("terminal") is None:
+        raise ValueError(
+            "the units are hung anew in this recipe by whoever sits at the terminal, and there is none: start the run "
+            "from a terminal, its output not redirected, or name a port under [operator] in the rig file"
+        )
     names = [axis.name for axis in rig.axis if axis.port == TERMINAL]
     if names and attended.get("terminal") is None:
         raise ValueError(
@@ -144,11 +162,16 @@ def _simulated(
         latest = max((record.time_s for record in folder.contents().records), default=0.0) + _LATER_S
     clock = VirtualClock(latest, speed=simulation["speed"])
     seed, sample_rate_hz = int(simulation["seed"]), float(simulation["sample_rate_hz"])
-    with SimulatedLab(recipe.spec, clock, seed=seed, sample_rate_hz=sample_rate_hz) as lab:
+    settings: Any = {"seed": seed, "sample_rate_hz": sample_rate_hz}
+    if isinstance(recipe.spec, UnitSpec):
+        mounting = 0 if resumed is None else max(mounting_of(folder.contents()) - 1, 0)
+        made = SimulatedUnitLab(recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting)
+    else:
+        made = SimulatedLab(recipe.spec, clock, **settings)
+    with made as lab:
         if resumed is None:
             folder = new_folder(path, recipe, lab.rig, simulated=dict(simulation), about=about)
-            truth = json.dumps(lab.truth.tables(lab.axes), indent=2) + "\n"
-            write_whole(path / "hidden_truth.json", truth)
+            write_whole(path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
         return run_session(folder, lab.rig, clock, first_step=resumed or 0, simulated=True, **_alone(attended))
 
 

@@ -54,6 +54,7 @@ _FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
     "move": {"axis": (str,)},
     "homing": {"axis": (str,)},
     "state": {"state": (str,)},
+    "hung": {"mounting": (int,)},
 }
 
 

@@ -1,9 +1,11 @@
 """From a run's journal to a log: samples decoded from the raw bytes, angles and standstills from the events.
 
 Only rows of stretches with data are kept: soaks, waiting and what a run did before a stretch began are counted as
-removed. So is a pause: nobody knows what became of the rig in it, and it ends stretches and standstills. A row of a
-standstill carries the reading of the table's angle that is nearest to it in time; between standstills the angle is
-drawn straight between readings, good for a look and not for estimation.
+removed. So is a pause: nobody knows what became of the rig in it, and it ends stretches and standstills. A standstill
+is of all axes; a row of one carries the readings of the table's angles that are nearest to it in time. While other axes
+move, one that stands carries its own nearest reading, and one that a motor turns goes by the trapezoid that it was
+told, between what was read before and after; every other angle is drawn straight between readings, good for a look and
+not for estimation.
 
 The stamps of a row are the sensor's own clock, laid on the computer's where data begin; `host_time` is the computer's,
 by a straight line through the quickest arrivals, whose slope and residuals are in the log's provenance. Where a run was
@@ -23,15 +25,17 @@ from numpy.typing import NDArray
 from ..files.log import Finding, Log, Reason
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
+from ..files.unit_spec import UnitSpec
 from .alignment import Alignment, Track, align
 from .clockmap import ClockMap, fit_clock
-from .drivers.imu_common import join
+from .drivers.imu_common import STANDARD_GRAVITY, join
 from .errors import HardwareError
 from .journal import Chunk, Event, JournalContents
 from .roles import ImuBatch, ImuDecoder
 from .rounds import Doubt, rounds_resolved
 from .run_folder import SESSION, exit_status, rig_as_run
 from .setup import config_of, driver_of
+from .track import Move
 
 _MARGIN_S: Final = 0.02
 # Stamps of samples are late by what unit, adapter and system take, nobody knows how much; a row too few at rest costs
@@ -42,17 +46,21 @@ _BETWEEN_SESSIONS_S: Final = 60.0
 # A wall clock that was set by less than this is no sign that the computer was off or asleep.
 _CLOCK_SET_S: Final = 10.0
 _FEWEST_ARRIVALS: Final = 3
+# A motor whose move lasts so much longer than its trapezoid did not follow it.
+_LATE_S: Final = 0.2
 Floats = NDArray[np.float64]
 
 
 @dataclass
 class _Session:
-    """One part of a run: its records in order. It began at `begun_s` of the run's clock."""
+    """One part of a run: its records in order. It began at `begun_s` of the run's clock, the units hanging as the
+    `mounting` of that number, from 1; 0: nobody was ever asked to hang them."""
 
     number: int
     simulated: bool
     wall_clock_s: float
     begun_s: float
+    mounting: int
     events: list[Event] = field(default_factory=list[Event])
     chunks: dict[str, list[Chunk]] = field(default_factory=dict[str, list[Chunk]])
 
@@ -72,7 +80,12 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
     parts: list[_Part] = []
     aside = 0
     found = _sessions(contents)
-    axes = _axes_of(found, [axis.name for axis in rig.axis])
+    names = [axis.name for axis in rig.axis]
+    if isinstance(recipe.spec, UnitSpec):
+        # The table of a whole unit has the axes of its spec, in that order; a single one may be named otherwise.
+        drawn = [axis.name for axis in recipe.spec.rig.table.axis]
+        names = drawn if set(drawn) <= set(names) else names
+    axes = _axes_of(found, names)
     for session in found:
         kept, left = _parts(session, device, axes)
         parts += kept
@@ -186,12 +199,15 @@ def _device(rig: RigFile, unit: str | None) -> ImuDevice:
 
 def _sessions(contents: JournalContents) -> list[_Session]:
     found: list[_Session] = []
+    mounting = 0
     for record in contents.records:
         if isinstance(record, Event):
             if record.name == SESSION:
                 data = record.data
                 wall_clock_s, simulated = float(data["wall_clock_s"]), bool(data["simulated"])
-                found.append(_Session(int(data["number"]), simulated, wall_clock_s, record.time_s))
+                found.append(_Session(int(data["number"]), simulated, wall_clock_s, record.time_s, mounting))
+            elif record.name == "hung":
+                mounting = int(record.data["mounting"])
             if found:
                 found[-1].events.append(record)
         elif found and record.received:
@@ -229,6 +245,7 @@ class _Part:
     clock: ClockMap
     angles_deg: Floats
     standstill: NDArray[np.int64]
+    mounting: NDArray[np.int64]
     starts: list[int]
     read: int
     missing: int
@@ -322,6 +339,7 @@ def _laid(session: _Session, samples: ImuBatch, clock: ClockMap, axes: Sequence[
         clock,
         angles,
         number,
+        _mountings(session, at_s),
         [int(start) for start in starts],
         len(samples),
         int(np.maximum(missing[1:], 0).sum()),
@@ -404,9 +422,16 @@ def _standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[flo
     return [(start, end) for start, end in found if end > start]
 
 
+def _mountings(session: _Session, host: Floats) -> NDArray[np.int64]:
+    """Of every row the number of the mounting, from 1; 0 where nobody was ever asked to hang the units."""
+    hung = [(event.time_s, int(event.data["mounting"])) for event in session.events if event.name == "hung"]
+    numbers = np.array([session.mounting, *(number for _, number in hung)], np.int64)
+    return numbers[np.searchsorted(np.array([time for time, _ in hung]), host, side="right")]
+
+
 def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArray[np.int64]) -> Floats:
     """The axis's angle at every row, deg: of a standstill the nearest reading since the axis was last told to move (an
-    angle that somebody typed holds until it is turned again), else straight between readings.
+    angle that somebody typed holds until it is turned again), else what is known of its own moves.
     """
     readings = [
         e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
@@ -418,7 +443,7 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
     still = np.array([not e.data["moving"] for e in readings])
     told_to_move = [e for e in events if e.name in _TOLD_TO_MOVE and e.data["axis"] == axis]
     moved = np.array([float(e.data.get("began_s", e.time_s)) for e in told_to_move])
-    result = np.interp(host, times, values)
+    result = _own_course(np.interp(host, times, values), host, told_to_move, moved, times[still], values[still])
     edges = np.flatnonzero(np.diff(standstill, prepend=-1, append=-1))
     for begin, end in itertools.pairwise(edges):
         if begin >= len(standstill) or standstill[begin] < 0:
@@ -432,6 +457,46 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
         near = np.searchsorted((times[inside][1:] + times[inside][:-1]) / 2.0, host[begin:end])
         result[begin:end] = values[inside][near]
     return result
+
+
+def _own_course(
+    straight: Floats, host: Floats, told: Sequence[Event], moved: Floats, times: Floats, values: Floats
+) -> Floats:
+    """An axis's angle at every row, deg, whatever others do: nearest of its readings `values` at `times` while it
+    stands, and the trapezoid that it was told from one to the next; `straight` where neither is known."""
+    result = straight.copy()
+    for k in range(-1, len(told)):
+        begin = moved[k] if k >= 0 else -math.inf
+        until = moved[k + 1] if k + 1 < len(told) else math.inf
+        # A reading at the very instant of a command is of the standstill before it.
+        first, last = np.searchsorted(times, np.array([begin, until]), side="right")
+        if first == last:
+            continue
+        low, middle, high = np.searchsorted(host, np.array([begin, float(times[first]), until]))
+        own = times[first:last]
+        result[middle:high] = values[first:last][np.searchsorted((own[1:] + own[:-1]) / 2.0, host[middle:high])]
+        move = told[k].data if k >= 0 else {}
+        if first == 0 or move.get("kind") not in ("go", "turn") or not move.get("acceleration_dps2"):
+            continue
+        angle, rate = float(values[first] - values[first - 1]), float(move["rate_dps"])
+        turn = Move(0.0, "", "turn", rate_dps=rate, acceleration_dps2=move["acceleration_dps2"], angle_deg=angle)
+        # A person, or a stage that was held up, is not done when the trapezoid is.
+        if turn.duration_s + _LATE_S > times[first] - begin:
+            result[low:middle] = values[first - 1] + _turned(turn, host[low:middle] - begin)
+    return result
+
+
+def _turned(turn: Move, since: Floats) -> Floats:
+    """How far a turn has come (deg), seconds after it began."""
+    size, whole = abs(turn.angle_deg), turn.duration_s
+    if whole == 0.0:
+        return np.full(len(since), turn.angle_deg)
+    peak = min(abs(turn.rate_dps), math.sqrt(size * turn.acceleration_dps2))
+    ramp = peak / turn.acceleration_dps2
+    near = 0.5 * turn.acceleration_dps2 * np.clip(np.minimum(since, whole - since), 0.0, ramp) ** 2
+    sides = np.where(since < 0.5 * whole, near, size - near)
+    flat = (since > ramp) & (since < whole - ramp)
+    return math.copysign(1.0, turn.angle_deg) * np.where(flat, peak * (since - 0.5 * ramp), sides)
 
 
 # ------------------------------------------------------------------------------------------------------------ joined
@@ -461,15 +526,20 @@ def _joined(
     samples = join([part.samples for part in parts])
     marked = np.where(samples.status != 0, np.uint16(Reason.MARKED.value), np.uint16(0)).astype(np.uint16)
     read = aside + sum(part.read for part in parts)
+    force = samples.acceleration_g * STANDARD_GRAVITY
+    mounting = np.concatenate([part.mounting for part in parts])
     return Log(
         time_s=np.concatenate(times),
         rate_rad_per_s=np.radians(samples.gyro_dps)[None],
         units=(unit,),
         axes=axes,
+        specific_force_m_per_s2=force[None] if np.isfinite(force).any() else None,
+        force_axes=("x", "y", "z") if np.isfinite(force).any() else (),
         temperature_c=samples.temperature_c.mean(axis=1)[None],
         table_axes=labels,
         table_angle_rad=np.radians(np.concatenate([part.angles_deg for part in parts])) if labels else None,
         standstill=np.concatenate(standstills),
+        mounting=mounting - 1 if mounting.all() else None,
         host_time_s=np.concatenate(hosts),
         status=marked[None],
         stretch_starts=np.array(starts, np.int64),

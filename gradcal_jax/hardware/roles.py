@@ -160,6 +160,15 @@ class MotionAxis(Protocol):
     def close(self) -> None: ...
 
 
+@runtime_checkable
+class DrawnAxis(Protocol):
+    """An axis whose mover is a person, who sees beforehand how the unit is to stand."""
+
+    def draw(self, drawing: str) -> None:
+        """Show this with the next turn that is asked for."""
+        ...
+
+
 @dataclass(frozen=True)
 class ImuSettings:
     """What the unit says of itself after configuration, for the log."""

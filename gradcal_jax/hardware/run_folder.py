@@ -154,6 +154,11 @@ def steps_done(contents: JournalContents) -> int:
     return max((int(event.data["number"]) + 1 for event in contents.events if event.name == "step done"), default=0)
 
 
+def mounting_of(contents: JournalContents) -> int:
+    """How the units hang, as `Step.mounting`; 0 where nobody was asked to hang them."""
+    return next((int(event.data["mounting"]) for event in reversed(contents.events) if event.name == "hung"), 0)
+
+
 def exit_status(contents: JournalContents) -> str:
     """Of the last session: "success", "stopped", "aborted", or "lost" where the journal has no end."""
     status = "lost"

@@ -63,6 +63,8 @@ _ARRIVAL_S = 0.1
 _PIECES_S = 0.2
 _LONGEST_ARRIVAL_S = 60.0
 _TRIES = 3
+# Where somebody reaches into the chamber.
+_FOR_HANDS_C = 23.0
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,10 @@ class Runner:
     safe_deadline_s: float = 60.0
     wait_when_paused: bool = True
     first_step: int = 0
+    mounting: int = 0
+    """How the units hang when the run begins, as `Step.mounting`; 0: nobody knows."""
+    draw: Callable[[Mapping[str, float], int], str] | None = None
+    """How a unit stands at angles (deg) of the axes, in a mounting: for whoever turns them by hand."""
 
     def __post_init__(self) -> None:
         self.state = State.IDLE
@@ -180,6 +186,7 @@ class Runner:
             self.clock,
             self._event,
             self.interlocks.limits.latest_s,
+            self._drawn,
             keep_track=not self.bench.imus,
         )
         self._imu_heard_s: dict[str, float] = {}
@@ -247,6 +254,9 @@ class Runner:
                 self.on_alarm(f"The run was {status}: {reason}" + (f" NOT VERIFIED SAFE: {unsafe}" if unsafe else ""))
             self._event("end", quietly=True, exit_status=status, reason=reason, verified_safe=good)
         return RunResult(status, reason, outcomes, self._steps_done)
+
+    def _drawn(self, angles_deg: Mapping[str, float]) -> str:
+        return "" if self.draw is None else self.draw(angles_deg, self.mounting)
 
     # -------------------------------------------------------------------------------------------------------- start
 
@@ -452,6 +462,9 @@ class Runner:
             now, motion = self.clock.now(), begin + axes.late_s
             end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
             reads = [read for read in reads if motion + read <= end + 1e-6]
+            if axes.by_hand:
+                # In somebody's hands nothing is read: of what fell due meanwhile only the last counts.
+                reads = reads[max(sum(motion + read <= now for read in reads) - 1, 0) :]
             if reads and motion + reads[0] <= now and not axes.turned_by_hand:
                 if late := sum(motion + read < now - latest_s for read in reads):
                     axes.amiss.append(f"{late} readings are up to {now - motion - reads[0]:.1f} s late")
@@ -498,7 +511,9 @@ class Runner:
 
     def _begin(self, step: Step, again: bool) -> float:
         """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
-        if again:
+        if step.mounting and step.mounting != self.mounting:
+            self._hang(step)
+        if again or step.goes_there:
             self._axes.go_to_start(step.name, step.start_deg, self._duties)
         ready = step.ready or (step.again if again else None)
         duty, at_c = self._duty, step.begins_c
@@ -512,6 +527,27 @@ class Runner:
             duty.expect(course, self.clock.now())
             duty.follow(course)
         return self.clock.now()
+
+    def _hang(self, step: Step) -> None:
+        """Have somebody hang the units as the step says; a person takes the time that a person takes."""
+        console, duty = self.bench.console, self._duty
+        if console is None:
+            raise HardwareError(f"Somebody is to hang the units anew ({step.hang}), and nobody can be asked.")
+        self._axes.go_to_start(step.name, dict.fromkeys(step.start_deg, 0.0), self._duties)
+        ready = step.again or step.ready
+        if duty is not None and ready is not None:
+            duty.expected.unknown()
+            duty.hold(_FOR_HANDS_C)
+            self._await(step, duty, _FOR_HANDS_C, ready)
+        console.ask(f"hang the units so: {step.hang}; press Enter when they hang:")
+        try:
+            while console.answer() is None:
+                self._duties()
+                self.clock.sleep(_SLICE_S)
+        finally:
+            console.withdraw("never mind, leave the units as they hang.")
+        self.mounting = step.mounting
+        self._event("hung", step=step.name, mounting=step.mounting, how=step.hang)
 
     def _await(self, step: Step, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
         began = self.clock.now()

@@ -20,7 +20,8 @@ from .errors import HardwareError
 from .guard import BEAT_S, Guard, guarded
 from .interlocks import Interlocks, Limits, standard_rules
 from .journal import Journal
-from .run_folder import RunFolder, begin_session, require_same_devices, sessions
+from .pose import drawing_of
+from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
 from .runner import Progress, Runner, RunResult, State
 from .setup import open_rig
 from .supervision import StatusFile, sound_alarm
@@ -54,7 +55,8 @@ def run_session(
     `terminal` is where somebody is asked to turn what is turned by hand. Raises `HardwareError` for
     what keeps the run from starting; what happens later is in the result.
     """
-    track = track_of(folder.recipe(), [axis.name for axis in rig.axis])
+    recipe = folder.recipe()
+    track = track_of(recipe, [axis.name for axis in rig.axis])
     resumed = folder.contents() if folder.journal_path.exists() else None
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(folder.journal_path))
@@ -92,6 +94,8 @@ def run_session(
             safe_deadline_s=safe_deadline_s,
             wait_when_paused=wait_when_paused,
             first_step=first_step,
+            mounting=0 if resumed is None else mounting_of(resumed),
+            draw=drawing_of(recipe),
         )
         if with_runner is not None:
             with_runner(runner)

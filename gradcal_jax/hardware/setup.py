@@ -17,8 +17,9 @@ from typing import Any, Final, Literal
 
 from .. import units
 from ..files.problems import Problem, SpecError, nearest, one_of
-from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDevice, ImuDevice, RigFile
+from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDevice, ImuDevice, OperatorPlace, RigFile
 from .clock import Clock
+from .drivers.operator import Console, OperatorConfig
 from .errors import HardwareError, WrongIdentity
 from .roles import AxisLimits, Chamber, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis
 from .settings import KeptSettings
@@ -256,6 +257,8 @@ class Bench:
     chamber: Chamber | None = None
     axes: dict[str, MotionAxis] = field(default_factory=dict[str, MotionAxis])
     imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
+    console: Console | None = None
+    """Where a person is asked to hang the units anew."""
     _ports: ExitStack = field(default_factory=ExitStack)
 
     @property
@@ -291,15 +294,16 @@ def open_rig(
     bench = Bench(rig)
     exchanges: dict[str, Any] = {}
 
-    def opened(device: Device | EncoderDevice, config: Any) -> Line:
+    def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> Line:
         url = device.port
         recorder = recorder_of(url) if recorder_of is not None else None
         if url == TERMINAL:
             line = terminal or Terminal()
             line.clock, line.recorder = clock, recorder
         else:
+            options = {} if isinstance(device, OperatorPlace) else device.options
             settings: dict[str, Any] = dict(getattr(config, "line_settings", {}))
-            settings |= {name: device.options[name] for name in _LINE_OPTIONS if name in device.options}
+            settings |= {name: options[name] for name in _LINE_OPTIONS if name in options}
             if "terminator" in settings:
                 settings["terminator"] = _TERMINATORS[settings["terminator"]]
             settings["baudrate"] = config.baudrate
@@ -330,6 +334,12 @@ def open_rig(
                     read = None if encoder is None else axis_or_chamber(encoder, configs[*place, "encoder"])
                     more = (clock, device.name, read)
                 bench.axes[device.name] = axis_or_chamber(device, config, *more)
+        consoles = [exchange for exchange in exchanges.values() if isinstance(exchange, Console)]
+        place = rig.operator or OperatorPlace()
+        if consoles:
+            bench.console = consoles[0]
+        elif rig.operator is not None or terminal is not None:
+            bench.console = Console(opened(place, OperatorConfig()), clock)
     except BaseException:
         bench.close()
         raise

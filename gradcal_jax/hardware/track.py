@@ -69,6 +69,10 @@ class Step:
     unless a course says otherwise; where it must begin by itself (after a pause, or when a run is resumed) the chamber
     first goes to `start_c` and is stable by `again`, and the axes go to `start_deg`.
 
+    With `goes_there` the axes go to `start_deg` however the step begins. Of several
+    mountings `hang` is how the units hang in it, number `mounting`, from 1: where they hang otherwise somebody is asked
+    to hang them so before, with the axes at zero and the chamber at a temperature for hands.
+
     The last `slack_s` of the step are waiting only: a turn by hand that was late takes its time from there.
 
     The angles of all axes are read at `read_at_s`, and after every turn when the axis stands; where `read_at_s` is
@@ -89,6 +93,9 @@ class Step:
     start_deg: Mapping[str, float] = field(default_factory=dict[str, float])
     read_at_s: tuple[float, ...] = ()
     slack_s: float = 0.0
+    goes_there: bool = False
+    hang: str = ""
+    mounting: int = 0
 
     @property
     def begins_c(self) -> float | None:
@@ -125,8 +132,9 @@ class Track:
 
     @property
     def moved(self) -> list[str]:
-        """The axes that move, by name."""
-        return sorted({move.axis for step in self.steps for move in step.moves})
+        """The axes that move or are brought somewhere, by name."""
+        moved = {move.axis for step in self.steps for move in step.moves}
+        return sorted(moved | {name for step in self.steps if step.goes_there for name in step.start_deg})
 
 
 def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
@@ -143,6 +151,8 @@ def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str
                 found.append(f"{where} sets a temperature and the rig has no chamber.")
             else:
                 found += [f"{where} {text}" for text in _beyond_chamber(course, chamber)]
+        if step.goes_there:
+            at |= step.start_deg
         for move in step.moves:
             limits = axes.get(move.axis)
             if limits is None:

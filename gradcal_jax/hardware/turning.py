@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from .clock import Clock
 from .errors import HardwareError
 from .journal import plain
-from .roles import AxisLimits, AxisReading, MotionAxis
+from .roles import AxisLimits, AxisReading, DrawnAxis, MotionAxis
 from .track import Move
 
 _POLL_S = 0.05
@@ -31,6 +31,8 @@ _OFF_READINGS = 3
 
 Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
+Draw = Callable[[Mapping[str, float]], str]
+"""How a unit stands when the axes are at these angles, deg."""
 
 
 class AxesDuty:
@@ -42,6 +44,7 @@ class AxesDuty:
         clock: Clock,
         event: Tell,
         latest_s: float = 1.0,
+        draw: Draw | None = None,
         *,
         keep_track: bool = False,
     ) -> None:
@@ -50,6 +53,7 @@ class AxesDuty:
         self._event = event
         self._latest_s = latest_s
         self._keep_track = keep_track
+        self._draw = draw
         self._goal_deg: dict[str, float] = {}
         # What ends by itself: when to look next; and when it was to end, of those that are turned by hand.
         self._turning: dict[str, float] = {}
@@ -85,6 +89,11 @@ class AxesDuty:
         return bool(self._planned_end_s)
 
     @property
+    def by_hand(self) -> bool:
+        """Whether an axis of the run is turned by hand."""
+        return bool(self._by_hand)
+
+    @property
     def look_s(self) -> list[float]:
         """When the axes are to be looked at next."""
         return list(self._turning.values())
@@ -103,7 +112,8 @@ class AxesDuty:
                 self.settle(name, meanwhile)
 
     def move(self, step: str, move: Move, due_s: float, meanwhile: Callable[[], None]) -> None:
-        """A turn waits until the turn before it has ended; how late that makes it is in the journal."""
+        """A turn waits until the turn before it has ended, of whichever axis: one turns at a time, the others hold. How
+        late that makes it is in the journal."""
         name = move.axis
         if (late_s := self._clock.now() - due_s) > self._latest_s:
             self.amiss.append(f"a {move.kind} of axis {name} began {late_s:.1f} s late")
@@ -112,6 +122,8 @@ class AxesDuty:
                 self._axes[name].stop()
                 self._spinning.discard(name)
             self.settle(name, meanwhile)
+        for other in sorted(self._turning.keys() - {name}):
+            self.settle(other, meanwhile)
         self._command(step, move)
 
     def look(self) -> None:
@@ -209,6 +221,8 @@ class AxesDuty:
         if move.kind in ("go", "turn"):
             turned = self._goal_deg.get(name, 0.0) + move.angle_deg
             goal = turned if move.kind == "turn" else move.position_deg
+            if self._draw is not None and isinstance(axis, DrawnAxis):
+                axis.draw(self._draw({**self._goal_deg, name: goal}))
             axis.move_to(goal, move.rate_dps, move.acceleration_dps2)
             self._goal_deg[name] = goal
             self._spinning.discard(name)

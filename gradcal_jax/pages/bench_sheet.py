@@ -31,6 +31,7 @@ def show(recipe: Recipe, *, heading: Callable[[str], str] = str) -> str:
     lines += ["", heading("Chamber"), columns([CHAMBER_HEAD, *chamber_rows(recipe)])]
     lines += [*(f"  {said}" for said in chamber_words(recipe)), ""]
     for block in recipe.motion:
+        lines += [] if block.hang is None else [f"hang the unit so: {block.hang}"]
         lines += [heading("Table, " + block_heading(block)), columns([MOVES_HEAD, *move_rows(block)]), ""]
     lines += [heading("What it leaves (1σ)"), columns([_left(row) for row in recipe.prediction.requirements])]
     lines += [f"note: {warning}" for warning in recipe.prediction.warnings]

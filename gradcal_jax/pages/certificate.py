@@ -153,7 +153,7 @@ def _performed(stated: str, sources: Sources) -> str:
 
 def _method(sources: Sources, calibration: Calibration) -> str:
     how = "stable temperatures, a reference rate at each"
-    if sources.recipe is not None and sources.recipe.spec.plan.method == "gradient":
+    if sources.recipe is not None and sources.recipe.axis_spec.plan.method == "gradient":
         how = "temperature ramp; the reference is the angle of the table before and after each turn"
     elif sources.recipe is None:
         how = "as the log has it"
@@ -199,7 +199,7 @@ def _budgets(sources: Sources):
     """Of each requirement of the recipe that was run, scaled to what the estimate came to."""
     if sources.recipe is None or sources.calibration is None:
         return
-    spec = sources.recipe.spec
+    spec = sources.recipe.axis_spec
     built = api.assemble(spec)
     known_values = dict(assumed_noise(sources.recipe, None))
     reached = {(row.name, row.axis): row for row in sources.calibration.result}

@@ -217,7 +217,7 @@ def _basis(recipe: Recipe | None, facts: Facts) -> str:
             "T′ and ω′ are temperature and rate less their centre, over their scale, as the calibration file has them."
         )
     parts: list[str] = []
-    sensor = recipe.spec.sensor
+    sensor = recipe.axis_spec.sensor
     of_temperature = next((m.temperature for m in (sensor.scale_factor, sensor.bias) if m is not None), None)
     if of_temperature is not None and of_temperature.basis == "polynomial":
         parts.append(f"T′ = (T − {of_temperature.centre}) / {of_temperature.scale}")

@@ -10,7 +10,7 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
     """The noise figures that numbers rest on: the spec's, or those that the calibration keeps."""
     rows: list[tuple[str, str]] = []
     if recipe is not None:
-        sensor, angle = recipe.spec.sensor, recipe.spec.rig.table.angle
+        sensor, angle = recipe.axis_spec.sensor, recipe.axis_spec.rig.table.angle
         rows.append(("angle random walk", str(sensor.angle_random_walk)))
         for drift in sensor.drift:
             rows.append(("bias instability", f"{drift.standard_deviation}, correlation time {drift.correlation_time}"))
@@ -28,7 +28,8 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
         )
         rows += [(name, str(value)) for name, value in given if value is not None]
         absent = [
-            (term.key, f"counted as zero; typical of its class: {term.typical}") for term in absent_terms(recipe.spec)
+            (term.key, f"counted as zero; typical of its class: {term.typical}")
+            for term in absent_terms(recipe.axis_spec)
         ]
         return rows + absent
     if calibration is not None and calibration.noise is not None:

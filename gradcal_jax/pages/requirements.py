@@ -66,16 +66,16 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
         assert calibration is not None
         maps = [_found_alone(axis, quantity) for axis in calibration.axis for quantity in _quantities(axis)]
         return "", [_result_alone(row) for row in calibration.result], maps
-    built = api.assemble(recipe.spec)
+    built = api.assemble(recipe.axis_spec)
     known = {channel: api.posterior_of_plan(built, channel) for channel in built.channels}
     other = _other_plan(sources.before)
     rows: list[RequirementFact] = []
     maps: list[MapFact] = []
     before_is = ""
     for row in recipe.prediction.requirements:
-        requirement = next(r for r in recipe.spec.requirement if r.name == row.name)
+        requirement = next(r for r in recipe.axis_spec.requirement if r.name == row.name)
         drawn: list[tuple[str, Box]] = []
-        earlier = _before(other, recipe.spec, requirement, row.axis)
+        earlier = _before(other, recipe.axis_spec, requirement, row.axis)
         if earlier is not None:
             before_is = "what the spec's priors say, without a calibration"
             if other is not None:

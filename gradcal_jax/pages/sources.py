@@ -64,7 +64,10 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
         if is_of_unit(document):
             take("unit", unit_spec_of(document, str(path)), path)
         elif is_recipe(document):
-            take("recipe", recipe_of(document, str(path)), path)
+            made = recipe_of(document, str(path))
+            # Of a whole unit the page is of its plan, as it was rounded.
+            of_unit = isinstance(made.spec, UnitSpec)
+            take("unit" if of_unit else "recipe", made.spec if of_unit else made, path)
         elif document.get("format") == CALIBRATION:
             take("calibration", read_calibration(path), path)
             found["calibration_name"] = str(path)
@@ -78,6 +81,8 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
         own = run.path / CALIBRATION_IN_RUN
         if "recipe" not in found:
             take("recipe", run.recipe(), run.path / "recipe.toml")
+        if isinstance(found["recipe"].spec, UnitSpec):
+            raise ValueError("a unit's run has no page yet; of its plan: gradcal report RUN/recipe.toml")
         if "calibration" not in found and own.is_file():
             take("calibration", read_calibration(own), own)
             found["calibration_name"] = str(own)

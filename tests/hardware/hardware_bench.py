@@ -9,6 +9,7 @@ from gradcal_jax.files.recipe import Made, Predicted, Recipe
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import espec, lines, odrive, stim300, vectornav, watlow_f4, weiss, zaber
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
@@ -236,7 +237,7 @@ def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict
     return unpredicted(spec, stable_for=stable_for)
 
 
-def unpredicted(spec: Spec, *, stable_for: str = "20 s") -> Recipe:
+def unpredicted(spec: Spec | UnitSpec, *, stable_for: str = "20 s") -> Recipe:
     """A recipe whose prediction is empty: what can be made without compiling anything."""
     result = rounded(spec).spec
     chamber, motion = tracks_of(result)

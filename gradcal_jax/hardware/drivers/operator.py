@@ -139,7 +139,7 @@ class OperatorAxis:
         self.settings = KeptSettings() if encoder is None else encoder.settings
         self._whole_turns_deg = 0.0
         self._goal_deg = 0.0
-        self._question = ""
+        self._question = self._drawing = ""
         self._ring_s = math.inf
         self._doubted = False
         # The newest reading that somebody vouches for; None: nobody knows where it stands.
@@ -187,6 +187,10 @@ class OperatorAxis:
         self._goal_deg = position_deg
         self._ask(f"{self._name}: turn {how}")
 
+    def draw(self, drawing: str) -> None:
+        """What the next question is to show first: how the unit stands when it is done."""
+        self._drawing = drawing
+
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         raise Rejected(f"{self._name} is turned by hand, and nobody turns at a constant rate for long.")
 
@@ -218,7 +222,8 @@ class OperatorAxis:
         self._question = f"{what}; let it stand and {answer}:"
         self._doubted = False
         self._ring_s = self._clock.now() + self._config.remind_s
-        self._console.ask(self._question)
+        drawing, self._drawing = self._drawing.replace("\n", "\r\n"), ""
+        self._console.ask(f"\r\n{drawing}\r\n{self._question}" if drawing else self._question)
 
     def _hear(self) -> None:
         """Take the answer, if it has come and can be understood."""

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
+from ...files.bench import Chamber
 from ...files.moves import AXES, Axis
 from ...files.rig import RigFile, rig_of
 from ...files.sensor import Sensor
@@ -75,13 +76,13 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
     deg = 180.0 / np.pi
     bias_basis, bias = _polynomial(0), np.zeros((3, 1))
     if sensor.bias is not None:
-        bias_basis = _temperature_basis(sensor.bias.temperature)
+        bias_basis = temperature_truth(sensor.bias.temperature)
         size = _TYPICAL_BIAS_DPS if sensor.bias.prior is None else float(sensor.bias.prior) * deg
         bias = size * random.standard_normal((3, sensor.bias.temperature.size))
     bias[:, 0] += float(sensor.turn_on_bias or 0.0) * deg * random.standard_normal(3)
     temperature_basis, rate_basis, scale = _polynomial(0), _polynomial(0), np.zeros((3, 1, 1))
     if (section := sensor.scale_factor) is not None:
-        temperature_basis, rate_basis = _temperature_basis(section.temperature), _rate_basis(section.rate)
+        temperature_basis, rate_basis = temperature_truth(section.temperature), rate_truth(section.rate)
         size = _TYPICAL_SCALE if section.prior is None else float(section.prior)
         scale = size * random.standard_normal((3, section.temperature.size, section.rate.size))
     gradient = np.zeros(3)
@@ -137,7 +138,7 @@ def _polynomial(degree: int) -> TruthBasis:
     return TruthBasis("polynomial", degree)
 
 
-def _temperature_basis(section: Any) -> TruthBasis:
+def temperature_truth(section: Any) -> TruthBasis:
     if isinstance(section, TemperaturePolynomial):
         return TruthBasis("polynomial", section.degree, float(section.centre), float(section.scale))
     if isinstance(section, TemperatureSpline):
@@ -145,7 +146,7 @@ def _temperature_basis(section: Any) -> TruthBasis:
     return TruthBasis("bins", knots=tuple(float(e) for e in section.edges))
 
 
-def _rate_basis(section: Any) -> TruthBasis:
+def rate_truth(section: Any) -> TruthBasis:
     def dps(values: tuple[Any, ...]) -> tuple[float, ...]:
         return tuple(to_unit(float(value), "deg/s") for value in values)
 
@@ -179,17 +180,8 @@ class SimulatedLab:
         now = clock.now()
         table, chamber = spec.rig.table, spec.rig.chamber
         self.axes = _axes(spec)
-        lag = max(float(spec.sensor.thermal_lag or 0.0), 1.0)
-        self.chamber_plant = ChamberPlant(
-            ChamberTruth(
-                start_c=room_c,
-                ambient_c=room_c,
-                heating_k_per_min=1.2 * 60.0 * float(chamber.max_heating),
-                cooling_k_per_min=1.2 * 60.0 * float(chamber.max_cooling),
-                load_time_constant_s=lag,
-            ),
-            now,
-        )
+        lag_s = float(spec.sensor.thermal_lag or 0.0)
+        self.chamber_plant = ChamberPlant(chamber_truth(chamber, lag_s, room_c), now)
         axis = self.truth.axis
         self.axis_plants = [
             AxisPlant(replace(axis, seed=16 * axis.seed + number), now) for number in range(1, len(self.axes) + 1)
@@ -229,37 +221,18 @@ class SimulatedLab:
         ]
         self.rig = self._rig(table, sample_rate_hz)
 
+    def truths(self) -> dict[str, Any]:
+        """For a file: what the calibration is to find."""
+        return self.truth.tables(self.axes)
+
     def _rig(self, table: Any, sample_rate_hz: float) -> RigFile:
         at_chamber, at_table, at_imu = (port.url for port in self.ports)
         limits = {"max_rate": str(table.max_rate), "max_acceleration": str(table.max_acceleration)}
         by_hand = isinstance(self.table, SimulatedOperator)
         if by_hand and self.truth.axis.highest_deg is not None:
             limits["travel"] = str(table.travel)
-        tables: dict[str, Any] = {
-            "format": "gradcal-rig/1",
-            "title": "simulated laboratory",
-            "chamber": {"driver": "espec", "port": at_chamber, "safe": "standby"},
-            "axis": [
-                {
-                    "name": axis,
-                    "driver": "operator" if by_hand else "zaber",
-                    "port": at_table,
-                    "safe": "hold",
-                    "gravity_loaded": False,
-                    "options": limits if by_hand else {"device": number, **limits},
-                }
-                for number, axis in enumerate(self.axes, start=1)
-            ],
-            "imu": [
-                {
-                    "name": _SENSOR_NAME,
-                    "driver": "stim300",
-                    "port": at_imu,
-                    "options": {"sample_rate": f"{sample_rate_hz:g} Hz"},
-                }
-            ],
-        }
-        return rig_of(tables)
+        axes = [axis_tables(axis, at_table, number, limits, by_hand) for number, axis in enumerate(self.axes, start=1)]
+        return lab_rig(at_chamber, axes, {_SENSOR_NAME: at_imu}, sample_rate_hz)
 
     def __enter__(self) -> "SimulatedLab":
         for port in self.ports:
@@ -269,6 +242,42 @@ class SimulatedLab:
     def __exit__(self, *_: object) -> None:
         for port in self.ports:
             port.close()
+
+
+def axis_tables(name: str, port: str, number: int, limits: dict[str, str], by_hand: bool) -> dict[str, Any]:
+    """A simulated axis as a rig file has it: a stage on a chain, or one that a person turns."""
+    found = {"name": name, "driver": "operator" if by_hand else "zaber", "port": port, "safe": "hold"}
+    return found | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
+
+
+def lab_rig(
+    at_chamber: str,
+    axes: list[dict[str, Any]],
+    units: dict[str, str],
+    sample_rate_hz: float,
+    at_person: str | None = None,
+) -> RigFile:
+    """The rig file of simulated devices; `units`: names and ports. `at_person`: where somebody hangs them anew."""
+    options = {"sample_rate": f"{sample_rate_hz:g} Hz"}
+    tables: dict[str, Any] = {
+        "format": "gradcal-rig/1",
+        "title": "simulated laboratory",
+        "chamber": {"driver": "espec", "port": at_chamber, "safe": "standby"},
+        "axis": axes,
+        "imu": [{"name": n, "driver": "stim300", "port": port, "options": options} for n, port in units.items()],
+    }
+    return rig_of(tables if at_person is None else tables | {"operator": {"port": at_person}})
+
+
+def chamber_truth(chamber: Chamber, lag_s: float, room_c: float) -> ChamberTruth:
+    """A chamber that keeps what the spec's does, with some to spare."""
+    return ChamberTruth(
+        start_c=room_c,
+        ambient_c=room_c,
+        heating_k_per_min=1.2 * 60.0 * float(chamber.max_heating),
+        cooling_k_per_min=1.2 * 60.0 * float(chamber.max_cooling),
+        load_time_constant_s=max(lag_s, 1.0),
+    )
 
 
 def _axes(spec: Spec) -> tuple[Axis, ...]:

@@ -1,10 +1,13 @@
 """A simulated person at a terminal, who turns a gimbal: the peer of `drivers.operator`, reading what a person reads.
 
+Asked to hang the units anew, tells `hang` the number of the mounting and presses Enter when that is done.
+
 Takes a while to react, turns unevenly, misses the mark by a little, reads the dial (to its digits) when it stands, and
 types what it shows. Slips of the keyboard come as often as asked; when asked again the person looks and types it right.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +15,12 @@ import numpy as np
 from ..clock import Clock
 from .plants import AxisPlant
 
-_TURN = re.compile(r"(\w+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
-_ZERO = re.compile(r"(\w+): bring it to its zero mark")
-_AGAIN = re.compile(r"(\w+): .*(?:again if it is so|Type the angle that it shows):$")
+_TURN = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
+_ZERO = re.compile(r"([\w-]+): bring it to its zero mark")
+_AGAIN = re.compile(r"([\w-]+): .*(?:again if it is so|Type the angle that it shows):$")
+_HANG = re.compile(r"hang the units so: mounting (\d+)")
 _HOME_S = 5.0
+_HANGS_S = 120.0
 
 
 @dataclass
@@ -36,7 +41,13 @@ class OperatorOptions:
 class SimulatedOperator:
     """One person for all axes of a gimbal, by name."""
 
-    def __init__(self, plants: dict[str, AxisPlant], clock: Clock, options: OperatorOptions | None = None) -> None:
+    def __init__(
+        self,
+        plants: dict[str, AxisPlant],
+        clock: Clock,
+        options: OperatorOptions | None = None,
+        hang: Callable[[int], None] | None = None,
+    ) -> None:
         self.options = options or OperatorOptions()
         self.heard: list[str] = []
         self.typed: list[str] = []
@@ -46,6 +57,7 @@ class SimulatedOperator:
         self._axis = ""
         self._types_s: float | None = None
         self._slipped = False
+        self._hang, self._mounting = hang, 0
 
     def receive(self, data: bytes) -> list[bytes]:
         self._text += data.decode("utf-8", "replace").replace("\a", "")
@@ -65,7 +77,11 @@ class SimulatedOperator:
             return []
         self._types_s = None
         answer = ""
-        if self.options.types_angles:
+        if self._mounting:
+            if self._hang is not None:
+                self._hang(self._mounting)
+            self._mounting = 0
+        elif self.options.types_angles:
             shown = self._plants[self._axis].reading(now_s) % 360.0
             answer = f"{shown:.{self.options.digits}f} deg"
             self._slipped = not self._slipped and float(self._random.random()) < self.options.slips
@@ -80,7 +96,9 @@ class SimulatedOperator:
         self.heard.append(line)
         options, random, now = self.options, self._random, self._clock.now()
         if line.endswith("leave it where it is."):
-            self._types_s = None
+            self._types_s, self._mounting = None, 0
+        elif anew := _HANG.search(line):
+            self._mounting, self._types_s = int(anew[1]), now + _HANGS_S
         elif turn := _TURN.match(line):
             begins = now + options.reaction_s * float(random.lognormal(0.0, 0.3))
             planned = _HOME_S if turn[2] is None else float(turn[2])

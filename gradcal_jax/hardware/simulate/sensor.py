@@ -103,8 +103,43 @@ class SensorSamples:
     temperature_c: NDArray[np.float64]
 
 
-class SimulatedSensor:
-    """Samples one after the other; the same seed gives the same samples however many are asked for at once."""
+class SampledSensor:
+    """Samples one after the other, by a clock of its own; the same seed gives the same samples however many are asked
+    for at once. A sensor says in `take` what they are."""
+
+    clock_error: float
+
+    def restart(self, now_s: float, sample_rate_hz: float) -> None:
+        """From now on samples at this rate of the unit's clock, which runs fast by the clock error."""
+        self._start_s, self._taken = now_s, 0
+        self.true_period_s = 1.0 / sample_rate_hz / (1.0 + self.clock_error)
+
+    @property
+    def taken(self) -> int:
+        """Samples since the last restart."""
+        return self._taken
+
+    def next_time_s(self, ahead: int = 1) -> float:
+        """True time at which the sample `ahead` from now is complete."""
+        return self._start_s + (self._taken + ahead) * self.true_period_s
+
+    def due(self, now_s: float) -> int:
+        """How many samples are complete and not yet taken."""
+        return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self._taken)
+
+    def ends_of(self, count: int) -> NDArray[np.float64]:
+        """`(count + 1,)`: true times between which the next samples lie, which are taken now."""
+        ends = self._start_s + (self._taken + np.arange(count + 1.0)) * self.true_period_s
+        self._taken += count
+        return ends
+
+    def take(self, count: int) -> SensorSamples:
+        """The next samples."""
+        raise NotImplementedError
+
+
+class SimulatedSensor(SampledSensor):
+    """Three gyros on their table."""
 
     def __init__(
         self,
@@ -120,6 +155,7 @@ class SimulatedSensor:
         if len(axes) != len(mounting.axes):
             raise ValueError(f"{len(mounting.axes)} axes are mounted and {len(axes)} given; give as many.")
         self.truth = truth
+        self.clock_error = truth.clock_error
         self._mounting = mounting
         self._chamber, self._axes = chamber, tuple(axes)
         self._bias, self._scale = np.array(truth.bias_dps), np.array(truth.scale_factor)
@@ -139,34 +175,15 @@ class SimulatedSensor:
         self._states = self._sigmas * self._random.standard_normal((3, len(processes)))
         self.turn_on_dps = truth.turn_on_dps * self._random.standard_normal(3)
 
-    def restart(self, now_s: float, sample_rate_hz: float) -> None:
-        """From now on samples at this rate of the unit's clock, which runs fast by the clock error."""
-        self._start_s, self._taken = now_s, 0
-        self.true_period_s = 1.0 / sample_rate_hz / (1.0 + self.truth.clock_error)
-        self._decays = np.exp(-self.true_period_s / self._taus_s)
-
-    @property
-    def taken(self) -> int:
-        """Samples since the last restart."""
-        return self._taken
-
-    def next_time_s(self, ahead: int = 1) -> float:
-        """True time at which the sample `ahead` from now is complete."""
-        return self._start_s + (self._taken + ahead) * self.true_period_s
-
-    def due(self, now_s: float) -> int:
-        """How many samples are complete and not yet taken."""
-        return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self._taken)
-
     def take(self, count: int) -> SensorSamples:
         truth = self.truth
-        ends = self._start_s + (self._taken + np.arange(count + 1.0)) * self.true_period_s
-        self._taken += count
+        ends = self.ends_of(count)
         middles = (ends[1:] + ends[:-1]) / 2.0
         rates, up = self._motion(ends, middles)
         temperature = self._chamber.load_at(middles) if count else np.zeros(0)
         draws = self._random.standard_normal((count, 7 + 3 * len(self._sigmas)))
-        noise = self._markov(draws[:, 7:].reshape(count, 3, len(self._sigmas)))
+        kicks = draws[:, 7:].reshape(count, 3, len(self._sigmas))
+        noise, self._states = markov(kicks, self._states, self._sigmas, np.exp(-self.true_period_s / self._taus_s))
         bias_of, temperature_of, rate_of = self._bases
         bias = bias_of(temperature) @ self._bias.T + self.turn_on_dps + noise @ self._gains[:, 0]
         if any(truth.gradient_deg_per_k) and count:
@@ -190,24 +207,6 @@ class SimulatedSensor:
             temperature + truth.temperature_noise_c * draws[:, 6],
         )
 
-    def _markov(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
-        """`(n, 3, processes)` standard normals -> states of the Gauss–Markov processes at the samples."""
-        count = draws.shape[0]
-        if not count or not self._sigmas.size:
-            return np.zeros(draws.shape)
-        # x_k = φ^k x_0 + Σ_j φ^(k−j) w_j, in blocks short enough for the little triangular matrices.
-        blocks: list[NDArray[np.float64]] = []
-        for start in range(0, count, _BLOCK):
-            kicks = self._sigmas * np.sqrt(1.0 - self._decays**2) * draws[start : start + _BLOCK]
-            size = kicks.shape[0]
-            steps: NDArray[np.int64] = np.arange(size, dtype=np.int64)
-            lag = steps[:, None] - steps
-            weights = np.where((lag >= 0)[..., None], self._decays ** np.maximum(lag, 0)[..., None], 0.0)
-            decayed = self._decays ** (steps + 1)[:, None, None] * self._states
-            blocks.append(decayed + np.einsum("kjp,jap->kap", weights, kicks))
-            self._states = blocks[-1][-1]
-        return np.concatenate(blocks)
-
     def _motion(self, ends: NDArray[np.float64], middles: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
         """Mean inertial rate (deg/s) and up-vector in the sensor's frame, `(n, 3)` each."""
         latitude = np.radians(self._mounting.latitude_deg)
@@ -222,6 +221,23 @@ class SimulatedSensor:
             turning += np.diff(plant.position(ends))[:, None] / self.true_period_s * axis
         matrix = np.array(self._mounting.mounting)
         return (turning + earth) @ matrix.T, up @ matrix.T
+
+
+def markov(draws: Vectors, states: Vectors, sigmas: Vectors, decays: Vectors) -> tuple[Vectors, Vectors]:
+    """`(n, 3, k)` standard normals -> the states of `k` Gauss–Markov processes of three axes at the samples, and the
+    last of them `(3, k)`."""
+    if not draws.size:
+        return np.zeros(draws.shape), states
+    # x_k = φ^k x_0 + Σ_j φ^(k−j) w_j, in blocks short enough for the little triangular matrices.
+    blocks: list[Vectors] = []
+    for start in range(0, draws.shape[0], _BLOCK):
+        kicks = sigmas * np.sqrt(1.0 - decays**2) * draws[start : start + _BLOCK]
+        steps: NDArray[np.int64] = np.arange(kicks.shape[0], dtype=np.int64)
+        lag = steps[:, None] - steps
+        weights = np.where((lag >= 0)[..., None], decays ** np.maximum(lag, 0)[..., None], 0.0)
+        blocks.append(decays ** (steps + 1)[:, None, None] * states + np.einsum("kjp,jap->kap", weights, kicks))
+        states = blocks[-1][-1]
+    return np.concatenate(blocks), states
 
 
 def _rotated(vectors: Vectors, axis: NDArray[np.float64], angle: NDArray[np.float64]) -> Vectors:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..checksums import crc8_stim300, crc32_mpeg2
 from ..clock import Clock
-from .sensor import SensorSamples, SimulatedSensor
+from .sensor import SampledSensor, SensorSamples
 
 RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 # Identifier and bytes that the CRC counts but nobody sends, by the code of `$sd`; contents follow from the code.
@@ -56,7 +56,7 @@ class Stim300Counters:
 class SimulatedStim300:
     """One unit; `sensor` gives its samples. `options.burst_s` is how often bytes reach the host's driver."""
 
-    def __init__(self, sensor: SimulatedSensor, clock: Clock, options: Stim300Options | None = None) -> None:
+    def __init__(self, sensor: SampledSensor, clock: Clock, options: Stim300Options | None = None) -> None:
         self.options = options or Stim300Options()
         self.sensor = sensor
         self.counters = Stim300Counters()

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..checksums import crc16_vectornav, xor8
 from ..clock import Clock
-from .sensor import SimulatedSensor
+from .sensor import SampledSensor
 
 _STANDARD_GRAVITY = 9.80665
 
@@ -26,7 +26,7 @@ class VectorNavOptions:
 
 
 class SimulatedVectorNav:
-    def __init__(self, sensor: SimulatedSensor, clock: Clock, options: VectorNavOptions | None = None) -> None:
+    def __init__(self, sensor: SampledSensor, clock: Clock, options: VectorNavOptions | None = None) -> None:
         self.options = options or VectorNavOptions()
         self.sensor = sensor
         self._clock = clock
@@ -80,7 +80,7 @@ class SimulatedVectorNav:
         force = samples.acceleration_g * _STANDARD_GRAVITY
         rate = np.radians(samples.rate_dps)
         # The unit's own clock: fast by the same share as its sampling.
-        own = (samples.time_s - self._powered_s) * (1.0 + self.sensor.truth.clock_error)
+        own = (samples.time_s - self._powered_s) * (1.0 + self.sensor.clock_error)
         for index in range(count):
             if attitude:
                 body = bytes.fromhex("010800") + struct.pack("<3f", 0.0, 0.0, 0.0)

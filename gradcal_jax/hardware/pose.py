@@ -1,0 +1,54 @@
+"""How a whole unit stands, as a drawing in text for whoever turns it by hand: which of its axes point where."""
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files.recipe import Recipe
+from ..files.unit_spec import UnitSpec
+
+# A direction is named by the body's axes that are at most 67.5 degrees from it.
+_NAMED: Final = np.sin(np.radians(22.5))
+_WORLD: Final = {"up": (0.0, 0.0, 1.0), "east": (1.0, 0.0, 0.0), "north": (0.0, 1.0, 0.0)}
+
+
+def drawing_of(recipe: Recipe) -> Callable[[Mapping[str, float], int], str] | None:
+    """The drawing of a unit at angles (deg) of its table's axes, by name, in the mounting of a number, from 1; None
+    where the recipe is not of a whole unit."""
+    spec = recipe.spec
+    return (lambda angles, mounting: drawn(spec, angles, mounting)) if isinstance(spec, UnitSpec) else None
+
+
+def drawn(spec: UnitSpec, angles_deg: Mapping[str, float], mounting: int) -> str:
+    """Seen from the south:
+
+    ``  up: body +z``
+    ``  |  north: body between +y and -x``
+    ``  | /``
+    ``  o---- east: body +x``
+    """
+    attitude = np.eye(3)
+    for axis in spec.rig.table.axis:
+        attitude = attitude @ rotation(axis.unit_vector, np.radians(angles_deg.get(axis.name, 0.0)))
+    hung = spec.rig.table.mounting[max(mounting - 1, 0)]
+    attitude = attitude @ np.array(hung.columns).T
+    if hung.rotation is not None and (size := float(np.linalg.norm(hung.rotation))) > 0.0:
+        attitude = attitude @ rotation([float(angle) / size for angle in hung.rotation], size)
+    said = {name: f"{name}: body {_seen(np.array(world) @ attitude)}" for name, world in _WORLD.items()}
+    return f"  {said['up']}\n  |  {said['north']}\n  | /\n  o---- {said['east']}"
+
+
+def rotation(axis: tuple[float, ...] | list[float], angle: float) -> NDArray[np.float64]:
+    """The matrix of a turn by `angle` (rad) about a unit vector (Rodrigues)."""
+    x, y, z = axis
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
+
+
+def _seen(direction: NDArray[np.float64]) -> str:
+    """A direction in the body, in words."""
+    order = [int(i) for i in np.argsort(-np.abs(direction)) if abs(direction[i]) > _NAMED]
+    names = [f"{'+' if direction[i] > 0.0 else '-'}{'xyz'[i]}" for i in order]
+    return names[0] if len(names) == 1 else f"between {' and '.join(names)}"

@@ -1,0 +1,296 @@
+"""A whole unit, three gyros and three accelerometers, on nested axes that are not as they were drawn.
+
+Attitude is a product of quaternions, body to East-North-Up, outermost stage first, every angle finite:
+
+    base (tilt, azimuth) · axis 1 · (its non-orthogonality to axis 2) · axis 2 · … · mounting · (mounting's error)
+
+The unit turns at the Earth's rate and at those of the axes, and feels what holds it up. Its gyros sit where the axes
+meet; its accelerometers a `lever` off, and they feel the turning, too. Of every sample the mean over its interval is
+said, through the sensors' own errors (IEEE 1431, 1293):
+
+    gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + drift + walks
+    accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift
+                   + walk
+
+Units are SI here (rad/s, m/s², °C), unlike the rest of this room.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .plants import AxisPlant, ChamberPlant
+from .sensor import SampledSensor, SensorSamples, TruthBasis, Vectors, markov
+
+EARTH_RATE = 7.292115e-5
+_STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
+# Of a sample: within each the attitude is taken in the middle, and rates are exact means.
+_PARTS = 3
+Quaternion = NDArray[np.float64]
+Kind = Literal["gyro", "accelerometer"]
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Functions of temperature, `values` `(3, k, nT)`: by sensor axis, and by what it multiplies."""
+
+    values: NDArray[np.float64]
+    basis: TruthBasis
+
+    def at(self, temperature_c: NDArray[np.float64]) -> NDArray[np.float64]:
+        """`(n,) -> (n, 3, k)`."""
+        return np.einsum("nt,akt->nak", self.basis(temperature_c), self.values)
+
+
+@dataclass(frozen=True)
+class ScaleFactors:
+    """M(T, ω), `values` `(3, nT, nω)`; ω in deg/s in its basis."""
+
+    values: NDArray[np.float64]
+    temperature: TruthBasis
+    rate: TruthBasis
+
+
+@dataclass(frozen=True)
+class Drifts:
+    """Gauss–Markov processes, and what of them goes into the scale factor in the place of the bias. SI."""
+
+    sigmas: tuple[float, ...] = ()
+    taus_s: tuple[float, ...] = ()
+    scales: tuple[bool, ...] = ()
+
+
+@dataclass(frozen=True)
+class TriadTruth:
+    """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s.
+
+    `misalignment`: what multiplies the other two inputs (its own: zero). `force`, `force_squared`: what multiplies the
+    specific force, of gyros. `second`, `third`, `asymmetry`, `cross` (xy, xz, yz): of accelerometers.
+    """
+
+    bias: Coefficients
+    white: float
+    walk: float = 0.0
+    drifts: Drifts = Drifts()
+    scale: ScaleFactors | Coefficients | None = None
+    misalignment: Coefficients | None = None
+    force: Coefficients | None = None
+    force_squared: Coefficients | None = None
+    second: Coefficients | None = None
+    third: Coefficients | None = None
+    asymmetry: Coefficients | None = None
+    cross: Coefficients | None = None
+
+
+@dataclass(frozen=True)
+class TableTruth:
+    """How the table stands and its axes lie, rad. `axes` outermost first, each in the frame that the one outside it
+    carries while all stand at zero. `mountings`: body to the innermost axis's frame, as they are (`hung`).
+    """
+
+    axes: tuple[tuple[float, ...], ...]
+    latitude: float
+    gravity: float
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    orthogonality: tuple[float, ...] = ()
+    mountings: tuple[Quaternion, ...] = (np.array([1.0, 0.0, 0.0, 0.0]),)
+
+
+@dataclass
+class Hanging:
+    """Which of its mountings the units on a table have now, from 0; whoever hangs them anew changes it."""
+
+    mounting: int = 0
+
+
+@dataclass(frozen=True)
+class UnitTruth:
+    """A unit's errors. `lever`: of the accelerometers from where the axes meet, m, in the body. `names`: its hidden
+    parameters as a calibration names them."""
+
+    gyro: TriadTruth | None
+    accelerometer: TriadTruth | None
+    lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    clock_error: float = 0.0
+    names: dict[str, float] = field(default_factory=dict[str, float])
+
+
+class SimulatedUnit(SampledSensor):
+    """One unit on a table that others may share."""
+
+    def __init__(
+        self,
+        truth: UnitTruth,
+        table: TableTruth,
+        chamber: ChamberPlant,
+        axes: Sequence[AxisPlant],
+        *,
+        sample_rate_hz: float,
+        seed: int,
+        hanging: Hanging | None = None,
+        start_s: float = 0.0,
+    ) -> None:
+        if len(axes) != len(table.axes):
+            raise ValueError(f"the table has {len(table.axes)} axes and {len(axes)} are given; give as many.")
+        self.truth, self.table, self.hanging = truth, table, hanging or Hanging()
+        self.clock_error = truth.clock_error
+        self._chamber, self._axes = chamber, tuple(axes)
+        self._random = np.random.default_rng([seed, 20263])
+        self._states: dict[Kind, Vectors] = {}
+        self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
+        for kind, triad in self._triads():
+            sigmas = np.array(triad.drifts.sigmas)
+            self._states[kind] = sigmas * self._random.standard_normal((3, len(sigmas)))
+        self.restart(start_s, sample_rate_hz)
+
+    def _triads(self) -> list[tuple[Kind, TriadTruth]]:
+        both: dict[Kind, TriadTruth | None] = {"gyro": self.truth.gyro, "accelerometer": self.truth.accelerometer}
+        return [(kind, triad) for kind, triad in both.items() if triad is not None]
+
+    def take(self, count: int) -> SensorSamples:
+        ends = self.ends_of(count)
+        nan = np.full((count, 3), np.nan)
+        if not count:
+            return SensorSamples(ends[1:], nan, nan, np.zeros(0))
+        shares = np.arange(count * _PARTS + 1) / _PARTS
+        edges = np.interp(shares, np.arange(count + 1.0), ends)
+        rate, force = self._motion(edges)
+        felt = force + self._at_the_lever(rate, edges)
+        temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
+        said: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
+        for kind, triad in self._triads():
+            noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else felt
+            mean = own.reshape(count, _PARTS, 3).mean(axis=1)
+            ideal = _gyro(triad, rate, force, temperature) if kind == "gyro" else _felt(triad, felt, temperature)
+            said[kind] = ideal.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
+        return SensorSamples(
+            ends[1:],
+            np.degrees(said["gyro"]),
+            said["accelerometer"] / _STANDARD_GRAVITY,
+            self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0),
+        )
+
+    def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors]:
+        """What is added, and what the scale factor is off by, of every sample: `(count, 3)` each."""
+        drifts, dt = triad.drifts, self.true_period_s
+        draws = self._random.standard_normal((count, 3, 2 + len(drifts.sigmas)))
+        sigmas, decays = np.array(drifts.sigmas), np.exp(-dt / np.array(drifts.taus_s))
+        values, self._states[kind] = markov(draws[..., 2:], self._states[kind], sigmas, decays)
+        scales = np.array(drifts.scales, dtype=bool)
+        walk = self._walked[kind] + np.cumsum(triad.walk * dt**0.5 * draws[..., 1], axis=0)
+        self._walked[kind] = walk[-1]
+        added = triad.white / dt**0.5 * draws[..., 0] + walk + values[..., ~scales].sum(axis=-1)
+        return added, values[..., scales].sum(axis=-1)
+
+    def _motion(self, edges: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
+        """Rate against inertial space (rad/s) and specific force (m/s²) in the body, `(n, 3)` between `n + 1` times."""
+        table = self.table
+        middles, lasting = (edges[1:] + edges[:-1]) / 2.0, np.diff(edges)
+        attitude = np.broadcast_to(_of_vector(table.base), (len(middles), 4))
+        turning = np.zeros((len(middles), 3))
+        for l, (axis, plant) in enumerate(zip(table.axes, self._axes, strict=True)):
+            direction = np.array(axis)
+            outside = np.broadcast_to(direction, turning.shape)
+            pace = np.radians(np.diff(plant.position(edges))) / lasting
+            turning = turning + _rotate(attitude, outside) * pace[:, None]
+            attitude = _times(attitude, _about(direction, np.radians(plant.position(middles))))
+            if l + 1 < len(table.axes):
+                off = table.orthogonality[l] * np.cross(np.array(table.axes[l + 1]), direction)
+                attitude = _times(attitude, _of_vector(off))
+        attitude = _times(attitude, table.mountings[self.hanging.mounting])
+        earth = EARTH_RATE * np.array([0.0, np.cos(table.latitude), np.sin(table.latitude)])
+        rate = _rotate(_back(attitude), turning + earth)
+        up = np.broadcast_to(np.array([0.0, 0.0, table.gravity]), rate.shape)
+        return rate, _rotate(_back(attitude), up)
+
+    def _at_the_lever(self, rate: Vectors, edges: NDArray[np.float64]) -> Vectors:
+        """What turning adds to the specific force: ω × (ω × r) + ω̇ × r."""
+        lever = np.array(self.truth.lever)
+        return np.cross(rate, np.cross(rate, lever)) + np.cross(
+            np.gradient(rate, (edges[1:] + edges[:-1]) / 2.0, axis=0), lever
+        )
+
+
+# --------------------------------------------------------------------------------------------- what the sensors say
+
+
+def _gyro(truth: TriadTruth, rate: Vectors, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
+    said = rate + truth.bias.at(temperature)[..., 0]
+    if isinstance(truth.scale, ScaleFactors):
+        of_rate = truth.scale.rate(np.degrees(rate).ravel()).reshape(*rate.shape, -1)
+        factor = np.einsum("nt,naw,atw->na", truth.scale.temperature(temperature), of_rate, truth.scale.values)
+        said += factor * rate
+    for coefficients, seen in ((truth.misalignment, rate), (truth.force, force), (truth.force_squared, force**2)):
+        if coefficients is not None:
+            said += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
+    return said
+
+
+def _felt(truth: TriadTruth, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
+    said = force + truth.bias.at(temperature)[..., 0]
+    own = ((truth.scale, force), (truth.second, force**2), (truth.third, force**3), (truth.asymmetry, np.abs(force)))
+    for coefficients, seen in own:
+        if isinstance(coefficients, Coefficients):
+            said += coefficients.at(temperature)[..., 0] * seen
+    pairs = force[:, [0, 0, 1]] * force[:, [1, 2, 2]]
+    for coefficients, seen in ((truth.misalignment, force), (truth.cross, pairs)):
+        if coefficients is not None:
+            said += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
+    return said
+
+
+# ------------------------------------------------------------------------------------------------------ quaternions
+
+
+def hung(columns: NDArray[np.float64], *vectors: Sequence[float]) -> Quaternion:
+    """A mounting: body to the axis's frame by a matrix, turned on by rotation vectors (body)."""
+    found = _of_matrix(columns)
+    for vector in vectors:
+        found = _times(found, _of_vector(vector))
+    return found
+
+
+def _about(axis: NDArray[np.float64], angle: NDArray[np.float64]) -> Quaternion:
+    """`(…, 4)`, scalar first, of rotations by angles `(…)` about a unit vector."""
+    half = 0.5 * angle[..., None]
+    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
+
+
+def _of_vector(vector: Sequence[float] | NDArray[np.float64]) -> Quaternion:
+    """Of a rotation vector."""
+    size = float(np.linalg.norm(vector))
+    axis = np.array(vector) / size if size > 0.0 else np.array([1.0, 0.0, 0.0])
+    return _about(axis, np.array(size))
+
+
+def _of_matrix(matrix: NDArray[np.float64]) -> Quaternion:
+    """Of a rotation matrix, by its largest component (Shepperd 1978)."""
+    trace = np.trace(matrix)
+    sizes = np.sqrt(np.maximum(0.0, [1.0 + trace, *(1.0 + 2.0 * matrix[i, i] - trace for i in range(3))]))
+    largest = int(np.argmax(sizes))
+    s = 2.0 * sizes[largest]
+    skew = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
+    if largest == 0:
+        return np.concatenate([[0.25 * s], skew / s])
+    i = largest - 1
+    vector = (matrix[i] + matrix[:, i]) / s
+    vector[i] = 0.25 * s
+    return np.concatenate([[skew[i] / s], vector])
+
+
+def _times(p: Quaternion, q: Quaternion) -> Quaternion:
+    a, u, b, v = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
+    return np.concatenate([a * b - np.sum(u * v, axis=-1, keepdims=True), a * v + b * u + np.cross(u, v)], axis=-1)
+
+
+def _back(q: Quaternion) -> Quaternion:
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def _rotate(q: Quaternion, vectors: Vectors) -> Vectors:
+    """`q v q*`."""
+    twice = 2.0 * np.cross(q[..., 1:], vectors)
+    return vectors + q[..., :1] * twice + np.cross(q[..., 1:], twice)

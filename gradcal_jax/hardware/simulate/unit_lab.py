@@ -1,0 +1,307 @@
+"""A simulated laboratory for the recipe of a whole unit: chamber, a table of nested axes, one or several units.
+
+What the calibration is to find is drawn by the seed from the spec's priors: each unit's own coefficients, and what all
+share, how the base stands and its axes lie, harmonics of the encoders, the mountings. A flat prior draws something
+typical. The accelerometers sit a few centimetres off the axes and feel it. With the frame of the "table axes" the unit
+hangs exactly as its mounting says: that is how the frame is defined. Where the plan turns axes by hand a person does;
+one hangs the units anew where there are several mountings.
+"""
+
+import itertools
+from typing import Any, Final
+
+import numpy as np
+
+from ...files.unit_sensor import AccelerometerTriad, GyroTriad
+from ...files.unit_spec import UnitSpec
+from ..clock import Clock
+from .espec import EspecOptions, SimulatedEspec
+from .lab import axis_tables, chamber_truth, lab_rig, rate_truth, temperature_truth
+from .operator import OperatorOptions, SimulatedOperator
+from .plants import AxisPlant, AxisTruth, ChamberPlant
+from .port import SimulatedPort
+from .sensor import TruthBasis
+from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
+from .unit import (
+    Coefficients,
+    Drifts,
+    Hanging,
+    Quaternion,
+    ScaleFactors,
+    SimulatedUnit,
+    TableTruth,
+    TriadTruth,
+    UnitTruth,
+    hung,
+)
+from .zaber import SimulatedZaber, ZaberOptions
+
+_XYZ: Final = "xyz"
+_PAIRS: Final = ("xy", "xz", "yz")
+_LEVER_M: Final = 0.03
+_CONSTANT: Final = TruthBasis()
+# Of what has a flat prior, SI: something typical.
+_TYPICAL: Final = {
+    "bias": np.radians(0.02),
+    "scale_factor": 1e-3,
+    "misalignment": 1e-3,
+    "g_sensitivity": np.radians(10.0) / 3600.0 / 9.8,
+    "g_squared": np.radians(0.1) / 3600.0 / 9.8**2,
+    "force_bias": 5e-3 * 9.8,
+    "second_order": 1e-4 / 9.8,
+    "third_order": 1e-5 / 9.8**2,
+}
+
+
+class _Names:
+    """Draws coefficients and keeps them by the names that the calibration gives them."""
+
+    def __init__(self, random: np.random.Generator) -> None:
+        self.random = random
+        self.found: dict[str, float] = {}
+
+    def draw(
+        self,
+        kind: str,
+        section: Any,
+        typical: str,
+        symbols: list[list[str]],
+        axes: tuple[str, ...],
+        *,
+        counted: bool = False,
+    ) -> Coefficients | None:
+        """`symbols`: of each sensor axis what its coefficients are called, "" for one that is none."""
+        if section is None:
+            return None
+        basis = _CONSTANT if section.temperature is None else temperature_truth(section.temperature)
+        count = 1 if section.temperature is None else section.temperature.size
+        size = _TYPICAL[typical] if section.prior is None else float(section.prior)
+        values = size * self.random.standard_normal((3, len(symbols[0]), count))
+        for row, own in enumerate(symbols):
+            for column, symbol in enumerate(own):
+                if not symbol or _XYZ[row] not in axes:
+                    values[row, column] = 0.0
+                    continue
+                for power, value in enumerate(values[row, column]):
+                    ending = ordinal(basis, power) if count > 1 or counted else ""
+                    self.found[f"{kind}_{_XYZ[row]}.{symbol}{ending}"] = float(value)
+        return Coefficients(values, basis)
+
+
+def ordinal(basis: TruthBasis, number: int) -> str:
+    """How the calibration counts a basis's functions."""
+    return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[basis.kind] + str(number)
+
+
+def _others(symbol: str) -> list[list[str]]:
+    return [["" if a == b else f"{symbol}_{b}" for b in _XYZ] for a in _XYZ]
+
+
+def _drifts(drift: Any, instability: Any = ()) -> Drifts:
+    every = (*drift, *instability)
+    return Drifts(
+        tuple(float(d.standard_deviation) for d in every),
+        tuple(float(d.correlation_time) for d in every),
+        (False,) * len(drift) + (True,) * len(instability),
+    )
+
+
+def _gyro(triad: GyroTriad, names: _Names) -> TriadTruth:
+    axes, all_three = triad.axes, [[*_XYZ]] * 3
+    bias = names.draw("gyro", triad.bias, "bias", [["a"]] * 3, axes, counted=True)
+    assert bias is not None
+    scale = None
+    if (section := triad.scale_factor) is not None:
+        of_t, of_w = temperature_truth(section.temperature), rate_truth(section.rate)
+        size = _TYPICAL["scale_factor"] if section.prior is None else float(section.prior)
+        values = size * names.random.standard_normal((3, section.temperature.size, section.rate.size))
+        powers = of_t.kind == of_w.kind == "polynomial" and max(values.shape[1:]) <= 10
+        for row, axis in enumerate(_XYZ):
+            for i, j in itertools.product(*map(range, values.shape[1:])):
+                symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
+                if axis in axes:
+                    names.found[f"gyro_{axis}.{symbol}"] = float(values[row, i, j])
+        scale = ScaleFactors(values, of_t, of_w)
+    force = [[f"g_{a}" for a in row] for row in all_three]
+    squares = [[f"gg_{a}" for a in row] for row in all_three]
+    return TriadTruth(
+        bias=bias,
+        white=float(triad.angle_random_walk),
+        walk=float(triad.rate_random_walk or 0.0),
+        drifts=_drifts(triad.drift, triad.scale_factor_instability),
+        scale=scale,
+        misalignment=names.draw("gyro", triad.misalignment, "misalignment", _others("m"), axes),
+        force=names.draw("gyro", triad.g_sensitivity, "g_sensitivity", force, axes),
+        force_squared=names.draw("gyro", triad.g_squared, "g_squared", squares, axes),
+    )
+
+
+def _accelerometer(triad: AccelerometerTriad, names: _Names) -> TriadTruth:
+    axes, kind = triad.axes, "accelerometer"
+
+    def own(section: Any, typical: str, symbol: str) -> Coefficients | None:
+        return names.draw(kind, section, typical, [[symbol]] * 3, axes)
+
+    bias = own(triad.bias, "force_bias", "a")
+    assert bias is not None
+    return TriadTruth(
+        bias=bias,
+        white=float(triad.velocity_random_walk),
+        drifts=_drifts(triad.drift),
+        scale=own(triad.scale_factor, "scale_factor", "s"),
+        misalignment=names.draw(kind, triad.misalignment, "misalignment", _others("m"), axes),
+        second=own(triad.second_order, "second_order", "k2"),
+        third=own(triad.third_order, "third_order", "k3"),
+        asymmetry=own(triad.asymmetry, "scale_factor", "asymmetry"),
+        cross=names.draw(kind, triad.cross_coupling, "second_order", [[f"k_{p}" for p in _PAIRS]] * 3, axes),
+    )
+
+
+def draw_unit(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
+    """The hidden parameters of the unit of this number, in its `names` as the calibration has them, SI."""
+    names = _Names(np.random.default_rng([seed, number, 20261]))
+    sensor = spec.sensor
+    gyro = None if sensor.gyro is None else _gyro(sensor.gyro, names)
+    accelerometer = None if sensor.accelerometer is None else _accelerometer(sensor.accelerometer, names)
+    lever = _LEVER_M * names.random.standard_normal(3)
+    clock = 0.0
+    if sensor.sample_clock_error:
+        clock = names.found["sample_clock"] = float(sensor.sample_clock_error) * float(names.random.standard_normal())
+    place = (float(lever[0]), float(lever[1]), float(lever[2]))
+    return UnitTruth(gyro, accelerometer, place, clock, names.found)
+
+
+def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
+    """How the table stands, its encoders, and what of that the calibration finds, by its names there, SI."""
+    random = np.random.default_rng([seed, 20262])
+    rig, named = spec.rig, dict[str, float]()
+    table, site = rig.table, rig.site
+
+    def draw(size: float, name: str) -> float:
+        value = size * float(random.standard_normal())
+        if size:
+            named[name] = value
+        return value
+
+    base = draw(float(table.tilt), "tilt_east"), draw(float(table.tilt), "tilt_north")
+    azimuth = draw(float(table.azimuth), "azimuth")
+    leans = tuple(
+        draw(float(a.orthogonality), f"orthogonality_{a.name}_{b.name}") for a, b in itertools.pairwise(table.axis)
+    )
+    encoders: list[AxisTruth] = []
+    for number, axis in enumerate(table.axis, start=1):
+        waves: list[tuple[int, float, float]] = []
+        for harmonic in axis.angle.harmonics:
+            size, order = float(harmonic.amplitude), harmonic.order
+            # The calibration says how far the axis stands beyond its reading, the encoder reads the opposite.
+            cosine = draw(size, f"angle_{axis.name}_cos{order}")
+            sine = draw(size, f"angle_{axis.name}_sin{order}")
+            waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
+        limit = None if np.isinf(axis.travel) else float(np.degrees(axis.travel))
+        encoders.append(
+            AxisTruth(
+                lowest_deg=None if limit is None else -limit,
+                highest_deg=limit,
+                harmonics=tuple(waves),
+                standstill_offset_deg=float(np.degrees(axis.angle.standstill_offset)),
+                reading_noise_deg=float(np.degrees(axis.angle.reading_noise)),
+                seed=16 * seed + number,
+            )
+        )
+    in_case = spec.sensor.frame is not None and spec.sensor.frame.fixed_by == "case"
+    mountings: list[Quaternion] = []
+    for number, mounting in enumerate(table.mounting, start=1):
+        size = float(mounting.accuracy) if in_case else 0.0
+        off = [draw(size, f"mounting{number}_{axis}") for axis in _XYZ]
+        drawn = mounting.rotation or (0.0, 0.0, 0.0)
+        mountings.append(hung(np.array(mounting.columns).T, [float(angle) for angle in drawn], off))
+    truth = TableTruth(
+        axes=tuple(axis.unit_vector for axis in table.axis),
+        latitude=float(site.latitude),
+        gravity=float(site.gravity) + draw(float(site.gravity_accuracy), "gravity"),
+        base=(*base, azimuth),
+        orthogonality=leans,
+        mountings=tuple(mountings),
+    )
+    return truth, encoders, named
+
+
+class SimulatedUnitLab:
+    """The laboratory for one recipe's spec, with `units` units on the table. A context manager; `rig` is its rig file.
+
+    `mounting`: how the units hang when it begins, from 0. `burst_s` is how often a unit's bytes reach the computer.
+    """
+
+    def __init__(
+        self,
+        spec: UnitSpec,
+        clock: Clock,
+        *,
+        seed: int = 0,
+        units: int = 1,
+        mounting: int = 0,
+        sample_rate_hz: float = 125.0,
+        burst_s: float = 0.5,
+        room_c: float = 23.0,
+    ) -> None:
+        now, chamber = clock.now(), spec.rig.chamber
+        truth, encoders, self._installation = draw_table(spec, seed)
+        self.table_truth, self.hanging = truth, Hanging(mounting)
+        self.chamber_plant = ChamberPlant(chamber_truth(chamber, float(spec.sensor.thermal_lag or 0.0), room_c), now)
+        self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
+        self.units: dict[str, SimulatedUnit] = {
+            f"unit{number}": SimulatedUnit(
+                draw_unit(spec, seed, number),
+                truth,
+                self.chamber_plant,
+                self.axis_plants,
+                sample_rate_hz=sample_rate_hz,
+                seed=64 * seed + number,
+                hanging=self.hanging,
+                start_s=now,
+            )
+            for number in range(1, units + 1)
+        }
+        cold, hot = (float(end) for end in chamber.range)
+        espec = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
+        axes = spec.rig.table.axis
+        plants = dict(zip((axis.name for axis in axes), self.axis_plants, strict=True))
+        by_hand = any(step.move.shape == "hand" for step in spec.schedule.steps)
+        person = SimulatedOperator(plants, clock, OperatorOptions(seed=seed), hang=self._hang)
+        self.person = person
+        stages = SimulatedZaber(self.axis_plants, clock, ZaberOptions())
+        for stage, encoder in zip(stages.stages, encoders, strict=True):
+            if encoder.highest_deg is not None:
+                reach = round(encoder.highest_deg / 360.0 * stage.settings["limit.cycle.dist"])
+                stage.settings |= {"limit.min": -reach, "limit.max": reach}
+        options = Stim300Options(rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
+        self.imus = {name: SimulatedStim300(unit, clock, options) for name, unit in self.units.items()}
+        several = len(spec.rig.table.mounting) > 1
+        devices = [espec, person if by_hand else stages, *self.imus.values()]
+        devices += [person] if several and not by_hand else []
+        self.ports = [SimulatedPort(device, clock) for device in devices]
+        at_chamber, at_table, *others = (port.url for port in self.ports)
+        tables: list[dict[str, Any]] = []
+        for number, axis in enumerate(axes, start=1):
+            limits = {"max_rate": str(axis.max_rate), "max_acceleration": str(axis.max_acceleration)}
+            limits |= {"travel": str(axis.travel)} if by_hand and not np.isinf(axis.travel) else {}
+            tables.append(axis_tables(axis.name, at_table, number, limits, by_hand))
+        at_person = others[-1] if several and not by_hand else None
+        self.rig = lab_rig(at_chamber, tables, dict(zip(self.units, others, strict=False)), sample_rate_hz, at_person)
+
+    def truths(self) -> dict[str, Any]:
+        """For a file: what the calibrations are to find, by its names there, SI."""
+        units = {name: unit.truth.names for name, unit in self.units.items()}
+        return {"installation": self._installation, "units": units}
+
+    def _hang(self, number: int) -> None:
+        self.hanging.mounting = number - 1
+
+    def __enter__(self) -> "SimulatedUnitLab":
+        for port in self.ports:
+            port.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for port in self.ports:
+            port.close()

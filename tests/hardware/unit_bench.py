@@ -1,0 +1,109 @@
+"""A short plan of a whole unit on a two-axis table, and its estimate from a log, for the tests of unit runs."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hardware_bench import unpredicted
+
+from gradcal_jax import estimation
+from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.files import changed
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec, read_unit_spec
+from gradcal_jax.information import segments_of, unit_system, whiten
+
+HAND = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
+# Two axes, a stop of an instant between two of their turns, and back to where it began.
+MOVES: list[dict[str, Any]] = [
+    {"rest": "3 s"},
+    {"turn": "720 deg", "axis": "spin"},
+    {"rest": "3 s"},
+    {"turn": "-720 deg", "axis": "spin"},
+    {"turn": "90 deg", "axis": "tilt"},
+    {"rest": "4 s"},
+    {"turn": "360 deg", "axis": "tilt", "peak_rate": "150 deg/s"},
+    {"rest": "3 s"},
+    {"turn": "-360 deg", "axis": "tilt", "peak_rate": "150 deg/s"},
+    {"rest": "3 s"},
+    {"pose": {"tilt": "45 deg", "spin": "135 deg"}, "rest": "3 s"},
+    {"pose": {"tilt": "-90 deg", "spin": "180 deg"}, "rest": "3 s"},
+    {"pose": {"tilt": "0 deg", "spin": "0 deg"}},
+]
+
+
+def hand(minutes: float, **changes: Any) -> UnitSpec:
+    """The plan by hand in a ramp of so many minutes.
+
+    Its scale factors are such that their square, which the estimate leaves out, is below what three cycles tell.
+    """
+    keys = {
+        "plan.gradient": f"{100.0 / minutes:.2f} K/min",
+        "rig.chamber.max_heating": "60 K/min",
+        "rig.chamber.max_cooling": "60 K/min",
+        "sensor.gyro.scale_factor.prior": "1000 ppm",
+    }
+    return changed(read_unit_spec(HAND), keys | changes)
+
+
+def short(cycles: int = 1) -> UnitSpec:
+    """A plan of `cycles` cycles of less than a minute, 20 to 30 degC, of a simpler unit."""
+    minutes = 0.9 * cycles
+    temperature = {"basis": "polynomial", "degree": 1, "centre": "25 degC", "scale": "5 K"}
+    rate = {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"}
+    keys: dict[str, Any] = {f"sensor.{kind}.bias.temperature": temperature for kind in ("gyro", "accelerometer")}
+    keys |= {
+        "plan.temperature": ["20 degC", "30 degC"],
+        "plan.gradient": f"{10.0 / minutes:.3f} K/min",
+        "plan.cycle.moves": MOVES,
+        "sensor.gyro.scale_factor": {"temperature": temperature, "rate": rate, "prior": "1000 ppm"},
+        "sensor.accelerometer.scale_factor.temperature": temperature,
+    }
+    text = HAND.read_text(encoding="utf-8").replace('["-30 degC", "70 degC"]', '["20 degC", "30 degC"]')
+    return changed(parse_unit_spec(text), keys | {"rig.chamber.max_heating": "60 K/min"})
+
+
+def made(spec: UnitSpec) -> Recipe:
+    """Its recipe, without a prediction."""
+    return unpredicted(spec)
+
+
+def estimated(log: Log, spec: UnitSpec, truth: dict[str, float]) -> tuple[float, int, float, int]:
+    """χ² of a log and its degrees of freedom, and the normalised square of all errors of the estimate and theirs."""
+    built = assemble_unit(spec)
+    model, count = built.model, len(log.time_s)
+    usable = log.usable()
+    usable[log.stretch_starts] = False
+    assert log.specific_force_m_per_s2 is not None
+    assert log.temperature_c is not None
+    assert log.table_angle_rad is not None
+    assert log.standstill is not None
+    rows = estimation.UnitRows(
+        log.time_s,
+        log.rate_rad_per_s[0],
+        log.specific_force_m_per_s2[0],
+        log.temperature_c[0],
+        log.table_angle_rad,
+        log.standstill >= 0,
+        usable,
+        np.zeros(count, int) if log.mounting is None else log.mounting,
+    )
+    done = estimation.executed_unit(rows, built.motion.geometry)
+    readings = estimation.readings_of(model, done, rows, rows.temperature_c, built.points)
+    found = estimation.estimate_unit(readings)
+    steps, _ = unit_system(done.motion, model, readings.nominal())
+    used = np.asarray(steps.used)
+    apart = np.where(segments_of(done.motion, model).used, readings.observed - readings.expected(found.parameters), 0.0)
+    prior = model.prior_rows()
+    chi_squared = float(np.sum(np.asarray(whiten(steps, apart[:, None]))[used] ** 2))
+    chi_squared += float(np.sum((prior @ found.parameters) ** 2))
+    degrees = int(used.sum()) + len(prior) - model.size
+    names, reported = model.names(), model.to_reported
+    assert set(names) == set(truth)
+    errors = reported @ found.parameters - np.array([truth[name] for name in names])
+    covariance = found.known.covariance(reported)
+    # Scaled, since coefficients have many units.
+    size = np.sqrt(np.diag(covariance))
+    nees = float((errors / size) @ np.linalg.solve(covariance / np.outer(size, size), errors / size))
+    return chi_squared, degrees, nees, len(names)

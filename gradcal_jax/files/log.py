@@ -100,9 +100,6 @@ class Log:
     """[unit, time, axis]; no axis where the unit has accelerometers alone."""
     units: tuple[str, ...]
     axes: tuple[str, ...]
-    specific_force_m_per_s2: Floats | None = None
-    """[unit, time, force axis]; +1 g along an axis that points up at rest."""
-    force_axes: tuple[str, ...] = ()
     temperature_c: Floats | None = None
     """[unit, time]"""
     table_axes: tuple[str, ...] = ()
@@ -126,6 +123,9 @@ class Log:
     findings: tuple[Finding, ...] = ()
     simulated: bool = False
     provenance: Mapping[str, str] = field(default_factory=dict[str, str])
+    specific_force_m_per_s2: Floats | None = None
+    """[unit, time, force axis]; +1 g along an axis that points up at rest."""
+    force_axes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         rows = len(self.time_s)

@@ -30,7 +30,7 @@ def panel_of(recipe: Recipe) -> dict[str, Any]:
 
     Errors: `ValueError` for a plan that is not one ramp from start to end.
     """
-    spec = recipe.spec
+    spec = recipe.axis_spec
     plan = spec.plan
     if not isinstance(plan, GradientPlan) or plan.temperature is None or not isinstance(plan.gradient, Quantity):
         raise ValueError("the panel varies the slope of one ramp, and this plan is none: leave --panel out")

@@ -105,7 +105,8 @@ def readings(truth: dict[str, float], count: int = 400) -> tuple[Log, np.ndarray
     said = np.stack([unit_twin._gyro(truth, a, rate, force, warm, np.radians(300.0)) for a in range(3)], axis=1)
     felt = np.stack([unit_twin._accelerometer(truth, a, force, warm) for a in range(3)], axis=1)
     log = Log(
-        np.arange(count) * 0.01, said[None], ("SN 1",), tuple("xyz"), felt[None], tuple("xyz"), temperature[None]
+        np.arange(count) * 0.01, said[None], ("SN 1",), tuple("xyz"), temperature[None],
+        specific_force_m_per_s2=felt[None], force_axes=tuple("xyz"),
     )  # fmt: skip
     return log, rate, force
 

@@ -84,13 +84,13 @@ def record(
                 kept.rate[None],
                 (name,),
                 ("x", "y", "z"),
-                kept.force[None],
-                ("x", "y", "z"),
                 kept.temperature[None],
                 tuple(axis.name for axis in spec.rig.table.axis),
                 kept.angles,
                 None,
                 number,
+                specific_force_m_per_s2=kept.force[None],
+                force_axes=("x", "y", "z"),
                 simulated=True,
             )
         )

@@ -129,15 +129,14 @@ def test_the_limit_of_the_bias_holds_for_a_plan_that_does_nothing_else(drift):
 
 
 def test_a_search_for_a_mission_beats_its_beginning_and_keeps_a_guard():
-    guard = {"requirement[0].target": "12 ppm"}
+    guard = {"requirement[0].target": "20 ppm"}
     spec = changed(
-        with_requirements(heading(spin()), design={"minimise": "h", "free": ["duration", "peak_rate"], "moves": 3}),
-        guard,
+        with_requirements(heading(spin()), design={"minimise": "h", "free": ["duration", "peak_rate"]}), guard
     )
     best = gj.optimise(spec, steps=24, quick=True)
     assert best.now < best.before
     rows = {row.name: row for row in gj.predict(best.spec).requirements}
-    assert rows["scale factor"].mean_of_max <= 12.0 * 1.05
+    assert rows["scale factor"].mean_of_max <= 20.0 * 1.05
     assert rows["h"].rms == pytest.approx(best.now)
 
 

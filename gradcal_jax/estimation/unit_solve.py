@@ -113,10 +113,10 @@ class UnitReadings(NamedTuple):
         at = segments_of(self.done.motion, model)
         ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
         result, begin = np.zeros(len(at.row_segment)), 0
-        for i, c in enumerate(model.channels):
+        for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
             own = parameters[begin : begin + c.model.size]
             begin += c.model.size
-            said = ideal[nodes.kind, c.index] + c.model.columns(nodes.channel(c.kind, c.axis)) @ own
+            said = ideal[nodes.kind, c.index] + columns @ own
             rows = at.row_channel == i
             result[rows] = at.sums(said)[at.row_segment[rows]]
         return result * (1.0 + table.clock)

@@ -128,13 +128,14 @@ class UnitModel(eqx.Module):
         """What each parameter's unit adds, rad or m/s: of each channel `(P, own)` over every piece (zero over moves for
         one that is read at rest alone), of the installation over a piece of each kind.
         """
-        own = self._own_columns(nodes)
+        own = self.own_columns(nodes)
         xp = namespace(own, nodes.angle_before)
         none = xp.zeros((len(nodes.axis), 6, 0))
         return own, xp.concatenate([none, *(term.columns(nodes) for term in self.installation)], axis=-1)
 
-    def _own_columns(self, nodes: BodyNodes) -> list[AnyArray]:
-        """Terms with the same functions of temperature are integrated at once, those of all channels together."""
+    def own_columns(self, nodes: BodyNodes) -> list[AnyArray]:
+        """Of `columns`, those of each channel: what its own parameters' unit adds over every piece, `(P, own)`."""
+        # Terms with the same functions of temperature are integrated at once, those of all channels together.
         ends, begin = [], 0
         parts: list[tuple] = []
         alike: list[dict[Basis, list[tuple[np.ndarray, AnyArray]]]] = [{} for _ in nodes.groups]

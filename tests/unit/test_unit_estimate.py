@@ -55,9 +55,9 @@ def test_the_covariance_of_a_log_is_that_of_its_plan():
     plan = posterior_of_unit(assemble_unit(spec))
     reported = report.built.model.to_reported
     ratio = report.found.known.deviations(reported) / plan.deviations(reported)
-    # The ends of rests, a tenth of a second each, count to the moves.
-    assert np.max(np.abs(ratio - 1.0)) < 0.04
-    assert abs(np.median(ratio) - 1.0) < 0.01
+    # The ends of rests, a tenth of a second each, count to the moves: of 7 readings of the encoder 6 are counted.
+    assert np.max(np.abs(ratio - 1.0)) < 0.09
+    assert 1.0 <= np.median(ratio) < 1.02
 
 
 def test_an_installation_error_put_in_by_hand_is_found_as_such():
@@ -67,7 +67,7 @@ def test_an_installation_error_put_in_by_hand_is_found_as_such():
     (report,) = estimate_units(spec, record(spec, truth, np.random.default_rng(5)))
     found = {error.name: error for error in report.calibration.table}
     for name in ("tilt_north", "orthogonality_tilt_spin"):
-        assert abs(found[name].value - truth[name]) < 4.0 * found[name].standard_deviation < 1e-4
+        assert abs(found[name].value - truth[name]) < 4.0 * found[name].standard_deviation < 2e-4
     worst = max(abs(e.value) / e.standard_deviation for n, e in found.items() if n not in truth or truth[n] == 0.0)
     assert worst < 4.0
 

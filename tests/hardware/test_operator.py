@@ -438,6 +438,8 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
     with laboratory(tmp_path) as (lab, recipe, rig):
         plant = lab.axis_plants[0]
         with AtTerminal("run", recipe, "--rig", rig, "-o", folder) as terminal:
+            terminal.wait_for("Enter to begin, anything else to leave it: ")
+            terminal.type("\n")
             terminal.wait_for("x: bring it to its zero mark; let it stand and type the angle that it shows: ")
             terminal.type("o.02 deg\n")
             terminal.wait_for("expected an angle such as '30 arcsec'. Type the angle that it shows: ")
@@ -482,6 +484,8 @@ def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Pat
             terminal.type(typed)
 
         with AtTerminal("run", recipe, "--rig", rig, "-o", folder) as terminal:
+            terminal.wait_for("Enter to begin, anything else to leave it: ")
+            terminal.type("\n")
             turn(terminal, "zero mark", 0.0, "0 deg\n")
             terminal.wait_for("running")
             terminal.type("\x03")

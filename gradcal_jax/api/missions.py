@@ -95,7 +95,9 @@ def mission_table(built: Assembled, requirement: HeadingRequirement, left: np.nd
 
 
 class ErrorCurve(NamedTuple):
-    """The error of the integrated rate (deg, 1σ) at times (s) of a mission: what the calibration leaves, own noise."""
+    """The error of the integrated rate (deg, 1σ) at times (s) of a mission, `(n,)` each: what the calibration leaves,
+    and the unit's own noise.
+    """
 
     file: str
     time: np.ndarray

@@ -163,7 +163,8 @@ class Transport:
                 f"The port {self.url} takes no bytes: {len(data)} waited {self._port.write_timeout} s to be written. "
                 "Check flow control and that the device is on."
             ) from None
-        except (serial.SerialException, OSError) as problem:
+        except (serial.SerialException, OSError, TypeError) as problem:
+            # TypeError: pyserial waits for a descriptor that another thread has just closed.
             raise self._gone(problem) from None
 
     def read(self, timeout_s: float, *, most: int = 65536) -> bytes:

@@ -36,7 +36,6 @@ from gradcal_jax.files.unit_correction import correct_unit, triad_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, Map, SignalMap
-from gradcal_jax.units import DEG_PER_H, PPM, G
 
 # Between two recordings of one unit that is hung anew, s: far longer than any drift lasts, where nothing says more.
 _REHUNG_S = 6 * 3600.0
@@ -491,17 +490,6 @@ def _result(row: RequirementRow) -> UnitResult:
         unit=row.unit,
         **{key: v for key, v in given.items() if v is not None},
     )
-
-
-UNITS_OF_TERMS = {
-    "rad/s": ("deg/h", DEG_PER_H),
-    "1": ("ppm", PPM),
-    "rad": ("urad", 1e6),
-    "rad/s/(m/s^2)": ("deg/h/g", DEG_PER_H * G),
-    "m/s^2": ("ug", 1e6 / G),
-    "1/(m/s^2)": ("ug/g^2", 1e6 * G),
-}
-"""Of a term's SI unit the unit that people read, and that many of it are one in SI."""
 
 
 def unit_estimate_rows(report: UnitReport) -> dict[str, Any]:

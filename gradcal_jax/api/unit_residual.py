@@ -34,6 +34,18 @@ UNIT_OF_QUANTITY = {
     "heading": ("deg", np.degrees(1.0)),
 }
 """Of each quantity the unit that people read, and that many of it are one in SI."""
+UNITS_OF_TERMS = {
+    "rad/s": ("deg/h", DEG_PER_H),
+    "1": ("ppm", PPM),
+    "rad": ("urad", 1e6),
+    "m": ("mm", 1e3),
+    "m/s^2": ("ug", 1e6 / G),
+    "rad/s/(m/s^2)": ("deg/h/g", DEG_PER_H * G),
+    "rad/s/(m/s^2)^2": ("deg/h/g^2", DEG_PER_H * G**2),
+    "1/(m/s^2)": ("ug/g^2", 1e6 * G),
+    "1/(m/s^2)^2": ("ug/g^3", 1e6 * G**2),
+}
+"""Of a coefficient's SI unit the same."""
 
 
 class UnitResidual(NamedTuple):

@@ -56,6 +56,7 @@ def estimate_of_units(
 def _text(report: "UnitReport") -> str:
     import numpy as np
 
+    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
     from gradcal_jax.units import G
 
     found, model = report.calibration, report.built.model
@@ -80,7 +81,7 @@ def _text(report: "UnitReport") -> str:
     if found.table:
         of_table: list[tuple[str, ...]] = [("what the run says of the table", "value", "1σ", "known to", "")]
         for error in found.table:
-            unit, factor = _SHOWN.get(error.unit, (error.unit, 1.0))
+            unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
             numbers = (f"{v * factor:.4g}" for v in (error.value, error.standard_deviation, error.prior))
             of_table.append((error.name.replace("_", " "), *numbers, unit))
         lines += [table(of_table, right=(1, 2, 3))]
@@ -93,14 +94,11 @@ def _text(report: "UnitReport") -> str:
     return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])
 
 
-_SHOWN = {"rad": ("µrad", 1e6), "1": ("ppm", 1e6), "m/s^2": ("µg", 1e6 / 9.80665)}
-
-
 def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
     """Of every channel's terms: the largest value over temperature (and rate)."""
     import numpy as np
 
-    from gradcal_jax.api.unit_estimate import UNITS_OF_TERMS
+    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
     from gradcal_jax.files.unit_correction import term_values
 
     found = report.calibration

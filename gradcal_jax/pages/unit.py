@@ -5,7 +5,7 @@ from typing import Any
 from gradcal_jax import api, plots, units
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_prediction import posterior_of_unit
-from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS, unit_residual
 from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files.contracts import Prediction, RequirementRow
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
@@ -18,18 +18,6 @@ from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.units import time_text
 
-# SI units of parameters, in those that people read, and that many of it are one in SI.
-_SHOWN = {
-    "rad/s": ("deg/h", units.DEG_PER_H),
-    "1": ("ppm", units.PPM),
-    "rad": ("urad", 1e6),
-    "m": ("mm", 1e3),
-    "m/s^2": ("ug", 1e6 / units.G),
-    "rad/s/(m/s^2)": ("deg/h/g", units.DEG_PER_H * units.G),
-    "rad/s/(m/s^2)^2": ("deg/h/g^2", units.DEG_PER_H * units.G**2),
-    "1/(m/s^2)": ("ug/g^2", 1e6 * units.G),
-    "1/(m/s^2)^2": ("ug/g^3", 1e6 * units.G**2),
-}
 _SUMMED = {"worst": "worst axis", "all": "all axes together"}
 _MOST_ROWS = 80
 
@@ -87,7 +75,7 @@ def _parameters(found: Prediction) -> list[ParameterFact]:
     for row in found.parameters:
         channel, _, symbol = row.name.partition(".")
         kind, _, axis = channel.rpartition("_")
-        unit, factor = _SHOWN.get(row.unit, (row.unit, 1.0))
+        unit, factor = UNITS_OF_TERMS.get(row.unit, (row.unit, 1.0))
         std = None if row.std is None else row.std * factor
         rows.append(ParameterFact(symbol, axis, kind, unit, None, None, std, None, None))
     return rows

@@ -6,7 +6,8 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.unit_estimate import UNITS_OF_TERMS, UnitReport
+from gradcal_jax.api.unit_estimate import UnitReport
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.files.unit_calibration import CalibratedTerm, UnitCalibration
 from gradcal_jax.files.unit_correction import term_values
 from gradcal_jax.information import segments_of

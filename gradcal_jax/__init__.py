@@ -72,6 +72,13 @@ _HOME_OF_NAME: dict[str, str] = {
     "validate": "api.validation",
     "export": "files.exports",
     "report": "pages.report",
+    # calibrations of whole units
+    "estimate_units": "api.unit_estimate",
+    "UnitCalibration": "files.unit_calibration",
+    "read_any_calibration": "files.unit_calibration",
+    "write_unit_calibration": "files.unit_calibration",
+    "apply_unit": "files.unit_correction",
+    "export_unit": "files.unit_exports",
     # the core alone: error model, plans, covariance
     "SensorModel": "model",
     "gradient_plan": "trajectory",

@@ -17,6 +17,7 @@ from gradcal_jax.api.flow import instability as instability
 from gradcal_jax.api.flow import limit as limit
 from gradcal_jax.api.flow import optimise as optimise
 from gradcal_jax.api.flow import sensitivity as sensitivity
+from gradcal_jax.api.unit_estimate import estimate_units as estimate_units
 from gradcal_jax.api.validation import validate as validate
 from gradcal_jax.files import Spec as Spec
 from gradcal_jax.files import SpecError as SpecError
@@ -40,6 +41,11 @@ from gradcal_jax.files.log import write_log as write_log
 from gradcal_jax.files.recipe import read_recipe as read_recipe
 from gradcal_jax.files.rig import read_rig as read_rig
 from gradcal_jax.files.sweep import read_sweep as read_sweep
+from gradcal_jax.files.unit_calibration import UnitCalibration as UnitCalibration
+from gradcal_jax.files.unit_calibration import read_any_calibration as read_any_calibration
+from gradcal_jax.files.unit_calibration import write_unit_calibration as write_unit_calibration
+from gradcal_jax.files.unit_correction import apply_unit as apply_unit
+from gradcal_jax.files.unit_exports import export_unit as export_unit
 from gradcal_jax.files.unit_spec import UnitSpec as UnitSpec
 from gradcal_jax.files.unit_spec import parse_unit_spec as parse_unit_spec
 from gradcal_jax.files.unit_spec import read_unit_spec as read_unit_spec

@@ -54,8 +54,8 @@ class InternalMisalignment(NamedTuple):
 
 
 class UnitReport(NamedTuple):
-    """The estimate of one unit. `channels`: χ² and whiteness of each channel's own rows; `gravity`: rms of |f| − g over
-    the rests, m/s², before the calibration and after it.
+    """The estimate of one unit, SI unless said. `channels`: χ² and whiteness of each channel's own rows; `gravity`: rms
+    of |f| − g over the rests, m/s², before the calibration and after it.
     """
 
     unit: str
@@ -92,9 +92,14 @@ def estimate_units(
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> list[UnitReport]:
-    """The calibration of every asked unit (all, without them) in a log; with several mountings, one log for each.
+    """The calibration of every asked unit (all, without `units`) in a log; with several mountings, one log for each.
 
-    **Raises:** `LogError` and `ValueError` with a sentence where the logs do not hold what the estimate needs.
+    `options`: `api.estimate_options.Options`, of which a unit takes `lag` (s), `clock` and `temperature_c`; `sources`:
+    names of files, for the provenance. Returns a report for each unit: `calibration` (SI), `requirements` in people's
+    units, tests of the fit by channel, what no rotation changes (rad), and `messages`. Gauss-Newton through the finite
+    geometry with the whitened Jacobian of the prediction (`gradcal_jax.estimation.unit_solve`).
+
+    Errors: `LogError` and `ValueError` with a sentence where the logs do not hold what the estimate needs.
     """
     options = options or Options()
     if spec.rig.table.standing != "held":

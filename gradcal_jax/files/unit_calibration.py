@@ -153,7 +153,9 @@ class UnitNoise(Section):
 
 
 class UnitCalibration(Section):
-    """The calibration file of a whole unit. Beyond `valid_temperature` and `valid_rate` the values at the edge hold."""
+    """The calibration file of a whole unit, SI (°C) inside. Beyond `valid_temperature` and `valid_rate` the values at
+    the edge hold. Made by `estimate_units` and `read_any_calibration`. Errors: `SpecError` by those.
+    """
 
     format: Literal["gradcal-calibration/1"]
     """Name and version of this file format."""
@@ -224,12 +226,18 @@ def parse_any_calibration(text: str, source: str = "") -> Calibration | UnitCali
 
 
 def read_any_calibration(path: str | Path) -> Calibration | UnitCalibration:
-    """The calibration in a file, of a gyro's axes or of a whole unit. Raises `SpecError` with every fault."""
+    """The calibration in a file, of a gyro's axes or of a whole unit: coefficients and covariance in SI.
+
+    Errors: `SpecError` with every fault.
+    """
     return parse_any_calibration(read_text(path), str(path))
 
 
 def write_unit_calibration(calibration: UnitCalibration, path: str | Path) -> None:
-    """Write a unit's calibration, whole or not at all. Errors: `OSError` where it cannot be written."""
+    """Write a unit's calibration, whole or not at all; what its numbers mean, and their units, stand in its head.
+
+    Errors: `OSError` where it cannot be written.
+    """
     write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
 
 

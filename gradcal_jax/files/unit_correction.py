@@ -112,7 +112,10 @@ def triad_of(log: Log, unit: int) -> tuple[Floats, Floats]:
 
 
 def apply_unit(calibration: UnitCalibration, log: Log, unit: str | int = 0) -> Corrected:
-    """The log of one unit with corrected rates and specific forces; `Corrected` counts rows beyond what is covered.
+    """The log of one unit with corrected rates (rad/s) and specific forces (m/s²) along x, y, z.
+
+    `unit`: its name or number in the log. Solves measured = input + Σ map(T)·signals, row by row; beyond what is
+    covered the values at the edge hold, and `Corrected` counts such rows. Masked rows are corrected too, and stay masked.
 
     Errors: `LogError` where a channel of the calibration, or a temperature that it needs, is not in the log.
     """

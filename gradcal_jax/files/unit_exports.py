@@ -40,7 +40,12 @@ def export_unit(
     instance: int = 1,
     device_id: int | None = None,
 ) -> Export:
-    """A unit's calibration for a target of `UNIT_FORMATS`; see `exports.export`. Errors: `ValueError`, a sentence."""
+    """A unit's calibration for a target of `UNIT_FORMATS`: ardupilot, px4, kalibr, matrices, c-header, csv.
+
+    `temperature_c`: for targets of one temperature; `instance`: number of the sensor on the controller (from 1 for
+    ArduPilot, from 0 for PX4); `device_id`: PX4's. Returns the text, and every loss with its largest value and unit.
+    The formulas are those of the targets' firmware. Errors: `ValueError` with a sentence for what cannot be exported.
+    """
     if target not in UNIT_FORMATS:
         known = ", ".join(UNIT_FORMATS)
         raise ValueError(f'there is no export format "{target}" of a whole unit: known are {known}')

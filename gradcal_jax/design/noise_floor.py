@@ -40,6 +40,7 @@ good ones).
 """
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
@@ -57,6 +58,8 @@ _POINTS = 1500
 _NODES = 12
 _SMALL = 1e-4
 _TOUCHING = 1e-6
+# Share of a window that its ends keep off a jump; and what a process changes by at once, of its variance.
+_HAIR, _AT_ONCE = 1e-9, 1e-12
 # Temperatures of a linear programme.
 _GRID = 2001
 # Of the largest singular value of scaled columns: what is seen.
@@ -160,7 +163,7 @@ def bias_floor_anywhere(
 
 def _continuous_look(basis: Basis, windows, temperature, variance: float, decay: float) -> np.ndarray:
     """Rows whose squares are the information of a look at the basis's functions under a Gauss–Markov process."""
-    edges = np.array(windows)
+    edges = _divided(basis, windows, temperature)
     nodes, weights = quadrature(_NODES)
     width = np.diff(edges, axis=1)
     t, of_time = temperature((edges[:, :1] + width * nodes).ravel())
@@ -168,11 +171,30 @@ def _continuous_look(basis: Basis, windows, temperature, variance: float, decay:
     slope = (basis(t + _SMALL) - basis(t - _SMALL)) / (2.0 * _SMALL) * of_time[:, None]
     share = np.sqrt((width * weights).ravel() / (2.0 * variance * decay))
     inside = (slope + decay * basis(t)) * share[:, None]
-    begin, end = basis(temperature(edges[:, 0])[0]), basis(temperature(edges[:, 1])[0])
-    kept = np.exp(-decay * (edges[1:, 0] - edges[:-1, 1]))[:, None]
-    apart = edges[1:, 0] - edges[:-1, 1] > _TOUCHING
-    between = (begin[1:] - kept * end[:-1])[apart] / np.sqrt(variance * (1.0 - kept[apart] ** 2))
+    hair = _HAIR * width[:, 0]
+    begin, end = basis(temperature(edges[:, 0] + hair)[0]), basis(temperature(edges[:, 1] - hair)[0])
+    # Where a function jumps and the process does not, the jump is seen as it is.
+    kept = np.minimum(np.exp(-decay * (edges[1:, 0] - edges[:-1, 1])), 1.0 - _AT_ONCE)[:, None]
+    between = (begin[1:] - kept * end[:-1]) / np.sqrt(variance * (1.0 - kept**2))
+    touch = edges[1:, 0] - edges[:-1, 1] <= _TOUCHING
+    between[touch] = (begin[1:] - end[:-1])[touch] / np.sqrt(2.0 * variance * _AT_ONCE)
     return np.concatenate([begin[:1] / np.sqrt(variance), inside, between])
+
+
+def _divided(basis: Basis, windows, temperature) -> np.ndarray:
+    """`(k, 2)`, the windows divided where the temperature crosses a break of the basis (it goes one way in each)."""
+    edges: list[tuple[float, float]] = []
+    for a, b in windows:
+        at_a, at_b = (float(temperature(np.array([t]))[0][0]) for t in (a, b))
+        crossed = [v for v in basis.breaks if min(at_a, at_b) < v < max(at_a, at_b)]
+        cuts = sorted(_when(temperature, v, a, b) for v in crossed)
+        edges += pairwise([a, *cuts, b])
+    return np.array(edges)
+
+
+def _when(temperature, value: float, a: float, b: float) -> float:
+    """When a temperature is passed between two times."""
+    return float(scipy.optimize.brentq(lambda t: float(temperature(np.array([t]))[0][0]) - value, a, b))
 
 
 def _prior_of_constants(model: SensorModel) -> np.ndarray:

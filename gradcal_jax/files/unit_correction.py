@@ -115,7 +115,7 @@ def apply_unit(calibration: UnitCalibration, log: Log, unit: str | int = 0) -> C
     """The log of one unit with corrected rates (rad/s) and specific forces (m/s²) along x, y, z.
 
     `unit`: its name or number in the log. Solves measured = input + Σ map(T)·signals, row by row; beyond what is
-    covered the values at the edge hold, and `Corrected` counts such rows. Masked rows are corrected too, and stay masked.
+    covered the values at the edge hold, and `Corrected` counts such rows. Masked rows are corrected, and stay masked.
 
     Errors: `LogError` where a channel of the calibration, or a temperature that it needs, is not in the log.
     """

@@ -30,6 +30,7 @@ from gradcal_jax.files.schedule import ResolvedCycle, StandardSchedule
 from gradcal_jax.information import statistic
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Programme, programme
+from gradcal_jax.units import time_text
 
 # The time at the table is cut into at least so many equal parts, each at one temperature; or two in each turn there.
 _PARTS = 48
@@ -41,6 +42,8 @@ Windows = list[tuple[float, float]]
 
 class PlanLimit(NamedTuple):
     """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: what the relaxed problem attains.
+
+    `kept`: what those plans have in common, in words.
 
     `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: what
     the proof lets a plan do that the rig does not, in words.
@@ -54,6 +57,7 @@ class PlanLimit(NamedTuple):
     value: float | None
     efficiency: float | None
     relaxed: tuple[str, ...]
+    kept: tuple[str, ...] = ()
 
 
 def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
@@ -94,6 +98,7 @@ class _Window(NamedTuple):
     used: Windows
     temperature: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     relaxed: tuple[str, ...]
+    kept: tuple[str, ...]
 
     def limit(self, requirement: Requirement, row) -> PlanLimit:
         model = self.built.model
@@ -118,6 +123,7 @@ class _Window(NamedTuple):
             left,
             efficiency,
             relaxed,
+            self.kept,
         )
 
     def _of_scale_factor(self, asked: Criterion, sure: np.ndarray) -> Limit:
@@ -216,7 +222,11 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
         relaxed.append("the time is spread over the temperatures as is best")
         if np.any(built.model.processes.rate_gain):
             relaxed.append("errors that multiply the rate are left out, but for constant ones")
-    return _Window(spec, built, total, every, temperatures, fixed, density, windows, used, followed, tuple(relaxed))
+    kept = [f"{time_text(float(round(total)))} at the table" + (", when this plan has it" if tied else "")]
+    kept += ["the chamber's course of this plan"] if fixed else []
+    return _Window(
+        spec, built, total, every, temperatures, fixed, density, windows, used, followed, tuple(relaxed), tuple(kept)
+    )
 
 
 def _ends_of_one_ramp(spec: Spec) -> tuple[float, float] | None:

@@ -47,6 +47,8 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
         table.append((f"{row.name} ({row.statistic})", *bounds, amount(row.value, row.unit), share))
     print(strong(found.title or str(spec)))
     print(columns(table, indent=""))
+    for kept in dict.fromkeys(row.kept for row in rows if row.kept):
+        print("of plans that keep: " + "; ".join(kept))
     for relaxed in dict.fromkeys(row.relaxed for row in rows):
         names = ", ".join(row.name for row in rows if row.relaxed == relaxed)
         of = "" if all(row.relaxed == relaxed for row in rows) else f" for {names}"

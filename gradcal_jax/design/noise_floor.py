@@ -194,7 +194,7 @@ def _divided(basis: Basis, windows, temperature) -> np.ndarray:
 
 def _when(temperature, value: float, a: float, b: float) -> float:
     """When a temperature is passed between two times."""
-    return float(scipy.optimize.brentq(lambda t: float(temperature(np.array([t]))[0][0]) - value, a, b))
+    return scipy.optimize.root_scalar(lambda t: float(temperature(np.array([t]))[0][0]) - value, bracket=(a, b)).root
 
 
 def _prior_of_constants(model: SensorModel) -> np.ndarray:

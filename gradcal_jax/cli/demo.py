@@ -15,7 +15,7 @@ from typing import Any, Final
 from cyclopts import App
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Json, Output, as_json
+from gradcal_jax.cli.output import Flag, Json, Output, as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount
 
@@ -42,6 +42,8 @@ _HEADLINE: Final[dict[str, object]] = {
     "design.starts": 2,
 }
 _STEPS: Final = "60"
+# Plans that the short search for a whole unit tries.
+_PLANS: Final = "150"
 
 # Axis y, whose bias follows the temperature best. The recording names no units: time fits µs, white noise rad/s.
 _COLUMNS: Final = """\
@@ -64,13 +66,15 @@ def demo(
     *,
     output: Output = Path("gradcal-demo"),
     data: Path | None = None,
+    imu: Flag = False,
     seed: int = 1,
     json: Json = False,
 ) -> int:
     """Do the whole job in about two minutes, from a spec to a calibrated sensor on simulated devices and a page of it.
 
-    Each step says which command does it alone. With --data the sensor is a recorded one: its drift is found in a
-    thermal cycle at rest, and a plan is designed for it. The exit status is 1 where a target is missed in the end.
+    Each step says which command does it alone. With --imu it is a whole unit on a two-axis table: a better plan, the
+    run, the calibration of all axes, in some minutes. With --data the sensor is a recorded one: its drift is found in
+    a thermal cycle at rest, and a plan is designed for it. The exit status is 1 where a target is missed in the end.
 
     Parameters
     ----------
@@ -78,11 +82,15 @@ def demo(
         The folder for everything that is made.
     data
         A folder with the recorded thermal cycle, tofupilot_imu_thermal_cycle.npz.
+    imu
+        A whole unit, three gyros and three accelerometers.
     seed
         What the simulated devices' hidden errors are drawn by.
     json
         Print every number as JSON, as demo.json in the folder has it.
     """
+    if data is not None and imu:
+        raise ValueError("--data is of a recorded gyro, --imu of a whole unit: take one of them")
     if data is not None and not (data / RECORDING).is_file():
         raise ValueError(f"{data} has no {RECORDING}: name the folder with the recorded thermal cycle")
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
@@ -92,7 +100,10 @@ def demo(
     output.mkdir(exist_ok=True)
     told = _Told(output, quiet=json)
     try:
-        result = _whole_job(told, seed) if data is None else _recorded_sensor(told, (data / RECORDING).absolute())
+        if data is not None:
+            result = _recorded_sensor(told, (data / RECORDING).absolute())
+        else:
+            result = _whole_unit(told, seed) if imu else _whole_job(told, seed)
     except _Stopped as stopped:
         return stopped.status
     text = as_json(result)
@@ -167,6 +178,53 @@ def _whole_job(told: "_Told", seed: int) -> dict[str, Any]:
         "recipe": recipe,
         "optimisation": found,
         "limits": limits,
+        "estimate": estimate,
+        "report": report,
+        "commands": told.commands,
+    }
+
+
+# ------------------------------------------------------------------------------------------------------ a whole unit
+
+
+def _whole_unit(told: "_Told", seed: int) -> dict[str, Any]:
+    told.step("A unit of three gyros and three accelerometers, and a plan for a two-axis table")
+    told.run("new two-axis-table -o unit.toml")
+
+    told.step("What that plan will leave of every quantity")
+    before = told.json("predict unit.toml --json")
+    for row in before["requirements"]:
+        told.say(f"{row['name']}: {amount(row[row['statistic'].replace(' ', '_')], row['unit'])}")
+
+    told.step("Better poses and moves in the same time: a short search")
+    found = told.json(f"optimise unit.toml -o design.toml --steps {_PLANS} --json")
+    told.say(f"{found['gain']:.2f} times better in the geometric mean of all, after {found['evaluations']} plans")
+    told.run("recipe design.toml -o recipe.toml")
+
+    told.step("The run: simulated chamber, table and unit on serial ports, hours of virtual time")
+    told.run(f"run recipe.toml --simulate --seed {seed} -o run")
+    told.step("Its log, from the raw bytes")
+    told.run("log run")
+
+    told.step("The calibration of all axes, and what the run says of the table")
+    estimate = told.json("estimate run/log.nc --recipe recipe.toml -o run/calibration.toml --json")
+    told.step("The page")
+    report = told.json("report run -o report.html --json")
+    for row in report["requirements"]:
+        told.say(
+            f"{row['name']}: {amount(row['achieved'], row['unit'])} achieved, "
+            f"{amount(row['predicted'], row['unit'])} predicted"
+        )
+    if (agreement := report["axes"][0]["agreement"]) is not None:
+        chi, degrees, likely = agreement
+        told.say(
+            f"against the hidden truth: χ² {chi:.4g} of {degrees} degrees for all coefficients together "
+            f"(chance {likely:.2g})"
+        )
+    return {
+        "folder": str(told.folder),
+        "prediction": before,
+        "optimisation": found,
         "estimate": estimate,
         "report": report,
         "commands": told.commands,

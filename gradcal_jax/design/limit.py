@@ -36,7 +36,6 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float
 from numpy.polynomial import chebyshev
-from scipy.optimize import minimize
 
 from gradcal_jax.design.criteria import Criterion, Optimality
 from gradcal_jax.design.noise_floor import root_of
@@ -144,6 +143,8 @@ class _Problem:
 
     def solve(self, rates: np.ndarray, logs: np.ndarray, sharpness: float) -> np.ndarray:
         """Logarithms of better weights `(n_T, m)` on given rates, by L-BFGS."""
+        from scipy.optimize import minimize
+
         arrays = [jnp.asarray(a) for a in (self._points(rates), self.prior, self.rows, self.beyond, sharpness)]
 
         def both(z):

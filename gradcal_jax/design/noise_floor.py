@@ -44,7 +44,6 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
-import scipy.optimize
 
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Basis, SensorModel
 from gradcal_jax.trajectory import quadrature
@@ -143,6 +142,9 @@ def bias_floor_anywhere(
     model: SensorModel, time: float, temperatures: tuple[float, float], rows: np.ndarray
 ) -> np.ndarray:
     """As `bias_floor`, where the `time` (s) of the data is spent on any of the `temperatures` (°C) between two."""
+    # Where it is used: it takes a third of a second to import, and most commands prove nothing.
+    from scipy import optimize
+
     bias = model.bias
     assert bias is not None
     values = bias.temperature(np.linspace(*temperatures, _GRID))
@@ -150,7 +152,7 @@ def bias_floor_anywhere(
     found = np.zeros(len(rows))
     for k, row in enumerate(rows):
         bounded = np.concatenate([values, -values])
-        best = scipy.optimize.linprog(-row, A_ub=bounded, b_ub=np.ones(len(bounded)), bounds=(None, None))
+        best = optimize.linprog(-row, A_ub=bounded, b_ub=np.ones(len(bounded)), bounds=(None, None))
         if best.x is None:
             continue
         # Between two points of the grid it may be larger than at them.
@@ -194,7 +196,9 @@ def _divided(basis: Basis, windows, temperature) -> np.ndarray:
 
 def _when(temperature, value: float, a: float, b: float) -> float:
     """When a temperature is passed between two times."""
-    return scipy.optimize.root_scalar(lambda t: float(temperature(np.array([t]))[0][0]) - value, bracket=(a, b)).root
+    from scipy import optimize
+
+    return optimize.root_scalar(lambda t: float(temperature(np.array([t]))[0][0]) - value, bracket=(a, b)).root
 
 
 def _prior_of_constants(model: SensorModel) -> np.ndarray:

@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize, nnls
 
 SHARPNESS = (8.0, 40.0, 200.0, 1000.0)
 # What exceeding a limit by a factor e costs, in factors e of the value, squared.
@@ -260,6 +259,8 @@ def _descents(
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Where a descent of so many steps ends from each point, in their order; as many at once as there are cores."""
 
+    from scipy.optimize import minimize
+
     def descend(z: np.ndarray) -> np.ndarray:
         def watch(_: np.ndarray) -> None:
             if stop():
@@ -295,6 +296,8 @@ def polish(compiled: Compiled, point: np.ndarray, *, steps: int = 300, linear: L
         for kind, of in (("ineq", ~linear.equal), ("eq", linear.equal)):
             rows, least = linear.rows[of], linear.least[of]
             limits.append({"type": kind, "fun": lambda z, r=rows, b=least: r @ z - b, "jac": lambda z, r=rows: r})
+    from scipy.optimize import minimize
+
     options = {"maxiter": steps, "ftol": 1e-12}
     value, excess = _exact(compiled, point)
     norm = np.inf
@@ -354,5 +357,7 @@ def _projected(values: np.ndarray, rows: np.ndarray, point: np.ndarray, linear: 
     if not (np.all(np.isfinite(gradient)) and np.all(np.isfinite(binding))):
         return np.inf
     if len(binding):
+        from scipy.optimize import nnls
+
         gradient = gradient + binding.T @ nnls(binding.T, -gradient)[0]
     return float(np.max(np.abs(gradient)))

@@ -12,7 +12,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from gradcal_jax.estimation.solve import Estimate, Whitened, solve
 
@@ -61,7 +61,7 @@ def chi_squared_test(statistic: float, degrees: int) -> Test:
     """A statistic against χ² with so many degrees of freedom; none of them: passed."""
     if degrees <= 0:
         return Test(float(statistic), 0, 1.0)
-    return Test(float(statistic), int(degrees), float(stats.chi2.sf(statistic, degrees)))
+    return Test(float(statistic), int(degrees), float(special.chdtrc(degrees, statistic)))
 
 
 def consistency(
@@ -119,7 +119,7 @@ def nees_band(runs: int, parameters: int, confidence: float = 0.99) -> tuple[flo
     """Within which the mean of `runs` squared normalised errors, divided by the number of parameters, must lie."""
     tail = (1.0 - confidence) / 2.0
     degrees = runs * parameters
-    return float(stats.chi2.ppf(tail, degrees) / degrees), float(stats.chi2.isf(tail, degrees) / degrees)
+    return float(special.chdtri(degrees, 1.0 - tail) / degrees), float(special.chdtri(degrees, tail) / degrees)
 
 
 def normalised_errors(found: Estimate, truth: np.ndarray) -> np.ndarray:

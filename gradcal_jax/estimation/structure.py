@@ -15,7 +15,7 @@ hidden map `Σ y²` is χ². Of σ²:
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from gradcal_jax.estimation.consistency import Test
 from gradcal_jax.estimation.solve import Whitened
@@ -89,7 +89,7 @@ def _padded(prior: np.ndarray, count: int) -> np.ndarray:
 def chi_squared(of: Components, unit: int = 0) -> Test:
     """The test of one unit."""
     statistic, degrees = float(np.sum(of.y[:, unit] ** 2)), len(of.gains)
-    return Test(statistic, degrees, float(stats.chi2.sf(statistic, degrees)) if degrees else 1.0)
+    return Test(statistic, degrees, float(special.chdtrc(degrees, statistic)) if degrees else 1.0)
 
 
 def size_of(every: list[Components]) -> Size | None:
@@ -120,7 +120,7 @@ def size_of(every: list[Components]) -> Size | None:
 
     ends: list[float | None] = []
     for tail in _TAILS:
-        quantile = float(stats.chi2.ppf(tail, len(m)))
+        quantile = float(special.chdtri(len(m), 1.0 - tail))
         if none <= quantile:
             ends.append(0.0)
         elif pivot(top) > quantile:

@@ -17,7 +17,10 @@ from gradcal_jax.files.problems import Problem, SpecError, from_validation, near
 class Section(BaseModel):
     """A table of a file. Unknown keys are refused with the nearest right spelling."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=False)
+    # Deferred: a command builds the validators of the files that it reads, not of all.
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=False, defer_build=True
+    )
 
     # Plain types: the tests check annotations function by function, where Self means nothing.
     @model_validator(mode="wrap")

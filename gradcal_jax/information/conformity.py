@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.information.posterior import Posterior
-from gradcal_jax.information.residual import Contrasts, Statistic, statistic
+from gradcal_jax.information.residual import Contrasts, Statistic, statistic_of_each
 from gradcal_jax.model import Discrepancy, SensorModel
 
 # Beyond so many standard deviations lies 1e-23 of a normal distribution.
@@ -118,7 +118,7 @@ def chance_of_keeping(
     rng, kept = np.random.default_rng(seed), np.zeros(2)
     for _ in range(0, draws, 500):
         errors = np.abs(root @ rng.standard_normal((root.shape[1], 500)))
-        for unit in errors.T:
-            kept += statistic(name, unit.reshape(shape)) <= limit, unit.max() <= limit
+        each = statistic_of_each(name, errors.reshape(*shape, -1))
+        kept += np.count_nonzero(each <= limit), np.count_nonzero(errors.max(axis=0) <= limit)
     shares = kept / (500 * -(-draws // 500))
     return float(shares[0]), float(shares[1])

@@ -110,7 +110,7 @@ def wishart_test(errors: np.ndarray, predicted: Posterior, confidence: float = 0
     Statistical Theory, 8.4).
     """
     # Half a second of imports for a test that few ask for.
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     runs, p = errors.shape
     white = np.linalg.lstsq(predicted.spread, errors.T, rcond=None)[0]
@@ -119,4 +119,4 @@ def wishart_test(errors: np.ndarray, predicted: Posterior, confidence: float = 0
     bartlett = 1.0 - (2 * p**2 + 3 * p - 1) / (6.0 * runs * (p + 1))
     degrees = p * (p + 1) / 2
     tail = (1.0 - confidence) / 2
-    return WishartTest(float(bartlett * log_ratio), float(chi2.ppf(tail, degrees)), float(chi2.isf(tail, degrees)))
+    return WishartTest(float(bartlett * log_ratio), float(chdtri(degrees, 1.0 - tail)), float(chdtri(degrees, tail)))

@@ -18,7 +18,6 @@ test and are left out; which ones, the plan alone decides.
 """
 
 from functools import lru_cache
-from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -67,15 +66,15 @@ def quantiles(count: int, false_alarm: float) -> np.ndarray:
 
     Errors: `ValueError` for a level that is none.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtr, chdtri
 
     if not 0.0 < false_alarm < 1.0:
         raise ValueError(f"a level of false alarms lies between 0 and 1, not at {false_alarm:g}")
-    critical = chi2.isf(false_alarm, count)
+    critical = chdtri(count, false_alarm)
     terms = 16
-    while chi2.cdf(critical, count + 2 * terms) > _NEGLIGIBLE:
+    while chdtr(count + 2 * terms, critical) > _NEGLIGIBLE:
         terms += 16
-    return chi2.cdf(critical, count + 2 * np.arange(terms))
+    return chdtr(count + 2 * np.arange(terms), critical)
 
 
 def missed(share: Float[AnyArray, " k"], below: Float[AnyArray, " j"]):
@@ -101,8 +100,6 @@ def power(gain: Float[np.ndarray, " s"], std: float, false_alarm: float) -> floa
 
 def noticed_from(gain: Float[np.ndarray, " s"], probability: float, false_alarm: float) -> float | None:
     """The smallest standard deviation that is noticed with this probability; None where no plausible one is."""
-    from scipy.optimize import brentq
-
     if not len(gain) or probability <= false_alarm:
         return None
     scale = 1.0 / float(np.sqrt(np.max(gain)))
@@ -117,8 +114,11 @@ def noticed_from(gain: Float[np.ndarray, " s"], probability: float, false_alarm:
             return None
     while short(low) > 0.0:
         low -= 2.0
-    found = float(cast("float", brentq(short, low, high, xtol=1e-10)))
-    return scale * float(np.exp(found))
+    # By halves: a root finder's import takes longer than many a prediction.
+    while high - low > 1e-8:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if short(middle) > 0.0 else (middle, high)
+    return scale * float(np.exp(high))
 
 
 def where_hidden(model: SensorModel, name: str) -> tuple[Discrepancy, slice] | None:

@@ -104,12 +104,17 @@ def statistic(name: Statistic, values: np.ndarray) -> float:
 
     "mean of max": mean over rate of the maximum over temperature (the paper's figure); the others are of all points.
     """
+    return float(statistic_of_each(name, values))
+
+
+def statistic_of_each(name: Statistic, values: np.ndarray) -> np.ndarray:
+    """As `statistic`, of many maps `(n_T, n_ω, …)`."""
     if name == "mean of max":
-        return float(np.mean(np.max(values, axis=0)))
+        return np.asarray(np.mean(np.max(values, axis=0), axis=0))
     if name == "max":
-        return float(np.max(values))
+        return np.asarray(np.max(values, axis=(0, 1)))
     if name == "mean":
-        return float(np.mean(values))
+        return np.asarray(np.mean(values, axis=(0, 1)))
     if name == "rms":
-        return float(np.sqrt(np.mean(values**2)))
+        return np.asarray(np.sqrt(np.mean(values**2, axis=(0, 1))))
     raise ValueError(f"unknown statistic {name!r}; known: {', '.join(STATISTICS)}")

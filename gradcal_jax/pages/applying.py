@@ -7,8 +7,17 @@ import numpy as np
 from gradcal_jax.api.posterior_of_plan import PPM
 from gradcal_jax.files import correction, exports
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.unit_calibration import UnitCalibration
+from gradcal_jax.files.unit_exports import UNIT_FORMATS, export_unit
 
-_ENDINGS: Final = {"ardupilot": "parm", "px4": "params", "kalibr": "yaml", "c-header": "h", "csv": "csv"}
+_ENDINGS: Final = {
+    "ardupilot": "parm",
+    "px4": "params",
+    "kalibr": "yaml",
+    "matrices": "yaml",
+    "c-header": "h",
+    "csv": "csv",
+}
 
 
 class ExampleFact(NamedTuple):
@@ -45,6 +54,24 @@ def example_of(axis: AxisCalibration) -> ExampleFact:
         float(correction.scale_factor(axis, temperature, true)[0]) * PPM,
         float(np.degrees(true[0])),
     )
+
+
+def unit_exports_of(calibration: UnitCalibration, name: str) -> list[ExportFact]:
+    """As `exports_of`, of a whole unit."""
+    cold, warm = (float(end) for end in calibration.valid_temperature)
+    at = 25.0 if cold <= 25.0 <= warm else 0.5 * (cold + warm)
+    found: list[ExportFact] = []
+    for target in UNIT_FORMATS:
+        option = f' --temperature "{at:g} degC"' if target in ("kalibr", "matrices") else ""
+        command = f"gradcal export {name} --format {target}{option} -o calibration.{_ENDINGS[target]}"
+        try:
+            done = export_unit(calibration, target, temperature_c=at if option else None)
+        except ValueError as error:
+            found.append(ExportFact(target, "", (f"not for this calibration: {error}",)))
+            continue
+        losses = tuple(f"{x.axis}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
+        found.append(ExportFact(target, command, losses))
+    return found
 
 
 def exports_of(calibration: Calibration, name: str) -> list[ExportFact]:

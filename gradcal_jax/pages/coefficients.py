@@ -100,15 +100,19 @@ def agreement(axis: AxisCalibration, hidden: dict[str, float] | None) -> tuple[f
     """χ² of the errors of all coefficients in the estimate's own covariance."""
     if hidden is None or axis.covariance is None or axis.unobservable:
         return None
-    from scipy.stats import chi2
-
     values, names = axis.values(), axis.covariance.names
     real = [hidden.get("gradient" if name == _GRADIENT else name) for name in names]
     if any(value is None for value in real):
         return None
     error = np.array([values[name] for name in names]) - np.array(real, dtype=np.float64)
-    matrix = np.array(axis.covariance.matrix)
-    size = np.sqrt(np.diag(matrix))
-    whitened = np.linalg.solve(np.linalg.cholesky(matrix / np.outer(size, size)), error / size)
+    return agreement_of(error, np.array(axis.covariance.matrix))
+
+
+def agreement_of(error: np.ndarray, covariance: np.ndarray) -> tuple[float, int, float]:
+    """χ² of errors `(p,)` in a covariance `(p, p)`, its degrees of freedom, and the chance of one as large."""
+    from scipy.special import chdtrc
+
+    size = np.sqrt(np.diag(covariance))
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance / np.outer(size, size)), error / size)
     found = float(whitened @ whitened)
-    return found, len(names), float(chi2.sf(found, len(names)))
+    return found, len(error), float(chdtrc(len(error), found))

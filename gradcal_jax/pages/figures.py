@@ -116,6 +116,28 @@ def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture
     return found
 
 
+def done_pictures(course: Course | None) -> list[Picture]:
+    """Temperature and motion of a run alone."""
+    if course is None:
+        return []
+
+    def temperatures(ax: Axes) -> None:
+        ax.plot(course.chamber_s / 3600.0, course.chamber_c, **style_of(1))
+        ax.set(xlabel="time, h", ylabel="chamber, °C")
+
+    def rates(ax: Axes, axis: str) -> None:
+        time, rate = course.rates[axis]
+        ax.plot(time / 3600.0, rate, linewidth=0.8, **style_of(1))
+        ax.set(xlabel="time, h", ylabel="rate, deg/s")
+
+    words = "Temperature of the chamber as it was read, on the plan's clock, which stands while a step is waited for."
+    found = [picture("temperature", words, temperatures, _LOW)] if len(course.chamber_s) else []
+    for axis in course.rates:
+        words = f"Rate of table axis {axis}, as turned by the commands that it executed."
+        found.append(picture(f"rate-{axis}", words, lambda ax, a=axis: rates(ax, a), _LOW))
+    return found
+
+
 def found_pictures(calibration: Calibration) -> list[Picture]:
     """The maps that were found."""
     found: list[Picture] = []

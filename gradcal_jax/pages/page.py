@@ -11,13 +11,13 @@ from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.coefficients import ParameterFact
 from gradcal_jax.pages.facts import Facts
-from gradcal_jax.pages.figures import found_pictures, map_pictures, track_pictures
+from gradcal_jax.pages.figures import done_pictures, found_pictures, map_pictures, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.panel import panel_of
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
-from gradcal_jax.pages.unit import unit_pictures, unit_words
+from gradcal_jax.pages.unit import found_unit_pictures, unit_pictures, unit_words
 from gradcal_jax.units import time_text
 
 
@@ -42,8 +42,12 @@ def page(sources: Sources, facts: Facts, *, panel: bool = False) -> str:
     targets = {(r.name, r.axis): r.target / r.coverage for r in facts.requirements if r.target is not None}
     left, tracks = map_pictures(facts.maps, targets), track_pictures(recipe, facts.course)
     words = _words(facts, recipe)
-    if sources.unit is not None:
-        left, tracks = unit_pictures(sources)
+    found = [] if calibration is None else found_pictures(calibration)
+    if sources.of_unit:
+        left, poses = unit_pictures(sources)
+        tracks = [*poses, *done_pictures(facts.course)]
+        if sources.unit_calibration is not None:
+            found = found_unit_pictures(sources.unit_calibration)
         words["unit"] = unit_words(sources, facts)
         words |= {name: words["unit"][name] for name in words["unit"] if name in words}
     given: dict[str, Any] = {
@@ -55,7 +59,7 @@ def page(sources: Sources, facts: Facts, *, panel: bool = False) -> str:
         "words": words,
         "map_groups": left,
         "tracks": tracks,
-        "found": [] if calibration is None else found_pictures(calibration),
+        "found": found,
         "chamber_head": ["segment", *CHAMBER_HEAD[1:]],
         "chamber": [] if recipe is None else chamber_rows(recipe),
     }

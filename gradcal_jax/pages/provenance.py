@@ -42,7 +42,7 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
 def provenance_of(sources: Sources) -> list[tuple[str, str]]:
     """Fingerprints, versions, seeds and names of files."""
     rows: list[tuple[str, str]] = []
-    recipe, calibration, run = sources.recipe, sources.calibration, sources.run
+    recipe, calibration, run = sources.recipe, sources.calibration or sources.unit_calibration, sources.run
     if recipe is not None:
         rows += [
             ("recipe", recipe.fingerprint),
@@ -67,6 +67,7 @@ def provenance_of(sources: Sources) -> list[tuple[str, str]]:
             "program": "estimated by",
             "estimator": "estimator",
             "readings": "readings",
+            "rows": "rows",
             "log": "log",
             "spec": "model",
         }

@@ -18,11 +18,11 @@ def report(
     limits: str | Path | None = None,
     panel: bool = False,
 ) -> Facts:
-    """Make one HTML page of a recipe, a run or a calibration, planned, predicted, done, found, how to apply it; or of
-    the plan of a whole unit.
+    """Make one HTML page of a recipe, a run or a calibration: planned, predicted, done, found, how to apply it. Of a
+    gyro's axes or of a whole unit.
 
     `sources`: the folder of a run (its calibration.toml is taken with it), a recipe, a calibration, or those of them
-    that belong together; or the spec of a whole unit alone. `before`: a spec or recipe whose plan to compare with.
+    that belong together; of a whole unit its spec, too. `before`: a spec or recipe whose plan to compare with.
     `limits`: what `gradcal limit --json` printed. `panel`: what another time, encoder or slope would leave, to be tried
     on the page. The page replaces `output`; it fetches nothing.
 
@@ -40,6 +40,6 @@ def report(
 
 def write_page(sources: Sources, output: str | Path, *, panel: bool = False) -> Facts:
     """The page of sources that are read already."""
-    facts = facts_of(sources) if sources.unit is None else unit_facts(sources)
+    facts = unit_facts(sources) if sources.of_unit else facts_of(sources)
     write_whole(output, page(sources, facts, panel=panel))
     return facts

@@ -9,10 +9,11 @@ from typing import Any
 
 from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import FORMAT as CALIBRATION
-from gradcal_jax.files.calibration import Calibration, read_calibration
+from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.document import read_text, read_toml
 from gradcal_jax.files.recipe import Recipe, is_recipe, recipe_of, spec_in
 from gradcal_jax.files.spec import is_of_unit
+from gradcal_jax.files.unit_calibration import UnitCalibration, read_any_calibration
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.hardware.run_folder import RunFolder
 
@@ -21,11 +22,12 @@ CALIBRATION_IN_RUN = "calibration.toml"
 
 @dataclass(frozen=True)
 class Sources:
-    """What was read. `unit`: the spec of a whole unit, which stands alone. `limits`: what no plan can leave less than,
-    by requirement. `paths`: name and SHA-256 of each file; `notes`: what does not fit.
+    """What was read. `unit`: the spec of a whole unit, in the place of a recipe. `limits`: what no plan can leave less
+    than, by requirement. `paths`: name and SHA-256 of each file; `notes`: what does not fit.
     """
 
     unit: UnitSpec | None = None
+    unit_calibration: UnitCalibration | None = None
     recipe: Recipe | None = None
     run: RunFolder | None = None
     calibration: Calibration | None = None
@@ -36,6 +38,11 @@ class Sources:
     limits: dict[str, float] = field(default_factory=dict[str, float])
     paths: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def of_unit(self) -> bool:
+        """Whether the page is of a whole unit."""
+        return self.unit is not None or self.unit_calibration is not None
 
 
 def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: Path | None = None) -> Sources:
@@ -54,6 +61,16 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
         if path.is_file():
             named.append((path.name, hashlib.sha256(path.read_bytes()).hexdigest()))
 
+    def take_recipe(made: Recipe, path: Path) -> None:
+        # Of a whole unit the page is of its plan, as it was rounded.
+        of_unit = isinstance(made.spec, UnitSpec)
+        take("unit" if of_unit else "recipe", made.spec if of_unit else made, path)
+
+    def take_calibration(path: Path) -> None:
+        made = read_any_calibration(path)
+        take("unit_calibration" if isinstance(made, UnitCalibration) else "calibration", made, path)
+        found["calibration_name"] = str(path)
+
     for path in paths:
         if path.is_dir():
             folder = RunFolder(path)
@@ -64,13 +81,9 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
         if is_of_unit(document):
             take("unit", unit_spec_of(document, str(path)), path)
         elif is_recipe(document):
-            made = recipe_of(document, str(path))
-            # Of a whole unit the page is of its plan, as it was rounded.
-            of_unit = isinstance(made.spec, UnitSpec)
-            take("unit" if of_unit else "recipe", made.spec if of_unit else made, path)
+            take_recipe(recipe_of(document, str(path)), path)
         elif document.get("format") == CALIBRATION:
-            take("calibration", read_calibration(path), path)
-            found["calibration_name"] = str(path)
+            take_calibration(path)
         else:
             raise ValueError(
                 f"{path} is none of a run's folder, a recipe or a calibration. Of a spec make a recipe first: "
@@ -79,16 +92,16 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
     run: RunFolder | None = found.get("run")
     if run is not None:
         own = run.path / CALIBRATION_IN_RUN
-        if "recipe" not in found:
-            take("recipe", run.recipe(), run.path / "recipe.toml")
-        if isinstance(found["recipe"].spec, UnitSpec):
-            raise ValueError("a unit's run has no page yet; of its plan: gradcal report RUN/recipe.toml")
-        if "calibration" not in found and own.is_file():
-            take("calibration", read_calibration(own), own)
-            found["calibration_name"] = str(own)
+        if "recipe" not in found and "unit" not in found:
+            take_recipe(run.recipe(), run.path / "recipe.toml")
+        if not found.keys() & {"calibration", "unit_calibration"} and own.is_file():
+            take_calibration(own)
         found["hidden_truth"] = _hidden_truth(run)
-    if "unit" in found and (len(found) > 1 or before is not None or limits is not None):
-        raise ValueError("the page of a unit's plan is made of its spec alone; to compare plans: gradcal compare")
+    if found.keys() & {"unit", "unit_calibration"}:
+        if before is not None or limits is not None:
+            raise ValueError("the page of a whole unit compares with no other plan: gradcal compare does")
+        if found.keys() & {"recipe", "calibration"}:
+            raise ValueError("one of these is of a whole unit, another of a gyro's axes: they make two pages")
     if not found:
         raise ValueError("a report of what? Name the folder of a run, a recipe, a calibration, or the spec of a unit")
     if before is not None:
@@ -121,8 +134,10 @@ def _hidden_truth(run: RunFolder) -> dict[str, Any] | None:
 def _misfits(found: dict[str, Any]) -> list[str]:
     """Sources that do not belong together."""
     recipe: Recipe | None = found.get("recipe")
-    calibration: Calibration | None = found.get("calibration")
+    calibration: Calibration | UnitCalibration | None = found.get("calibration") or found.get("unit_calibration")
     run: RunFolder | None = found.get("run")
+    if recipe is None and run is not None and isinstance(run.recipe().spec, UnitSpec):
+        recipe = run.recipe()
     notes: list[str] = []
     if recipe is not None and calibration is not None:
         made_by = calibration.provenance.get("recipe")

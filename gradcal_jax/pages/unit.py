@@ -1,6 +1,8 @@
-"""A page of a whole unit's plan: what it leaves of every quantity, where the unit points, what cannot be observed."""
+"""A page of a whole unit: what its plan leaves of every quantity, where it points, what was done and found."""
 
 from typing import Any
+
+import numpy as np
 
 from gradcal_jax import api, plots, units
 from gradcal_jax.api.unit_build import assemble_unit
@@ -8,14 +10,19 @@ from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS, unit_residual
 from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files.contracts import Prediction, RequirementRow
+from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.pages.coefficients import ParameterFact
-from gradcal_jax.pages.facts import Facts
+from gradcal_jax.pages.applying import unit_exports_of
+from gradcal_jax.pages.coefficients import ParameterFact, agreement_of
+from gradcal_jax.pages.course import course_of
+from gradcal_jax.pages.facts import AxisFact, Facts
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.provenance import provenance_of
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
+from gradcal_jax.plots.unit_calibration import draw_unit_term, panels_of
 from gradcal_jax.units import time_text
 
 _SUMMED = {"worst": "worst axis", "all": "all axes together"}
@@ -23,25 +30,41 @@ _MOST_ROWS = 80
 
 
 def unit_facts(sources: Sources) -> Facts:
-    """Every number of a page of a unit's plan."""
-    spec = sources.unit
-    assert spec is not None
-    found = api.predict(spec)
+    """Every number of a page of a unit: of its plan, of what was found, or of both. Raises `ValueError` for a run that
+    never began.
+    """
+    spec, calibration, run = sources.unit, sources.unit_calibration, sources.run
+    found = None if spec is None else api.predict(spec)
+    course = None if run is None else course_of(run)
+    hidden = _hidden(sources)
+    notes = [*sources.notes, *(() if found is None else found.warnings)]
+    if calibration is not None and calibration.unobservable:
+        notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
+    simulated = bool(course is not None and course.simulated) or bool(calibration is not None and calibration.simulated)
+    title = (None if spec is None else spec.title) or (None if calibration is None else calibration.title)
     return Facts(
-        title=spec.title or "Calibration of a unit",
-        simulated=False,
+        title=title or "Calibration of a unit",
+        simulated=simulated,
         before_is="",
-        requirements=tuple(_requirement(row) for row in found.requirements),
-        parameters=tuple(_parameters(found)),
-        axes=(),
+        requirements=tuple(_requirements(found, calibration)),
+        parameters=tuple(_parameters(found, calibration, hidden)),
+        axes=() if calibration is None else (_found_of(calibration, hidden),),
         examples=(),
-        exports=(),
-        assumed=tuple(_assumed(spec)),
-        course=None,
-        provenance=(*((f"SHA-256 of {name}", digest) for name, digest in sources.paths), ("versions", _versions())),
-        notes=found.warnings,
+        exports=() if calibration is None else tuple(unit_exports_of(calibration, sources.calibration_name)),
+        assumed=() if spec is None else tuple(_assumed(spec)),
+        course=course,
+        provenance=(*provenance_of(sources), ("versions", _versions())),
+        notes=tuple(notes),
         maps=(),
     )
+
+
+def _hidden(sources: Sources) -> dict[str, float]:
+    """What a simulated run hid of this unit and of the table, by name."""
+    truth, calibration = sources.hidden_truth, sources.unit_calibration
+    if truth is None or calibration is None:
+        return {}
+    return truth.get("installation", {}) | truth.get("units", {}).get(calibration.serial_number, {})
 
 
 def _versions() -> str:
@@ -50,7 +73,33 @@ def _versions() -> str:
     )
 
 
-def _requirement(row: RequirementRow) -> RequirementFact:
+def _requirements(found: Prediction | None, calibration: UnitCalibration | None) -> list[RequirementFact]:
+    """As predicted, and as achieved where there is a calibration; of a calibration alone, as achieved."""
+    results = {} if calibration is None else {row.name: row for row in calibration.result}
+    if found is not None:
+        return [_requirement(row, results.get(row.name), calibration is not None) for row in found.requirements]
+    return [
+        RequirementFact(
+            name=row.name,
+            axis=row.axis,
+            quantity=row.quantity,
+            statistic=f"{row.statistic}, {_SUMMED.get(row.axis, f'axis {row.axis}')}",
+            unit=row.unit,
+            temperature_c=None,
+            rate_dps=None,
+            before=None,
+            predicted=None,
+            achieved=row.value,
+            target=row.target,
+            verdict=row.verdict,
+            limited_by=None,
+            limit=None,
+        )
+        for row in results.values()
+    ]
+
+
+def _requirement(row: RequirementRow, result: UnitResult | None, calibrated: bool) -> RequirementFact:
     summed = _SUMMED.get(row.axis, f"axis {row.axis}")
     return RequirementFact(
         name=row.name,
@@ -62,28 +111,72 @@ def _requirement(row: RequirementRow) -> RequirementFact:
         rate_dps=row.rate_dps,
         before=None,
         predicted=row.decisive,
-        achieved=None,
+        achieved=None if result is None else result.value,
         target=row.target,
-        verdict=row.verdict,
+        verdict=(None if result is None else result.verdict) if calibrated else row.verdict,
         limited_by=row.limited_by,
         limit=None,
     )
 
 
-def _parameters(found: Prediction) -> list[ParameterFact]:
+def _parameters(
+    found: Prediction | None, calibration: UnitCalibration | None, hidden: dict[str, float]
+) -> list[ParameterFact]:
+    predicted = {} if found is None else {row.name: row for row in found.parameters}
+    if calibration is None:
+        return [_parameter(row.name, row.unit, None, None, row.std, None) for row in predicted.values()]
+    stds: dict[str, float] = {}
+    if calibration.covariance is not None:
+        variances = np.diag(np.array(calibration.covariance.matrix))
+        stds = dict(zip(calibration.covariance.names, np.sqrt(variances).tolist(), strict=True))
     rows: list[ParameterFact] = []
-    for row in found.parameters:
-        channel, _, symbol = row.name.partition(".")
-        kind, _, axis = channel.rpartition("_")
-        unit, factor = UNITS_OF_TERMS.get(row.unit, (row.unit, 1.0))
-        std = None if row.std is None else row.std * factor
-        rows.append(ParameterFact(symbol, axis, kind, unit, None, None, std, None, None))
+    for channel in calibration.channel:
+        for term in channel.term:
+            for symbol, value in term.coefficients.items():
+                name = f"{channel.name}.{symbol}"
+                std = None if name not in predicted else predicted[name].std
+                rows.append(_parameter(name, term.unit, value, stds.get(name), std, hidden.get(name)))
     return rows
+
+
+def _parameter(
+    name: str, si: str, value: float | None, std: float | None, predicted: float | None, truth: float | None
+) -> ParameterFact:
+    channel, _, symbol = name.partition(".")
+    kind, _, axis = channel.rpartition("_")
+    unit, factor = UNITS_OF_TERMS.get(si, (si, 1.0))
+    off = None if value is None or truth is None or not std else (value - truth) / std
+    in_unit = (None if number is None else number * factor for number in (value, std, predicted, truth))
+    return ParameterFact(symbol, axis, kind, unit, *in_unit, off)
+
+
+def _found_of(calibration: UnitCalibration, hidden: dict[str, float]) -> AxisFact:
+    """Tests of the fit, and in a simulation how far all coefficients together are from what was hidden."""
+    values = {
+        f"{c.name}.{symbol}": value
+        for c in calibration.channel
+        for term in c.term
+        for symbol, value in term.coefficients.items()
+    }
+    agreed = None
+    known = calibration.covariance
+    if known is not None and all(name in hidden for name in known.names):
+        error = np.array([values[name] - hidden[name] for name in known.names])
+        agreed = agreement_of(error, np.array(known.matrix))
+    return AxisFact(
+        calibration.serial_number,
+        (),
+        (str(calibration.valid_temperature[0]), str(calibration.valid_temperature[1])),
+        (str(calibration.valid_rate[0]), str(calibration.valid_rate[1])),
+        calibration.unobservable,
+        tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
+        agreed,
+    )
 
 
 def parameter_table(found: Prediction) -> list[tuple[str, ...]]:
     """The standard deviations of a unit's coefficients: a row for each, with a column for each axis; heads first."""
-    return parameter_rows(_parameters(found))
+    return parameter_rows(_parameters(found, None, {}))
 
 
 def parameter_rows(parameters: "list[ParameterFact] | tuple[ParameterFact, ...]") -> list[tuple[str, ...]]:
@@ -91,9 +184,12 @@ def parameter_rows(parameters: "list[ParameterFact] | tuple[ParameterFact, ...]"
     table: dict[tuple[str, str, str], dict[str, str]] = {}
     for row in parameters:
         value = "not observable" if row.predicted_std is None else f"{row.predicted_std:.4g}"
+        if row.value is not None:
+            value = "not observed" if row.std is None else f"{row.value:.5g} ± {row.std:.2g}"
         table.setdefault((row.multiplies, row.name, row.unit), {})[row.axis] = value
+    found = any(row.value is not None for row in parameters)
     return [
-        ("parameter, 1σ", "x", "y", "z", "unit"),
+        ("parameter ± 1σ" if found else "parameter, 1σ", "x", "y", "z", "unit"),
         *(
             (f"{kind} {symbol}", *(values.get(axis, "") for axis in "xyz"), unit)
             for (kind, symbol, unit), values in table.items()
@@ -138,8 +234,23 @@ def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
 
 def unit_words(sources: Sources, facts: Facts) -> dict[str, Any]:
     """What a page of a unit says besides, for the template."""
-    spec = sources.unit
-    assert spec is not None
+    head, *parameters = parameter_rows(facts.parameters)
+    return {
+        **_plan_words(sources.unit),
+        "table": _table_errors(sources),
+        "order": "" if sources.unit_calibration is None else sources.unit_calibration.order,
+        "parameter_head": list(head),
+        "parameter_rows": parameters,
+        "parameter_numbers": (1, 2, 3),
+        "basis": "a: bias; b with the powers of rate and temperature, or s: scale factor; m: misalignment towards an "
+        "axis; g: drift for a specific force along an axis; k2: second order. Digits at the end count powers of "
+        "temperature.",
+    }
+
+
+def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
+    if spec is None:
+        return {"times": "", "moves": [], "more": ""}
     schedule = spec.schedule
     parts = (time_text(t) for t in (schedule.duration, schedule.soak, schedule.motion))
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
@@ -156,31 +267,40 @@ def unit_words(sources: Sources, facts: Facts) -> dict[str, Any]:
         for step in schedule.steps[:_MOST_ROWS]
     ]
     left = len(schedule.steps) - _MOST_ROWS
-    head, *parameters = parameter_rows(facts.parameters)
     return {
         "times": f"{times} A cycle of {time_text(schedule.period)}, made {cycles} times"
         + (f", in {len(spec.rig.table.mounting)} mountings." if len(spec.rig.table.mounting) > 1 else "."),
         "moves": rows,
         "more": f"… and {left} more moves: gradcal timeline prints all." if left > 0 else "",
-        "parameter_head": list(head),
-        "parameter_rows": parameters,
-        "parameter_numbers": (1, 2, 3),
-        "basis": "a: bias; b with the powers of rate and temperature, or s: scale factor; m: misalignment towards an "
-        "axis; g: drift for a specific force along an axis; k2: second order. Digits at the end count powers of "
-        "temperature.",
     }
 
 
+def _table_errors(sources: Sources) -> dict[str, Any] | None:
+    """What the run says of the table, beside what the spec called it and what a simulation hid."""
+    calibration = sources.unit_calibration
+    if calibration is None or not calibration.table:
+        return None
+    hidden = _hidden(sources)
+    rows: list[tuple[str, ...]] = []
+    for error in calibration.table:
+        unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
+        numbers = (error.value, error.standard_deviation, error.prior, *([hidden[error.name]] if hidden else []))
+        rows.append((error.name.replace("_", " "), *(figures(n * factor) for n in numbers), unit))
+    head = ["error of the table", "found", "1σ", "known to", *(["hidden truth"] if hidden else []), "unit"]
+    return {"head": head, "rows": rows, "numbers": tuple(range(1, len(head) - 1))}
+
+
 def unit_pictures(sources: Sources) -> tuple[list[list[Picture]], list[Picture]]:
-    """What is left of each requirement's quantity, and where up is, seen from the unit, at every rest."""
+    """What is left of each requirement's quantity; and where up is, seen from the unit, at every rest."""
     spec = sources.unit
-    assert spec is not None
+    if spec is None:
+        return [], []
     built = assemble_unit(spec)
     known = posterior_of_unit(built)
     left: list[Picture] = []
     for requirement in spec.requirement:
         found = unit_residual(built, known, requirement)
-        words = f"{requirement.name}: residual of each element, one standard deviation."
+        words = f"{requirement.name}: residual of each element as predicted, one standard deviation."
         left.append(
             picture(
                 picture_key(requirement.name),
@@ -192,3 +312,16 @@ def unit_pictures(sources: Sources) -> tuple[list[list[Picture]], list[Picture]]
     words = "Which way is up, seen from the unit, at every rest; the colour is the time, the size how long it rests."
     poses = picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), 3.2, projection="mollweide")
     return ([left] if left else []), [poses]
+
+
+def found_unit_pictures(calibration: UnitCalibration) -> list[Picture]:
+    """The maps that were found."""
+    return [
+        picture(
+            picture_key(f"found {title}"),
+            f"{title[:1].upper()}{title[1:]} as found; the bands are one standard deviation.",
+            lambda ax, k=kind, n=name: draw_unit_term(calibration, k, n, ax=ax),
+            3.4,
+        )
+        for kind, name, title in panels_of(calibration)
+    ]

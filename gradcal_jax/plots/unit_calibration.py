@@ -24,6 +24,15 @@ _PANELS = (
 )
 
 
+def panels_of(calibration: UnitCalibration) -> list[tuple[str, str, str]]:
+    """Kind, term and title of the pictures that a calibration has the figures for."""
+    return [
+        panel
+        for panel in _PANELS
+        if any(c.kind == panel[0] and c.term_of(panel[1]) is not None for c in calibration.channel)
+    ]
+
+
 def draw_unit_term(
     calibration: UnitCalibration, kind: str, name: str, title: str = "", *, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
@@ -91,9 +100,7 @@ def draw_unit_residuals(report: UnitReport, *, ax: Axes | None = None) -> tuple[
 def draw_unit_estimate(report: UnitReport) -> Figure:
     """Everything that was found, and the residuals."""
     found = report.calibration
-    panels = [
-        panel for panel in _PANELS if any(c.kind == panel[0] and c.term_of(panel[1]) is not None for c in found.channel)
-    ]
+    panels = panels_of(found)
     rows = (len(panels) + 1) // 2 + 1
     figure = Figure(figsize=(10.0, 3.2 * rows), layout="constrained")
     grid = figure.add_gridspec(rows, 2)

@@ -21,6 +21,8 @@ EVALUATIONS = 600
 # By how much worse a plan may be that is still taken at the beginning, of the logarithm: less, from a good plan.
 WARMEST = 0.05
 _SEARCH_GRID = 21
+# Of an angle step: rounding.
+_SLACK = 1e-9
 
 
 class UnitOptimum(NamedTuple):
@@ -180,7 +182,7 @@ def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:
     return PoseLimits(
         round(per_turn),
         tuple(math.floor(math.degrees(min(float(a.max_rate), usable)) * 10.0) / 10.0 for a in axes),
-        tuple(float(a.travel) / step for a in axes),
+        tuple((a.reach[0] / step - _SLACK, a.reach[1] / step + _SLACK) for a in axes),
         float(design.shortest_rest),
         float(design.longest_rest),
         design.moves,

@@ -31,13 +31,13 @@ PoseCycle = tuple[CycleItem, ...]
 
 
 class PoseLimits(NamedTuple):
-    """What a cycle may be: `per_turn` angle steps in a turn; of each axis the fastest `rates` (deg/s) and the `travel`
-    each way, in angle steps; rests (s) from `shortest` to `longest`; at most `most` items.
+    """What a cycle may be: `per_turn` angle steps in a turn; of each axis the fastest `rates` (deg/s) and how far it may `reach`
+    either way, in angle steps; rests (s) from `shortest` to `longest`; at most `most` items.
     """
 
     per_turn: int
     rates: tuple[float, ...]
-    travel: tuple[float, ...]
+    reach: tuple[tuple[float, float], ...]
     shortest: float
     longest: float
     most: int
@@ -126,9 +126,9 @@ def closed(cycle: PoseCycle, limits: PoseLimits) -> PoseCycle:
     """The cycle with the last turn of each axis changed so that it ends where it began, up to whole turns (on an axis
     of limited travel, exactly). Items without turn and rest are left out."""
     items = list(cycle)
-    for axis, travel in enumerate(limits.travel):
+    for axis, (_, highest) in enumerate(limits.reach):
         net = sum(i.steps for i in items if i.axis == axis)
-        left = net if math.isfinite(travel) else (net + limits.per_turn // 2) % limits.per_turn - limits.per_turn // 2
+        left = net if math.isfinite(highest) else (net + limits.per_turn // 2) % limits.per_turn - limits.per_turn // 2
         if not left:
             continue
         last = max((k for k, i in enumerate(items) if i.axis == axis and i.steps), default=None)
@@ -139,10 +139,10 @@ def closed(cycle: PoseCycle, limits: PoseLimits) -> PoseCycle:
 
 
 def feasible(cycle: PoseCycle, limits: PoseLimits) -> bool:
-    """Whether a cycle stays within the travel of every axis."""
-    for axis, travel in enumerate(limits.travel):
+    """Whether a cycle stays where every axis may go."""
+    for axis, (lowest, highest) in enumerate(limits.reach):
         path = np.cumsum([i.steps for i in cycle if i.axis == axis])
-        if path.size and np.max(np.abs(path)) > travel:
+        if path.size and (path.min() < lowest or path.max() > highest):
             return False
     return bool(cycle)
 

@@ -372,28 +372,33 @@ def _limits(move: ResolvedMove, axis: TableAxis) -> list[Problem]:
 
 
 def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
-    """Every axis must stay within its travel either way of zero, in every cycle."""
+    """Every axis must stay within its travel either way of zero, and out of what is in its way, in every cycle."""
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     problems: list[Problem] = []
     for k, axis in enumerate(rig.table.axis):
-        if math.isinf(axis.travel):
+        lowest, highest = axis.reach
+        if math.isinf(highest):
             continue
         net = math.fsum(s.move.repeat * s.move.angle for s in schedule.steps if s.axis == k)
         for first in sorted({0, cycles - 1}):
-            at, reach, where = schedule.start[k] + first * net, 0.0, 0
+            at, beyond, reach, where = schedule.start[k] + first * net, 0.0, 0.0, 0
             for step in schedule.steps:
                 if step.axis != k:
                     continue
                 turned = (step.move.repeat - 1) * step.move.angle
-                far = max(abs(at + end + side) for end in (0.0, turned) for side in (step.move.low, step.move.high))
-                if far > reach:
-                    reach, where = far, step.source
+                for far in (at + end + side for end in (0.0, turned) for side in (step.move.low, step.move.high)):
+                    if (excess := max(far - highest, lowest - far)) > beyond:
+                        beyond, reach, where = excess, far, step.source
                 at += step.move.repeat * step.move.angle
-            if reach > axis.travel * (1.0 + _SLACK):
+            if beyond > _SLACK * (highest - lowest):
+                free = f"its travel is {axis.travel} each way"
+                if axis.keep_out is not None:
+                    degrees = (f"{math.degrees(side):.6g}" for side in axis.reach)
+                    free = "it keeps between {} and {} deg".format(*degrees)
                 message = (
-                    f'takes axis "{axis.name}" {math.degrees(reach):.6g} deg from zero'
+                    f'takes axis "{axis.name}" {math.degrees(abs(reach)):.6g} deg from zero'
                     + (f" in cycle {first + 1} (each ends {math.degrees(net):.6g} deg further)" if first else "")
-                    + f"; its travel is {axis.travel} each way"
+                    + f"; {free}"
                 )
                 problems.append(Problem(("cycle", "moves", where), message))
                 break

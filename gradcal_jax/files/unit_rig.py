@@ -31,6 +31,7 @@ _DIRECTIONS: Final = {
     for i, axis in enumerate("xyz")
     for sign in "+-"
 }
+_TURN: Final = 2.0 * math.pi
 Direction = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Vector = tuple[Number, Number, Number]
 
@@ -72,6 +73,8 @@ class TableAxis(Section):
     """Largest acceleration."""
     travel: Travel = Quantity(float("inf"), "unlimited", "angle")
     """How far it may turn each way from zero; "unlimited" where no cable winds up."""
+    keep_out: tuple[Angle, Angle] | None = None
+    """Angles between which it must never stand or pass, such as ["120 deg", "150 deg"]; zero lies outside of them."""
     orthogonality: SizeOfAngle = NO_ANGLE
     """Standard deviation of the angle to the next axis inside."""
     angle: AxisEncoder = AxisEncoder()
@@ -81,7 +84,21 @@ class TableAxis(Section):
     def _points_somewhere(self) -> "TableAxis":
         if not math.hypot(*self.direction) > 0.0:
             refuse(Problem(("direction",), "is no direction; expected such as [0.0, 0.0, 1.0]", list(self.direction)))
+        if self.keep_out is not None:
+            low, high = self.keep_out
+            if not (0.0 < low < high < _TURN or -_TURN < low < high < 0.0):
+                message = "expected two angles of one sign within a turn, the smaller one first, with zero outside"
+                refuse(Problem(("keep_out",), message, [str(low), str(high)]))
         return self
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """From where to where it may turn (rad): its travel, and on either side up to what it must keep out of."""
+        if self.keep_out is None:
+            return -float(self.travel), float(self.travel)
+        # The same angles again, a turn further on: zero lies between.
+        low, high = sorted(float(a) % _TURN for a in self.keep_out)
+        return max(high - _TURN, -float(self.travel)), min(low, float(self.travel))
 
     @property
     def unit_vector(self) -> tuple[float, ...]:

@@ -122,12 +122,12 @@ def done_pictures(course: Course | None) -> list[Picture]:
         return []
 
     def temperatures(ax: Axes) -> None:
-        ax.plot(course.chamber_s / 3600.0, course.chamber_c, **style_of(1))
+        ax.plot(course.chamber_s / 3600.0, course.chamber_c, **style_of(0))
         ax.set(xlabel="time, h", ylabel="chamber, °C")
 
     def rates(ax: Axes, axis: str) -> None:
         time, rate = course.rates[axis]
-        ax.plot(time / 3600.0, rate, linewidth=0.8, **style_of(1))
+        ax.plot(time / 3600.0, rate, linewidth=0.8, **style_of(0))
         ax.set(xlabel="time, h", ylabel="rate, deg/s")
 
     words = "Temperature of the chamber as it was read, on the plan's clock, which stands while a step is waited for."

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gradcal_jax.design.pose_search import CycleItem, PoseLimits, anneal, closed, feasible, neighbour
 
-LIMITS = PoseLimits(8, (300.0, 100.0), (math.inf, 16.0), 2.0, 60.0, 12)
+LIMITS = PoseLimits(8, (300.0, 100.0), ((-math.inf, math.inf), (-16.0, 16.0)), 2.0, 60.0, 12)
 ITEMS = st.builds(
     CycleItem,
     st.integers(0, 1),
@@ -39,6 +39,9 @@ def test_travel_is_kept():
     assert feasible(there, LIMITS)
     assert not feasible((there[0]._replace(steps=17), there[1]._replace(steps=-17)), LIMITS)
     assert not feasible((), LIMITS)
+    one_side = LIMITS._replace(reach=((-math.inf, math.inf), (-3.0, 16.0)))
+    assert feasible(there, one_side)
+    assert not feasible(there[::-1], one_side)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

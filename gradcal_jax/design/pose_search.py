@@ -31,7 +31,7 @@ PoseCycle = tuple[CycleItem, ...]
 
 
 class PoseLimits(NamedTuple):
-    """What a cycle may be: `per_turn` angle steps in a turn; of each axis the fastest `rates` (deg/s) and how far it may `reach`
+    """What a cycle may be: `per_turn` angle steps in a turn; of each axis the fastest `rates` (deg/s) and its `reach`
     either way, in angle steps; rests (s) from `shortest` to `longest`; at most `most` items.
     """
 

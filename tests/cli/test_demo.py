@@ -14,6 +14,7 @@ from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.unit_calibration import read_any_calibration
 
 DATA = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 PROGRAM = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
@@ -43,6 +44,8 @@ def test_a_demo_overwrites_nothing_and_names_the_data_that_it_misses(tmp_path, c
     assert "make it first" in capsys.readouterr().err
     assert main(["demo", "-o", str(tmp_path / "new"), "--data", str(tmp_path)]) == 2
     assert "thermal_cycle.npz" in capsys.readouterr().err
+    assert main(["demo", "-o", str(tmp_path / "new"), "--data", str(tmp_path), "--imu"]) == 2
+    assert "take one of them" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["full"]
 
 
@@ -97,6 +100,28 @@ def test_the_demos_numbers_are_one_and_the_same(tmp_path, monkeypatch):
     assert commands == ["new", "predict", "optimise", "limit", "run", "log", "estimate", "report"]
     assert set(commands) <= set(build())
     assert len(numbers["commands"]) == len(commands)
+
+
+@pytest.mark.evidence
+def test_the_demo_of_a_whole_unit_finds_what_was_hidden(tmp_path):
+    folder = tmp_path / "demo"
+    text = demo(folder, "--imu")
+    numbers = json.loads((folder / "demo.json").read_text(encoding="utf-8"))
+    found = read_any_calibration(folder / "run" / "calibration.toml")
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    results = {row.name: row for row in found.result}
+    for row in numbers["report"]["requirements"]:
+        assert row["achieved"] == results[row["name"]].value
+        assert f"{row['name']}: {row['achieved']:.4g} " in text
+        assert f"{row['achieved']:.4g}\N{NO-BREAK SPACE}" in page
+        assert row["achieved"] == pytest.approx(row["predicted"], rel=0.25)
+    assert numbers["optimisation"]["gain"] > 1.05
+    chi_squared, degrees, chance = numbers["report"]["axes"][0]["agreement"]
+    assert degrees == 120
+    assert chi_squared > 60.0
+    assert chance > 1e-4
+    commands = [shlex.split(line)[1] for line in re.findall(r"^ +\$ (gradcal .+)$", text, flags=re.M)]
+    assert commands == ["new", "predict", "optimise", "recipe", "run", "log", "estimate", "report"]
 
 
 @pytest.mark.evidence

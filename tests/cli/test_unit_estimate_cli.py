@@ -8,6 +8,7 @@ from estimate_scenes import draw_truth, record, scene
 
 from gradcal_jax.cli import main
 from gradcal_jax.files.log import read_log, write_log
+from gradcal_jax.files.unit_calibration import read_any_calibration
 from gradcal_jax.files.writing import write_toml
 
 
@@ -44,6 +45,41 @@ def test_from_a_log_to_a_corrected_log_and_a_header(folder, capsys):
     assert off(true) < 0.02 * off(raw)
     assert main(["export", out, "--format", "c-header", "-o", str(folder / "unit.h")]) == 0
     assert "gradcal_correct" in (folder / "unit.h").read_text(encoding="utf-8")
+
+
+def test_the_page_of_a_calibration(folder, capsys):
+    spec, found, page = (str(folder / name) for name in ("spec.toml", "unit.toml", "page.html"))
+    assert main(["report", spec, found, "-o", page, "--json"]) == 0
+    tables, html = json.loads(capsys.readouterr().out), (folder / "page.html").read_text(encoding="utf-8")
+    kept = read_any_calibration(found)
+    assert [row["achieved"] for row in tables["requirements"]] == [row.value for row in kept.result]
+    assert all(row["predicted"] > 0.0 for row in tables["requirements"])
+    row = next(
+        row for row in tables["parameters"] if (row["multiplies"], row["name"], row["axis"]) == ("gyro", "a0", "y")
+    )
+    value = kept.channel_of("gyro", "y").term_of("bias").coefficients["a0"]
+    assert row["value"] == pytest.approx(value * 3600.0 * 180.0 / np.pi)
+    assert row["std"] > 0.0
+    assert row["truth"] is None
+    assert len(tables["axes"][0]["fit"]) == len(kept.fit)
+    for words in (
+        "SIMULATED",
+        "What the run says of the table",
+        "orthogonality tilt spin",
+        "Unit ",
+        "--format matrices",
+    ):
+        assert words in html
+    # Residuals, poses, and what was found of four terms.
+    assert html.count("<svg") == len(kept.result) + 1 + 4
+    assert "gradcal validate" not in html
+    assert main(["report", found, "-o", page, "--force"]) == 0
+    alone = (folder / "page.html").read_text(encoding="utf-8")
+    assert alone.count("<svg") == 4
+    assert "What is planned" not in alone
+    capsys.readouterr()
+    assert main(["report", found, found, "-o", page, "--force"]) == 2
+    assert "second unit calibration" in capsys.readouterr().err
 
 
 def test_all_numbers_as_json(folder, capsys):

@@ -3,10 +3,13 @@
 import pytest
 from headless_chromium import BOXES, Chromium, browser, overlaps
 from report_samples import calibration, recipe, rehearse
+from unit_bench import made, short
 
+from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.files.calibration import write_calibration
-from gradcal_jax.pages.facts import facts_of
-from gradcal_jax.pages.page import page
+from gradcal_jax.files.unit_calibration import write_unit_calibration
+from gradcal_jax.hardware import execute
+from gradcal_jax.pages.report import write_page
 from gradcal_jax.pages.sources import read_sources
 
 pytestmark = [
@@ -17,16 +20,21 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module")
-def html(tmp_path_factory):
+@pytest.fixture(scope="module", params=["a gyro's axis", "a whole unit"])
+def html(request, tmp_path_factory):
+    """The page of a simulated run and of its calibration."""
     folder = tmp_path_factory.mktemp("browser")
-    plan = recipe()
-    rehearse(plan, folder / "run")
-    write_calibration(calibration(plan), folder / "run" / "calibration.toml")
-    sources = read_sources([folder / "run"])
-    path = folder / "page.html"
-    path.write_text(page(sources, facts_of(sources)), encoding="utf-8")
-    return path
+    if request.param == "a whole unit":
+        plan = made(short())
+        execute.run(plan, folder / "run", simulate=True, seed=3)
+        (found,) = estimate_units(plan.spec, [execute.log(folder / "run")])
+        write_unit_calibration(found.calibration, folder / "run" / "calibration.toml")
+    else:
+        plan = recipe()
+        rehearse(plan, folder / "run")
+        write_calibration(calibration(plan), folder / "run" / "calibration.toml")
+    write_page(read_sources([folder / "run"]), folder / "page.html")
+    return folder / "page.html"
 
 
 @pytest.fixture(scope="module")

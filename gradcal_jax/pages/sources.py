@@ -56,9 +56,8 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
 
     def take(kind: str, value: Any, path: Path) -> None:
         if kind in found:
-            raise ValueError(
-                f"{path} is a second {kind.replace('_', ' ')}: a page is made of one run, one recipe and one calibration"
-            )
+            words = kind.replace("_", " ")
+            raise ValueError(f"{path} is a second {words}: a page is made of one run, one recipe and one calibration")
         found[kind] = value
         if path.is_file():
             named.append((path.name, hashlib.sha256(path.read_bytes()).hexdigest()))

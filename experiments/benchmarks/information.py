@@ -22,6 +22,8 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 METHODS = {
     "ours": "gradcal_jax, whiten",
+    "ours_32": "gradcal_jax, vectors of 32 bytes at most (AVX2)",
+    "ours_16": "gradcal_jax, vectors of 16 bytes (SSE2)",
     "ours_blocks": "gradcal_jax, the same without machine code",
     "floor": "floor: ΦᵀΦ of white rows",
     "celerite2_terms": "celerite2, semiseparable solver",

@@ -212,6 +212,8 @@ def filter_columns(
     """Everything but the derivative; `keep`: the states, too."""
     count, p = columns.shape
     n = state.covariance.shape[0]
+    # What is not traced may be NumPy's.
+    steps = steps._make(map(jnp.asarray, steps))
     length = block_length(count, block)
     cut_steps = Steps(
         cut(steps.observation, length, 0.0),

@@ -146,8 +146,10 @@ def _parameter(
     kind, _, axis = channel.rpartition("_")
     unit, factor = UNITS_OF_TERMS.get(si, (si, 1.0))
     off = None if value is None or truth is None or not std else (value - truth) / std
-    in_unit = (None if number is None else number * factor for number in (value, std, predicted, truth))
-    return ParameterFact(symbol, axis, kind, unit, *in_unit, off)
+    value, std, predicted, truth = (
+        None if number is None else number * factor for number in (value, std, predicted, truth)
+    )
+    return ParameterFact(symbol, axis, kind, unit, value, std, predicted, truth, off)
 
 
 def _found_of(calibration: UnitCalibration, hidden: dict[str, float]) -> AxisFact:

@@ -32,7 +32,7 @@ def loops(jaxpr, times=1):
                 yield from loops(part, steps)
 
 
-def steps_of(function, *arguments) -> tuple[int, bool]:
+def steps_of(function, *arguments) -> tuple[float, bool]:
     """The most steps that are made one after the other, and whether a choice is left when the program is lowered: one
     by the platform is none any more."""
     traced = jax.jit(function).trace(*arguments)

@@ -64,7 +64,8 @@ def run(
     output
         The folder of the run, to be made.
     resume
-        Go on with the run in this folder; a recipe is not given, and a rig only to be compared with the run's.
+        Go on with the run in this folder; a recipe is given only where `gradcal replan` made one for the rest of it,
+        and a rig only to be compared with the run's.
     simulate
         Use simulated devices in the place of a rig.
     speed
@@ -89,9 +90,9 @@ def run(
         Print nothing but how the run ended, as JSON.
     """
     if resume is not None:
-        if recipe is not None or output is not None or simulate:
-            raise ValueError("--resume takes nothing but the folder: recipe, rig and simulation are those of its run")
-        return _resume(resume, rig, json)
+        if output is not None or simulate:
+            raise ValueError("--resume takes nothing but the folder: rig and simulation are those of its run")
+        return _resume(resume, recipe, rig, json)
     if dry_run:
         if recipe is None or rig is None:
             raise ValueError("a dry run asks the devices of a rig: gradcal run RECIPE --rig RIG --dry-run")
@@ -178,13 +179,18 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     return sys.stdin.readline() == "\n"
 
 
-def _resume(path: Path, rig: Path | None, json: bool) -> int:
+def _resume(path: Path, recipe: Path | None, rig: Path | None, json: bool) -> int:
+    from gradcal_jax.files.recipe import read_recipe
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.execute import resume
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
+    from gradcal_jax.hardware.stretches import adopt
 
     folder = RunFolder(path)
     bench = None if rig is None else read_rig(rig)
+    if recipe is not None:
+        prepare_resume(folder, bench)
+        adopt(folder, read_recipe(recipe))
     first, simulated = prepare_resume(folder, bench), bool(folder.notes()["simulated"])
     if not json:
         print(f"going on with step {first + 1}" + (f"\n{_REHEARSAL}" if simulated else ""))

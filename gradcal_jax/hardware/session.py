@@ -70,7 +70,8 @@ def run_session(
 
         bench = stack.enter_context(open_rig(rig, clock, recorder_of, terminal=terminal))
         number = 0 if resumed is None else sessions(resumed)
-        begin_session(journal, clock.now(), number, rig, simulated=simulated, first_step=first_step)
+        part = {"first_step": first_step, "recipe": len(folder.recipes()) - 1}
+        begin_session(journal, clock.now(), number, rig, simulated=simulated, **part)
         for name, settings in bench.settings.items():
             settings.on_first_change = partial(_changes, journal, clock, watched, name)
         if resumed is not None and number:

@@ -6,9 +6,9 @@ pause, the turn-on bias stays what it was (the unit is not switched off), and th
 follows is searched as any plan is, on a ramp from where the chamber's course was broken off to where it was to end.
 """
 
+import math
 import tomllib
-from collections.abc import Callable, Sequence
-from itertools import accumulate
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from gradcal_jax.api.build import assemble
@@ -16,16 +16,19 @@ from gradcal_jax.api.flow import optimise
 from gradcal_jax.api.measure import design_block
 from gradcal_jax.api.optimise import Optimised, Step
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, residual_map, statistic_of
+from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing
 from gradcal_jax.files import Spec, changed, tables_of
 from gradcal_jax.files.design import TIMES
+from gradcal_jax.files.rounding import steps_of
 from gradcal_jax.files.schedule import TemperatureSegment
 from gradcal_jax.information import information, posterior
 
 PAUSE_S = 1800.0
-# Of a span that is ramped in the time that is left, so much is given up before the slope is called too steep; K.
-_GRID_K = 0.1
+_HAIR = 1e-6
 # What is left of a segment for less than this is over; s.
 _BRIEF_S = 1.0
+# The share of a turn at the table for which the axis stands where a search begins.
+_STANDS = 0.2
 _GO_ON = "go on with the run as it is, gradcal run --resume"
 Span = tuple[float, float]
 """From when to when, on a plan's clock (s)."""
@@ -76,7 +79,7 @@ def known_so_far(spec: Spec, done: Sequence[Span], goes_on_s: float, pause_s: fl
 
 def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> Spec:
     """The spec of what is still to be done, with what was: a ramp of `left_s` (None: what the plan had left) from where
-    the chamber was to where it was to end, and on it the first turn at the table of the plan's cycle, again and again.
+    the chamber was to where it was to end, and on it as many turns at the table as fit, about as long as they were.
 
     Errors: `ValueError` for a standard plan, where nothing is left, and where what is left is not one ramp.
     """
@@ -92,27 +95,29 @@ def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pa
         raise ValueError(f"what is left of the plan is not one ramp, up or down: {_GO_ON}")
     begins_c, ends_c = _course(ramps[0], seam_s), ramps[-1].temperature_end
     lasts_s = sum(s.end - max(s.start, seam_s) for s in left if s.used) if left_s is None else left_s
-    chamber = spec.rig.chamber
+    chamber, steps = spec.rig.chamber, steps_of(spec)
     steepest = float(chamber.max_heating if ends_c > begins_c else chamber.max_cooling)
-    if abs(ends_c - begins_c) > steepest * lasts_s:
-        # As far as the chamber comes in the time.
-        reach = _GRID_K * int(steepest * lasts_s / _GRID_K)
-        ends_c = begins_c + (reach if ends_c > begins_c else -reach)
-    ends_c, begins_c = round(ends_c, 3), round(begins_c, 1)
-    if not lasts_s > 0.0 or abs(ends_c - begins_c) < _GRID_K:
+    fine, grid_k = float(steps.slope), float(steps.temperature)
+    begins_c = grid_k * round(begins_c / grid_k)
+    # A slope that the controller takes, at which the ramp ends in time, or comes as far as the chamber can.
+    span_k, least = abs(ends_c - begins_c), max(lasts_s, _BRIEF_S)
+    slope = fine * min(math.ceil(span_k / least / fine - _HAIR), math.floor(steepest / fine + _HAIR))
+    span_k = grid_k * math.floor(min(span_k, slope * lasts_s) / grid_k + _HAIR)
+    if span_k <= 0.0:
         raise ValueError(f"no time is left for a ramp: {_GO_ON}")
+    ends_c, lasts_s = begins_c + math.copysign(span_k, ends_c - begins_c), span_k / slope
+    design = tables_of(spec).get("design") or tomllib.loads(design_block(spec))["design"]
     plan: dict[str, Any] = {
         "plan.programme": None,
         "plan.soak": None,
         "plan.temperature": [f"{begins_c:.9g} degC", f"{ends_c:.9g} degC"],
-        "plan.gradient": f"{60.0 * abs(ends_c - begins_c) / lasts_s:.12g} K/min",
+        "plan.gradient": f"{60.0 * slope:.9g} K/min",
     }
     soak = schedule.segments[0]
     if soak.kind == "soak" and (schedule.cycle is None or not done):
         plan["plan.soak"] = {"duration": f"{soak.duration:.9g} s", "used": soak.used and not done}
     if schedule.cycle is not None:
-        plan["plan.cycle"] = _one_visit(spec, lasts_s)
-    design = tables_of(spec).get("design") or tomllib.loads(design_block(spec))["design"]
+        plan["plan.cycle"] = _visits(spec, design, lasts_s)
     design = {name: value for name, value in design.items() if name not in ("max_total", "max_motion")}
     if design["minimise"] not in TIMES:
         design["max_motion"] = f"{lasts_s:.9g} s"
@@ -142,22 +147,36 @@ def _course(ramp: TemperatureSegment, at_s: float) -> float:
     return ramp.temperature_start + ramp.slope * max(at_s - ramp.start, 0.0)
 
 
-def _one_visit(spec: Spec, lasts_s: float) -> dict[str, Any]:
-    """The first turn at the table of a cycle, and after it the time of the other axes, as a cycle of its own; of one
-    that is longer than what is left, what fits."""
+def _visits(spec: Spec, design: Mapping[str, Any], lasts_s: float) -> dict[str, Any]:
+    """A cycle of one turn at the table and the other axes' time after it, of which whole ones fill what is left.
+
+    Both are nearly as long as in the spec, and the axis keeps its share. Its moves are only where a search begins;
+    where their durations are not free, the spec's cycle stays.
+    """
     cycle, tables = spec.gradient_schedule.cycle, tables_of(spec)["plan"]["cycle"]
     assert cycle is not None
-    others = [k for k, move in enumerate(cycle.moves) if move.other_axes]
-    if others:
-        between = tables["moves"][others[0]]
-        reads = "read_every" in between
-        other = {"duration": between["rest"], "read": reads} | ({"read_every": between["read_every"]} if reads else {})
-        return {"moves": tables["moves"][: others[0]], "other_axes": other}
-    if cycle.moving <= lasts_s:
+    if not {"duration", "rest", "turn"} & set(design["free"]):
         return tables
-    ends_s = accumulate(move.repeat * move.duration for move in cycle.moves)
-    fits = sum(end_s < lasts_s - _BRIEF_S for end_s in ends_s)
-    stands_s = lasts_s - sum(move.repeat * move.duration for move in cycle.moves[:fits])
-    every_s = next((move.read_every for move in cycle.moves if move.read_every), 1.0)
-    rest = {"rest": f"{stands_s:.9g} s", "read_every": f"{every_s:.9g} s"}
-    return {"moves": [*tables["moves"][:fits], rest]}
+    axes, others = axes_of(cycle), [move.duration for move in cycle.moves if move.other_axes]
+    own = (cycle.moving - sum(others)) / (len(others) + 1)
+    other = others[0] if others else cycle.duration - cycle.moving
+    visits = max(1, round((lasts_s + other) / (own + other)))
+    share, step = lasts_s / (visits * own + (visits - 1) * other), float(steps_of(spec).time)
+    each_s, other = (step * math.floor(share * time / step + _HAIR) for time in (own / len(axes), other))
+    every_s = read_spacing(cycle)
+    stands_s = every_s * max(1, int(_STANDS * each_s / every_s))
+    turns_s = 0.5 * (each_s - stands_s)
+    table = spec.rig.table
+    rate = min(0.5 * float(table.max_rate), 0.1 * float(table.max_acceleration) * turns_s)
+    rate = math.degrees(min(rate, 0.5 * float(table.travel) / turns_s))
+    moves: list[dict[str, Any]] = []
+    for axis in axes:
+        moves.append({"rest": f"{stands_s:.9g} s", "read_every": f"{every_s:.9g} s"})
+        turn = {"axis": axis, "duration": f"{turns_s:.9g} s", "shape": ramped_shape(cycle)}
+        moves += [turn | {"peak_rate": f"{way * rate:.6g} deg/s"} for way in (1.0, -1.0)]
+    result: dict[str, Any] = {"moves": moves}
+    if other > 0.0:
+        result["other_axes"] = {"duration": f"{other:.9g} s", "read": cycle.other_read_every is not None}
+        if cycle.other_read_every is not None:
+            result["other_axes"]["read_every"] = f"{cycle.other_read_every:.9g} s"
+    return result

@@ -54,26 +54,21 @@ def with_done(spec: Spec, done: Sequence[Span], pause_s: float = PAUSE_S) -> Spe
     return changed(spec, {"done": [*tables_of(spec).get("done", ()), *parts]}) if parts else spec
 
 
-def known_so_far(spec: Spec, done: Sequence[Span], goes_on_s: float, pause_s: float = PAUSE_S) -> list[KnownRow]:
-    """What is left by what was done of the spec's plan, and once it has gone on from `goes_on_s` (s, its clock)."""
-    whole = assemble(with_done(spec, done, pause_s))
-    rows: list[KnownRow] = []
-    for channel in whole.channels:
-        past = whole.past.get(channel)
-        rest = whole.schedules[channel].trajectory(whole.thermal_lag).between(goes_on_s, spec.schedule.duration)
-        lines = [None if past is None else past.line, None]
-        if rest.piece_count:
-            lines[1] = rest if past is None else past.then(rest)
-        else:
-            lines[1] = lines[0]
+def known_so_far(spec: Spec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
+    """What is left by what was done of the spec's plan, and once it has gone on from `goes_on_s` (s, its clock): where
+    the last span ends, while a run is under way, or where a step begins that is made again."""
+    ends_s, rows = spec.schedule.duration, list[KnownRow]()
+    flows = bool(done) and abs(goes_on_s - done[-1][1]) < _BRIEF_S
+    rest = [(done[-1][0], ends_s)] if flows else [(goes_on_s, ends_s)] if goes_on_s < ends_s else []
+    built = [assemble(with_done(spec, parts)) for parts in (done, [*done[: len(done) - flows], *rest])]
+    for channel in built[0].channels:
+        lines = [one.past[channel].line if channel in one.past else None for one in built]
+        known = [None if line is None else posterior(information(line, built[0].model)) for line in lines]
         for requirement in spec.requirement:
-            unit, _ = UNIT_OF[requirement.quantity]
-            values: list[float | None] = []
-            for line in lines:
-                known = None if line is None else posterior(information(line, whole.model))
-                of = [] if known is None else [statistic_of(requirement, residual_map(whole, known, requirement)[2])]
-                values += of if of and of[0] < float("inf") else [None]
-            rows.append(KnownRow(requirement.name, channel, unit, *values))
+            maps = [None if one is None else residual_map(built[0], one, requirement)[2] for one in known]
+            values = [math.inf if one is None else statistic_of(requirement, one) for one in maps]
+            now, at_end = (value if math.isfinite(value) else None for value in values)
+            rows.append(KnownRow(requirement.name, channel, UNIT_OF[requirement.quantity][0], now, at_end))
     return rows
 
 

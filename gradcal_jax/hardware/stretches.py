@@ -12,7 +12,7 @@ from ..files.unit_spec import UnitSpec
 from ..files.writing import write_toml, write_whole
 from .binding import track_of
 from .journal import Event, JournalContents
-from .run_folder import SESSION, RunFolder, RunFolderError, prepare_resume
+from .run_folder import SESSION, RunFolder, RunFolderError, exit_status, prepare_resume, steps_done
 from .track import Track
 
 _SAME_S = 1e-3
@@ -83,6 +83,15 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
 def stretches_of(folder: RunFolder) -> list[Stretch]:
     """What was done of a run's newest recipe."""
     return stretches_done(folder.contents(), track_of(folder.recipe(), _axes(folder)), len(folder.recipes()) - 1)
+
+
+def goes_on_at(folder: RunFolder) -> float:
+    """Where a run is or will go on, on its plan's clock (s): while it is under way, where its last stretch ends."""
+    contents, done = folder.contents(), stretches_of(folder)
+    if done and exit_status(contents) == "lost":
+        return done[-1].end_s
+    steps = track_of(folder.recipe(), _axes(folder)).steps
+    return sum(step.duration_s for step in steps[: steps_done(contents, len(folder.recipes()) - 1)])
 
 
 def _until(part: Stretch, end_s: float) -> Stretch:

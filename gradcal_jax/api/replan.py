@@ -16,7 +16,7 @@ from gradcal_jax.api.flow import optimise
 from gradcal_jax.api.measure import design_block
 from gradcal_jax.api.optimise import Optimised, Step
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, residual_map, statistic_of
-from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing
+from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing, visit_times
 from gradcal_jax.files import Spec, changed, tables_of
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.rounding import steps_of
@@ -152,9 +152,8 @@ def _visits(spec: Spec, design: Mapping[str, Any], lasts_s: float) -> dict[str, 
     assert cycle is not None
     if not {"duration", "rest", "turn"} & set(design["free"]):
         return tables
-    axes, others = axes_of(cycle), [move.duration for move in cycle.moves if move.other_axes]
-    own = (cycle.moving - sum(others)) / (len(others) + 1)
-    other = others[0] if others else cycle.duration - cycle.moving
+    axes = axes_of(cycle)
+    own, other = visit_times(cycle)
     visits = max(1, round((lasts_s + other) / (own + other)))
     share, step = lasts_s / (visits * own + (visits - 1) * other), float(steps_of(spec).time)
     each_s, other = (step * math.floor(share * time / step + _HAIR) for time in (own / len(axes), other))

@@ -190,14 +190,23 @@ def axes_of(cycle: ResolvedCycle) -> list[Axis]:
     return list(dict.fromkeys(move.axis for move in cycle.moves if not move.is_rest)) or ["x"]
 
 
+def visit_times(cycle: ResolvedCycle) -> tuple[float, float]:
+    """How long a turn at the table lasts, of all axes of the plan together, and the time after it of those that are
+    not in the plan (s)."""
+    others = [move.duration for move in cycle.moves if move.other_axes]
+    each = (cycle.moving - sum(others)) / (len(others) + 1)
+    return each, others[0] if others else cycle.duration - cycle.moving
+
+
 def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
     cycle = cast("ResolvedCycle", spec.gradient_schedule.cycle)
     axes = axes_of(cycle)
     time = motion_time(spec, design) if motion is None else motion
     free = frozenset(_FREE.get(name, name) for name in design.free) - {"cycle"}
     # Several axes make the same moves in turn: the first is designed, which stands while the others do.
-    own = cycle.moving / len(axes)
-    other = cycle.duration - own
+    each, between = visit_times(cycle)
+    own = each / len(axes)
+    other = each + between - own
     share = own / (own + other)
     if "duration" not in free:
         if len(axes) > 1:

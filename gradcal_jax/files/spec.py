@@ -112,6 +112,12 @@ def expect_spec(value: object) -> Spec:
     raise TypeError(f"expected a spec as gj.read_spec or gj.parse_spec give it, not {type(value).__name__}")
 
 
+def expect_whole(spec: Spec, what: str) -> None:
+    """Errors: `ValueError` where a plan goes on with what was done before, which `what` does not know."""
+    if spec.done:
+        raise ValueError(f"{what} is of a plan that begins a run, and this one goes on with what was done: [[done]]")
+
+
 def read_spec(path: str | Path) -> Spec:
     """Read a spec file: TOML, quantities as text with units ("0.1 deg/sqrt(h)"), SI (°C) inside.
 

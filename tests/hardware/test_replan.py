@@ -135,7 +135,7 @@ def test_the_rest_of_a_broken_run_is_nearly_as_good_as_if_the_loss_had_been_know
     assert gradcal("optimise", spec, "-o", recipe).returncode in (0, 1)
     made = read_recipe(recipe)
     motion_s = made.axis_spec.gradient_schedule.motion
-    shorter = {"design.max_motion": f"{motion_s - LOST_S:g} s", "design.starts": 16}
+    shorter = {"design.max_motion": f"{motion_s - LOST_S:g} s", "design.starts": 8}
     known = optimum(changed(read_spec(spec), shorter), tmp_path, "known.toml")
     said: list[str] = []
     statistic, degrees = 0.0, 0
@@ -146,8 +146,8 @@ def test_the_rest_of_a_broken_run_is_nearly_as_good_as_if_the_loss_had_been_know
         made_new = gradcal("replan", folder.path, "--time", f"{left_s:.1f} s", "-o", new, "--json")
         assert made_new.returncode in (0, 1), made_new.stderr
         found = json.loads(made_new.stdout)["now"]
-        # The same rest, searched from four times as many other plans.
-        rest_spec = changed(read_recipe(new).axis_spec, {"design.starts": 16, "design.seed": 11})
+        # The same rest, searched from twice as many other plans.
+        rest_spec = changed(read_recipe(new).axis_spec, {"design.starts": 8, "design.seed": 11})
         best = optimum(rest_spec, tmp_path, f"best{number}.toml")
         assert gradcal("run", new, "--resume", folder.path).returncode == 0
         assert gradcal("log", folder.path).returncode == 0
@@ -162,7 +162,7 @@ def test_the_rest_of_a_broken_run_is_nearly_as_good_as_if_the_loss_had_been_know
         assert found <= 1.03 * best, (share, found, best)
         assert reached == pytest.approx(found, rel=0.1)
         said.append(
-            f"{share:.0%}: {found:.3f} ppm, best of 16 starts {best:.3f} ({found / best - 1.0:+.1%}), plan that knew "
+            f"{share:.0%}: {found:.3f} ppm, best of twice as many starts {best:.3f} ({found / best - 1.0:+.1%}), plan that knew "
             f"of it from the start {known:.3f} ({found / known - 1.0:+.1%}), estimate's {reached:.3f}, χ² {one:.1f} of "
             f"{count}"
         )

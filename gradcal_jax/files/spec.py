@@ -114,7 +114,7 @@ def expect_spec(value: object) -> Spec:
 
 def expect_whole(spec: Spec, what: str) -> None:
     """Errors: `ValueError` where a plan goes on with what was done before, which `what` does not know."""
-    if spec.done:
+    if expect_spec(spec).done:
         raise ValueError(f"{what} is of a plan that begins a run, and this one goes on with what was done: [[done]]")
 
 

@@ -162,9 +162,9 @@ def test_the_rest_of_a_broken_run_is_nearly_as_good_as_if_the_loss_had_been_know
         assert found <= 1.03 * best, (share, found, best)
         assert reached == pytest.approx(found, rel=0.1)
         said.append(
-            f"{share:.0%}: {found:.3f} ppm, best of twice as many starts {best:.3f} ({found / best - 1.0:+.1%}), plan that knew "
-            f"of it from the start {known:.3f} ({found / known - 1.0:+.1%}), estimate's {reached:.3f}, χ² {one:.1f} of "
-            f"{count}"
+            f"{share:.0%}: {found:.3f} ppm, best of twice as many starts {best:.3f} ({found / best - 1.0:+.1%}), plan "
+            f"that knew of it from the start {known:.3f} ({found / known - 1.0:+.1%}), estimate's {reached:.3f}, "
+            f"χ² {one:.1f} of {count}"
         )
         (folder.path / "journal").unlink()
     chance = float(chi2.sf(statistic, degrees))

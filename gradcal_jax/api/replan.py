@@ -132,8 +132,10 @@ def replan(
 
     `spec`: of the recipe that was executed; `done`: from when to when, on its plan's clock (s), as
     `hardware.stretches` reads it from the journal. `left_s`: how long the rest may take; None: as long as the plan had
-    left. `pause_s`: until it goes on. `quick`, `watch`, errors and what is returned: as `optimise`; the returned spec
-    has `done`, its values are of all that was and will be done.
+    left. `pause_s`: until it goes on. `quick`, `watch` and what is returned: as `optimise`; the returned spec has
+    `done`, and its values (ppm or deg/h) are of all that was and will be done.
+
+    Errors: `ValueError` where nothing is left of the plan, or no ramp up or down, and as `optimise`.
     """
     return optimise(rest_of(spec, done, left_s=left_s, pause_s=pause_s), quick=quick, watch=watch)
 

@@ -42,6 +42,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "sensitivity": "api.flow",
     "differentiable": "api.differentiable",
     "recipe": "api",
+    "replan": "api.replan",
     "read_recipe": "files.recipe",
     "show": "pages.bench_sheet",
     # many at once

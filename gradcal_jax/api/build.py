@@ -9,11 +9,11 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
 from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.moves import Axis, ResolvedMove
-from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule, gradient_schedule
 from gradcal_jax.files.sensor import Bias, ScaleFactor, Sensor
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.model import Map, Processes, SensorModel
-from gradcal_jax.trajectory import Move, Schedule
+from gradcal_jax.trajectory import Move, Past, Schedule
 
 # A varying rate is integrated on the nodes of a piece, against exponentials of at most this many correlation times.
 _CORRELATION_TIMES_A_PIECE = 3.0
@@ -23,7 +23,7 @@ class Assembled(NamedTuple):
     """A spec in the core's terms: the model of a channel, and the schedule of each.
 
     `moves`: what the first moves of every schedule are, with their shapes. `sources`: which processes of the model's
-    noise belong to which source, by the names that people use.
+    noise belong to which source, by the names that people use. `past`: what was done before the plan begins.
     """
 
     spec: Spec
@@ -32,6 +32,7 @@ class Assembled(NamedTuple):
     moves: tuple[Move, ...]
     thermal_lag: float | None
     sources: dict[str, tuple[int, ...]]
+    past: dict[Axis, Past]
 
     @property
     def channels(self) -> tuple[Axis, ...]:
@@ -39,8 +40,10 @@ class Assembled(NamedTuple):
         return tuple(self.schedules)
 
     def trajectory(self, channel: Axis | None = None) -> trajectory.Trajectory:
-        """What the plan does, as the sensor on a channel (the first one) sees it."""
-        return self.schedules[channel or self.channels[0]].trajectory(self.thermal_lag)
+        """What was done and what the plan does, as the sensor on a channel (the first one) sees it."""
+        channel = channel or self.channels[0]
+        line = self.schedules[channel].trajectory(self.thermal_lag)
+        return self.past[channel].then(line) if channel in self.past else line
 
 
 def assemble(spec: Spec) -> Assembled:
@@ -53,7 +56,20 @@ def assemble(spec: Spec) -> Assembled:
         raise MemoryError(too)
     processes, sources = _processes(spec.sensor)
     lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
-    return Assembled(spec, _model(spec, processes), *_schedules(spec), lag, sources)
+    plans = _schedules(spec.schedule, spec.sensor)
+    return Assembled(spec, _model(spec, processes), *plans, lag, sources, _past(spec, lag))
+
+
+def _past(spec: Spec, lag: float | None) -> dict[Axis, Past]:
+    """What `[[done]]` says, joined."""
+    found: dict[Axis, Past] = {}
+    for part in spec.done:
+        plans, _ = _schedules(gradient_schedule(part.plan, spec.rig), spec.sensor)
+        for channel, plan in plans.items():
+            line = plan.trajectory(lag).between(float(part.start), float(part.end))
+            line = found[channel].then(line) if channel in found else line
+            found[channel] = Past(line, np.asarray(float(part.pause)))
+    return found
 
 
 def _processes(sensor: Sensor) -> tuple[Processes, dict[str, tuple[int, ...]]]:
@@ -149,8 +165,9 @@ def or_infinite(value: float | None) -> float:
     return np.inf if value is None else float(value)
 
 
-def _schedules(spec: Spec) -> tuple[dict[Axis, Schedule], tuple[Move, ...]]:
-    schedule = spec.schedule
+def _schedules(
+    schedule: GradientSchedule | StandardSchedule, sensor: Sensor
+) -> tuple[dict[Axis, Schedule], tuple[Move, ...]]:
     if isinstance(schedule, StandardSchedule):
         points = (schedule.temperatures, schedule.soak_each, schedule.integration, schedule.rates)
         return {"x": trajectory.standard_plan(*points, points=schedule.shared)}, ()
@@ -162,7 +179,7 @@ def _schedules(spec: Spec) -> tuple[dict[Axis, Schedule], tuple[Move, ...]]:
     cycle = schedule.cycle
     if cycle is None:
         return {"x": trajectory.gradient_plan(programme, used=used, read_every=schedule.read_every)}, ()
-    longest = _CORRELATION_TIMES_A_PIECE * shortest_correlation_time(spec.sensor)
+    longest = _CORRELATION_TIMES_A_PIECE * shortest_correlation_time(sensor)
     moves = tuple(move_of(move, cycle.other_read_every, longest) for move in cycle.moves for _ in range(move.repeat))
     after = []
     if cycle.other > 0.0:

@@ -16,6 +16,7 @@ from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
 from gradcal_jax.trajectory import Rule, Schedule, rule_of
@@ -98,6 +99,7 @@ def differentiable(spec: Spec, axis: Axis | None = None) -> Differentiable:
     Wants float64 (`jax_enable_x64`). Integrals are divided as the spec's own plan needs it. Errors: `ValueError` where
     nothing is required, or of an axis that the plan does not turn.
     """
+    expect_whole(spec, "a function of the plan's figures")
     built = assemble(spec)
     channel = built.channels[0] if axis is None else axis
     if channel not in built.channels:

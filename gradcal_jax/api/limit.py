@@ -27,6 +27,7 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import ResolvedCycle, StandardSchedule
+from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.information import statistic
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Programme, programme
@@ -67,6 +68,7 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     Errors: `ValueError` where there is no such requirement, nothing can be proven of one, or the plan is of another
     kind.
     """
+    expect_whole(spec, "a limit")
     if isinstance(spec.schedule, StandardSchedule) or spec.schedule.cycle is None:
         raise ValueError("a limit is proven for gradient plans with moves; this plan has none")
     wanted = [r for r in spec.requirement if r.quantity != "bias"]

@@ -1,5 +1,6 @@
 """What a design minimises, from a spec: one number of a plan, and by how much it exceeds the other targets."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -63,8 +64,7 @@ class Measure(NamedTuple):
 
 
 def _with_rule(case: Case, plan: Schedule) -> Case:
-    rule = rule_of(case.model, plan.trajectory(case.thermal_lag))
-    return Case(case.model, case.thermal_lag, case.minimised, case.limited, case.weight, rule, case.believed)
+    return replace(case, rule=rule_of(case.model, case.trajectory(plan)))
 
 
 def design_of(spec: Spec) -> Design:
@@ -129,6 +129,7 @@ def measure(spec: Spec) -> Measure:
             tuple(limit),
             np.asarray(weight),
             believed=believed,
+            past=built.past.get(built.channels[0]),
         )
         for model, (_, built, weight), main, limit in zip(models, scenarios, mains, limits, strict=True)
     )

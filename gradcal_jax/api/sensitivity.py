@@ -18,6 +18,7 @@ from gradcal_jax.api.unit_sensitivity import unit_sensitivities
 from gradcal_jax.design import Criterion
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information
 from gradcal_jax.model import Discrepancy, EncoderHarmonics, SensorModel
@@ -35,6 +36,7 @@ def sensitivities(spec: Spec | UnitSpec) -> Sensitivities:
     """
     if isinstance(spec, UnitSpec):
         return unit_sensitivities(spec)
+    expect_whole(spec, "a sensitivity")
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
     built = assemble(spec)

@@ -190,14 +190,23 @@ def axes_of(cycle: ResolvedCycle) -> list[Axis]:
     return list(dict.fromkeys(move.axis for move in cycle.moves if not move.is_rest)) or ["x"]
 
 
+def visit_times(cycle: ResolvedCycle) -> tuple[float, float]:
+    """How long a turn at the table lasts, of all axes of the plan together, and the time after it of those that are
+    not in the plan (s)."""
+    others = [move.duration for move in cycle.moves if move.other_axes]
+    each = (cycle.moving - sum(others)) / (len(others) + 1)
+    return each, others[0] if others else cycle.duration - cycle.moving
+
+
 def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
     cycle = cast("ResolvedCycle", spec.gradient_schedule.cycle)
     axes = axes_of(cycle)
     time = motion_time(spec, design) if motion is None else motion
     free = frozenset(_FREE.get(name, name) for name in design.free) - {"cycle"}
     # Several axes make the same moves in turn: the first is designed, which stands while the others do.
-    own = cycle.moving / len(axes)
-    other = cycle.duration - own
+    each, between = visit_times(cycle)
+    own = each / len(axes)
+    other = each + between - own
     share = own / (own + other)
     if "duration" not in free:
         if len(axes) > 1:
@@ -219,14 +228,13 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
         groups = 1 if alike else -(-visits // max(1, -(-visits // _MOST_OWN)))
         cycles = visits if alike else max(1, visits // groups)
         groups = 1 if alike else visits // cycles
-        rest = float(_read_every(cycle))
+        rest = float(read_spacing(cycle))
         # Half the time at the table may go into what turns and rests take at least.
         fitting = max(1, int(0.5 * each / (LEAST_TURN + rest)))
         wanted = 2 * _LEAST_MOVES if alike else max(_LEAST_MOVES, -(-_MOVES // groups))
         moves = design.moves or min(wanted, fitting)
         ends_moving = abs(cycles * groups * (each + between) - between - time) < 1e-6
-        shape = next((m.shape for m in cycle.moves if m.shape in RAMPED_SHAPES), "cosine ramps")
-        elements = _elements(shape, groups, moves, rest, not_shared=other <= 0.0, ends=ends_moving)
+        elements = _elements(ramped_shape(cycle), groups, moves, rest, not_shared=other <= 0.0, ends=ends_moving)
         coordinates = make_coordinates(
             elements,
             limits_of(spec, scenarios),
@@ -244,12 +252,18 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
 
 def _frame(spec: Spec, cycle: ResolvedCycle, own: float, other: float, time: float) -> Frame:
     start, end = ramp_ends(spec)
-    return Frame(own, other, time, start, end, _read_every(cycle))
+    return Frame(own, other, time, start, end, read_spacing(cycle))
 
 
-def _read_every(cycle: ResolvedCycle) -> float:
+def read_spacing(cycle: ResolvedCycle) -> float:
+    """How often a standing axis is read, s."""
     spacings = [m.read_every for m in cycle.moves if m.is_rest and m.read_every is not None]
     return spacings[0] if spacings else (cycle.other_read_every or 1.0)
+
+
+def ramped_shape(cycle: ResolvedCycle) -> str:
+    """Of the turns that a search makes."""
+    return next((m.shape for m in cycle.moves if m.shape in RAMPED_SHAPES), "cosine ramps")
 
 
 def _elements(shape: str, groups: int, moves: int, rest: float, *, not_shared: bool, ends: bool) -> tuple[Element, ...]:

@@ -22,6 +22,7 @@ from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import Sensor
+from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.files.unit_timeline import UnitTimeline
 
@@ -34,10 +35,12 @@ def timeline(spec: Spec | UnitSpec) -> Timeline | UnitTimeline:
     """Every segment and reading of a spec's plan in SI, axes one after the other; temperatures (°C) are the chamber's.
 
     Enough for another program to work out the covariance alone: contract gradcal-timeline/2, or of a whole unit, with
-    the angles of all axes and attitudes, gradcal-unit-timeline/1. Errors: none.
+    the angles of all axes and attitudes, gradcal-unit-timeline/1. Errors: `ValueError` where
+    it goes on with what was done before.
     """
     if isinstance(spec, UnitSpec):
         return unit_timeline(spec)
+    expect_whole(spec, "a timeline")
     built = assemble(spec)
     segments: list[SegmentRow] = []
     readings: list[ReadingRow] = []

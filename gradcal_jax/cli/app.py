@@ -24,6 +24,7 @@ from gradcal_jax.cli import (
     predict,
     recipe,
     recipes,
+    replan,
     report,
     rig,
     schema,
@@ -45,13 +46,13 @@ A spec file says what sensor, rig and plan are. Begin with `gradcal start`, or `
 
 _FAMILIES: Final[tuple[Any, ...]] = (
     demo, start, new, check, predict, timeline, optimise, limit, frontier, sensitivity, recipe, recipes, show, rig,
-    run_command, watch, log, instability, estimate, calibrated, report, sweep, glossary, schema,
+    run_command, watch, replan, log, instability, estimate, calibrated, report, sweep, glossary, schema,
 )  # fmt: skip
 GROUPS: Final = (
     ("Begin", ("demo", "start", "new", "check")),
     ("Know beforehand", ("predict", "compare", "timeline", "sensitivity")),
     ("Find a plan", ("optimise", "limit", "frontier", "recipe", "show")),
-    ("Execute it", ("rig", "run", "watch", "log")),
+    ("Execute it", ("rig", "run", "watch", "replan", "log")),
     ("Calibrate", ("estimate", "apply", "validate", "export", "report")),
     ("Know a sensor's noise", ("instability", "allan")),
     ("Many at once", ("sweep", "recipes")),

@@ -104,7 +104,7 @@ def optimise(
                 continue
             if not shortest:
                 checkpoints.write(kept, found, event.checkpoint)
-            line.show(_progress(event), event.share)
+            line.show(progress_of(event), event.share)
         assert best is not None
     status = best.sentence if not interrupt.asked else f"interrupted, the best so far: {best.sentence}"
     made = api.recipe(best, status=status)
@@ -151,7 +151,8 @@ def text(best: "Optimised") -> str:
     return "\n".join(lines)
 
 
-def _progress(step: "Step") -> str:
+def progress_of(step: "Step") -> str:
+    """How far a search is, in one line."""
     before = "" if step.before is None else f"{step.before:.4g} -> "
     return f"{step.share:4.0%}  {step.name}: {before}{amount(step.best, step.unit)}  ({step.words})"
 

@@ -1,11 +1,13 @@
 """`gradcal run`: execute a recipe on a rig, or rehearse it on simulated devices."""
 
+import json as json_module
+import subprocess
 import sys
 import threading
 from dataclasses import asdict
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
@@ -64,7 +66,8 @@ def run(
     output
         The folder of the run, to be made.
     resume
-        Go on with the run in this folder; a recipe is not given, and a rig only to be compared with the run's.
+        Go on with the run in this folder; a recipe is given only where `gradcal replan` made one for the rest of it,
+        and a rig only to be compared with the run's.
     simulate
         Use simulated devices in the place of a rig.
     speed
@@ -89,9 +92,9 @@ def run(
         Print nothing but how the run ended, as JSON.
     """
     if resume is not None:
-        if recipe is not None or output is not None or simulate:
-            raise ValueError("--resume takes nothing but the folder: recipe, rig and simulation are those of its run")
-        return _resume(resume, rig, json)
+        if output is not None or simulate:
+            raise ValueError("--resume takes nothing but the folder: rig and simulation are those of its run")
+        return _resume(resume, recipe, rig, json)
     if dry_run:
         if recipe is None or rig is None:
             raise ValueError("a dry run asks the devices of a rig: gradcal run RECIPE --rig RIG --dry-run")
@@ -112,7 +115,7 @@ def run(
     if bench is not None and not (yes or json) and not _confirmed(found, bench, about):
         complain("not begun: nothing was moved")
         return INTERRUPTED
-    with _Watcher(simulate, quiet=json) as watcher:
+    with _Watcher(simulate, quiet=json, virtual=simulate and speed is None) as watcher:
         simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate, "units": units}
         result = execute(found, output, rig=bench, about=about, **simulation, **watcher.attends())
     return _say(output, result, json)
@@ -178,17 +181,24 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     return sys.stdin.readline() == "\n"
 
 
-def _resume(path: Path, rig: Path | None, json: bool) -> int:
+def _resume(path: Path, recipe: Path | None, rig: Path | None, json: bool) -> int:
+    from gradcal_jax.files.recipe import read_recipe
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.execute import resume
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
+    from gradcal_jax.hardware.stretches import adopt
 
     folder = RunFolder(path)
     bench = None if rig is None else read_rig(rig)
-    first, simulated = prepare_resume(folder, bench), bool(folder.notes()["simulated"])
+    if recipe is not None:
+        prepare_resume(folder, bench)
+        adopt(folder, read_recipe(recipe))
+    first, notes = prepare_resume(folder, bench), folder.notes()
+    simulated = bool(notes["simulated"])
+    virtual = simulated and notes["simulation"].get("speed") is None
     if not json:
         print(f"going on with step {first + 1}" + (f"\n{_REHEARSAL}" if simulated else ""))
-    with _Watcher(simulated, quiet=json) as watcher:
+    with _Watcher(simulated, quiet=json, virtual=virtual) as watcher:
         result = resume(path, rig=bench, **watcher.attends())
     return _say(path, result, json)
 
@@ -218,8 +228,9 @@ class _Watcher:
     In a thread of its own: a terminal that was told to stop (Ctrl-S) stops no move and no interlock.
     """
 
-    def __init__(self, simulated: bool, *, quiet: bool) -> None:
+    def __init__(self, simulated: bool, *, quiet: bool, virtual: bool = False) -> None:
         self._simulated = simulated
+        self._virtual = virtual
         self._quiet = quiet
         self._terminal = _terminal()
         self._line = MovingLine(sys.stdout)
@@ -240,13 +251,16 @@ class _Watcher:
 
     def attends(self) -> "Attended":
         """For the run that is shown."""
-        return {
+        attends: Attended = {
             "on_progress": self._news.put,
             "with_runner": self._attend,
             "wait_when_paused": sys.stdin.isatty(),
             "handle_signals": threading.current_thread() is threading.main_thread(),
             "terminal": self._terminal,
         }
+        if not self._virtual:
+            attends["knows"] = _known
+        return attends
 
     def _attend(self, runner: "Runner") -> None:
         self._runner = runner
@@ -284,6 +298,14 @@ class _Watcher:
     def _go_on(self) -> None:
         if self._runner is not None:
             self._runner.request("resume", "Enter")
+
+
+def _known(folder: Path) -> Any:
+    """What is known by now; worked out by a process beside this one, which has nothing to compute and must not wait."""
+    program = "import os, sys; os.nice(19); from gradcal_jax.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", program, "watch", str(folder), "--known", "--json"]
+    said = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=600.0)
+    return json_module.loads(said.stdout)
 
 
 def _terminal() -> "Terminal | None":

@@ -11,6 +11,7 @@ from gradcal_jax.cli.console import complain
 from gradcal_jax.cli.output import Flag, Json, as_json
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, FAILED
+from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.units import time_text
 
 _SILENT_S = 60.0
@@ -22,8 +23,8 @@ def register(app: App) -> None:
     app.command(watch)
 
 
-def watch(run: Path, /, *, once: Flag = False, json: Json = False) -> int:
-    """Show how a run stands until it ends: step, temperature against its course, angles, samples.
+def watch(run: Path, /, *, once: Flag = False, known: Flag = False, json: Json = False) -> int:
+    """Show how a run stands until it ends: step, temperature against its course, angles, samples, what is known by now.
 
     It only reads, and may be closed at any time. The exit status is 3 where the run ended badly, or is silent.
 
@@ -33,11 +34,17 @@ def watch(run: Path, /, *, once: Flag = False, json: Json = False) -> int:
         The folder of the run.
     once
         Show it once, and do not wait for the end.
+    known
+        Work out what is known by what the journal proves was done, and once the rest is done, and print only that.
     json
         Print the status as JSON, once.
     """
     from gradcal_jax.hardware.supervision import read_status
 
+    if known:
+        rows = _known(run)
+        print(as_json(rows) if json else known_text(rows))
+        return DONE
     with MovingLine(sys.stdout) as line:
         shown: Any = None
         while True:
@@ -59,6 +66,29 @@ def watch(run: Path, /, *, once: Flag = False, json: Json = False) -> int:
             time.sleep(_LOOKS_S)
 
 
+def _known(run: Path) -> list[dict[str, Any]]:
+    from gradcal_jax.cli.precision import use_float64
+    from gradcal_jax.hardware.run_folder import RunFolder
+    from gradcal_jax.hardware.stretches import goes_on_at, stretches_of
+
+    folder = RunFolder(run)
+    spec, spans = folder.recipe().axis_spec, [(part.start_s, part.end_s) for part in stretches_of(folder)]
+    use_float64()
+    from gradcal_jax.api.replan import known_so_far
+
+    return [row._asdict() for row in known_so_far(spec, spans, goes_on_at(folder))]
+
+
+def known_text(rows: list[dict[str, Any]]) -> str:
+    """What is known, by requirement, in one line."""
+    said = {None: "cannot be observed"}
+    amounts = [[said.get(row[when]) or amount(row[when], row["unit"]) for when in ("now", "at_end")] for row in rows]
+    return "; ".join(
+        f"{row['name']}, axis {row['axis']}: now {now}, at the end {at_end}"
+        for row, (now, at_end) in zip(rows, amounts, strict=True)
+    )
+
+
 def status_text(status: dict[str, Any]) -> str:
     """A status in one line."""
     steps, done = status["steps"], status["steps_done"]
@@ -75,6 +105,7 @@ def status_text(status: dict[str, Any]) -> str:
         parts += [f"FAULT {fault}" for fault in axis["faults"]]
     for name, (received, missing) in status["samples"].items():
         parts.append(f"{name} {received} samples" + (f", {missing} missing" if missing else ""))
+    parts.append(known_text(status.get("known", [])))
     if "exit_status" in status:
         parts.append(f"ended: {status['exit_status']}" + (f", {status['reason']}" if status["reason"] else ""))
     else:

@@ -18,7 +18,7 @@ from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, la
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
-from gradcal_jax.trajectory import Rule, Schedule
+from gradcal_jax.trajectory import Past, Rule, Schedule, Trajectory
 
 AnyCoordinates = Coordinates | ProgrammeCoordinates | ProgrammeKnots | StandardCoordinates
 
@@ -27,7 +27,7 @@ class Case(eqx.Module):
     """A sensor and rig that the plan must serve: what is minimised there, and what has a limit; its weight.
 
     `believed`: the criteria count so many of the model's parameters, the first, and take the others to be zero; they
-    are there to be noticed. None: all.
+    are there to be noticed. None: all. `past`: what was done before the plan begins.
     """
 
     model: SensorModel
@@ -37,10 +37,16 @@ class Case(eqx.Module):
     weight: Float[AnyArray, ""]
     rule: Rule | None = eqx.field(static=True, default=None)
     believed: int | None = eqx.field(static=True, default=None)
+    past: Past | None = None
+
+    def trajectory(self, schedule: Schedule) -> Trajectory:
+        """All that is done: before the plan, and by it."""
+        line = schedule.trajectory(self.thermal_lag)
+        return line if self.past is None else self.past.then(line)
 
     def values(self, schedule: Schedule, sharpness):
         """Of all criteria, in SI."""
-        info = information(schedule.trajectory(self.thermal_lag), self.model, self.rule)
+        info = information(self.trajectory(schedule), self.model, self.rule)
         sure = info if self.believed is None else info.leading(self.believed)
 
         def of(every: tuple[Criterion | Optimality | Missed, ...]) -> list[Any]:

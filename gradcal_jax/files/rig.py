@@ -45,7 +45,7 @@ class ChamberDevice(Section):
     """`[chamber]`: the device that makes the temperature."""
 
     driver: Text
-    """Name of its driver: espec, weiss or watlow_f4."""
+    """Name of its driver: espec, weiss, watlow_f4 or watlow_f4t."""
     port: Port
     """Where it is connected: a device path, COM3, or a socket:// or rfc2217:// address."""
     safe: Literal["standby", "hold", "ambient"]
@@ -266,7 +266,7 @@ title  = "my bench"
 # `gradcal rig check` reads everything back from the devices.
 
 [chamber]
-driver  = "espec"            # espec, weiss or watlow_f4; or lines, with a protocol (see gradcal rig protocols)
+driver  = "espec"            # espec, weiss, watlow_f4, watlow_f4t, or lines with a protocol (see gradcal rig protocols)
 port    = "/dev/ttyUSB0"
 safe    = "standby"          # when a run ends badly: standby, hold or ambient
 ambient = "23 degC"

@@ -13,9 +13,9 @@ from gradcal_jax.files.design import Design
 from gradcal_jax.files.document import format_problem, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.mission import missions_from
-from gradcal_jax.files.plan import Plan, StandardPlan
+from gradcal_jax.files.plan import GradientPlan, Plan, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation
-from gradcal_jax.files.quantity import Text
+from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import GradientSchedule, Schedule, gradient_schedule, standard_schedule
 from gradcal_jax.files.section import Section, refuse
@@ -23,6 +23,19 @@ from gradcal_jax.files.sensor import Sensor
 
 FORMAT: Final = "gradcal-spec/1"
 Requirements = Annotated[tuple[Requirement, ...], Field(max_length=100)]
+
+
+class Done(Section):
+    """What a run did of a plan before it was broken off; `[[done]]`, which `gradcal replan` writes."""
+
+    plan: GradientPlan
+    """The plan that was executed then."""
+    start: SizeOfTime
+    """From when on, on that plan's clock."""
+    end: Time
+    """Until when."""
+    pause: Time
+    """How long it is until what follows begins; the unit is not switched off in it."""
 
 
 class Spec(Section):
@@ -44,13 +57,27 @@ class Spec(Section):
     """What the calibration must serve."""
     plan: Plan
     """What chamber and table do, and when the axis is read."""
+    done: Annotated[tuple[Done, ...], Field(max_length=1000)] = ()
+    """What was done before the plan begins, in the same run; every prediction counts it."""
     design: Design | None = None
     """What `optimise` may change; no other command reads it."""
 
     @model_validator(mode="after")
     def _together(self) -> "Spec":
-        refuse(*between_sections(self.sensor, self.rig, self.requirement, self.plan, self.design))
+        refuse(*between_sections(self.sensor, self.rig, self.requirement, self.plan, self.design), *self._done())
         return self
+
+    def _done(self) -> list[Problem]:
+        problems: list[Problem] = []
+        if self.done and isinstance(self.plan, StandardPlan):
+            problems.append(Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone'))
+        for number, part in enumerate(self.done):
+            problems += [
+                p.under("done", number) for p in between_sections(self.sensor, self.rig, None, part.plan, None)
+            ]
+            if part.end <= part.start:
+                problems.append(Problem(("done", number, "end"), "expected a time after its start", part.end.text))
+        return problems
 
     @cached_property
     def schedule(self) -> Schedule:
@@ -83,6 +110,12 @@ def expect_spec(value: object) -> Spec:
     if isinstance(value, str | Path):
         raise TypeError(f"expected a spec, not the name of its file: read it with gj.read_spec({str(value)!r})")
     raise TypeError(f"expected a spec as gj.read_spec or gj.parse_spec give it, not {type(value).__name__}")
+
+
+def expect_whole(spec: Spec, what: str) -> None:
+    """Errors: `ValueError` where a plan goes on with what was done before, which `what` does not know."""
+    if expect_spec(spec).done:
+        raise ValueError(f"{what} is of a plan that begins a run, and this one goes on with what was done: [[done]]")
 
 
 def read_spec(path: str | Path) -> Spec:

@@ -20,6 +20,7 @@ from .setup import configs_of
 from .simulate.lab import SimulatedLab
 from .simulate.stim300 import RATES_HZ
 from .simulate.unit_lab import SimulatedUnitLab
+from .supervision import Knows
 from .terminal import Terminal
 
 # A simulated run goes on so long after the last thing that it recorded.
@@ -47,6 +48,7 @@ class Attended(TypedDict, total=False):
     wait_when_paused: bool
     handle_signals: bool
     terminal: Terminal | None
+    knows: Knows
 
 
 def run(

@@ -8,6 +8,9 @@ from typing import Protocol, runtime_checkable
 
 from .checksums import crc16_modbus
 
+# Unit, function and an exception's code; and the longest message.
+_SHORTEST_TCP, _LONGEST_TCP = 3, 254
+
 
 @runtime_checkable
 class Framer(Protocol):
@@ -58,6 +61,34 @@ class LineFramer:
             # The tail may be the first part of a terminator of several bytes.
             self._buffer, self._overlong = self._buffer[1 - len(terminator) or len(self._buffer) :], True
         return [line for line in lines if (line or self._keep_empty) and len(line) <= self._longest]
+
+
+class ModbusTcpFramer:
+    """Messages of Modbus TCP, by the length in their head. What cannot be a head is dropped byte by byte."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    @property
+    def pending(self) -> bytes:
+        return self._buffer
+
+    def reset(self) -> None:
+        self._buffer = b""
+
+    def push(self, data: bytes) -> list[bytes]:
+        self._buffer += data
+        frames: list[bytes] = []
+        while len(self._buffer) >= 8:
+            protocol, length = self._buffer[2:4], int.from_bytes(self._buffer[4:6], "big")
+            if protocol != b"\0\0" or not _SHORTEST_TCP <= length <= _LONGEST_TCP:
+                self._buffer = self._buffer[1:]
+                continue
+            if len(self._buffer) < 6 + length:
+                break
+            frames.append(self._buffer[: 6 + length])
+            self._buffer = self._buffer[6 + length :]
+        return frames
 
 
 class ModbusReplyFramer:

@@ -44,7 +44,8 @@ _NUMBER = (int, float)
 _FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
     LINE_EVENT: {"number": (int,), "name": (str,)},
     "session": {"number": (int,), "wall_clock_s": _NUMBER, "simulated": (bool,)},
-    "step begins": {"begins_s": _NUMBER},
+    "step begins": {"begins_s": _NUMBER, "number": (int,)},
+    "not done": {"number": (int,)},
     "step done": {"number": (int,)},
     "configuration": {"device": (str,), "registers": (dict,)},
     "identity": {"device": (str,)},

@@ -35,6 +35,7 @@ from .roles import ImuBatch, ImuDecoder
 from .rounds import Doubt, rounds_resolved
 from .run_folder import SESSION, exit_status, rig_as_run
 from .setup import config_of, driver_of
+from .stretches import breaks_off
 from .track import Move
 
 _MARGIN_S: Final = 0.02
@@ -361,13 +362,6 @@ def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
     return driver.load().decoder_of(config, said.data["registers"])
 
 
-def _breaks_off(event: Event) -> bool:
-    """Whether a run is interrupted or ends here: from now on somebody may be at the rig."""
-    return event.name in ("interlock", "ending", "not done") or (
-        event.name == "state" and event.data["state"] == "paused"
-    )
-
-
 def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
     """From where a step with data begins to where it ends, the run breaks off, or the session does."""
     found: list[tuple[float, float]] = []
@@ -379,7 +373,7 @@ def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
             begin = float(event.data["begins_s"])
             if open_since is None:
                 open_since = begin
-        elif open_since is not None and (event.name == "step" or _breaks_off(event)):
+        elif open_since is not None and (event.name == "step" or breaks_off(event)):
             # A step that follows at once goes on with the stretch: its "step begins" comes at the same instant.
             found.append((open_since, event.time_s))
             open_since = None
@@ -411,7 +405,7 @@ def _standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[flo
                 since = float(event.data["time_s"])
         elif event.name == "step begins" and since is None and axes and not moving:
             since = float(event.data["begins_s"])
-        elif event.name in _TOLD_TO_MOVE or _breaks_off(event):
+        elif event.name in _TOLD_TO_MOVE or breaks_off(event):
             if since is not None:
                 found.append((since, float(event.data.get("began_s", event.time_s))))
                 since = None

@@ -1,6 +1,7 @@
 """The folder of a run: recipe and rig as executed, the journal, and what resuming needs to know.
 
     recipe.toml, rig.toml    as they were when the run began
+    recipe-2.toml, …         by which it went on, where it was planned anew
     run.json                 when, by which version, simulated or not, the recipe's fingerprint, the rig, who and what
     status.json              how the run stands, or ended (see `supervision`)
     journal                  raw bytes and events of the run and of every resumed part of it
@@ -45,8 +46,13 @@ class RunFolder:
     def journal_path(self) -> Path:
         return self.path / "journal"
 
+    def recipes(self) -> list[str]:
+        """The files of the recipes by which it went, the newest last."""
+        return [Path(str(name)).name for name in self.notes().get("recipes", ["recipe.toml"])]
+
     def recipe(self) -> Recipe:
-        return read_recipe(self.path / "recipe.toml")
+        """The newest."""
+        return read_recipe(self.path / self.recipes()[-1])
 
     def rig(self) -> RigFile:
         return read_rig(self.path / "rig.toml")
@@ -129,7 +135,7 @@ def rig_as_run(contents: JournalContents, rig: RigFile) -> RigFile:
 
 
 def begin_session(
-    journal: Journal, now_s: float, number: int, rig: RigFile, *, simulated: bool, first_step: int
+    journal: Journal, now_s: float, number: int, rig: RigFile, *, simulated: bool, first_step: int, recipe: int = 0
 ) -> None:
     """The event that begins a part of a run; the wall clock stands beside the monotonic one."""
     journal.event(
@@ -137,6 +143,7 @@ def begin_session(
         SESSION,
         number=number,
         first_step=first_step,
+        recipe=recipe,
         wall_clock_s=time.time(),
         simulated=simulated,
         version=version("gradcal_jax"),
@@ -149,9 +156,15 @@ def sessions(contents: JournalContents) -> int:
     return sum(event.name == SESSION for event in contents.events)
 
 
-def steps_done(contents: JournalContents) -> int:
-    """The step by which to go on: one after the last that is done."""
-    return max((int(event.data["number"]) + 1 for event in contents.events if event.name == "step done"), default=0)
+def steps_done(contents: JournalContents, recipe: int = 0) -> int:
+    """The step of the recipe of that number by which to go on: one after the last that is done."""
+    done, current = 0, 0
+    for event in contents.events:
+        if event.name == SESSION:
+            current = int(event.data.get("recipe", 0))
+        elif event.name == "step done" and current == recipe:
+            done = max(done, int(event.data["number"]) + 1)
+    return done
 
 
 def mounting_of(contents: JournalContents) -> int:
@@ -197,7 +210,7 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
     contents = folder.contents()
     if exit_status(contents) == "success":
         raise RunFolderError(f"The run in {folder.path} is complete; make its log with `gradcal log {folder.path}`.")
-    return steps_done(contents)
+    return steps_done(contents, len(folder.recipes()) - 1)
 
 
 def _differences(then: Any, now: Any, key: str = "") -> list[str]:

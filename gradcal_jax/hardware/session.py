@@ -24,7 +24,7 @@ from .pose import drawing_of
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
 from .runner import Progress, Runner, RunResult, State
 from .setup import open_rig
-from .supervision import StatusFile, sound_alarm
+from .supervision import Knows, StatusFile, sound_alarm
 from .terminal import Terminal
 from .transcript import Recorder
 
@@ -47,13 +47,14 @@ def run_session(
     safe_deadline_s: float = 60.0,
     wait_when_paused: bool = True,
     terminal: Terminal | None = None,
+    knows: Knows | None = None,
 ) -> RunResult:
     """Execute a run's recipe from `first_step` on, and leave everything safe.
 
     `guard`: a process beside this one makes the rig safe if this one is killed or broken off, and tries again where
     this one ends with a device that is not verified safe. `with_runner` is handed the runner before it starts.
-    `terminal` is where somebody is asked to turn what is turned by hand. Raises `HardwareError` for
-    what keeps the run from starting; what happens later is in the result.
+    `terminal` is where somebody is asked to turn what is turned by hand; `knows` says what is known, for the status.
+    Raises `HardwareError` for what keeps the run from starting; what happens later is in the result.
     """
     recipe = folder.recipe()
     track = track_of(recipe, [axis.name for axis in rig.axis])
@@ -70,13 +71,14 @@ def run_session(
 
         bench = stack.enter_context(open_rig(rig, clock, recorder_of, terminal=terminal))
         number = 0 if resumed is None else sessions(resumed)
-        begin_session(journal, clock.now(), number, rig, simulated=simulated, first_step=first_step)
+        part = {"first_step": first_step, "recipe": len(folder.recipes()) - 1}
+        begin_session(journal, clock.now(), number, rig, simulated=simulated, **part)
         for name, settings in bench.settings.items():
             settings.on_first_change = partial(_changes, journal, clock, watched, name)
         if resumed is not None and number:
             with clock.party():
                 require_same_devices(bench, resumed)
-        status = stack.enter_context(StatusFile(folder.path, simulated=simulated))
+        status = stack.enter_context(StatusFile(folder.path, simulated=simulated, knows=knows))
 
         def show(progress: Progress) -> None:
             status.show(progress)

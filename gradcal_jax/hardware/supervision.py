@@ -8,6 +8,7 @@ import math
 import subprocess
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -20,13 +21,20 @@ from .runner import Progress, RunResult
 STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
 _ALARM_S: Final = 60.0
+_KNOWS_S: Final = 300.0
+
+
+Knows = Callable[[Path], Any]
+"""Of a run's folder what is known by what was done, plain; asked every few minutes, in a thread of its own."""
 
 
 class StatusFile:
     """Writes the newest of what it is shown; what came in between is not written."""
 
-    def __init__(self, folder: Path, *, simulated: bool) -> None:
+    def __init__(self, folder: Path, *, simulated: bool, knows: Knows | None = None) -> None:
         self._path = folder / STATUS
+        self._knows = knows
+        self._known: Any = None
         self._simulated = simulated
         self._newest: dict[str, Any] | None = None
         self._last: dict[str, Any] = {}
@@ -36,12 +44,14 @@ class StatusFile:
 
     def __enter__(self) -> "StatusFile":
         self._writer.start()
+        if self._knows is not None:
+            threading.Thread(target=self._ask_on, args=(self._knows,), daemon=True, name="what is known").start()
         return self
 
     def __exit__(self, *_: object) -> None:
         with self._change:
             self._over = True
-            self._change.notify()
+            self._change.notify_all()
         self._writer.join(timeout=5.0)
 
     def show(self, progress: Progress) -> None:
@@ -59,8 +69,16 @@ class StatusFile:
         with self._change:
             self._last = said
             head = {"format": FORMAT, "at_s": time.time(), "simulated": self._simulated}
-            self._newest = {**head, **said}
-            self._change.notify()
+            self._newest = {**head, **said} | ({} if self._known is None else {"known": self._known})
+            self._change.notify_all()
+
+    def _ask_on(self, knows: Knows) -> None:
+        while True:
+            with suppress(OSError, ValueError, subprocess.SubprocessError):
+                self._known = knows(self._path.parent)
+            with self._change:
+                if self._change.wait_for(lambda: self._over, _KNOWS_S):
+                    return
 
     def _write_on(self) -> None:
         while True:

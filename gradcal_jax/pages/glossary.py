@@ -103,6 +103,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
 }
 # What whoever types a command meets besides.
 OF_THE_PROGRAM: Final[dict[str, str]] = {
+    "journal": "The file of a run that holds every byte and event, in order, as it came.",
     "Allan deviation": "Scatter of neighbouring means of a record at rest, against how long each mean is.",
     "bound": "A size that something stays within; what the Direct Bound finds, or a limit proves.",
     "calibrated": "Of a sensor: its errors known and taken off by a calibration.",

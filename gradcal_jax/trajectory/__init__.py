@@ -6,13 +6,14 @@ from gradcal_jax.trajectory.motion import Move, rest, turn
 from gradcal_jax.trajectory.programme import Programme, programme
 from gradcal_jax.trajectory.schedule import Schedule, channels_of, gradient_plan, standard_plan
 from gradcal_jax.trajectory.table_motion import TableMotion, body_group, body_nodes, lagrange, table_motion
-from gradcal_jax.trajectory.trajectory import Trajectory, held, quadrature
+from gradcal_jax.trajectory.trajectory import Past, Trajectory, held, quadrature
 
 __all__ = [
     "EARTH_RATE",
     "Frames",
     "Geometry",
     "Move",
+    "Past",
     "Programme",
     "Rule",
     "Schedule",

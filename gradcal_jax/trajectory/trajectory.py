@@ -9,7 +9,8 @@ Times in s, rates in rad/s, temperatures in °C. What moves one axis is rest for
 trajectory of its own.
 """
 
-from typing import Any, Literal
+from dataclasses import fields, replace
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -19,6 +20,8 @@ from gradcal_jax import formulas
 from gradcal_jax.arrays import AnyArray, namespace
 
 Everything = slice(None)
+# Times within this of each other are the same; s.
+_HAIR = 1e-6
 
 
 class Trajectory(eqx.Module):
@@ -95,6 +98,57 @@ class Trajectory(eqx.Module):
         """Rate (rad/s) at the end of each piece."""
         xp = namespace(self.u_end, self.terms)
         return xp.sum(formulas.motion_rate(self.u_end) * self.terms, axis=1)
+
+    def between(self, begin: float, end: float) -> "Trajectory":
+        """The pieces that lie wholly between two times (s, as `start` counts), as a trajectory of their own."""
+        kept = (self.start >= begin - _HAIR) & (self.start + self.duration <= end + _HAIR)
+        rows = np.flatnonzero(kept)
+        changes = {name: getattr(self, name)[rows] for name in _OF_PIECES}
+        places = {name: np.flatnonzero(np.isin(rows, getattr(self, name))) for name in _PLACES}
+        return replace(self, **changes, **places, has_gaps=bool(np.any(self.gap[rows])))
+
+
+class Past(NamedTuple):
+    """What was done of a channel before: a trajectory, and the `pause` after it (s, positive)."""
+
+    line: Trajectory
+    pause: Float[AnyArray, ""]
+
+    def then(self, line: Trajectory) -> Trajectory:
+        """What was done and what is done after it, as one.
+
+        In the pause the axis goes back to where the first began, nothing is read, and the noise goes on; at its end the
+        angle's origin is read anew, in a standstill of its own.
+        """
+        before, pause = self
+        count = before.piece_count
+        xp = namespace(before, line, pause)
+        back = -xp.sum(before.turned()) / pause
+        level = line.level[:1]
+        two = lambda first, second: xp.stack([xp.asarray(first), xp.asarray(second)])  # noqa: E731
+        ended = before.start[-1] + before.duration[-1]
+        segment = before.segment[-1:]
+        between = {
+            "start": two(ended, ended + pause), "duration": two(pause, 0.0),
+            "u_start": np.zeros(2), "u_end": np.ones(2), "share": np.ones(2),
+            "terms": two(back, 0.0)[:, None] * np.array([formulas.CONSTANT]),
+            "level": xp.concatenate([level, level]), "slope": np.zeros(2), "excess": np.zeros(2),
+            "read": np.zeros(2, bool), "at_rest": np.ones(2, bool), "moving": np.array([True, False]),
+            "gap": np.array([False, True]), "segment": xp.concatenate([segment + 1, segment + 2]),
+        }  # fmt: skip
+        later = {"start": line.start - line.start[0] + ended + pause, "segment": line.segment + segment + 3}
+        joined = {
+            name: xp.concatenate([getattr(before, name), between[name], later.get(name, getattr(line, name))])
+            for name in _OF_PIECES
+        }
+        moving = xp.concatenate([before.moving_pieces, np.array([count]), line.moving_pieces + count + 2])
+        varying = xp.concatenate([before.varying_pieces, line.varying_pieces + count + 2])
+        return replace(line, **joined, moving_pieces=moving, varying_pieces=varying, has_gaps=True)
+
+
+_PLACES = ("moving_pieces", "varying_pieces")
+_SINGLE = ("lag_rate", "has_gaps", "rates", "points", "lagged")
+_OF_PIECES = tuple(f.name for f in fields(Trajectory) if f.name not in (*_PLACES, *_SINGLE))
 
 
 def held(

@@ -11,7 +11,7 @@ from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers import espec, lines, odrive, stim300, vectornav, watlow_f4, weiss, zaber
+from gradcal_jax.hardware.drivers import espec, lines, odrive, stim300, vectornav, watlow_f4, watlow_f4t, weiss, zaber
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
 from gradcal_jax.hardware.simulate.line_chambers import SimulatedCts, SimulatedJulabo, SimulatedThermotron
 from gradcal_jax.hardware.simulate.line_tables import SimulatedAerosmith, SimulatedGrbl
@@ -22,6 +22,7 @@ from gradcal_jax.hardware.simulate.sensor import Mounting, SensorTruth, Simulate
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
 from gradcal_jax.hardware.simulate.vectornav import SimulatedVectorNav, VectorNavOptions
 from gradcal_jax.hardware.simulate.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
+from gradcal_jax.hardware.simulate.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from gradcal_jax.hardware.simulate.weiss import SimulatedWeiss, WeissOptions
 from gradcal_jax.hardware.simulate.zaber import SimulatedZaber, ZaberOptions
 from gradcal_jax.hardware.transport import Transport
@@ -82,6 +83,20 @@ def f4_bench(
     )
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
         yield watlow_f4.WatlowF4Chamber(watlow_f4.open_exchange(transport, clock, config), config), device, port
+
+
+@contextmanager
+def f4t_bench(
+    clock: Clock,
+    options: WatlowF4TOptions | None = None,
+    config: watlow_f4t.WatlowF4TConfig | None = None,
+    truth: ChamberTruth | None = None,
+    **port_options: Any,
+) -> Iterator[tuple[watlow_f4t.WatlowF4TChamber, SimulatedWatlowF4T, SimulatedPort]]:
+    device = SimulatedWatlowF4T(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
+    config = config or watlow_f4t.WatlowF4TConfig(reply_timeout_s=0.2)
+    with served(device, clock, config.baudrate, **port_options) as (port, transport):
+        yield watlow_f4t.WatlowF4TChamber(watlow_f4t.open_exchange(transport, clock, config), config), device, port
 
 
 def _lines_bench(protocol: str, simulated: Any, plant_of: Any) -> Any:

@@ -1,16 +1,23 @@
 """The chamber drivers against their simulated peers: behaviour, refusals, faults of the line, and identity.
 
-minimalmodbus, which shares nothing with this package, checks the simulated F4.
+minimalmodbus and pymodbus, which share nothing with this package, check the simulated F4 and F4T.
 """
+
+import asyncio
+import socket
+import threading
+from typing import Any
 
 import minimalmodbus
 import pytest
 import serial
-from hardware_bench import cts_bench, espec_bench, f4_bench, julabo_bench, thermotron_bench, weiss_bench
+from hardware_bench import cts_bench, espec_bench, f4_bench, f4t_bench, julabo_bench, thermotron_bench, weiss_bench
 
 from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.drivers import watlow_f4t
 from gradcal_jax.hardware.drivers.espec import EspecConfig
 from gradcal_jax.hardware.drivers.watlow_f4 import WatlowF4Config
+from gradcal_jax.hardware.drivers.watlow_f4t import WatlowF4TConfig
 from gradcal_jax.hardware.drivers.weiss import WeissConfig
 from gradcal_jax.hardware.errors import (
     Disconnected,
@@ -21,6 +28,7 @@ from gradcal_jax.hardware.errors import (
     Rejected,
     ReplyTimeout,
 )
+from gradcal_jax.hardware.exchange import NotThisReply
 from gradcal_jax.hardware.roles import Chamber, ChamberSafe
 from gradcal_jax.hardware.setup import DRIVERS
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
@@ -28,12 +36,15 @@ from gradcal_jax.hardware.simulate.faults import Faults
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
+from gradcal_jax.hardware.simulate.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from gradcal_jax.hardware.simulate.weiss import WeissOptions
+from gradcal_jax.hardware.transport import Transport
 
 BENCHES = {
     "espec": espec_bench,
     "weiss": weiss_bench,
     "watlow_f4": f4_bench,
+    "watlow_f4t": f4t_bench,
     "thermotron": thermotron_bench,
     "cts": cts_bench,
     "julabo": julabo_bench,
@@ -73,7 +84,7 @@ def test_every_chamber_holds_settles_and_goes_safe(bench) -> None:
         assert port.lost_bytes == 0
 
 
-@pytest.mark.parametrize("make", [espec_bench, weiss_bench, thermotron_bench, cts_bench])
+@pytest.mark.parametrize("make", [espec_bench, weiss_bench, thermotron_bench, cts_bench, f4t_bench])
 def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
     clock = VirtualClock()
     with make(clock) as (chamber, device, _):
@@ -141,7 +152,7 @@ def test_every_command_lost_doubled_damaged_or_late_once_is_noticed(bench, fault
             faults.once(*["split"] * number, fault)
             try:
                 chamber.hold(target)
-                assert device.plant.set_point_c(clock.now()) == target
+                assert device.plant.set_point_c(clock.now()) == pytest.approx(target, abs=1e-3)
                 assert device.plant.conditioning
                 if ramps:
                     clock.sleep(1800.0)
@@ -392,3 +403,136 @@ def test_f4_flipped_bits_on_the_line_never_give_a_wrong_reading() -> None:
             assert (reading.air_c, reading.setpoint_c) == (23.0, 23.0)
         assert read > 5
         assert faults.count["flip"] > 10
+
+
+# --- Watlow F4T -------------------------------------------------------------------------------------------------------
+
+
+def test_f4t_messages_byte_for_byte() -> None:
+    """By hand from the protocol's definition: 25.0 is 41C80000, and its low word goes first."""
+    assert watlow_f4t.words_of(25.0) == (0x0000, 0x41C8)
+    assert watlow_f4t.float_of((0x0000, 0xC220)) == -40.0
+    asked = watlow_f4t.request(7, 1, watlow_f4t.read_body(2820, 2))
+    assert asked == bytes.fromhex("0007 0000 0006 01 03 0B04 0002")
+    told = watlow_f4t.request(8, 1, watlow_f4t.write_body(2782, watlow_f4t.words_of(25.0)))
+    assert told == bytes.fromhex("0008 0000 000B 01 10 0ADE 0002 04 0000 41C8")
+    assert watlow_f4t.parse_words(bytes.fromhex("0007 0000 0007 01 03 04 0000 41C8"), asked, 2) == (0, 0x41C8)
+    watlow_f4t.parse_written(bytes.fromhex("0008 0000 0006 01 10 0ADE 0002"), told)
+    with pytest.raises(NotThisReply):
+        watlow_f4t.parse_written(bytes.fromhex("0007 0000 0006 01 10 0ADE 0002"), told)
+    with pytest.raises(Rejected, match="register address"):
+        watlow_f4t.parse_words(bytes.fromhex("0007 0000 0003 01 83 02"), asked, 2)
+
+
+def test_simulated_f4t_satisfies_an_independent_client_and_ignores_set_points_while_its_loop_is_off() -> None:
+    client_of = pytest.importorskip("pymodbus.client").ModbusTcpClient
+    clock = RealClock()
+    device = SimulatedWatlowF4T(ChamberPlant(ChamberTruth(start_c=25.0, ambient_c=25.0), clock.now()), clock)
+    with SimulatedPort(device, clock, on_socket=True) as port:
+        host, _, number = port.url.removeprefix("socket://").partition(":")
+        client = client_of(host, port=int(number))
+        assert client.connect()
+
+        def read(register: int) -> float:
+            words = client.read_holding_registers(register, count=2, device_id=1).registers
+            return client.convert_from_registers(words, client.DATATYPE.FLOAT32, word_order="little")
+
+        def write(register: int, value: float) -> bool:
+            words = client.convert_to_registers(value, client.DATATYPE.FLOAT32, word_order="little")
+            return not client.write_registers(register, words, device_id=1).isError()
+
+        assert (read(2820), read(2774), read(2776)) == (25.0, -70.0, 180.0)
+        # Taken, shown, and ignored; also once the loop is on.
+        assert write(2782, 60.0)
+        assert (read(2782), read(2810)) == (60.0, 25.0)
+        client.write_register(2730, 10, device_id=1)
+        assert client.read_holding_registers(2814, device_id=1).registers == [10]
+        assert read(2810) == 25.0
+        assert write(2782, 60.0)
+        assert read(2810) == 60.0
+        assert not write(2782, 200.0)
+        assert client.read_holding_registers(9999, device_id=1).isError()
+        client.close()
+
+
+def test_f4t_driver_speaks_with_an_independent_server() -> None:
+    server_room = pytest.importorskip("pymodbus.server")
+    simulator = pytest.importorskip("pymodbus.simulator")
+    registers = {2730: [10], 2774: [*watlow_f4t.words_of(-70.0), *watlow_f4t.words_of(180.0)]}
+    registers |= {2782: [0, 0], 2794: [62], 2810: [*watlow_f4t.words_of(-12.5)], 2814: [10], 6730: [15]}
+    registers |= {2820: [*watlow_f4t.words_of(21.25)], 16568: [251]}
+    registers |= {12: [0xE240, 1], 4: [4], 16: [ord(letter) for letter in "F4T1L1EAA1D1AAA"]}
+    data = [
+        simulator.SimData(place, values=values, datatype=simulator.DataType.REGISTERS)
+        for place, values in sorted(registers.items())
+    ]
+    loop = asyncio.new_event_loop()
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        number = probe.getsockname()[1]
+
+    async def serve() -> Any:
+        server = server_room.ModbusTcpServer(simulator.SimDevice(1, simdata=data), address=("127.0.0.1", number))
+        await server.serve_forever(background=True)
+        return server
+
+    server = loop.run_until_complete(serve())
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    clock = RealClock()
+    transport = Transport(f"socket://127.0.0.1:{number}", clock=clock)
+    try:
+        config = WatlowF4TConfig(alarms=0)
+        chamber = watlow_f4t.WatlowF4TChamber(watlow_f4t.open_exchange(transport, clock, config), config)
+        identity = chamber.identify()
+        assert (identity.model, identity.serial_number) == ("F4T1L1EAA1D1AAA", "123456")
+        assert (chamber.limits().lowest_c, chamber.limits().highest_c) == (-70.0, 180.0)
+        reading = chamber.read()
+        assert (reading.air_c, reading.setpoint_c, reading.mode, reading.conditioning) == (21.25, -12.5, "AUTO", True)
+        chamber.hold(-12.5)
+        assert chamber._float(2782) == -12.5
+        # This server keeps what it is told and does nothing: what is in force stays, and that is noticed.
+        with pytest.raises(NotVerified, match="set point 40"):
+            chamber.hold(40.0)
+        with pytest.raises(Rejected, match="exception 2"):
+            chamber._words(1356)
+    finally:
+        transport.close()
+        asyncio.run_coroutine_threadsafe(server.shutdown(), loop).result(5.0)
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+        loop.close()
+
+
+def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on_first() -> None:
+    clock = VirtualClock()
+    with f4t_bench(clock) as (chamber, device, _):
+        # Somebody wrote a set point beforehand, to a loop that is off.
+        device.memory.put(2782, -30.0)
+        assert (chamber.read().conditioning, chamber.read().setpoint_c) == (False, 23.0)
+        chamber.hold(-30.0)
+        assert device.plant.set_point_c(clock.now()) == -30.0
+        device.memory.words[16568] = 149
+        assert chamber.read().mode == "PROFILE"
+        chamber.hold(-20.0)
+        assert chamber.read().mode == "AUTO"
+        device.memory.words[1556] = 12
+        device.memory.words[1456] = 10
+        assert chamber.read().alarms == ("alarm 2",)
+    with f4t_bench(clock, WatlowF4TOptions(locked=True)) as (chamber, device, _):
+        with pytest.raises(NotVerified, match="set points are ignored while it is off"):
+            chamber.hold(30.0)
+        assert not device.plant.conditioning
+    with (
+        f4t_bench(clock, WatlowF4TOptions(fahrenheit=True)) as (chamber, _, _),
+        pytest.raises(Rejected, match="Celsius"),
+    ):
+        chamber.identify()
+    event = WatlowF4TConfig(conditioning_event=3, reply_timeout_s=0.2)
+    with f4t_bench(clock, WatlowF4TOptions(conditioning_event=3), event) as (chamber, device, _):
+        chamber.hold(30.0)
+        assert device.plant.conditioning
+        device.memory.words[16598] = 62
+        assert not chamber.read().conditioning
+    with pytest.raises(ValueError, match="loop is 5"):
+        WatlowF4TConfig(loop=5)

@@ -1,6 +1,7 @@
 """Golden vectors both ways, and what damage does to them: no protocol with a check accepts a damaged message."""
 
 import itertools
+from contextlib import suppress
 
 import hardware_golden as golden
 import numpy as np
@@ -9,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, weiss, zaber
+from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, watlow_f4t, weiss, zaber
 from gradcal_jax.hardware.drivers.stim300_datagrams import LAYOUTS, Stim300Decoder
 from gradcal_jax.hardware.errors import ChecksumError, FramingError, HardwareError, LimitExceeded, Rejected
 from gradcal_jax.hardware.exchange import NotThisReply
-from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
+from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer, ModbusTcpFramer
 from gradcal_jax.hardware.roles import ImuBatch
 
 # --- check sums -------------------------------------------------------------------------------------------------------
@@ -534,3 +535,32 @@ def test_stim300_with_line_ends() -> None:
         decoder, data = Stim300Decoder(), b"".join(frames)
         assert sum(len(decoder.push(data[i : i + size], 0.0)) for i in range(0, len(data), size)) == 8
         assert decoder.bad_bytes == 0
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.binary(max_size=40),
+    st.data(),
+    st.lists(st.tuples(st.integers(0, 65535), st.binary(min_size=2, max_size=30)), max_size=6),
+)
+def test_modbus_tcp_messages_come_out_whole_however_they_are_cut(noise: bytes, data: st.DataObject, told: list) -> None:
+    messages = [watlow_f4t.request(number, 1, body) for number, body in told]
+    stream = b"".join(messages)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
+    framer, found = ModbusTcpFramer(), list[bytes]()
+    for begin, end in itertools.pairwise([0, *cuts, len(stream)]):
+        found += framer.push(stream[begin:end])
+    assert found == messages
+    assert framer.pending == b""
+    # Of anything at all nothing is raised but what says so, and what is kept is bounded.
+    framer.push(noise)
+    assert len(framer.pending) < 300
+    sent = watlow_f4t.request(1, 1, watlow_f4t.read_body(2820, 2))
+    for frame in ModbusTcpFramer().push(sent[:2] + bytes(2) + noise):
+        with suppress(FramingError, NotThisReply, Rejected):
+            watlow_f4t.parse_words(frame, sent, 2)
+
+
+@given(st.floats(width=32, allow_nan=False))
+def test_floats_of_the_f4t_survive_their_registers(value: float) -> None:
+    assert watlow_f4t.float_of(watlow_f4t.words_of(value)) == value

@@ -143,9 +143,11 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
             if (run.path / "status.json").exists():
                 seen.append(read_status(run.path))
 
-        result = run_session(run, lab.rig, clock, simulated=True, on_progress=look)
+        row = {"name": "all of it", "axis": "x", "unit": "ppm", "now": None, "at_end": 12.5}
+        result = run_session(run, lab.rig, clock, simulated=True, on_progress=look, knows=lambda path: [row])
     assert (result.exit_status, result.verified_safe) == ("success", True)
     last = read_status(run.path)
+    assert last["known"] == [row]
     assert (last["exit_status"], last["state"], last["simulated"]) == ("success", "safe", True)
     assert last["samples"]["unit1"][0] > 1000
     assert last["samples"]["unit1"][1] == 0
@@ -155,7 +157,9 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
     assert RunFolder(run.path).notes()["about"] == about
     assert log(run.path).provenance["operator"] == "A. Person"
     assert main(["watch", str(run.path)]) == 0
-    assert "ended: success" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "ended: success" in said
+    assert "all of it, axis x: now cannot be observed, at the end 12.5 ppm" in said
     (run.path / "status.json").write_text(json.dumps(running[0] | {"at_s": time.time() - 300.0}))
     assert main(["watch", str(run.path)]) != 0
     assert "nothing was heard of it" in capsys.readouterr().err

@@ -1,0 +1,178 @@
+"""A run that was broken off: what is known by what was done, and the best plan for the time that is left.
+
+What was done stands in the spec as `[[done]]`, so that every prediction of the new plan counts it: the same readings
+and the same noise as of a plan, without the pieces that were not executed. It is one run: the drifts go on through the
+pause, the turn-on bias stays what it was (the unit is not switched off), and the angle's origin is read anew. What
+follows is searched as any plan is, on a ramp from where the chamber's course was broken off to where it was to end.
+"""
+
+import math
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from gradcal_jax.api.build import assemble
+from gradcal_jax.api.flow import optimise
+from gradcal_jax.api.measure import design_block
+from gradcal_jax.api.optimise import Optimised, Step
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, residual_map, statistic_of
+from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing, visit_times
+from gradcal_jax.files import Spec, changed, tables_of
+from gradcal_jax.files.design import TIMES
+from gradcal_jax.files.rounding import steps_of
+from gradcal_jax.files.schedule import TemperatureSegment
+from gradcal_jax.information import information, posterior
+
+PAUSE_S = 1800.0
+_HAIR = 1e-6
+# What is left of a segment for less than this is over; s.
+_BRIEF_S = 1.0
+# The share of a turn at the table for which the axis stands where a search begins.
+_STANDS = 0.2
+_GO_ON = "go on with the run as it is, gradcal run --resume"
+Span = tuple[float, float]
+"""From when to when, on a plan's clock (s)."""
+
+
+class KnownRow(NamedTuple):
+    """What is known of a requirement: by what was done (`now`) and once the rest is (`at_end`); None: too little."""
+
+    name: str
+    axis: str
+    unit: str
+    now: float | None
+    at_end: float | None
+
+
+def with_done(spec: Spec, done: Sequence[Span], pause_s: float = PAUSE_S) -> Spec:
+    """The spec with spans of its own plan as what was done before it."""
+    plan = tables_of(spec)["plan"]
+    parts = [
+        {"plan": plan, "start": f"{begin:.9g} s", "end": f"{end:.9g} s", "pause": f"{pause_s:.9g} s"}
+        for begin, end in done
+    ]
+    return changed(spec, {"done": [*tables_of(spec).get("done", ()), *parts]}) if parts else spec
+
+
+def known_so_far(spec: Spec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
+    """What is left by what was done of the spec's plan, and once it has gone on from `goes_on_s` (s, its clock): where
+    the last span ends, while a run is under way, or where a step begins that is made again."""
+    ends_s, rows = spec.schedule.duration, list[KnownRow]()
+    flows = bool(done) and abs(goes_on_s - done[-1][1]) < _BRIEF_S
+    rest = [(done[-1][0], ends_s)] if flows else [(goes_on_s, ends_s)] if goes_on_s < ends_s else []
+    built = [assemble(with_done(spec, parts)) for parts in (done, [*done[: len(done) - flows], *rest])]
+    for channel in built[0].channels:
+        lines = [one.past[channel].line if channel in one.past else None for one in built]
+        known = [None if line is None else posterior(information(line, built[0].model)) for line in lines]
+        for requirement in spec.requirement:
+            maps = [None if one is None else residual_map(built[0], one, requirement)[2] for one in known]
+            values = [math.inf if one is None else statistic_of(requirement, one) for one in maps]
+            now, at_end = (value if math.isfinite(value) else None for value in values)
+            rows.append(KnownRow(requirement.name, channel, UNIT_OF[requirement.quantity][0], now, at_end))
+    return rows
+
+
+def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> Spec:
+    """The spec of what is still to be done, with what was: a ramp of `left_s` (None: what the plan had left) from where
+    the chamber was to where it was to end, and on it as many turns at the table as fit, about as long as they were.
+
+    Errors: `ValueError` for a standard plan, where nothing is left, and where what is left is not one ramp.
+    """
+    schedule = spec.gradient_schedule
+    seam_s = done[-1][1] if done else 0.0
+    left = [s for s in schedule.segments if s.end > seam_s + _BRIEF_S]
+    ramps = [s for s in left if s.kind == "ramp"]
+    if not ramps:
+        raise ValueError(f"nothing of the ramp is left: {_GO_ON}")
+    slopes = [s.slope for s in ramps]
+    waits = any(s.kind == "step" or not s.used for s in (left if done else left[1:]))
+    if waits or min(slopes) * max(slopes) < 0.0:
+        raise ValueError(f"what is left of the plan is not one ramp, up or down: {_GO_ON}")
+    begins_c, ends_c = _course(ramps[0], seam_s), ramps[-1].temperature_end
+    lasts_s = sum(s.end - max(s.start, seam_s) for s in left if s.used) if left_s is None else left_s
+    chamber, steps = spec.rig.chamber, steps_of(spec)
+    steepest = float(chamber.max_heating if ends_c > begins_c else chamber.max_cooling)
+    fine, grid_k = float(steps.slope), float(steps.temperature)
+    begins_c = grid_k * round(begins_c / grid_k)
+    # A slope that the controller takes, at which the ramp ends in time, or comes as far as the chamber can.
+    span_k, least = abs(ends_c - begins_c), max(lasts_s, _BRIEF_S)
+    slope = fine * min(math.ceil(span_k / least / fine - _HAIR), math.floor(steepest / fine + _HAIR))
+    span_k = grid_k * math.floor(min(span_k, slope * lasts_s) / grid_k + _HAIR)
+    if span_k <= 0.0:
+        raise ValueError(f"no time is left for a ramp: {_GO_ON}")
+    ends_c, lasts_s = begins_c + math.copysign(span_k, ends_c - begins_c), span_k / slope
+    design = tables_of(spec).get("design") or tomllib.loads(design_block(spec))["design"]
+    plan: dict[str, Any] = {
+        "plan.programme": None,
+        "plan.soak": None,
+        "plan.temperature": [f"{begins_c:.9g} degC", f"{ends_c:.9g} degC"],
+        "plan.gradient": f"{60.0 * slope:.9g} K/min",
+    }
+    soak = schedule.segments[0]
+    if soak.kind == "soak" and (schedule.cycle is None or not done):
+        plan["plan.soak"] = {"duration": f"{soak.duration:.9g} s", "used": soak.used and not done}
+    if schedule.cycle is not None:
+        plan["plan.cycle"] = _visits(spec, design, lasts_s)
+    design = {name: value for name, value in design.items() if name not in ("max_total", "max_motion")}
+    if design["minimise"] not in TIMES:
+        design["max_motion"] = f"{lasts_s:.9g} s"
+    return changed(with_done(spec, done, pause_s), plan | {"design": design})
+
+
+def replan(
+    spec: Spec,
+    done: Sequence[Span],
+    *,
+    left_s: float | None = None,
+    pause_s: float = PAUSE_S,
+    quick: bool = False,
+    watch: Callable[[Step], None] = lambda _: None,
+) -> Optimised:
+    """The best plan for what is left of a run, given what was done of it.
+
+    `spec`: of the recipe that was executed; `done`: from when to when, on its plan's clock (s), as
+    `hardware.stretches` reads it from the journal. `left_s`: how long the rest may take; None: as long as the plan had
+    left. `pause_s`: until it goes on. `quick`, `watch` and what is returned: as `optimise`; the returned spec has
+    `done`, and its values (ppm or deg/h) are of all that was and will be done.
+
+    Errors: `ValueError` where nothing is left of the plan, or no ramp up or down, and as `optimise`.
+    """
+    return optimise(rest_of(spec, done, left_s=left_s, pause_s=pause_s), quick=quick, watch=watch)
+
+
+def _course(ramp: TemperatureSegment, at_s: float) -> float:
+    return ramp.temperature_start + ramp.slope * max(at_s - ramp.start, 0.0)
+
+
+def _visits(spec: Spec, design: Mapping[str, Any], lasts_s: float) -> dict[str, Any]:
+    """A cycle of one turn at the table and the other axes' time after it, of which whole ones fill what is left.
+
+    Both are nearly as long as in the spec, and the axis keeps its share. Its moves are only where a search begins;
+    where their durations are not free, the spec's cycle stays.
+    """
+    cycle, tables = spec.gradient_schedule.cycle, tables_of(spec)["plan"]["cycle"]
+    assert cycle is not None
+    if not {"duration", "rest", "turn"} & set(design["free"]):
+        return tables
+    axes = axes_of(cycle)
+    own, other = visit_times(cycle)
+    visits = max(1, round((lasts_s + other) / (own + other)))
+    share, step = lasts_s / (visits * own + (visits - 1) * other), float(steps_of(spec).time)
+    each_s, other = (step * math.floor(share * time / step + _HAIR) for time in (own / len(axes), other))
+    every_s = read_spacing(cycle)
+    stands_s = every_s * max(1, int(_STANDS * each_s / every_s))
+    turns_s = 0.5 * (each_s - stands_s)
+    table = spec.rig.table
+    rate = min(0.5 * float(table.max_rate), 0.1 * float(table.max_acceleration) * turns_s)
+    rate = math.degrees(min(rate, 0.5 * float(table.travel) / turns_s))
+    moves: list[dict[str, Any]] = []
+    for axis in axes:
+        moves.append({"rest": f"{stands_s:.9g} s", "read_every": f"{every_s:.9g} s"})
+        turn = {"axis": axis, "duration": f"{turns_s:.9g} s", "shape": ramped_shape(cycle)}
+        moves += [turn | {"peak_rate": f"{way * rate:.6g} deg/s"} for way in (1.0, -1.0)]
+    result: dict[str, Any] = {"moves": moves}
+    if other > 0.0:
+        result["other_axes"] = {"duration": f"{other:.9g} s", "read": cycle.other_read_every is not None}
+        if cycle.other_read_every is not None:
+            result["other_axes"]["read_every"] = f"{cycle.other_read_every:.9g} s"
+    return result

@@ -1,0 +1,90 @@
+"""`gradcal replan`: the best plan for what is left of a run that was broken off."""
+
+import sys
+from pathlib import Path
+
+from cyclopts import App
+
+from gradcal_jax.cli.output import Flag, Json, Output, as_json, writable
+from gradcal_jax.cli.progress import MovingLine
+from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+
+
+def register(app: App) -> None:
+    """Add the commands of this family."""
+    app.command(replan)
+
+
+def replan(
+    run: Path,
+    /,
+    *,
+    output: Output,
+    time: str | None = None,
+    pause: str = "30 min",
+    quick: Flag = False,
+    force: Flag = False,
+    json: Json = False,
+) -> int:
+    """Find the best plan for what is left of a run that was broken off, given what was done; write it as a recipe.
+
+    What the journal proves was done stays as it is and counts in every prediction; the rest is searched anew, on a ramp
+    from where the chamber's course was broken off. The unit must not have been switched off meanwhile: the run is one
+    run, with one turn-on bias. Go on by it with: gradcal run NEW --resume RUN. The exit status is 1 where the search
+    did not converge.
+
+    Parameters
+    ----------
+    run
+        The folder of the run.
+    output
+        The recipe file to write.
+    time
+        How long the rest may take, waiting not counted, such as "40 min"; absent: what the recipe had left.
+    pause
+        How long it will be from where the run was broken off to where it goes on.
+    quick
+        Few starts: a plan within some per cent of the best, in seconds.
+    force
+        Overwrite an existing file.
+    json
+        Print the result for other programs.
+    """
+    from gradcal_jax.cli.optimise import progress_of, text
+    from gradcal_jax.cli.precision import use_float64
+    from gradcal_jax.files import write_toml
+    from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
+    from gradcal_jax.hardware.stretches import stretches_of
+    from gradcal_jax.units import parse, time_text
+
+    writable(output, force)
+    folder = RunFolder(run)
+    left_s, pause_s = None if time is None else parse(time, "time"), parse(pause, "time")
+    prepare_resume(folder)
+    recipe = folder.recipe()
+    done = stretches_of(folder)
+    use_float64()
+    from gradcal_jax import api
+    from gradcal_jax.api.optimise import record_of
+    from gradcal_jax.api.replan import replan as search
+
+    spans = [(part.start_s, part.end_s) for part in done]
+    with MovingLine(sys.stderr) as line:
+        best = search(
+            recipe.axis_spec,
+            spans,
+            left_s=left_s,
+            pause_s=pause_s,
+            quick=quick,
+            watch=lambda step: line.show(progress_of(step), step.share),
+        )
+    seconds = sum(end - begin for begin, end in spans)
+    said = f"after {time_text(float(round(seconds)))} with data were done; its prediction counts them"
+    made = api.recipe(best, stability=recipe.stability, notes=(f"the rest of a run, {said}",))
+    write_toml(made, output, header="Made by gradcal replan; `gradcal show` prints it as a table.")
+    if json:
+        print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
+    else:
+        print(text(best))
+        print(f"wrote {output}, {said}; go on with: gradcal run {output} --resume {run}")
+    return DONE if best.converged else NOT_AS_WISHED

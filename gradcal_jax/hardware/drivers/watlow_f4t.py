@@ -1,0 +1,258 @@
+"""Watlow F4T controllers over Modbus TCP: TestEquity, ESPEC and other chambers since the F4 was discontinued.
+
+Sources. Registers, their values and float order: ESPEC's ChamberConnectLibrary (watlowf4t.py). Part and serial number,
+the low word first: Watlow's F4T user's guide, chapter 6. Ramps to a set point (2794, 2796, 2798): TestEquity's F4T
+manual, chapter 4. A set point that is written while the control loop is off is accepted and ignored
+(ChamberConnectLibrary, issue 11): so the loop is switched on first, and what counts is the set point in force (2810),
+not the one that was written (2782).
+
+One loop, without cascade. Specific to a site, hence options: which `loop` is the temperature's; which profile event
+switches the plant (`conditioning_event`); how many `alarms` there are. Temperatures must be in Celsius on this
+interface. Unverified on real hardware: that a ramp begins at the set point in force; what a limit controller shows.
+"""
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ..clock import Clock
+from ..errors import FramingError, LimitExceeded, Rejected, printable
+from ..exchange import Exchange, NotThisReply, until_shown
+from ..framing import ModbusTcpFramer
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..transport import Transport
+from .watlow_f4 import EXCEPTIONS
+
+OFF, ON, AUTO = 62, 63, 10
+CELSIUS, MINUTES, RAMP_AT_SET_POINT, RAMP_ALWAYS, TERMINATE = 15, 57, 85, 13, 148
+UNITS, PROFILE_STATE, PROFILE_ACTION = 6730, 16568, 16566
+PART_NUMBER, SERIAL_NUMBER, FIRMWARE = 16, 12, 4
+# Of the first loop; those of the next lie 160 registers higher.
+MODE, LOWEST, HIGHEST, SET_POINT = 2730, 2774, 2776, 2782
+RAMP_ACTION, RAMP_SCALE, RAMP_RATE = 2794, 2796, 2798
+IN_FORCE, MODE_IN_FORCE, PROCESS_VALUE = 2810, 2814, 2820
+EVENTS = (16594, 16596, 16598, 16600, 16822, 16824, 16826, 16828)
+_ALARM, _EACH_ALARM, _SILENT = 1356, 100, (88, 61, 12)
+_MODES = {OFF: "OFF", AUTO: "AUTO", 54: "MANUAL"}
+_PROFILES = {149: "PROFILE", 146: "PROFILE HELD"}
+_FINEST_K = 0.01
+_SLOWEST_K_PER_MIN, _FASTEST_K_PER_MIN = 0.01, 100.0
+
+
+@dataclass(frozen=True)
+class WatlowF4TConfig:
+    """Options of the rig file. `conditioning_event` 0: no event switches the plant, the loop alone does."""
+
+    address: int = 1
+    baudrate: int = 9600
+    reply_timeout_s: float = 1.0
+    loop: int = 1
+    conditioning_event: int = 0
+    alarms: int = 6
+
+    def __post_init__(self) -> None:
+        for name, value, lowest, highest in (
+            ("address", self.address, 0, 255),
+            ("loop", self.loop, 1, 4),
+            ("conditioning_event", self.conditioning_event, 0, len(EVENTS)),
+            ("alarms", self.alarms, 0, 14),
+        ):
+            if not lowest <= value <= highest:
+                raise ValueError(f"{name} is {value}; expected {lowest} to {highest}.")
+
+
+# ------------------------------------------------------------------------------------------------------------ codec
+
+
+def request(number: int, address: int, body: bytes) -> bytes:
+    """A Modbus TCP message: its number, the length of what follows, the unit's address, function and data."""
+    return struct.pack(">HHHB", number, 0, len(body) + 1, address) + body
+
+
+def read_body(register: int, count: int) -> bytes:
+    return struct.pack(">BHH", 3, register, count)
+
+
+def write_body(register: int, words: tuple[int, ...]) -> bytes:
+    return struct.pack(f">BHHB{len(words)}H", 16, register, len(words), 2 * len(words), *words)
+
+
+def words_of(value: float) -> tuple[int, int]:
+    """A float as two registers, the low word first."""
+    high, low = struct.unpack(">HH", struct.pack(">f", value))
+    return low, high
+
+
+def float_of(words: tuple[int, ...]) -> float:
+    (value,) = struct.unpack(">f", struct.pack(">HH", words[1], words[0]))
+    return float(value)
+
+
+def parse_reply(frame: bytes, sent: bytes) -> bytes:
+    """The data of the reply to a message. Raises for an exception; passes over what answers another message."""
+    if frame[:2] != sent[:2] or frame[6] != sent[6] or frame[7] & 0x7F != sent[7]:
+        raise NotThisReply
+    if frame[7] & 0x80:
+        code = frame[8]
+        meaning = EXCEPTIONS.get(code, "unknown")
+        raise Rejected(f"The controller refuses: exception {code} ({meaning}).", code=str(code), text=meaning)
+    return frame[8:]
+
+
+def parse_words(frame: bytes, sent: bytes, count: int) -> tuple[int, ...]:
+    """The registers of a reply to function 3, unsigned."""
+    data = parse_reply(frame, sent)
+    if len(data) != 1 + 2 * count or data[0] != 2 * count:
+        raise FramingError(f"The reply {printable(frame)!r} does not hold {count} registers.")
+    return struct.unpack(f">{count}H", data[1:])
+
+
+def parse_written(frame: bytes, sent: bytes) -> None:
+    """A write is acknowledged by its first register and their number."""
+    if parse_reply(frame, sent) != sent[8:12]:
+        raise FramingError(f"A write was acknowledged as {printable(frame)!r}; {printable(sent)!r} was sent.")
+
+
+# ----------------------------------------------------------------------------------------------------------- driver
+
+
+def open_exchange(transport: Transport, clock: Clock, config: WatlowF4TConfig) -> Exchange:
+    return Exchange(
+        transport,
+        ModbusTcpFramer(),
+        clock=clock,
+        device="The Watlow F4T controller",
+        reply_timeout_s=config.reply_timeout_s,
+    )
+
+
+class WatlowF4TChamber:
+    """Role `Chamber`."""
+
+    def __init__(self, exchange: Exchange, config: WatlowF4TConfig) -> None:
+        self._exchange = exchange
+        self._config = config
+        self._clock = exchange.clock
+        self._number = 0
+        self._above = 160 * (config.loop - 1)
+
+    def identify(self) -> Identity:
+        (unit,) = self._words(UNITS)
+        if unit != CELSIUS:
+            raise Rejected("The controller's Ethernet units are not Celsius. Set them to Celsius at its setup page.")
+        part = "".join(chr(word & 0xFF) for word in self._words(PART_NUMBER, 15) if word & 0xFF).strip()
+        low, high = self._words(SERIAL_NUMBER, 2)
+        range_c = f"{self._float(LOWEST):g} to {self._float(HIGHEST):g} degC"
+        firmware = str(self._words(FIRMWARE)[0])
+        return Identity("watlow_f4t", part, str(high << 16 | low), firmware, {"set point range": range_c})
+
+    def limits(self) -> ChamberLimits:
+        range_c = self._float(LOWEST), self._float(HIGHEST)
+        return ChamberLimits(*range_c, _FINEST_K, True, _SLOWEST_K_PER_MIN, _FASTEST_K_PER_MIN)
+
+    def read(self) -> ChamberReading:
+        air = self._float(PROCESS_VALUE)
+        time_s = self._clock.now()
+        mode, profile = self._words(MODE_IN_FORCE + self._above)[0], self._words(PROFILE_STATE)[0]
+        alarms = tuple(
+            f"alarm {number + 1}"
+            for number in range(self._config.alarms)
+            if self._words(_ALARM + _EACH_ALARM * number)[0] not in _SILENT
+        )
+        runs = mode != OFF and self._plant_is_on()
+        shown = _PROFILES.get(profile) or _MODES.get(mode, f"mode {mode}")
+        return ChamberReading(time_s, air, None, self._float(IN_FORCE), shown, runs, alarms)
+
+    def hold(self, temperature_c: float) -> None:
+        self._begin(temperature_c)
+        if self._words(RAMP_ACTION + self._above)[0] in (RAMP_AT_SET_POINT, RAMP_ALWAYS):
+            self._write_word(RAMP_ACTION + self._above, OFF, "No ramp to the set point")
+        self._write_float(SET_POINT, temperature_c, "The set point", IN_FORCE)
+
+    def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
+        self._begin(temperature_c)
+        self._write_float(RAMP_RATE, rate_k_per_min, "The rate of the ramp", RAMP_RATE)
+        self._write_word(RAMP_SCALE + self._above, MINUTES, "The scale of the ramp")
+        self._write_word(RAMP_ACTION + self._above, RAMP_AT_SET_POINT, "A ramp to the set point")
+        self._write_float(SET_POINT, temperature_c, "The set point", SET_POINT)
+        return rate_k_per_min
+
+    def standby(self) -> None:
+        self._condition(False)
+
+    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
+        if policy is ChamberSafe.STANDBY:
+            self.standby()
+        else:
+            wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._float(PROCESS_VALUE)
+            self.hold(min(max(wanted, self._float(LOWEST)), self._float(HIGHEST)))
+        reading = self.read()
+        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
+        return SafeReport(policy.value, verified, f"{reading.mode}, set point {reading.setpoint_c:g} degC")
+
+    def close(self) -> None:
+        self._exchange.transport.close()
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _begin(self, temperature_c: float) -> None:
+        """Whatever must be before a set point counts: it is allowed, no profile runs, and the loop is on."""
+        low, high = self._float(LOWEST), self._float(HIGHEST)
+        if not low <= temperature_c <= high:
+            raise LimitExceeded(
+                f"{temperature_c:.1f} degC lies outside the controller's set point limits {low:g} to {high:g} degC. "
+                "Change the plan, or the limits at the controller's setup page."
+            )
+        if self._words(PROFILE_STATE)[0] in _PROFILES:
+            ended = lambda: self._words(PROFILE_STATE)[0]  # noqa: E731
+            self._shown(PROFILE_ACTION, (TERMINATE,), "The profile's end", ended, lambda v: v not in _PROFILES)
+        self._condition(True)
+
+    def _plant_is_on(self) -> bool:
+        event = self._config.conditioning_event
+        return not event or self._words(EVENTS[event - 1])[0] == ON
+
+    def _condition(self, on: bool) -> None:
+        mode, event = MODE + self._above, self._config.conditioning_event
+        said = "on (set points are ignored while it is off)" if on else "off"
+        if event:
+            register = EVENTS[event - 1]
+            self._write_word(register, ON if on else OFF, f"Conditioning {'on' if on else 'off'}")
+        if on is (self._words(MODE_IN_FORCE + self._above)[0] == AUTO):
+            return
+        in_force = lambda: self._words(MODE_IN_FORCE + self._above)[0]  # noqa: E731
+        wanted = AUTO if on else OFF
+        self._shown(mode, (wanted,), f"The control loop {said}", in_force, lambda value: value == wanted)
+
+    def _words(self, register: int, count: int = 1) -> tuple[int, ...]:
+        sent = self._message(read_body(register, count))
+        return self._exchange.ask(sent, lambda frame: parse_words(frame, sent, count))
+
+    def _float(self, register: int) -> float:
+        return float_of(self._words(register + self._above, 2))
+
+    def _write_word(self, register: int, value: int, what: str) -> None:
+        self._shown(register, (value,), what, lambda: self._words(register)[0], lambda shown: shown == value)
+
+    def _write_float(self, register: int, value: float, what: str, shown_in: int) -> None:
+        words, register = words_of(value), register + self._above
+        what = f"{what} {value:g}"
+        self._shown(register, words, what, lambda: self._float(shown_in), lambda shown: abs(shown - value) < 0.5e-3)
+
+    def _shown(
+        self,
+        register: int,
+        words: tuple[int, ...],
+        what: str,
+        read: Callable[[], float],
+        shows: Callable[[float], bool],
+    ) -> None:
+        def send() -> None:
+            sent = self._message(write_body(register, words))
+            self._exchange.ask(sent, lambda frame: parse_written(frame, sent), repeat=False)
+
+        until_shown(send, read, shows, what=what, clock=self._clock)
+
+    def _message(self, body: bytes) -> bytes:
+        self._number = self._number % 0xFFFF + 1
+        return request(self._number, self._config.address, body)

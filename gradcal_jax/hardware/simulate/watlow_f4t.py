@@ -1,0 +1,139 @@
+"""A simulated Watlow F4T on Modbus TCP: the peer of `drivers.watlow_f4t`, with the state that the controller has.
+
+While its control loop is off it takes set points and does nothing with them, also once the loop is on again. A set
+point that is written while the loop is on is gone to at once, or by the ramp where the ramp's action says so. Registers
+that do not exist are refused (exception 2), set points outside its limits (3), and functions other than 3, 6 and 16
+(1).
+"""
+
+import struct
+from dataclasses import dataclass, field
+
+from ..clock import Clock
+from .plants import ChamberPlant
+
+_OFF, _ON, _AUTO = 62, 63, 10
+
+
+@dataclass
+class WatlowF4TOptions:
+    address: int = 1
+    low_c: float = -70.0
+    high_c: float = 180.0
+    fahrenheit: bool = False
+    locked: bool = False
+    """An input at the back keeps the control loop off."""
+    conditioning_event: int = 0
+    """Event that switches the plant in this rig; 0: the loop alone does."""
+
+
+@dataclass
+class _Memory:
+    words: dict[int, int] = field(default_factory=dict[int, int])
+
+    def put(self, register: int, value: float) -> None:
+        """A float, its low word first."""
+        bits = int.from_bytes(struct.pack(">f", value), "big")
+        self.words |= {register: bits & 0xFFFF, register + 1: bits >> 16}
+
+    def get(self, register: int) -> float:
+        bits = self.words[register + 1] << 16 | self.words[register]
+        return struct.unpack(">f", bits.to_bytes(4, "big"))[0]
+
+
+class SimulatedWatlowF4T:
+    def __init__(self, plant: ChamberPlant, clock: Clock, options: WatlowF4TOptions | None = None) -> None:
+        self.plant = plant
+        self.options = options or WatlowF4TOptions()
+        self._clock = clock
+        self._buffer = b""
+        self.memory = _Memory(
+            {4: 4, 5: 0, 12: 0xE240, 13: 1, 2730: _OFF, 2794: _OFF, 2796: 57, 2814: _OFF, 16566: 61, 16568: 251}
+            | {16 + place: ord(letter) for place, letter in enumerate("F4T1L1EAA1D1AAA")}
+            | {6730: 30 if self.options.fahrenheit else 15}
+            | {1356 + 100 * number: 88 for number in range(6)}
+            | dict.fromkeys((16594, 16596, 16598, 16600, 16822, 16824, 16826, 16828), _OFF)
+        )
+        low, high = self.options.low_c, self.options.high_c
+        floats = {2774: low, 2776: high, 2782: 23.0, 2798: 1.0, 2810: 0.0, 2820: 0.0}
+        for register, value in floats.items():
+            self.memory.put(register, value)
+        plant.switch(clock.now(), False)
+
+    def receive(self, data: bytes) -> list[bytes]:
+        self._buffer += data
+        replies: list[bytes] = []
+        while len(self._buffer) >= 8:
+            (number, protocol, length, unit) = struct.unpack(">HHHB", self._buffer[:7])
+            if protocol != 0 or not 2 <= length <= 254:
+                self._buffer = self._buffer[1:]
+                continue
+            if len(self._buffer) < 6 + length:
+                break
+            body, self._buffer = self._buffer[7 : 6 + length], self._buffer[6 + length :]
+            if unit == self.options.address:
+                answer = self._answer(body)
+                replies.append(struct.pack(">HHHB", number, 0, len(answer) + 1, unit) + answer)
+        return replies
+
+    def reboot(self) -> None:
+        """The loop comes back off."""
+        self._buffer = b""
+        self.memory.words |= {2730: _OFF, 2814: _OFF}
+        self._switch()
+
+    # -------------------------------------------------------------------------------------------------------- parts
+
+    def _answer(self, body: bytes) -> bytes:
+        function = body[0]
+        if function not in (3, 6, 16):
+            return bytes([function | 0x80, 1])
+        needs = 5 if function != 16 or len(body) < 5 else 6 + 2 * int.from_bytes(body[3:5], "big")
+        if len(body) != needs:
+            return bytes([function | 0x80, 3])
+        register, count = struct.unpack(">HH", body[1:5])
+        self._look()
+        if function == 3:
+            if not 1 <= count <= 125:
+                return bytes([0x83, 3])
+            words = [self.memory.words.get(register + place) for place in range(count)]
+            found = [word for word in words if word is not None]
+            if len(found) < count:
+                return bytes([0x83, 2])
+            return struct.pack(f">BB{count}H", 3, 2 * count, *found)
+        values = (count,) if function == 6 else struct.unpack(f">{count}H", body[6 : 6 + 2 * count])
+        refusal = self._write(register, values)
+        return bytes([function | 0x80, refusal]) if refusal else body[:5]
+
+    def _look(self) -> None:
+        now = self._clock.now()
+        self.memory.put(2820, self.plant.air_c(now))
+        self.memory.put(2810, self.plant.set_point_c(now))
+
+    def _write(self, register: int, values: tuple[int, ...]) -> int:
+        memory, before = self.memory, dict(self.memory.words)
+        if any(register + place not in before for place in range(len(values))) or register in (2810, 2814, 2820, 1356):
+            return 2
+        memory.words |= {register + place: value for place, value in enumerate(values)}
+        now = self._clock.now()
+        if register == 2782:
+            target = memory.get(2782)
+            if not self.options.low_c <= target <= self.options.high_c:
+                memory.words = before
+                return 3
+            if memory.words[2814] == _AUTO:
+                ramps = memory.words[2794] in (85, 13)
+                per_minute = memory.get(2798) / (1.0 if memory.words[2796] == 57 else 60.0)
+                self.plant.command(now, target_c=target, gradient_k_per_min=per_minute if ramps else None)
+        elif register == 2730:
+            memory.words[2814] = _OFF if self.options.locked else values[0]
+        elif register == 16566 and values[0] == 148:
+            memory.words[16568] = 253
+        self._switch()
+        return 0
+
+    def _switch(self) -> None:
+        event = self.options.conditioning_event
+        switches = (16594, 16596, 16598, 16600, 16822, 16824, 16826, 16828)
+        on = not event or self.memory.words[switches[event - 1]] == _ON
+        self.plant.switch(self._clock.now(), on and self.memory.words[2814] == _AUTO)

@@ -1,0 +1,126 @@
+"""What of a recipe a journal proves was done, on the plan's own clock.
+
+That clock counts the durations of the steps one after the other, and no waiting. A step that was broken off counts as
+far as it came; one that was not executed as written does not count, nor does what came after it.
+"""
+
+import json
+from dataclasses import dataclass, replace
+
+from ..files.recipe import Recipe
+from ..files.unit_spec import UnitSpec
+from ..files.writing import write_toml, write_whole
+from .binding import track_of
+from .journal import Event, JournalContents
+from .run_folder import SESSION, RunFolder, RunFolderError, exit_status, prepare_resume, steps_done
+from .track import Track
+
+_SAME_S = 1e-3
+# To which a plan says what was done.
+_PLANNED_S = 0.2
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Data without a break: from `start_s` to `end_s` of the plan's clock, which began and ended at times of the
+    run's."""
+
+    start_s: float
+    end_s: float
+    began_s: float
+    ended_s: float
+
+
+def breaks_off(event: Event) -> bool:
+    """Whether a run is interrupted or ends here: from now on somebody may be at the rig."""
+    return event.name in ("interlock", "ending", "not done") or (
+        event.name == "state" and event.data["state"] == "paused"
+    )
+
+
+def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> list[Stretch]:
+    """Of the run's recipe of that number (there is one more each time that a run is planned anew), in order."""
+    starts = [0.0]
+    for step in track.steps:
+        starts.append(starts[-1] + step.duration_s)
+    found: list[Stretch] = []
+    open_step: tuple[int, float] | None = None
+    current, first, latest_s = 0, 0, 0.0
+
+    def close(time_s: float) -> None:
+        nonlocal open_step
+        if open_step is not None:
+            number, begins_s = open_step
+            lasted_s = min(time_s - begins_s, track.steps[number].duration_s)
+            part = Stretch(starts[number], starts[number] + lasted_s, begins_s, begins_s + lasted_s)
+            before = found[-1] if found else None
+            flows = before is not None and abs(before.end_s - part.start_s) + abs(before.ended_s - begins_s) < _SAME_S
+            if before is not None and flows:
+                found[-1] = replace(before, end_s=part.end_s, ended_s=part.ended_s)
+            elif lasted_s > 0.0:
+                found.append(part)
+        open_step = None
+
+    for event in contents.events:
+        if event.name in (SESSION, "step") or breaks_off(event):
+            close(latest_s if event.name == SESSION else event.time_s)
+        latest_s = max(latest_s, event.time_s)
+        if event.name == SESSION:
+            current, first, latest_s = int(event.data.get("recipe", 0)), len(found), event.time_s
+        elif current != recipe:
+            continue
+        elif event.name == "step begins" and event.data.get("data"):
+            number = int(event.data["number"])
+            open_step = (number, float(event.data["begins_s"])) if 0 <= number < len(track.steps) else None
+        elif event.name == "not done":
+            bad_s = starts[min(max(int(event.data["number"]), 0), len(track.steps))]
+            parts = [part if part.end_s <= bad_s else _until(part, bad_s) for part in found[first:]]
+            found[first:] = [part for part in parts if part.end_s > part.start_s]
+    close(latest_s)
+    return found
+
+
+def stretches_of(folder: RunFolder) -> list[Stretch]:
+    """What was done of a run's newest recipe."""
+    return stretches_done(folder.contents(), track_of(folder.recipe(), _axes(folder)), len(folder.recipes()) - 1)
+
+
+def goes_on_at(folder: RunFolder) -> float:
+    """Where a run is or will go on, on its plan's clock (s): while it is under way, where its last stretch ends."""
+    contents, done = folder.contents(), stretches_of(folder)
+    if done and exit_status(contents) == "lost":
+        return done[-1].end_s
+    steps = track_of(folder.recipe(), _axes(folder)).steps
+    return sum(step.duration_s for step in steps[: steps_done(contents, len(folder.recipes()) - 1)])
+
+
+def _until(part: Stretch, end_s: float) -> Stretch:
+    return replace(part, end_s=end_s, ended_s=part.ended_s - (part.end_s - end_s))
+
+
+def adopt(folder: RunFolder, recipe: Recipe) -> None:
+    """From now on the run goes by this recipe, which `gradcal replan` made for it.
+
+    Raises `RunFolderError` where the run cannot go on, and where the recipe does not go on from where the run stands.
+    """
+    prepare_resume(folder)
+    before = folder.recipe()
+    stands = stretches_of(folder)
+    parts = () if isinstance(recipe.spec, UnitSpec) else recipe.spec.done[-len(stands) :] if stands else ()
+    apart = [abs(float(part.end) - one.end_s) for part, one in zip(parts, stands, strict=False)]
+    if len(parts) != len(stands) or max(apart, default=0.0) > _PLANNED_S or recipe.spec.sensor != before.spec.sensor:
+        raise RunFolderError(
+            f"The recipe does not go on from where the run in {folder.path} stands: make it by "
+            f"`gradcal replan {folder.path}`."
+        )
+    track_of(recipe, _axes(folder))
+    names = folder.recipes()
+    name = f"recipe-{len(names) + 1}.toml"
+    write_toml(recipe, folder.path / name)
+    # Whole or not at all: until this stands the run goes by the recipe before.
+    notes = folder.notes() | {"recipe": recipe.fingerprint, "recipes": [*names, name]}
+    write_whole(folder.path / "run.json", json.dumps(notes, indent=2) + "\n")
+
+
+def _axes(folder: RunFolder) -> list[str]:
+    return [axis.name for axis in folder.rig().axis]

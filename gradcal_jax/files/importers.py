@@ -197,8 +197,12 @@ def _refuse_contradictions(columns: ColumnMap) -> None:
     if columns.policy.wrong_units == "keep":
         return
     for source in columns.sources():
-        of_unit = isinstance(source, (RateColumn, TimeColumn)) and source.scale == 1.0
-        if of_unit and isinstance(source.column, str) and (question := contradiction(source.column, source.unit)):
+        if (
+            isinstance(source, RateColumn | TimeColumn)
+            and isinstance(source.column, str)
+            and source.scale == 1.0
+            and (question := contradiction(source.column, source.unit))
+        ):
             raise LogError(f'{question} (mend the map, or have it say [policy] wrong_units = "keep")')
 
 

@@ -192,7 +192,7 @@ def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Pictu
             bar.set_label("ratio")
         bar.update_ticks()
         if drawn.contours is not None:
-            levels = drawn.contours.levels if box.unit != "ratio" else bar.locator.tick_values(norm.vmin, norm.vmax)
+            levels = drawn.contours.levels if box.unit != "ratio" else bar.locator.tick_values(*bar.ax.get_ylim())
             drawn.contours.remove()
             shown = np.ma.masked_invalid(box.values)
             _label(

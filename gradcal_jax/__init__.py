@@ -5,6 +5,8 @@ its name does. They load on first use (PEP 562): importing the package, or its h
 JAX. The library leaves JAX's global switches alone, and what reports a covariance wants
 `jax.config.update("jax_enable_x64", True)` first.
 
+`gradcal_jax.plots`, beside them, draws what they give.
+
 Quantities are SI (°C for temperatures) unless the name ends in another unit; what people read is in ppm and deg/h.
 """
 
@@ -63,6 +65,7 @@ _HOME_OF_NAME: dict[str, str] = {
     # identification
     "instability": "api.flow",
     "allan": "api.flow",
+    "fit_thermal_bias": "identify.thermal",
     "limiting_function": "identify.limiting_function",
     "limiting_function_of_mean": "identify.limiting_function",
     # calibrations

@@ -160,7 +160,9 @@ ELSEWHERE = {
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
     "optimise unit.toml -o better.toml --steps 600": "tests/api/test_unit_optimise.py",
-    "estimate run/log.nc --recipe recipe.toml -o calibration.toml --plot fit.png": "tests/hardware/test_unit_runs.py",
+    "estimate run/log.nc --recipe recipe.toml -o calibration.toml --plot fit.png": (
+        "tests/cli/test_unit_estimate_cli.py"
+    ),
     "sensitivity mine/spec.toml": "tests/cli/test_design_cli.py",
     "sweep experiments/sweeps/tactical_bench.toml -o results.nc --plot results.png": "tests/cli/test_sweep_cli.py",
 }

@@ -18,8 +18,10 @@ _LAG_PAYS = 0.9
 _LONGEST_LAG_S = 1800.0
 # Without as wide a span of temperature (K) nothing can be said of B(T), and none is removed.
 _TELLING_SPAN = 5.0
-# rad/√s, 10 deg/√h: three times the angle random walk of the coarsest MEMS gyros on sale.
-_NOISIEST = 10.0 / DEG_PER_SQRT_H
+# rad/√s. The coarsest gyro that we know of, the ADXRS150 of 2002, has 0.05 deg/s/√Hz, which is 3 deg/√h; what is
+# quieter than the other figure is a large fibre-optic or ring laser gyro, which few people have.
+_NOISIEST = 4.0 / DEG_PER_SQRT_H
+_QUIETEST = 0.006 / DEG_PER_SQRT_H
 
 
 @dataclass(frozen=True)
@@ -327,9 +329,12 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     """What a fit leaves out, and whether its model holds, in sentences."""
     notes: list[str] = []
     if not plausible(fit):
+        notes.append(too_noisy(fit))
+    elif 0.0 < fit.angle_random_walk.value < _QUIETEST:
         notes.append(
-            f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.3g} deg/sqrt(h) is more than any "
-            "gyro has: are rates in deg/s stated as rad/s, or stamps in ms as s, or did the sensor move?"
+            f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.2g} deg/sqrt(h) is that of a "
+            "large fibre-optic or ring laser gyro: is it one, or are rates in rad/s stated as deg/s, or stamps in s as "
+            "ms?"
         )
     if fit.low_passed:
         notes.append(
@@ -349,6 +354,14 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
             )
         )
     return tuple(notes)
+
+
+def too_noisy(fit: identify.AllanFit) -> str:
+    """What to ask whoever has such a record."""
+    return (
+        f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.3g} deg/sqrt(h) is more than any gyro "
+        "has: are rates in deg/s stated as rad/s, or stamps in ms as s, or did the sensor move?"
+    )
 
 
 def plausible(fit: identify.AllanFit) -> bool:

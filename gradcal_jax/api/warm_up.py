@@ -15,7 +15,7 @@ import numpy as np
 from gradcal_jax import estimation, identify
 from gradcal_jax.api.calibration import EstimateReport, estimate_calibration
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.instability import Rest, at_rest, number
+from gradcal_jax.api.instability import Rest, at_rest, number, plausible, too_noisy
 from gradcal_jax.files import Spec, parse_spec
 from gradcal_jax.files.calibration import Noise
 from gradcal_jax.files.log import Log, LogError
@@ -170,6 +170,8 @@ def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
             f"the Allan deviation of axis {axis} of unit {unit} shows no angle random walk, which the estimate stands "
             "on: record for longer, or give a spec with --spec"
         )
+    if not plausible(fit):
+        raise LogError(f"axis {axis} of unit {unit}: {too_noisy(fit)}")
     assert rest.temperature_c is not None
     known = rest.temperature_c[rest.valid]
     low, high = float(np.floor(known.min() * 10) / 10), float(np.ceil(known.max() * 10) / 10)

@@ -83,6 +83,15 @@ def guess(path: Path) -> str | None:
     return "\n".join(lines)
 
 
+def contradiction(column: str, unit: str) -> str | None:
+    """A question where the name of a column of rates or stamps says another unit than its map; None elsewhere."""
+    match = _RATE.fullmatch(column) or _TIME.fullmatch(column)
+    told = "???" if match is None else _unit(match[2])
+    if told in ("???", unit):
+        return None
+    return f"the name of column '{column}' says {told}, and the map says {unit}: which of them is right?"
+
+
 def _unit(text: str | None) -> str:
     return "???" if text is None else _UNITS.get(text.lower(), text.lower())
 

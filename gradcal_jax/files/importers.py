@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from gradcal_jax.files.column_guess import contradiction
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.log import Log, LogError
@@ -182,12 +183,27 @@ def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | N
     and for faults that the policy refuses.
     """
     path = Path(path)
+    _refuse_contradictions(columns)
     table = read_table(path, columns.csv, list(columns.sources()))
     try:
         found = _columns(table, columns, path.name)
         return examine(found if rows is None else found.part(rows), columns.policy)
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
+
+
+def _refuse_contradictions(columns: ColumnMap) -> None:
+    """Unless units are to be kept whatever they are, or a scale may take one to the other."""
+    if columns.policy.wrong_units == "keep":
+        return
+    for source in columns.sources():
+        if (
+            isinstance(source, RateColumn | TimeColumn)
+            and isinstance(source.column, str)
+            and source.scale == 1.0
+            and (question := contradiction(source.column, source.unit))
+        ):
+            raise LogError(f'{question} (mend the map, or have it say [policy] wrong_units = "keep")')
 
 
 def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:

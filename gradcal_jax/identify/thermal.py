@@ -66,6 +66,7 @@ def fit_thermal_bias(
 ) -> ThermalBias:
     """The polynomial in (lagged) temperature that fits rates at rest best, in the least-squares sense.
 
+    `rate` `(samples,)` in rad/s, every `sample_interval_s` s, with `temperature_c` `(samples,)`; `degree` of B(T).
     `lag_time_s=None` finds the lag too, between zero and `longest_lag_s` (a lag found there is one that the record does
     not tell: drift may be passing for it); a number keeps it. Rows that are not `valid` are not fitted; temperatures
     missing there (NaN) are bridged by straight lines.

@@ -20,7 +20,7 @@ from gradcal_jax.files.calibration import LOG_HASH, AxisCalibration, Calibration
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.information.conformity import specific_risk
-from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.provenance import assumed_noise
 from gradcal_jax.pages.sources import Sources
 
@@ -275,4 +275,4 @@ def write_certificate(certificate: Certificate, output: str | Path) -> None:
     room = resources.files(__name__.rsplit(".", 1)[0])
     template = environment.from_string((room / "certificate.html").read_text(encoding="utf-8"))
     css = (room / "style.css").read_text(encoding="utf-8")
-    write_whole(output, template.render(c=certificate, css=css, program=f"gradcal {gradcal_jax.__version__}"))
+    write_whole(output, one_sign(template.render(c=certificate, css=css, program=f"gradcal {gradcal_jax.__version__}")))

@@ -78,7 +78,7 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
             if earlier is not None and _alike(box, earlier[1]):
                 ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
                 words = f"{where}: residual {label} over that {earlier[0]}."
-                group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, _norm([ratio])))
+                group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, _of_ratios(ratio)))
             else:
                 words = f"{where}: residual {label}, one standard deviation."
                 group.append(_map(box, label, f"{key}-{label}", words, norm))
@@ -195,6 +195,11 @@ def _norm(boxes: Sequence[Box]) -> Normalize:
     return Normalize(low, high if high > low else low + 1.0)
 
 
+def _of_ratios(box: Box) -> Normalize:
+    """From a tenth less to a tenth more, at least: what is hardly another has hardly another colour."""
+    return Normalize(min(float(box.values.min()), 0.9), max(float(box.values.max()), 1.1))
+
+
 def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Picture:
     def draw(ax: Axes) -> None:
         drawn = plots.draw_map(box.temperature_c, box.rate_dps, box.values, box.unit, title=label, ax=ax)
@@ -209,7 +214,7 @@ def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Pictu
             bar.set_label("ratio")
         bar.update_ticks()
         if drawn.contours is not None:
-            levels = drawn.contours.levels
+            levels = drawn.contours.levels if box.unit != "ratio" else bar.locator.tick_values(*bar.ax.get_ylim())
             drawn.contours.remove()
             shown = np.ma.masked_invalid(box.values)
             _label(

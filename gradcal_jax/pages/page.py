@@ -13,7 +13,7 @@ from gradcal_jax.pages.coefficients import ParameterFact
 from gradcal_jax.pages.facts import Facts
 from gradcal_jax.pages.figures import done_pictures, found_pictures, map_pictures, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
-from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.panel import panel_of
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
@@ -68,7 +68,7 @@ def page(sources: Sources, facts: Facts, *, panel: bool = False) -> str:
     used = [
         (term, words) for term, words in OF_THE_FIELD.items() if re.search(rf"\b{re.escape(term.lower())}s?\b", said)
     ]
-    return template.render(**given, glossary=used)
+    return one_sign(template.render(**given, glossary=used))
 
 
 def sentence(text: str) -> str:
@@ -85,6 +85,7 @@ def _words(facts: Facts, recipe: Recipe | None) -> dict[str, Any]:
         "chamber": [] if recipe is None else chamber_words(recipe),
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
+        "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
         "has_gradient": any(p.multiplies == "dT/dt" for p in facts.parameters),
         "done": _done(facts),
         "waited": _waited(facts),

@@ -48,7 +48,6 @@ def provenance_of(sources: Sources) -> list[tuple[str, str]]:
             ("recipe", recipe.fingerprint),
             ("recipe made by", recipe.made.by),
             ("versions", ", ".join(f"{name} {number}" for name, number in recipe.made.versions.items())),
-            ("plan", recipe.status),
         ]
         if recipe.made.seed is not None:
             rows.append(("seed of the optimisation", str(recipe.made.seed)))

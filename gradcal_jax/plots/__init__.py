@@ -1,15 +1,20 @@
 """One file a family of figures. Functions take `ax=None`, label with units, return what they drew and never show it."""
 
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
+from gradcal_jax.plots.found import draw_found_scale_factor
+from gradcal_jax.plots.identification import draw_drift
 from gradcal_jax.plots.mission import draw_heading
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.spec import draw_comparison, draw_prediction
 from gradcal_jax.plots.style import save, style_of
+from gradcal_jax.plots.sweep import draw_sweep
 from gradcal_jax.plots.timeline import draw_temperature
 from gradcal_jax.plots.unit import draw_poses, draw_unit, draw_unit_residual
 
 __all__ = [
     "draw_comparison",
+    "draw_drift",
+    "draw_found_scale_factor",
     "draw_frontier",
     "draw_heading",
     "draw_map",
@@ -17,6 +22,7 @@ __all__ = [
     "draw_poses",
     "draw_prediction",
     "draw_sensitivities",
+    "draw_sweep",
     "draw_temperature",
     "draw_unit",
     "draw_unit_residual",

@@ -18,7 +18,7 @@ def draw_found_scale_factor(axis: AxisCalibration, *, ax: Axes | None = None) ->
     lines: list[Line2D] = []
     for index, temperature in enumerate(chosen):
         middle, spread = value.values[index], deviation.values[index]
-        lines += ax.plot(rates, middle, label=f"{temperature:.4g} °C", **style_of(index))
+        lines += ax.plot(rates, middle, label=f"{temperature:.4g} °C".replace("-", "−"), **style_of(index))
         ax.fill_between(rates, middle - spread, middle + spread, alpha=0.25, color=PALETTE[index])
     ax.set(xlabel="rate, deg/s", ylabel="scale-factor error M ± 1σ, ppm")
     ax.legend()

@@ -139,13 +139,22 @@ def test_a_part_of_a_log_is_what_all_commands_take(tmp_path, capsys):
         assert all(option in with_help for option in ("--from", "--to", "--rows", "--columns"))
 
 
-def test_noise_that_no_gyro_has_is_status_1_with_a_question(tmp_path, capsys):
-    """Rates of 0.3 deg/√h in deg/s stated as rad/s."""
-    path = noise_log(tmp_path / "a.nc", 3, factor=3 * 57.3)
+@pytest.mark.parametrize("factor", [3 * 57.3, 57.3, 1.7 * 1000**0.5])
+def test_noise_that_no_gyro_has_is_status_1_with_a_question(tmp_path, capsys, factor):
+    """Rates of 0.3 and 0.1 deg/√h in deg/s stated as rad/s; stamps of 1 kHz in ms stated as s, by their noise."""
+    path = noise_log(tmp_path / "a.nc", 3, factor=factor)
     for command in ("allan", "instability"):
         status, told = printed(capsys, command, path, *(("--longest", "20 s") if command == "instability" else ()))
         assert status == 1
         assert "stated as rad/s" in told.out
+
+
+@pytest.mark.parametrize("factor", [1 / 57.3, 1.7 / 1000**0.5])
+def test_noise_of_the_quietest_gyros_alone_is_a_question(tmp_path, capsys, factor):
+    """0.1 deg/√h in rad/s stated as deg/s, and 0.17 deg/√h with stamps in s stated as ms."""
+    path = noise_log(tmp_path / "a.nc", 3, factor=factor)
+    assert "stated as deg/s, or stamps in s as ms?" in printed(capsys, "allan", path)[1].out
+    assert "?" not in printed(capsys, "allan", noise_log(tmp_path / "b.nc", 3))[1].out
 
 
 def test_a_bound_on_no_random_walk_is_refused(tmp_path, capsys):

@@ -375,3 +375,30 @@ def test_arbitrary_maps_give_a_sentence(text, tail):
     except SpecError:
         return
     assert tail
+
+
+@pytest.mark.parametrize(
+    ("header", "units", "asked"),
+    [
+        ("t_ms,gx [deg/s]", ("ms", "rad/s"), r"'gx \[deg/s\]' says deg/s, and the map says rad/s"),
+        ("t_ms,gx_rad/s", ("ms", "deg/s"), "'gx_rad/s' says rad/s, and the map says deg/s"),
+        ("t_ms,gx", ("s", "deg/s"), "'t_ms' says ms, and the map says s"),
+        ("time_s,gx", ("ms", "deg/s"), "'time_s' says s, and the map says ms"),
+        ("time [s],gx (dps)", ("s", "deg/s"), None),
+        ("t,gx", ("s", "rad/s"), None),
+    ],
+)
+def test_a_header_that_contradicts_its_map_is_a_question(tmp_path, header, units, asked):
+    """Units of rates and stamps slipped, either way."""
+    rows = "".join(f"{k * 0.01:.2f},{(-1) ** k * 1e-3}\n" for k in range(50))
+    (tmp_path / "a.csv").write_text(f"{header}\n{rows}", encoding="utf-8")
+    time, rate = header.split(",")
+    text = f'format = "gradcal-columns/1"\ntime = {{ column = "{time}", unit = "{units[0]}" }}\n'
+    text += f'rate.x = {{ column = "{rate}", unit = "{units[1]}" }}\n'
+    if asked is None:
+        assert import_log(tmp_path / "a.csv", parse_column_map(text)).counts() == {"used": 50}
+        return
+    with pytest.raises(LogError, match=asked):
+        import_log(tmp_path / "a.csv", parse_column_map(text))
+    kept = text + '[policy]\nwrong_units = "keep"\n'
+    assert import_log(tmp_path / "a.csv", parse_column_map(kept)).counts() == {"used": 50}

@@ -177,6 +177,25 @@ def test_a_low_pass_is_found_and_its_times_are_left_out(length, instability):
     assert not fit.rate_random_walk.shows
 
 
+@pytest.mark.evidence
+@pytest.mark.parametrize("length", [2, 8, 32])
+def test_behind_a_low_pass_errors_are_as_large_as_stated(length):
+    """Thirty records of 44 minutes: N within 10 % but for the longest mean, whose own standard error is 7 %."""
+    samples, interval, errors, stated = 1 << 18, 0.01, [], []
+    for seed in range(1000 * length, 1000 * length + 30):
+        rate = simulate(seed, samples, interval, angle_random_walk=0.5) + flicker(seed + 1, samples, interval, 0.3)
+        found = fit_allan(overlapping_allan(low_passed(rate, length), interval)).angle_random_walk
+        errors.append(found.value - 0.5)
+        stated.append(found.standard_error)
+    pulls = np.array(errors) / np.array(stated)
+    within = float(np.mean(np.abs(errors) < 0.05))
+    print(
+        f"{length}: N within 10 % in {within:.2f}, rms {np.std(errors) / 0.5:.3f}, in standard errors {pulls.std():.2f}"
+    )
+    assert within >= (0.75 if length == 32 else 1.0)
+    assert 0.6 < np.sqrt(np.mean(pulls**2)) < 1.4
+
+
 def test_a_low_pass_whose_output_is_rounded_is_found_too():
     """Rounding whitens the shortest times: first the curve falls, then it rises to what the low-pass has left."""
     rate = low_passed(simulate(3, 200_000, 0.01, angle_random_walk=0.5), 32)

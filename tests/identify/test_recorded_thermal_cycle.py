@@ -5,13 +5,14 @@ Its source gives no units: read as µs and rad/s.
 (The source labels the rates deg/s; their white noise fits rad/s better. Nothing here depends on it but the deg/h.)
 """
 
+import dataclasses
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gradcal_jax.api.instability import allan_notes, at_rest
+from gradcal_jax.api.instability import allan_notes, at_rest, instability
 from gradcal_jax.files.importers import import_log, parse_column_map
 from gradcal_jax.identify.allan import MISFIT, fit_allan, overlapping_allan
 from gradcal_jax.identify.direct_bound import fit_direct_bound
@@ -99,6 +100,18 @@ def test_allan_and_direct_bound_side_by_side(log, axis, pays):
         assert lagging.limit[-1] < 0.8 * at_once.limit[-1]
     else:
         assert lagging.limit[-1] > 0.8 * at_once.limit[-1]
+
+
+@pytest.mark.parametrize(("axis", "share"), [("x", 0.453), ("y", 0.643), ("z", 0.412)])
+def test_the_second_half_stays_within_what_bounds_the_first(log, axis, share):
+    """The share of the limit that it comes to; B(T), a cubic, is taken off the whole record."""
+    rest = at_rest(log, axis, lag="none")
+    first = np.arange(len(rest.rate)) < len(rest.rate) // 2
+    half = dataclasses.replace(rest, valid=rest.valid & first)
+    bound = instability(half, averaging_time_s=60.0, longest_s=600.0, count=60).bound
+    interval, times = rest.sample_interval_s, bound.integration_time_s
+    other = largest_drift(rest.rate, interval, times, 60.0, valid=rest.valid & ~first)
+    assert np.max(other.largest_drift[:, 0] / bound.limit) == pytest.approx(share, abs=0.002)
 
 
 def test_over_a_narrow_range_of_temperature_less_drift_is_left(log):

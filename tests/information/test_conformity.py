@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm
 
@@ -41,6 +41,7 @@ def test_there_are_fifty_cases_with_and_without_guard_bands():
 
 
 @given(SIZES, SIZES, SIZES, st.floats(0.3, 1.2))
+@settings(deadline=None)
 def test_risks_are_those_of_the_bivariate_normal_distribution(s, u, limit, share):
     """Error and measured value are jointly normal: JCGM 106, equation A.9 and onward, by SciPy's own integral."""
     acceptance = share * limit
@@ -54,6 +55,7 @@ def test_risks_are_those_of_the_bivariate_normal_distribution(s, u, limit, share
 
 
 @given(SIZES, SIZES, st.floats(1e-4, 0.5))
+@settings(deadline=None)
 def test_what_is_accepted_within_the_guard_band_has_no_more_than_the_risk(u, limit, risk):
     acceptance = acceptance_limit(u, limit, risk)
     if acceptance is None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -19,8 +20,8 @@ from gradcal_jax.files.writing import write_toml
 from gradcal_jax.information import statistic
 from gradcal_jax.pages.course import course_of, rates_of
 from gradcal_jax.pages.facts import as_tables, facts_of
-from gradcal_jax.pages.figures import _draw_curves
-from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.figures import _draw_curves, map_pictures
+from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.page import page
 from gradcal_jax.pages.sources import read_sources
 from gradcal_jax.plots.tracks import planned_rate
@@ -280,6 +281,40 @@ def test_pages_of_a_recipe_and_of_a_calibration_alone(made, tmp_path):
     assert [row.achieved for row in found.requirements] == [123.456]
     assert {fact.quantity for fact in found.maps} == {"scale_factor", "bias"}
     assert "plan" not in Page(page(alone, found)).ids
+
+
+def test_prose_has_one_minus_and_one_degree_sign(whole):
+    prose = Page(re.sub(r"<(pre|code)>.*?</\1>", "", whole[2], flags=re.S)).text
+    assert "degC" not in prose
+    assert re.search(r"(?<![\w.-])-\d", prose) is None
+    assert "−" in prose
+    html = '<p title="-1 degC">at -25 degC, 2026-11-22, K-1</p><pre>--to "-5 degC"</pre><code>-1</code><p>1e-5</p>'
+    kept = html.replace("at -25 degC", "at −25 °C")
+    assert one_sign(html) == kept
+
+
+def test_what_is_not_converged_has_the_colour_of_a_verdict(made):
+    _, plan, _, _ = made
+    sources = read_sources([made[0] / "recipe.toml"])
+    for optimisation, status, verdict in (
+        ({"converged": False}, "not converged: take more steps", ' class="verdict missed"'),
+        ({"converged": True}, "converged: the gradient is 1e-7", ""),
+    ):
+        other = plan.model_copy(update={"optimisation": optimisation, "status": status})
+        found = dataclasses.replace(sources, recipe=other)
+        assert f"<p{verdict}>{status[0].upper()}{status[1:]}.</p>" in page(found, facts_of(found))
+
+
+def test_maps_that_look_alike_are_shown_as_a_ratio_whose_colours_tell_its_size(whole):
+    fact = next(f for f in whole[0].maps if f.quantity == "scale_factor")
+    ((_, box), *_) = fact.maps
+    shades = []
+    for factor in (1.001, 1.09, 2.0):
+        other = fact._replace(maps=(("before", box), ("predicted", box._replace(values=factor * box.values))))
+        ((_, second, _),) = map_pictures([other], {})
+        assert ("residual predicted over that before" in second.caption) == (factor < 1.3)
+        shades.append(second.svg)
+    assert shades[0] != shades[1]
 
 
 def test_another_plan_to_compare_with_and_a_limit(made, tmp_path):

@@ -215,6 +215,40 @@ class Map(Term):
             moving_only=self.rate is not None,
         )
 
+    @property
+    def continued(self) -> bool:
+        """Whether the polynomials of the discrepancy go on where the map's own, in the engine's form, end."""
+        pairs = [(self.temperature, self.beyond and self.beyond.temperature), (self.rate, self.beyond and self.beyond.rate)]
+        return self.beyond is not None and all(
+            (own is None and higher is None)
+            or (
+                isinstance(own, Polynomial)
+                and isinstance(higher, HigherPolynomials)
+                and own.internal == "legendre"
+                and (own.size, own.centre, own.scale) == (higher.lowest, higher.centre, higher.scale)
+            )
+            for own, higher in pairs
+        )
+
+    def columns_with_beyond(self, nodes: Nodes) -> tuple[Float[AnyArray, "P size"], Float[AnyArray, "P extra"]]:
+        """The map's columns and the discrepancy's: of all polynomials at once where they are `continued`."""
+        beyond = self.beyond
+        assert beyond is not None
+        if not self.continued or any(isinstance(g, SampleNodes) for g in nodes.groups):
+            return self.columns(nodes), beyond.columns(nodes)
+        in_t, in_w = self.temperature.size, 1 if self.rate is None else self.rate.size
+
+        def of_group(g: NodeGroup):
+            xp = namespace(g.weight)
+            drive = xp.ones((*g.rate.shape, 1)) if beyond.rate is None else beyond.rate.from_zero(g.rate) * g.rate[..., None]
+            all_t = beyond.temperature.from_zero(g.temperature)
+            every = xp.reshape(g.sums(all_t, drive), (-1, all_t.shape[-1], drive.shape[-1]))
+            parts = (every[:, :in_t, :in_w], every[:, in_t:], every[:, :in_t, in_w:])
+            return xp.concatenate([xp.reshape(part, (len(every), -1)) for part in parts], axis=1)
+
+        both = nodes.integrals(of_group, self.size + beyond.size, moving_only=self.rate is not None)
+        return both[:, : self.size], both[:, self.size :]
+
     def drive(self, group: NodeGroup) -> AnyArray:
         """What multiplies the functions of temperature at the nodes."""
         if self.rate is None:

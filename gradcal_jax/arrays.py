@@ -34,7 +34,7 @@ def put(into: Any, where: Any, values: Any) -> Any:
     `where` indexes as in NumPy. The argument itself is not changed.
     """
     if namespace(into, values) is jnp:
-        return jnp.asarray(into).at[where].set(values, mode="drop")
+        return jnp.asarray(into).at[where].set(values, mode="drop", unique_indices=True)
     result = np.array(into)
     result[where] = values
     return result
@@ -45,7 +45,7 @@ def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
     if namespace([values for _, values in parts]) is jnp:
         result = jnp.zeros(shape)
         for where, values in parts:
-            result = result.at[where].set(values, mode="drop")
+            result = result.at[where].set(values, mode="drop", unique_indices=True)
         return result
     result = np.zeros(shape)
     for where, values in parts:

@@ -119,7 +119,9 @@ def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
     bases = [(of.temperature, of.beyond and of.beyond.temperature), (of.rate, of.beyond and of.beyond.rate)]
     pairs = []
     for at, both in zip((temperatures, rates), bases, strict=True):
-        degrees = [b.degree if isinstance(b, Polynomial | HigherPolynomials) else len(at) for b in both if b is not None]
+        degrees = [
+            b.degree if isinstance(b, Polynomial | HigherPolynomials) else len(at) for b in both if b is not None
+        ]
         pairs.append(polynomial_grid(at, max(degrees, default=0)))
     (few_t, by_t), (few_w, by_w) = pairs
     return (few_t, few_w), (by_t, by_w)

@@ -218,7 +218,10 @@ class Map(Term):
     @property
     def continued(self) -> bool:
         """Whether the polynomials of the discrepancy go on where the map's own, in the engine's form, end."""
-        pairs = [(self.temperature, self.beyond and self.beyond.temperature), (self.rate, self.beyond and self.beyond.rate)]
+        pairs = [
+            (self.temperature, self.beyond and self.beyond.temperature),
+            (self.rate, self.beyond and self.beyond.rate),
+        ]
         return self.beyond is not None and all(
             (own is None and higher is None)
             or (
@@ -240,7 +243,11 @@ class Map(Term):
 
         def of_group(g: NodeGroup):
             xp = namespace(g.weight)
-            drive = xp.ones((*g.rate.shape, 1)) if beyond.rate is None else beyond.rate.from_zero(g.rate) * g.rate[..., None]
+            drive = (
+                xp.ones((*g.rate.shape, 1))
+                if beyond.rate is None
+                else beyond.rate.from_zero(g.rate) * g.rate[..., None]
+            )
             all_t = beyond.temperature.from_zero(g.temperature)
             every = xp.reshape(g.sums(all_t, drive), (-1, all_t.shape[-1], drive.shape[-1]))
             parts = (every[:, :in_t, :in_w], every[:, in_t:], every[:, :in_t, in_w:])

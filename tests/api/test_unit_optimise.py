@@ -36,6 +36,12 @@ def test_the_optimum_is_what_its_plan_leaves(searched):
     assert best.gain > 1.02
 
 
+def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
+    spec = gj.parse_unit_spec(gj.presets.text("gimbal-by-hand"))
+    with pytest.raises(ValueError, match='drive is "hand".*drive = "motor"'):
+        next(optimise_unit(spec))
+
+
 def test_a_search_can_be_stopped_and_keeps_the_best(searched):
     spec, states, _ = searched
     *some, best = optimise_unit(spec, evaluations=60, seed=3, stop=iter([False] * 4 + [True] * 60).__next__)

@@ -4,9 +4,9 @@
 
 Cases: `small` (6000 readings × 16 parameters, Φ given: G and the gradient of log det G in Φ and in every duration),
 `unit` (30 000 rows of a whole unit's six channels × 128, Φ given: processor time on one core), `hand2` (that plan of a
-whole unit, compiled as a whole, on one core), `large` (600 000 × 64, Φ generated in tiles) and `predict` (the paper's dynamic gradient plan as a whole). Rounds go
-through all methods in turn, so that a disturbance of the machine falls on all of them. Peers:
-`pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
+whole unit, compiled as a whole, on one core), `large` (600 000 × 64, Φ generated in tiles) and `predict` (the paper's
+dynamic gradient plan as a whole). Rounds go through all methods in turn, so that a disturbance of the machine falls on
+all of them. Peers: `pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
 """
 
 import argparse
@@ -332,8 +332,8 @@ def hand2(record: dict, quick: bool) -> list[str]:
             for name, (least, middle, spread) in rows
         ),
         "",
-        "* From every number of motion, geometry, noise and priors to the logarithms of all 132 standard deviations; the "
-        "gradient is in all of them.",
+        "* From all numbers of motion, geometry, noise and priors to the logarithms of the 132 standard deviations; "
+        "the gradient is in all those numbers.",
     ]
 
 

@@ -32,8 +32,8 @@ MARGIN: Final = 0.1
 """A target is met with margin where the residual stays this share below what it asks for."""
 _MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
 BY_HAND: Final = (
-    'rig.table.drive is "hand": the search makes turns of a motor. Search the plan with drive = "motor" and moves without '
-    'shape = "hand", then write its turns as ones by hand, with the durations that a person needs'
+    'rig.table.drive is "hand": the search makes turns of a motor. Search the plan with drive = "motor" and moves '
+    'without shape = "hand", then write its turns as ones by hand, with the durations that a person needs'
 )
 """Why no plan of turns by hand is searched."""
 # A turn within this share of its cap is said to be at its limit.

@@ -16,8 +16,8 @@ def use_float64() -> None:
     """Switch JAX to float64 and keep compiled programs in the user's cache folder;
     call it before anything is computed.
     """
-    # JAX's factors and solves are SciPy's OpenBLAS, which sets threads to 8 columns and more: for some tens of them they
-    # wait for one another ten times as long as one takes. It reads this as it is loaded.
+    # JAX's factors and solves are SciPy's OpenBLAS, which sets threads to a few columns already: for some tens of them
+    # they wait for one another ten times as long as one takes. It reads this as it is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax
 

@@ -92,8 +92,7 @@ class SensorModel(eqx.Module):
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P p"]:
         """What each parameter's unit adds to the integrated error over each piece, rad."""
-        beyond = {}
-        blocks = []
+        blocks, beyond = [], {}
         for term in self.terms:
             if isinstance(term, Map) and term.beyond is not None:
                 block, beyond[term.beyond.name] = term.columns_with_beyond(nodes)

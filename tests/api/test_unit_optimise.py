@@ -38,7 +38,7 @@ def test_the_optimum_is_what_its_plan_leaves(searched):
 
 def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
     spec = gj.parse_unit_spec(gj.presets.text("gimbal-by-hand"))
-    with pytest.raises(ValueError, match='drive is "hand".*drive = "motor"'):
+    with pytest.raises(ValueError, match=r'drive is "hand".*drive = "motor"'):
         next(optimise_unit(spec))
 
 

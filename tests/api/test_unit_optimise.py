@@ -105,3 +105,12 @@ def test_a_gyro_beyond_its_full_scale_is_said_and_not_searched():
     limits = _limits(narrow, UnitDesign())
     assert limits.rates == (225.0, 225.0)
     assert max(item.rate for item in first.best) <= 225.0
+
+
+def test_nor_are_turns_by_hand_of_a_single_axis_searched():
+    turns = [{"turn": f"{angle} deg", "shape": "hand", "duration": "10 s"} for angle in (360, -360)]
+    rest = {"rest": "8 s", "read_every": "1 s"}
+    by_hand = {"rig.table.drive": "hand", "plan.cycle.moves": [rest, turns[0], rest, turns[1]]}
+    spec = gj.changed(gj.read_spec("experiments/designs/headline.toml"), by_hand)
+    with pytest.raises(ValueError, match=r'drive is "hand"'):
+        gj.optimise(spec)

@@ -31,21 +31,22 @@ def namespace(*trees: Any) -> Any:
 def put(into: Any, where: Any, values: Any) -> Any:
     """`into` with `into[where] = values`; under JAX places beyond the end are dropped, which is what padding points to.
 
-    `where` indexes as in NumPy. The argument itself is not changed.
+    `where` indexes as in NumPy, no place twice: JAX need not find out which value came last. The argument itself is not
+    changed.
     """
     if namespace(into, values) is jnp:
-        return jnp.asarray(into).at[where].set(values, mode="drop")
+        return jnp.asarray(into).at[where].set(values, mode="drop", unique_indices=True)
     result = np.array(into)
     result[where] = values
     return result
 
 
 def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
-    """Zeros with `[where] = values` for each part, in order; NumPy's are written in place."""
+    """Zeros with `[where] = values` for each part, in order, no place twice in one; NumPy's are written in place."""
     if namespace([values for _, values in parts]) is jnp:
         result = jnp.zeros(shape)
         for where, values in parts:
-            result = result.at[where].set(values, mode="drop")
+            result = result.at[where].set(values, mode="drop", unique_indices=True)
         return result
     result = np.zeros(shape)
     for where, values in parts:

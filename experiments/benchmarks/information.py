@@ -3,10 +3,10 @@
     python experiments/benchmarks/information.py [--quick] [--json FILE] [--only CASE …]
 
 Cases: `small` (6000 readings × 16 parameters, Φ given: G and the gradient of log det G in Φ and in every duration),
-`unit` (30 000 rows of a whole unit's six channels × 128, Φ given: processor time on one core), `large` (600 000 × 64,
-Φ generated in tiles) and `predict` (the paper's dynamic gradient plan as a whole). Rounds go
-through all methods in turn, so that a disturbance of the machine falls on all of them. Peers:
-`pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
+`unit` (30 000 rows of a whole unit's six channels × 128, Φ given: processor time on one core), `hand2` (that plan of a
+whole unit, compiled as a whole, on one core), `large` (600 000 × 64, Φ generated in tiles) and `predict` (the paper's
+dynamic gradient plan as a whole). Rounds go through all methods in turn, so that a disturbance of the machine falls on
+all of them. Peers: `pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
 """
 
 import argparse
@@ -206,8 +206,8 @@ def main() -> None:
     parser.add_argument(
         "--only",
         nargs="+",
-        choices=("small", "unit", "large", "predict"),
-        default=("small", "unit", "large", "predict"),
+        choices=("small", "unit", "hand2", "large", "predict"),
+        default=("small", "unit", "hand2", "large", "predict"),
     )
     parser.add_argument("--write", metavar="FILE", help="the table in Markdown, besides the screen")
     asked = parser.parse_args()
@@ -232,6 +232,8 @@ def main() -> None:
         lines += [*SMALL_NOTES, ""]
     if "unit" in asked.only:
         lines += [*whole_unit(record, asked.quick), ""]
+    if "hand2" in asked.only:
+        lines += [*hand2(record, asked.quick), ""]
     if "large" in asked.only:
         lines += [*large(record, asked.quick), ""]
     if "predict" in asked.only:
@@ -312,6 +314,28 @@ def whole_unit(record: dict, quick: bool) -> list[str]:
         "* celerite2 cannot say these rows: its states decay one by one, and an integral that begins anew, or an "
         "encoder's error that is passed on, is no such decay. dynamax could, and would hold 30 000 covariances of "
         "144 × 144 for its result, 5 GB. The starred figure is of a hundredth of the rows, times a hundred.",
+    ]
+
+
+def hand2(record: dict, quick: bool) -> list[str]:
+    """The plan `hand2`, compiled from its numbers to the standard deviations: processor time on one core."""
+    worker = Worker(1)
+    answer = worker.ask(do="hand2", method="unit_methods", repeats=2 if quick else 40)
+    worker.close()
+    record["hand2"] = answer
+    rows = [(name, summary([answer[name]])) for name in ("forward", "gradient")]
+    return [
+        "### The plan hand2 of a whole unit, compiled as a whole, one core, processor time",
+        "",
+        "| what | ms: least / median (spread) |",
+        "|---|---|",
+        *(
+            f"| {name} | {least * 1e3:.3g} / {middle * 1e3:.3g} ({spread:.0%}) |"
+            for name, (least, middle, spread) in rows
+        ),
+        "",
+        "* From all numbers of motion, geometry, noise and priors to the logarithms of the 132 standard deviations; "
+        "the gradient is in all those numbers.",
     ]
 
 

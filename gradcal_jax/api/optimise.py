@@ -24,12 +24,18 @@ from gradcal_jax.design import (
     search,
 )
 from gradcal_jax.files import Spec, SpecError
+from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.rounding import rounded, steps_of
 
 STEPS: Final = 240
 MARGIN: Final = 0.1
 """A target is met with margin where the residual stays this share below what it asks for."""
 _MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
+BY_HAND: Final = (
+    'rig.table.drive is "hand": the search makes turns of a motor. Search the plan with drive = "motor" and moves '
+    'without shape = "hand", then write its turns as ones by hand, with the durations that a person needs'
+)
+"""Why no plan of turns by hand is searched."""
 # A turn within this share of its cap is said to be at its limit.
 _AT_LIMIT: Final = 1e-3
 _POLISH: Final = 300
@@ -169,10 +175,12 @@ def optimise(
     `quick`: few starts, and a brief polish by the same program. `until_met`: no further than to a plan that, rounded,
     meets every target with `MARGIN`, and nothing where the spec's own does. `motion` s: time without soaks, in the
     place of [design]'s. `checkpoint`: go on from a step's. `stop`: asked after every step; once true, the best so far
-    is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed or, with `until_met`,
-    there is no target.
+    is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is turned by
+    hand or, with `until_met`, there is no target.
     """
     design = design_of(spec)
+    if spec.rig.table.drive == "hand" and not (isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None):
+        raise ValueError(BY_HAND)
     of = measure(spec)
     before = exact(spec, of)
     known = before if np.isfinite(before) else None

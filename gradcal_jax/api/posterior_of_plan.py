@@ -6,7 +6,7 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.missions import earth_gain, flights_of
-from gradcal_jax.design import Criterion
+from gradcal_jax.design import Criterion, polynomial_grid
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
@@ -14,8 +14,8 @@ from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, 
 from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
 from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
-from gradcal_jax.information.residual import Contrasts, Statistic
-from gradcal_jax.model import BIAS, SCALE_FACTOR, SensorModel
+from gradcal_jax.information.residual import Contrasts, Statistic, map_of
+from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
 from gradcal_jax.units import DEG_PER_H as DEG_PER_H
 from gradcal_jax.units import DEG_PER_S as DEG_PER_S
 from gradcal_jax.units import PPM as PPM
@@ -89,24 +89,42 @@ def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, 
     return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
 
 
-def contrasts_of(model: SensorModel, requirement: Requirement, name: Statistic, most: int | None = None) -> Contrasts:
-    """What the calibration leaves at every place of `box`, as combinations of the parameters; of missions weighted for
-    the statistic `name`, whose plain form is then the weighted one."""
+def contrasts_of(
+    model: SensorModel, requirement: Requirement, name: Statistic, at: tuple[np.ndarray, np.ndarray] | None = None
+) -> Contrasts:
+    """What the calibration leaves on a grid (by default `box`), as combinations of the parameters; of missions weighted
+    for the statistic `name`, whose plain form is then the weighted one."""
     if isinstance(requirement, HeadingRequirement):
         rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
         return mission_contrasts(model, np.stack(rows)).times(weights(requirement, name)[:, 0])
-    grid = (g.ravel() for g in np.meshgrid(*box(requirement, most), indexing="ij"))
+    grid = (g.ravel() for g in np.meshgrid(*(at or box(requirement)), indexing="ij"))
     return contrasts(model, _map_of(requirement), *grid).times(_gain(requirement))
 
 
 def criterion_of(
     model: SensorModel, requirement: Requirement, name: Statistic | None = None, most: int | None = None
 ) -> Criterion:
-    """A requirement's statistic, or the one of that `name`, for a design (SI). `most`: see `box`."""
-    name = name or requirement.statistic
-    temperatures, rates = box(requirement, most)
-    rows, alone, beyond = contrasts_of(model, requirement, name, most)
-    return Criterion(rows, alone if np.any(alone) else None, beyond, (len(temperatures), len(rates)), name)
+    """A requirement's statistic, or the one of that `name`, for a design (SI). `most`: see `box`; for a search, which
+    wants no row of its own for every place."""
+    name, at = name or requirement.statistic, box(requirement, most)
+    shape, between = (len(at[0]), len(at[1])), None
+    if most is not None and not isinstance(requirement, HeadingRequirement):
+        at, between = _few_places(map_of(model, _map_of(requirement)), *at)
+    rows, alone, beyond = contrasts_of(model, requirement, name, at)
+    return Criterion(rows, alone if np.any(alone) else None, beyond, shape, name, between)
+
+
+def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
+    """The places at which to look at a map's residual, and what makes those of the grid of them."""
+    bases = [(of.temperature, of.beyond and of.beyond.temperature), (of.rate, of.beyond and of.beyond.rate)]
+    pairs = []
+    for at, both in zip((temperatures, rates), bases, strict=True):
+        degrees = [
+            b.degree if isinstance(b, Polynomial | HigherPolynomials) else len(at) for b in both if b is not None
+        ]
+        pairs.append(polynomial_grid(at, max(degrees, default=0)))
+    (few_t, by_t), (few_w, by_w) = pairs
+    return (few_t, few_w), (by_t, by_w)
 
 
 def weights(requirement: Requirement, name: Statistic) -> np.ndarray:

@@ -142,7 +142,7 @@ def _risks(built: Assembled, known: Posterior, requirement: Requirement, row: Re
     if row.target is None or row.max is None or row.max == 0.0:
         return {}
     temperatures, rates = box(requirement, _GRID)
-    places = contrasts_of(built.model, requirement, requirement.statistic, _GRID)
+    places = contrasts_of(built.model, requirement, requirement.statistic, (temperatures, rates))
     shape, target = (len(temperatures), len(rates)), float(requirement.target or 0.0)
     chances = chance_of_keeping(known, built.model, places, shape, requirement.statistic, target)
     acceptance: float | None = row.target

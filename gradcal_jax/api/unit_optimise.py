@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.optimise import MARGIN
+from gradcal_jax.api.optimise import BY_HAND, MARGIN
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, RequiredQuantity, quantity_of, summed_up
 from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
@@ -50,11 +50,13 @@ def optimise_unit(
     `evaluations`: plans that are tried; `warmest`: see `design.pose_search.anneal`. `until_met`: no further than to a
     plan that meets every target with `MARGIN`.
 
-    Errors: `ValueError` where there is no requirement (or, with `until_met`, no target), or the plan's turns are no
-    whole numbers of the angle step.
+    Errors: `ValueError` where there is no requirement (or, with `until_met`, no target), the table is turned by hand,
+    or the plan's turns are no whole numbers of the angle step.
     """
     if not spec.requirement:
         raise ValueError("what is to be minimised? Give the spec a [[requirement]]")
+    if spec.rig.table.drive == "hand":
+        raise ValueError(BY_HAND)
     design = spec.design or UnitDesign()
     limits = _limits(spec, design)
     value = _Value(spec, design)

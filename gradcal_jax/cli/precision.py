@@ -1,8 +1,10 @@
-"""How the command line uses JAX: in float64, interruptible, and without compiling tomorrow what it compiled today.
+"""How the command line uses JAX: in float64, interruptible, without threads for small matrices, and without compiling
+tomorrow what it compiled today.
 
 The library itself never changes JAX's global switches.
 """
 
+import os
 import signal
 import threading
 from types import FrameType
@@ -14,6 +16,9 @@ def use_float64() -> None:
     """Switch JAX to float64 and keep compiled programs in the user's cache folder;
     call it before anything is computed.
     """
+    # JAX's factors and solves are SciPy's OpenBLAS, which sets threads to a few columns already: for some tens of them
+    # they wait for one another ten times as long as one takes. It reads this as it is loaded.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax
 
     from gradcal_jax.cache import cache_folder

@@ -10,7 +10,7 @@ from gradcal_jax.design.coordinates import (
     Limits,
     make_coordinates,
 )
-from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, criterion
+from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, criterion, polynomial_grid
 from gradcal_jax.design.limit import Limit, limit
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
@@ -57,6 +57,7 @@ __all__ = [
     "limit",
     "make_coordinates",
     "polish",
+    "polynomial_grid",
     "scale_factor_floor",
     "search",
 ]

@@ -22,6 +22,7 @@ from gradcal_jax.information import SquareRootInformation, kept, missed
 from gradcal_jax.information.residual import Quantity, Statistic, contrasts
 from gradcal_jax.linalg import solve_transposed
 from gradcal_jax.model import SensorModel
+from gradcal_jax.trajectory import lagrange
 
 EXACT = np.asarray(np.inf)
 """The sharpness at which a criterion is the statistic itself."""
@@ -30,7 +31,8 @@ EXACT = np.asarray(np.inf)
 class Criterion(eqx.Module):
     """A named statistic of a residual map on a box; the value is in SI (1 for the scale factor, rad/s for the bias).
 
-    `rows`, `alone`, `beyond`: see `information.contrasts`; `alone` is None without a discrepancy.
+    `rows`, `alone`, `beyond`: see `information.contrasts`; `alone` is None without a discrepancy. `between`: the rows
+    are of a grid from which these matrices make, for the variance, the one of `shape`: see `polynomial_grid`.
     """
 
     rows: Float[AnyArray, "g p"]
@@ -38,6 +40,7 @@ class Criterion(eqx.Module):
     beyond: Float[AnyArray, " g"]
     shape: tuple[int, int] = eqx.field(static=True)
     statistic: Statistic = eqx.field(static=True)
+    between: tuple[Float[AnyArray, "n_T a"], Float[AnyArray, "n_w b"]] | None = None
 
     def map(self, info: SquareRootInformation) -> Float[AnyArray, "n_T n_w"]:
         """The residual on the box; differentiable, for a plan that observes everything."""
@@ -49,6 +52,9 @@ class Criterion(eqx.Module):
             half = solve_transposed(info.factor, xp.diag(1.0 / info.scale))
             covariance = half.T @ half
             variance = xp.sum(((self.rows - self.alone) @ covariance) * (self.rows + self.alone), axis=1) + self.beyond
+        if self.between is not None:
+            of_temperature, of_rate = self.between
+            variance = of_temperature @ xp.reshape(variance, (of_temperature.shape[1], -1)) @ of_rate.T
         return xp.reshape(xp.sqrt(variance), self.shape)
 
     def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
@@ -101,6 +107,20 @@ class Missed(eqx.Module):
         share = kept(info, slice(*self.where), self.prior_std)
         ratio = (self.std / self.prior_std) ** 2
         return missed(share / (share + ratio * (1.0 - share)), self.below)
+
+
+def polynomial_grid(at: Float[np.ndarray, " n"], degree: int) -> tuple[Float[np.ndarray, " m"], np.ndarray]:
+    """Few places, and the matrix `(n, m)` from a polynomial's values there to those `at` all places asked for.
+
+    What polynomials of a degree leave uncertain is the root of one of twice that degree: `2·degree + 1` Chebyshev nodes
+    tell it everywhere.
+    """
+    count = 2 * degree + 1
+    if count >= len(at):
+        return at, np.eye(len(at))
+    low, high = np.min(at), np.max(at)
+    nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    return 0.5 * (low + high) + 0.5 * (high - low) * nodes, lagrange(nodes, (2.0 * at - low - high) / (high - low))
 
 
 def criterion(

@@ -281,8 +281,9 @@ struct Cotangents {
   Real *transition, *noise, *observation, *variance, *initial, *columns;
 };
 
-void pull_wide(int64_t count, int64_t p, Steps steps, const Real* initial, const Real* rows, const Real* weighed,
-               Kept<const Real> kept, Cotangents of) {
+// Of a reading to which no step leads (`fixed`, `NoiseSteps.stays`) nobody asks for those of F and Q.
+void pull_wide(int64_t count, int64_t p, Steps steps, const Real* initial, const bool* fixed, const Real* rows,
+               const Real* weighed, Kept<const Real> kept, Cotangents of) {
   const int64_t m = panels(p);
   // As in `pull`, of all panels; `smoothed` ẑ at the reading, the same for all that follow one another without a step.
   const std::unique_ptr<States[]> rho(new States[m]()), rho_weighed(new States[m]()), before_step(new States[m]()),
@@ -323,10 +324,15 @@ void pull_wide(int64_t count, int64_t p, Steps steps, const Real* initial, const
       for (int b = 0; b < BLOCK && j + b < n; ++b) of.observation[k * n + j + b] = -2 * total(sum[b]);
     }
     Real* by_noise = of.noise + k * n * n;
-    products(m, rho.get(), rho_weighed.get(), true, -1, by_noise);
+    if (fixed[k])
+      std::fill_n(by_noise, n * n, 0);
+    else
+      products(m, rho.get(), rho_weighed.get(), true, -1, by_noise);
     for (int i = 0; i < n; ++i)
       for (int j = 0; j < i; ++j) by_noise[j * n + i] = by_noise[i * n + j];
-    if (k + 1 < count)
+    if (k + 1 < count && fixed[k + 1])
+      std::fill_n(of.transition + (k + 1) * n * n, n * n, 0);
+    else if (k + 1 < count)
       products(m, before_step.get(), smoothed.get(), false, -2, of.transition + (k + 1) * n * n);
     std::copy_n(&rho_weighed[0][0], m * PAD, &before_step[0][0]);
     if (still) continue;
@@ -349,9 +355,9 @@ void pull_wide(int64_t count, int64_t p, Steps steps, const Real* initial, const
   products(m, before_step.get(), smoothed.get(), false, -2, of.transition);
 }
 
-void pull(int64_t count, int64_t p, Steps steps, const Real* initial, const Real* rows, const Real* weighed,
-          Kept<const Real> kept, Cotangents of) {
-  if constexpr (WIDE) return pull_wide(count, p, steps, initial, rows, weighed, kept, of);
+void pull(int64_t count, int64_t p, Steps steps, const Real* initial, const bool* fixed, const Real* rows,
+          const Real* weighed, Kept<const Real> kept, Cotangents of) {
+  if constexpr (WIDE) return pull_wide(count, p, steps, initial, fixed, rows, weighed, kept, of);
   // Of a panel, from the step that follows the reading: Fᵀρ, FᵀρḠ, and ρḠ itself.
   struct Later {
     Vec rho[n], weighed[n], before_step[n];
@@ -464,11 +470,13 @@ void filter_all(XLA_FFI_CallFrame* frame) {
 }
 
 void pull_all(XLA_FFI_CallFrame* frame) {
-  const Call call(frame, 6);
+  const Call call(frame, 7);
   const int64_t count = call.count, p = call.p;
   for (int64_t b = 0; b < call.problems; ++b)
-    pull(count, p, call.steps(b), call.in(5, b, n * n), call.in(6, b, count * p), call.in(7, b, count * p),
-         {call.in(8, b, count * n * p), call.in(9, b, count * n * n), call.in(10, b, count * n), call.in(11, b, count)},
+    pull(count, p, call.steps(b), call.in(5, b, n * n), call.in<bool>(6, b, count), call.in(7, b, count * p),
+         call.in(8, b, count * p),
+         {call.in(9, b, count * n * p), call.in(10, b, count * n * n), call.in(11, b, count * n),
+          call.in(12, b, count)},
          {call.out(0, b, count * n * n), call.out(1, b, count * n * n), call.out(2, b, count * n),
           call.out(3, b, count), call.out(4, b, n * n), call.out(5, b, count * p)});
 }
@@ -505,11 +513,11 @@ extern "C" void gradcal_filter_plain(int64_t count, int64_t p, const Real* trans
 
 extern "C" void gradcal_pull_plain(int64_t count, int64_t p, const Real* transition, const Real* noise,
                                    const Real* observation, const Real* variance, const bool* used,
-                                   const Real* initial, const Real* rows, const Real* weighed, const Real* state,
-                                   const Real* before, const Real* gain, const Real* per_std, Real* of_transition,
+                                   const Real* initial, const bool* fixed, const Real* rows, const Real* weighed,
+                                   const Real* state, const Real* before, const Real* gain, const Real* per_std, Real* of_transition,
                                    Real* of_noise, Real* of_observation, Real* of_variance, Real* of_initial,
                                    Real* of_columns) {
-  pull(count, p, {transition, noise, observation, variance, used}, initial, rows, weighed,
+  pull(count, p, {transition, noise, observation, variance, used}, initial, fixed, rows, weighed,
        {state, before, gain, per_std},
        {of_transition, of_noise, of_observation, of_variance, of_initial, of_columns});
 }

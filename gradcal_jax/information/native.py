@@ -80,7 +80,7 @@ class Native(NamedTuple):
         """Of transition, covariance, observation, reading variance, initial and columns, for that of `rowsᵀ rows`."""
         weighed = rows @ ((of_product + of_product.T) / 2)
         shapes = [x.shape for x in (*steps[:4], steps.initial, rows)]
-        return _call(self.pull, shapes, (*steps, rows, weighed, *kept))
+        return _call(self.pull, shapes, (*steps[:6], _stays(steps, jnp), rows, weighed, *kept))
 
 
 class Plain(NamedTuple):
@@ -111,8 +111,12 @@ class Plain(NamedTuple):
         """As of `Native`."""
         weighed = rows @ ((of_product + of_product.T) / 2)
         made = [np.empty(np.shape(x)) for x in (*steps[:4], steps.initial, rows)]
-        _plainly(self.pull, len(rows), rows.shape[1], (*steps, rows, weighed, *kept), made)
+        _plainly(self.pull, len(rows), rows.shape[1], (*steps[:6], _stays(steps, np), rows, weighed, *kept), made)
         return made
+
+
+def _stays(steps: NoiseSteps, xp) -> AnyArray:
+    return xp.zeros(steps.used.shape, bool) if steps.stays is None else xp.asarray(steps.stays)
 
 
 def _plainly(function, count: int, p: int, arguments, results) -> None:

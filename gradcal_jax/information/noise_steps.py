@@ -29,7 +29,8 @@ _NODES = 16
 
 class NoiseSteps(NamedTuple):
     """`N` steps of a linear-Gaussian system with `n` states and one scalar reading a step (`used`:
-    whether there is one).
+    whether there is one). `stays`: where the transition is the identity, the covariance zero, and neither is ever
+    differentiated, since no step leads to that reading.
     """
 
     transition: Float[AnyArray, "N n n"]
@@ -38,6 +39,7 @@ class NoiseSteps(NamedTuple):
     reading_variance: Float[AnyArray, " N"]
     used: Bool[AnyArray, " N"]
     initial: Float[AnyArray, "n n"]
+    stays: Bool[AnyArray, " N"] | None = None
 
     def padded(self, count: int) -> "NoiseSteps":
         """The same system with steps at its end that change nothing and read nothing, `count` in all."""

@@ -210,7 +210,8 @@ def _joint_steps(
     )
     observed = observation if len(row) == len(observation) else xp.where((row >= 0)[:, None], observation[row], 0.0)
     used = at.used[row] & (row >= 0)
-    return NoiseSteps(*steps, observed, xp.zeros(len(row)), used, placed((n, n), *initial)), row
+    stays = np.isin(np.arange(len(row)), fresh, invert=True)
+    return NoiseSteps(*steps, observed, xp.zeros(len(row)), used, placed((n, n), *initial), stays), row
 
 
 def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -92,7 +92,13 @@ class SensorModel(eqx.Module):
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P p"]:
         """What each parameter's unit adds to the integrated error over each piece, rad."""
-        blocks = [term.columns(nodes) for term in self.terms]
+        blocks, beyond = [], {}
+        for term in self.terms:
+            if isinstance(term, Map) and term.beyond is not None:
+                block, beyond[term.beyond.name] = term.columns_with_beyond(nodes)
+            else:
+                block = beyond[term.name] if term.name in beyond else term.columns(nodes)
+            blocks.append(block)
         return namespace(*blocks).concatenate(blocks, axis=1)
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:

@@ -215,6 +215,25 @@ class Map(Term):
             moving_only=self.rate is not None,
         )
 
+    def columns_with_beyond(self, nodes: Nodes) -> tuple[Float[AnyArray, "P size"], Float[AnyArray, "P extra"]]:
+        """The map's columns and the discrepancy's, at once where its polynomials go on where the map's own end."""
+        beyond = self.beyond
+        assert beyond is not None
+        pairs = [(self.temperature, beyond.temperature), (self.rate, beyond.rate)]
+        if any(isinstance(g, SampleNodes) for g in nodes.groups) or not all(_continued(*pair) for pair in pairs):
+            return self.columns(nodes), beyond.columns(nodes)
+        in_t, in_w = beyond.temperature.lowest, 1 if beyond.rate is None else beyond.rate.lowest
+
+        def of_group(g: NodeGroup):
+            xp, all_t = namespace(g.weight), beyond.temperature.from_zero(g.temperature)
+            all_w = g.rate[..., None] * beyond.rate.from_zero(g.rate) if beyond.rate else xp.ones((*g.rate.shape, 1))
+            every = xp.reshape(g.sums(all_t, all_w), (-1, all_t.shape[-1], all_w.shape[-1]))
+            parts = (every[:, :in_t, :in_w], every[:, in_t:], every[:, :in_t, in_w:])
+            return xp.concatenate([xp.reshape(part, (len(every), -1)) for part in parts], axis=1)
+
+        both = nodes.integrals(of_group, self.size + beyond.size, moving_only=self.rate is not None)
+        return both[:, : self.size], both[:, self.size :]
+
     def drive(self, group: NodeGroup) -> AnyArray:
         """What multiplies the functions of temperature at the nodes."""
         if self.rate is None:
@@ -237,6 +256,15 @@ class Map(Term):
         if not isinstance(group, SampleNodes) or group.noise <= _NO_NOISE * np.max(np.abs(group.rate), initial=0.0):
             return driven(group.rate)
         return 2.0 * driven(group.rate) - 0.5 * (driven(group.rate + group.noise) + driven(group.rate - group.noise))
+
+
+def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:
+    """Whether higher polynomials go on where a map's own, in the engine's form, end."""
+    if own is None or higher is None:
+        return own is higher
+    if not isinstance(own, Polynomial) or own.internal != "legendre":
+        return False
+    return (own.size, own.centre, own.scale) == (higher.lowest, higher.centre, higher.scale)
 
 
 def _ordinal(basis: Basis, index: int) -> str:

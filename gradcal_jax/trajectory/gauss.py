@@ -26,11 +26,13 @@ from gradcal_jax.model import (
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 
 # A raised cosine to the fourth power, the steepest of a cubic M(T, ω), is resolved to 1e-12 by 16 points; a higher
-# degree in rate adds a period to it, and needs two more.
+# degree in rate adds a period to it, and needs two more. Cosine ramps and half sines have half of its periods: so many
+# nodes, and one more for each degree, resolve them as well.
 _MOVING_NODES = 16
 _CUBIC = 3
-# The first members of the motion family (`formulas.MOTION_TERMS`) are so many powers of the time.
-_POWERS = 4
+_HALF_WAVE_NODES = 10
+# The first members of the motion family (`formulas.MOTION_TERMS`) are so many powers of the time, and then half waves.
+_POWERS, _HALF_WAVES = 4, 6
 # A lagging sensor's exponentials are no polynomials.
 _LAGGED_NODES = 16
 # A piece is divided in halves of halves from its start until the lag's exponential falls by less than e^(this) or so.
@@ -75,9 +77,10 @@ def rule_of(model: SensorModel, trajectory: Trajectory) -> Rule:
     present = np.asarray(trajectory.terms)[np.asarray(trajectory.moving)] != 0.0
     powers = np.flatnonzero(np.any(present, axis=0))
     # Of a move that does not turn here, and may where the rule is used, the shape is not known.
-    if not lagged and np.all(np.any(present, axis=1)) and np.all(powers < _POWERS):
+    if not lagged and np.all(np.any(present, axis=1)) and np.all(powers < _HALF_WAVES):
+        smooth = np.all(powers < _POWERS)
         exact = ((degree + 1) * int(np.max(powers, initial=0)) + of_time) // 2 + 1
-        moving = min(moving, exact)
+        moving = min(moving, exact if smooth else _HALF_WAVE_NODES + degree)
     driven = bool(np.any(np.asarray(model.processes.rate_gain) != 0.0))
     return Rule(moving, standing, warm, fast, halves, driven)
 

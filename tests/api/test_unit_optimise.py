@@ -36,6 +36,12 @@ def test_the_optimum_is_what_its_plan_leaves(searched):
     assert best.gain > 1.02
 
 
+def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
+    spec = gj.parse_unit_spec(gj.presets.text("gimbal-by-hand"))
+    with pytest.raises(ValueError, match=r'drive is "hand".*drive = "motor"'):
+        next(optimise_unit(spec))
+
+
 def test_a_search_can_be_stopped_and_keeps_the_best(searched):
     spec, states, _ = searched
     *some, best = optimise_unit(spec, evaluations=60, seed=3, stop=iter([False] * 4 + [True] * 60).__next__)
@@ -99,3 +105,12 @@ def test_a_gyro_beyond_its_full_scale_is_said_and_not_searched():
     limits = _limits(narrow, UnitDesign())
     assert limits.rates == (225.0, 225.0)
     assert max(item.rate for item in first.best) <= 225.0
+
+
+def test_nor_are_turns_by_hand_of_a_single_axis_searched():
+    turns = [{"turn": f"{angle} deg", "shape": "hand", "duration": "10 s"} for angle in (360, -360)]
+    rest = {"rest": "8 s", "read_every": "1 s"}
+    by_hand = {"rig.table.drive": "hand", "plan.cycle.moves": [rest, turns[0], rest, turns[1]]}
+    spec = gj.changed(gj.read_spec("experiments/designs/headline.toml"), by_hand)
+    with pytest.raises(ValueError, match=r'drive is "hand"'):
+        gj.optimise(spec)

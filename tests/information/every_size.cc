@@ -23,12 +23,19 @@ void once(int64_t count, int64_t p) {
   const auto of_H = filled(count * n, 0), of_R = filled(count, 0), of_start = filled(n * n, 0);
   const auto of_columns = filled(count * p, 0);
   const std::unique_ptr<bool[]> used(new bool[count]);
+  const std::unique_ptr<bool[]> fixed(new bool[count]());
   for (int64_t k = 0; k < count; ++k) used[k] = k % 3 != 1;
+  // Every other reading without a step, which many states are told.
+  for (int64_t k = 1; k < count; k += 2) {
+    fixed[k] = true;
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < n; ++j) F[(k * n + i) * n + j] = i == j, Q[(k * n + i) * n + j] = 0;
+  }
   const Steps steps{F.get(), Q.get(), H.get(), R.get(), used.get()};
   const Kept<Real> kept{states.get(), kept_covariance.get(), gain.get(), per_std.get()};
   for (const Kept<Real>* keep : {static_cast<const Kept<Real>*>(nullptr), &kept})
     filter(count, p, steps, mean.get(), start.get(), columns.get(), rows.get(), after.get(), covariance.get(), keep);
-  pull(count, p, steps, start.get(), rows.get(), columns.get(),
+  pull(count, p, steps, start.get(), fixed.get(), rows.get(), columns.get(),
        {states.get(), kept_covariance.get(), gain.get(), per_std.get()},
        {of_F.get(), of_Q.get(), of_H.get(), of_R.get(), of_start.get(), of_columns.get()});
 }

@@ -59,7 +59,7 @@ def floats(steps: NoiseSteps):
 
 
 def with_floats(steps: NoiseSteps, values) -> NoiseSteps:
-    return NoiseSteps(*values[:4], steps.used, values[4])
+    return NoiseSteps(*values[:4], steps.used, values[4], steps.stays)
 
 
 def value(steps: NoiseSteps, columns, values):
@@ -114,6 +114,25 @@ def test_the_gradient_in_everything(shape, in_blocks):
 
     found = compiled(gradient, floats(steps), columns)
     close(found, in_blocks(gradient, floats(steps), columns))
+
+
+def test_where_no_step_leads_to_a_reading_the_rest_of_the_gradient_is_the_same():
+    steps, columns = shared(19, 41)
+    stays = np.arange(41) % 4 > 0
+
+    def gradient(steps):
+        return compiled(
+            lambda v, c: jax.grad(lambda v, c: value(steps, c, v), argnums=(0, 1))(v, c), floats(steps), columns
+        )
+
+    (transition, noise, *rest), of_columns = gradient(steps)
+    (fewer, fewer_noise, *same), of_columns_too = gradient(steps._replace(stays=stays))
+    assert not np.any(fewer[stays])
+    assert not np.any(fewer_noise[stays])
+    close(
+        (fewer[~stays], fewer_noise[~stays], same, of_columns_too),
+        (transition[~stays], noise[~stays], rest, of_columns),
+    )
 
 
 def test_the_factor_of_the_rows_too(in_blocks):
@@ -274,7 +293,7 @@ def test_without_a_compiler_jax_does_it_and_a_compiler_that_fails_is_named(tmp_p
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize("states", [1, 2, 3, 7])
+@pytest.mark.parametrize("states", [1, 2, 3, 7, 9, 16])
 def test_no_number_outside_its_array_is_touched(states, real, tmp_path):
     """The code itself, under the compiler's address and undefined-behaviour sanitisers."""
     here, program = Path(__file__).parent, tmp_path / "every_size"

@@ -30,6 +30,44 @@ def unit(asked: dict) -> dict:
     return found
 
 
+def hand2(asked: dict) -> dict:
+    """The plan `hand2` compiled as a whole, from every number of motion and model to the logarithms of all standard
+    deviations: processor time (s), forward and with the gradient.
+    """
+    from pathlib import Path
+
+    import equinox as eqx
+    import jax
+    import jax.numpy as jnp
+
+    from gradcal_jax.api.unit_build import assemble_unit
+    from gradcal_jax.files.unit_spec import read_unit_spec
+    from gradcal_jax.information import SquareRootInformation, unit_system, whitened_factor
+    from gradcal_jax.trajectory import body_nodes
+
+    jax.config.update("jax_enable_x64", True)
+    built = assemble_unit(read_unit_spec(Path(__file__).resolve().parents[2] / "imu" / "hand2.toml"))
+    wanted = jax.tree.map(lambda x: isinstance(x, np.ndarray) and x.dtype == float, (built.motion, built.model))
+    # Whether a rate drives a process is structure.
+    gains = lambda t: [g for c in t[1].channels for g in (c.model.processes.rate_gain, c.model.processes.bias_gain)]  # noqa: E731
+    wanted = eqx.tree_at(gains, wanted, replace_fn=lambda _: False)
+    numbers, rest = eqx.partition((built.motion, built.model), wanted)
+    numbers, reported = jax.tree.map(jnp.asarray, numbers), jnp.asarray(built.model.to_reported)
+
+    def value(numbers):
+        motion, model = eqx.combine(numbers, rest)
+        system = unit_system(motion, model, body_nodes(motion, built.points))
+        info = SquareRootInformation(*whitened_factor(*system, jnp.asarray(model.prior_rows())))
+        return jnp.sum(jnp.log(info.deviations(reported)))
+
+    found: dict = {}
+    for task, made in {"forward": jax.jit(value), "gradient": jax.jit(jax.value_and_grad(value))}.items():
+        jax.block_until_ready(made(numbers))
+        every = [_timed(lambda f=made: jax.block_until_ready(f(numbers))) for _ in range(asked["repeats"])]
+        found[task] = every
+    return found
+
+
 def direction(problem: UnitProblem) -> tuple[np.ndarray, np.ndarray]:
     """A random direction in Φ and in the durations."""
     rng = np.random.default_rng(1)

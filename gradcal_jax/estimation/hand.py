@@ -33,7 +33,7 @@ _RELATIVE = 0.1
 _RATE_BIAS = 0.1  # rad/s about the mean of the first standstill
 _SENSITIVITY = 1e-3  # rad/s/(m/s²), 2000 deg/h/g
 _BLOCK_S = 0.5
-_LOWER = tuple((j, l) for j in range(3) for l in range(j + 1))
+LOWER = tuple((j, l) for j in range(3) for l in range(j + 1))
 # Of what was allowed: what keeps so much of its variance is not seen, and whatever takes such a part in it.
 _KEPT, _TAKES_PART = 0.5, 0.05
 _LEAST = 9
@@ -42,8 +42,8 @@ _STRANGE = 0.1
 
 
 class HandRows(NamedTuple):
-    """One unit's rows: `time` (n,) s, `rates` and `force` (n, 3) in whatever unit, `usable` (n,): false where the row is
-    masked, or what lay before it was not recorded; `standing` (n,): number of the standstill, −1 between.
+    """One unit's rows: `time` (n,) s, `rates` and `force` (n, 3) in whatever unit, `usable` (n,): false where the row
+    is masked, or what lay before it was not recorded; `standing` (n,): number of the standstill, −1 between.
     """
 
     time: np.ndarray
@@ -136,7 +136,7 @@ def positions(rows: HandRows) -> Positions:
     return Positions(means[:, :3], means[:, 3:], np.array([f[1] for f in found]), ends, noise[:3], noise[3:])
 
 
-def estimate_by_hand(rows: HandRows, gravity: float, earth_up: float = 0.0) -> ByHand:
+def solve_by_hand(rows: HandRows, gravity: float, earth_up: float = 0.0) -> ByHand:
     """Accelerometers by the norm of gravity (m/s²), then gyros by its turns. `earth_up`: of the Earth's rate, rad/s.
 
     Errors: `ValueError` with a sentence where the record does not hold what this needs.
@@ -181,17 +181,17 @@ def _accelerometers(held: Positions, gravity: float) -> Fitted:
 def _true_force(p: np.ndarray, said: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`f` (K, 3), its derivative (K, 3, 9), and the inverse of I + E."""
     matrix = np.eye(3)
-    for value, (j, l) in zip(p[3:], _LOWER, strict=True):
+    for value, (j, l) in zip(p[3:], LOWER, strict=True):
         matrix[j, l] += value
     inverse = np.linalg.inv(matrix)
     f = (said - p[:3]) @ inverse.T
     df = [np.broadcast_to(-inverse[:, j], f.shape) for j in range(3)]
-    df += [-np.outer(f[:, l], inverse[:, j]) for j, l in _LOWER]
+    df += [-np.outer(f[:, l], inverse[:, j]) for j, l in LOWER]
     return f, np.stack(df, axis=2), inverse
 
 
 def _forces(held: Positions, found: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corrected means (K, 3), their derivatives by the coefficients (K, 3, 9), the covariance of their noise (K, 3, 3)."""
+    """Corrected means (K, 3), their derivatives by the coefficients (K, 3, 9), their noise's covariance (K, 3, 3)."""
     f, df, inverse = _true_force(found.parameters, (held.force - found.centre) / found.gain)
     noise = (inverse * (held.force_noise / found.gain**2)) @ inverse.T
     return f, df, noise / held.duration[:, None, None]
@@ -229,10 +229,10 @@ def _moves(rows: HandRows, held: Positions, accelerometer: Fitted) -> _Moves:
 
 
 def _attitude(p: np.ndarray, moves: _Moves) -> tuple[np.ndarray, np.ndarray]:
-    """Attitude after each move (M, 3, 3), body to where it started; and its rotation there by each parameter (M, 3, 21).
+    """Attitude after each row of each move (M, n, 3, 3), body to where it started; and the true rates (M, n, 3).
 
-    A row is the mean rate since the row before: its rotation vector is corrected for coning with the row before (Savage,
-    "Strapdown inertial navigation integration algorithm design", J. Guidance 21, 1998, eq. 47's leading part).
+    A row is the mean rate since the row before: its rotation vector is corrected for coning with the row before (P.
+    Savage, "Strapdown inertial navigation integration algorithm design", J. Guidance, Control, and Dynamics 21, 1998).
     """
     table = p.reshape(3, 7)
     inverse = np.linalg.inv(np.eye(3) + table[:, :3])
@@ -245,6 +245,13 @@ def _attitude(p: np.ndarray, moves: _Moves) -> tuple[np.ndarray, np.ndarray]:
     while stride < after.shape[1]:  # products of 1, 2, 4, … rows
         after = np.concatenate([after[:, :stride], after[:, :-stride] @ after[:, stride:]], axis=1)
         stride *= 2
+    return after, omega
+
+
+def _turned(p: np.ndarray, moves: _Moves) -> tuple[np.ndarray, np.ndarray]:
+    """Attitude after each move (M, 3, 3), and its rotation by each parameter (M, 3, 21), where the move started."""
+    after, omega = _attitude(p, moves)
+    inverse = np.linalg.inv(np.eye(3) + p.reshape(3, 7)[:, :3])
     first = np.broadcast_to(np.eye(3), (len(after), 1, 3, 3))
     middle = 0.5 * (after + np.concatenate([first, after[:, :-1]], axis=1))
     signals = np.concatenate([omega, np.ones((*omega.shape[:2], 1)), moves.force], axis=2) * moves.step[..., None]
@@ -287,7 +294,7 @@ def _gyros(
     size = 2 * len(k)
 
     def shared(p: np.ndarray) -> tuple[np.ndarray, ...]:
-        attitude, by = _attitude(p, moves)
+        attitude, by = _turned(p, moves)
         turned = np.einsum("mba,mb->ma", attitude, u[k])
         left = np.einsum("mia,ma->mi", basis, turned - u[after])
         # A rotation φ before the turn adds Cᵀ (u × φ).
@@ -337,8 +344,8 @@ def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray, gravity: float) -
 
     def off(gain: float) -> float:
         scaled = moves._replace(rates=(moves.rates - centre) / gain)
-        attitude, _ = _attitude(np.zeros(21), scaled)
-        left = np.einsum("mba,mb->ma", attitude, u[moves.start]) - u[moves.start + 1]
+        after, _ = _attitude(np.zeros(21), scaled)
+        left = np.einsum("mba,mb->ma", after[:, -1], u[moves.start]) - u[moves.start + 1]
         return float(np.sqrt(np.median(np.sum(left**2, axis=1))))
 
     if off(1.0) < _STRANGE:

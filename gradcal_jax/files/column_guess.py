@@ -43,7 +43,8 @@ _RATE: Final = re.compile(
     re.IGNORECASE,
 )
 _FORCE: Final = re.compile(
-    r"(?:acc(?:el(?:erometer)?)?|a|specific[ _]?force|f)[ _.\-]?([xyz])(?:[ _\-(\[]*(m/s\^?2|m/s²|ms2|m_s2|mg|g)?)[)\]]*",
+    r"(?:acc(?:el(?:erometer)?)?|a|specific[ _]?force|f)[ _.\-]?([xyz])"
+    r"(?:[ _\-(\[]*(m/s\^?2|m/s²|ms2|m_s2|mg|g))?[)\]]*",
     re.IGNORECASE,
 )
 _UNITS: Final = {

@@ -55,8 +55,8 @@ def channel_error(channel: CalibratedChannel, temperature_c: Floats, signals: di
 
 
 def linear_part(channels: Sequence[CalibratedChannel], temperature_c: float) -> tuple[Floats, Floats]:
-    """At one temperature, turned slowly: measured = matrix (6, 6) · (rates x, y, z, forces x, y, z) + bias (6,), SI. What
-    the channels have not is taken as perfect.
+    """At one temperature, turned slowly: measured = matrix (6, 6) · (rates x, y, z, forces x, y, z) + bias (6,), SI.
+    What the channels have not is taken as perfect.
     """
     at, matrix, bias = np.array([temperature_c]), np.eye(6), np.zeros(6)
     for channel in channels:

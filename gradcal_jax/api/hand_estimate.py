@@ -240,7 +240,7 @@ def _words(
     if found.unsteady > 0.0:
         yield (
             f"the gyros' rates at rest differ by {found.unsteady * DEG_PER_H:.3g} deg/h more than noise and their "
-            "sensitivity to acceleration explain: drift, or the Earth's rate. The covariance counts it"
+            "sensitivity to acceleration explain: drift, it seems. The covariance counts it"
         )
     if not (white := tests["accelerometers: whiteness from position to position"]).passed:
         yield f"|f| - g is not independent from position to position (chance {white.probability:.1g}): it warms or ages"

@@ -5,15 +5,15 @@ IMU calibration without external equipments", ICRA 2014), here with the covarian
 
     |f| = g             over each standstill           accelerometers: bias β, lower triangular E       9
     Cᵀ u = u'           from each to the next          gyros: bias b, whole E, sensitivity G to f      21
-    rate = b + G f      over each standstill           the same b and G
+    rate = b + G f + e  over each standstill           the same b and G; e: the Earth's horizontal rate, 2
 
     said = centre + gain · ((I + E) f + β)             centre, gain: of the sphere that the positions lie on, or 0, 1
     said = centre + gain · ((I + E) ω + b + G f)       u: f/|f|; C: attitude from the gyros, body to where it started
 
 The accelerometers define the frame: x along accelerometer x, y in the plane of x and y. Noise is what neighbouring
 parts of standstills differ by. The second problem's rows carry the noise of the two directions u, and what the
-accelerometers' coefficients are uncertain by. Where a fit is worse than noise explains, a variance is added that
-explains it (Paule and Mandel, J. Res. NBS 87, 1982).
+accelerometers' coefficients are uncertain by; where the Earth's rate points is carried from turn to turn. Where a fit
+is worse than noise explains, a variance is added that explains it (Paule and Mandel, J. Res. NBS 87, 1982).
 """
 
 from collections.abc import Callable
@@ -31,6 +31,7 @@ from gradcal_jax.estimation.standstill import find_standstills
 # How far a unit may be from ideal, once its readings are scaled: 10 %, 100 mrad, 100 mg. Far wider than what is left.
 _RELATIVE = 0.1
 _RATE_BIAS = 0.1  # rad/s about the mean of the first standstill
+_EARTH = 7.292115e-5  # rad/s
 _SENSITIVITY = 1e-3  # rad/s/(m/s²), 2000 deg/h/g
 _BLOCK_S = 0.5
 LOWER = tuple((j, l) for j in range(3) for l in range(j + 1))
@@ -84,7 +85,8 @@ class Fitted(NamedTuple):
 
 class ByHand(NamedTuple):
     """Both triads. `cross` (9, 21): covariance of their parameters; `at_rest`: test of the rates over standstills, and
-    `unsteady` (rad/s) what they change by beyond noise; `turns`: how many counted.
+    `unsteady` (rad/s) what they change by beyond noise; `turns`: how many counted; `earth_level` (2,): the Earth's
+    horizontal rate that was found, rad/s, in axes of no known azimuth.
     """
 
     positions: Positions
@@ -94,6 +96,7 @@ class ByHand(NamedTuple):
     at_rest: Test
     unsteady: float
     turns: int
+    earth_level: np.ndarray
 
 
 def find_positions(rates: np.ndarray, force: np.ndarray, sample_interval_s: float, usable: np.ndarray) -> np.ndarray:
@@ -175,7 +178,7 @@ def _accelerometers(held: Positions, gravity: float) -> Fitted:
         return size - gravity, np.einsum("ka,kap->kp", u, df), np.diag(variance)
 
     priors = np.array([_RELATIVE * gravity] * 3 + [_RELATIVE] * 6)
-    return _fit(rows, priors, centre, gain, np.arange(len(said)))
+    return _fit(rows, priors, centre, gain, slice(None))
 
 
 def _true_force(p: np.ndarray, said: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -276,25 +279,20 @@ def _gyros(
     k, after = moves.start, moves.start + 1
     # Two directions across the later one.
     basis = np.linalg.svd(u[after][:, None, :])[2][:, 1:, :]
-    centre, gain = _rate_scale(held, moves, u, gravity)
+    centre, gain = _rate_scale(held, moves, u)
     moves = moves._replace(rates=(moves.rates - centre) / gain)
     at_rest, density = (held.rates - centre) / gain - earth_up * u, held.rate_noise / gain**2
-    # What the rates at rest change by beyond noise (drift, the Earth's horizontal rate) is in every turn too.
-    design = np.kron(np.concatenate([np.ones((len(f), 1)), f], axis=1), np.eye(3))  # of (b, G by columns)
-    priors = np.array([_RATE_BIAS] * 3 + [_SENSITIVITY] * 9)
-    level = np.concatenate([density / t for t in held.duration])
+    lasting, size = moves.step.sum(axis=1), 2 * len(k)
+    columns = np.zeros((3 * len(f), 21))
+    for j in range(3):  # parameters are rows of (E, b, G) by gyro
+        columns[j::3, 7 * j + 3] = 1.0
+        columns[j::3, 7 * j + 4 : 7 * j + 7] = f
+    unmoved = columns.any(axis=0)
 
-    def resting(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return design @ p - at_rest.ravel(), design, np.diag(level)
+    priors = np.r_[np.tile([_RELATIVE] * 3 + [_RATE_BIAS] + [_SENSITIVITY] * 3, 3), [_EARTH] * 2]
 
-    rest = _fit(resting, priors, centre, gain, np.arange(len(level)))
-    level = level + rest.beyond**2
-    lasting = moves.step.sum(axis=1)
-    own = np.mean(density) * lasting + rest.beyond**2 * lasting**2
-    size = 2 * len(k)
-
-    def shared(p: np.ndarray) -> tuple[np.ndarray, ...]:
-        attitude, by = _turned(p, moves)
+    def turns(p: np.ndarray, level_of: np.ndarray) -> tuple[np.ndarray, ...]:
+        attitude, by = _turned(p[:21], moves)
         turned = np.einsum("mba,mb->ma", attitude, u[k])
         left = np.einsum("mia,ma->mi", basis, turned - u[after])
         # A rotation φ before the turn adds Cᵀ (u × φ).
@@ -302,42 +300,79 @@ def _gyros(
         slope = np.einsum("mia,mba,mpb->mip", basis, attitude, crossed, optimize=True)
         to_first = np.einsum("mia,mba,mbc->mic", basis, attitude, du[k], optimize=True)
         to_second = -basis @ du[after]
-        return left.ravel(), slope.reshape(size, 21), to_first, to_second
+        # The Earth's rate C(t)ᵀ e, taken back into the body where the turn began, is e all the while.
+        earth = np.cross(u[k][:, None, :], -lasting[:, None, None] * level_of[k].transpose(0, 2, 1))
+        by_earth = np.einsum("mia,mba,mpb->mip", basis, attitude, earth, optimize=True).reshape(size, 2)
+        left = left.ravel() + by_earth @ p[21:]
+        return left, np.concatenate([slope.reshape(size, 21), by_earth], axis=1), to_first, to_second
 
     def by_accelerometers(to_first: np.ndarray, to_second: np.ndarray) -> np.ndarray:
         return (to_first @ df[k] + to_second @ df[after]).reshape(size, 9)
 
-    rest_columns = np.zeros((len(level), 21))
-    for j in range(3):  # parameters are rows of (E, b, G) by gyro
-        rest_columns[j::3, 7 * j + 3] = 1.0
-        rest_columns[j::3, 7 * j + 4 : 7 * j + 7] = f
-
-    def rows(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        left, slope, to_first, to_second = shared(p)
-        of_means = np.zeros((size, 3 * len(f)))
+    def covariance_of(to_first: np.ndarray, to_second: np.ndarray) -> np.ndarray:
+        """Of the turns' rows, by the noise of the directions and the accelerometers' coefficients."""
+        of_means = np.zeros((size, len(f), 3))
         for m in range(len(k)):
-            of_means[2 * m : 2 * m + 2, 3 * k[m] : 3 * k[m] + 3] = to_first[m]
-            of_means[2 * m : 2 * m + 2, 3 * after[m] : 3 * after[m] + 3] = to_second[m]
-        stacked = of_means.reshape(size, len(f), 3)
-        covariance = np.einsum("ika,kab,jkb->ij", stacked, noise, stacked, optimize=True)
+            of_means[2 * m : 2 * m + 2, k[m]], of_means[2 * m : 2 * m + 2, after[m]] = to_first[m], to_second[m]
         known = by_accelerometers(to_first, to_second)
-        covariance += np.diag(np.repeat(own, 2)) + known @ accelerometer.covariance @ known.T
-        whole = np.zeros((size + len(level), size + len(level)))
-        whole[:size, :size], whole[size:, size:] = covariance, np.diag(level)
-        both = np.concatenate([left, rest_columns @ p - at_rest.ravel()])
-        return both, np.concatenate([slope, rest_columns]), whole
+        by_noise = np.einsum("ika,kab,jkb->ij", of_means, noise, of_means, optimize=True)
+        return by_noise + known @ accelerometer.covariance @ known.T
 
-    priors = np.tile([_RELATIVE] * 3 + [_RATE_BIAS] + [_SENSITIVITY] * 3, 3)
-    gyro = _fit(rows, priors, centre, gain, np.arange(size))
-    _, slope, to_first, to_second = shared(gyro.parameters)
-    whole = rows(gyro.parameters)[2][:size, :size] + gyro.beyond**2 * np.eye(size)
+    def fit(level_of: np.ndarray) -> tuple[Fitted, Fitted, np.ndarray]:
+        """The rates at rest alone, and all together, with the turns' own variance."""
+        resting = np.concatenate([columns, level_of.reshape(-1, 2)], axis=1)
+        level = np.concatenate([density / t for t in held.duration])
+        seen = np.r_[unmoved, True, True]
+        alone, by_white = resting[:, seen], np.diag(level)
+        rest = _fit(lambda p: (alone @ p - at_rest.ravel(), alone, by_white), priors[seen], centre, gain, slice(None))
+        # What the rates at rest change by beyond noise (drift) is in every turn too.
+        own = np.repeat(np.mean(density) * lasting + rest.beyond**2 * lasting**2, 2)
+
+        def rows(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            left, slope, to_first, to_second = turns(p, level_of)
+            whole = np.diag(np.r_[own, level + rest.beyond**2])
+            whole[:size, :size] += covariance_of(to_first, to_second)
+            both = np.concatenate([left, resting @ p - at_rest.ravel()])
+            return both, np.concatenate([slope, resting]), whole
+
+        return rest, _fit(rows, priors, centre, gain, slice(0, size)), own
+
+    level_of = np.zeros((len(f), 3, 2))
+    _, gyro, _ = fit(level_of)
+    # Now the attitudes are known well enough to say where the Earth's horizontal rate pointed.
+    level_of = _level(_turned(gyro.parameters[:21], moves)[0], k, u)
+    rest, gyro, own = fit(level_of)
+    _, slope, to_first, to_second = turns(gyro.parameters, level_of)
+    whole = covariance_of(to_first, to_second) + np.diag(own + gyro.beyond**2)
     known = by_accelerometers(to_first, to_second)
     # An error of the accelerometers' coefficients moves the gyros' by minus their gain times what it does to the rows.
     cross = -accelerometer.covariance @ known.T @ np.linalg.solve(whole, slope) @ gyro.covariance
-    return ByHand(held, accelerometer, gyro, cross, rest.test, rest.beyond, len(k))
+    own_fit = gyro._replace(
+        parameters=gyro.parameters[:21], covariance=gyro.covariance[:21, :21], hidden=gyro.hidden[:21]
+    )
+    earth = gyro.parameters[21:]
+    return ByHand(held, accelerometer, own_fit, cross[:, :21], rest.test, rest.beyond, len(k), earth)
 
 
-def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray, gravity: float) -> tuple[np.ndarray, float]:
+def _level(turned: np.ndarray, start: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Two horizontal directions in the body of each position (K, 3, 2), the same two all the time; none after a turn
+    that is missing.
+    """
+    found = np.zeros((len(u), 3, 2))
+    if start[0] != 0:
+        return found
+    found[0] = np.linalg.svd(u[0][None])[2][1:].T
+    for m, k in enumerate(start):
+        if not np.array_equal(start[: m + 1], np.arange(m + 1)):
+            break
+        carried = turned[m].T @ found[k]
+        # What the gyros missed of the vertical is no part of the horizontal.
+        q, r = np.linalg.qr(carried - np.outer(u[k + 1], u[k + 1] @ carried) / (u[k + 1] @ u[k + 1]))
+        found[k + 1] = q * np.sign(np.diag(r))
+    return found
+
+
+def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray) -> tuple[np.ndarray, float]:
     """What the gyros say at rest, and what they say of one rad/s: 1 where that turns gravity as the positions say."""
     longest = int(np.argmax(held.duration))
     centre = held.rates[longest]
@@ -375,7 +410,7 @@ def _fit(
     priors: np.ndarray,
     centre: np.ndarray,
     gain: float,
-    tested: np.ndarray,
+    tested: slice,
 ) -> Fitted:
     """Least squares of rows with a covariance: `rows(p)` gives residuals (r,), their derivative (r, p), covariance
     (r, r); `tested`: the rows to which a variance is added where the whole is worse than its noise.

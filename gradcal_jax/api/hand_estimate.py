@@ -23,6 +23,7 @@ from gradcal_jax.files.unit_calibration import (
     term_of,
 )
 from gradcal_jax.files.unit_correction import triad_of
+from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.units import DEG_PER_H, G
 
 # Of the three mean squares of gravity's direction along axes: below, all positions lie near one plane.
@@ -102,6 +103,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     held, force_fit, rate_fit = found.positions, found.accelerometer, found.gyro
     between = slice(int(held.rows[0, 0]), int(held.rows[-1, 1]) + 1)
     fastest = np.degrees(np.nanmax(np.abs((rates[between] - rate_fit.centre) / rate_fit.gain)))
+    fastest = float(np.radians(np.ceil(fastest)))
     tests = {
         "accelerometers: norm of gravity": force_fit.test,
         "accelerometers: whiteness from position to position": estimation.whiteness(force_fit.left),
@@ -121,7 +123,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         frame=_FRAME,
         order=UNIT_ORDER,
         valid_temperature=(_degrees_c(np.floor(low * 10.0) / 10.0), _degrees_c(np.ceil(high * 10.0) / 10.0)),
-        valid_rate=tuple(Quantity.of(s * float(np.radians(np.ceil(fastest))), "rad/s") for s in (-1.0, 1.0)),
+        valid_rate=(Quantity.of(-fastest, "rad/s"), Quantity.of(fastest, "rad/s")),
         channel=channels,
         covariance=Covariance(
             names=tuple(n for n, out in zip(names, hidden, strict=True) if not out),
@@ -161,7 +163,7 @@ def _density(noise: np.ndarray, gain: float, unit: str) -> Quantity:
 def _channels(found: ByHand) -> Iterator[CalibratedChannel]:
     """What said = centre + gain · (…) comes to in the file's terms."""
     gyro, force = found.gyro, found.accelerometer
-    for j, a in enumerate("xyz"):
+    for j, a in enumerate(AXIS_NAMES):
         row = gyro.gain * gyro.parameters.reshape(3, 7)[j]
         terms = [
             term_of("bias", "rad/s", (), {"a": float(gyro.centre[j] + row[3])}),
@@ -180,7 +182,7 @@ def _channels(found: ByHand) -> Iterator[CalibratedChannel]:
     matrix = np.zeros((3, 3))
     for value, place in zip(force.parameters[3:], LOWER, strict=True):
         matrix[place] = force.gain * value
-    for j, a in enumerate("xyz"):
+    for j, a in enumerate(AXIS_NAMES):
         terms: list[CalibratedTerm] = [
             term_of("bias", "m/s^2", (), {"a": float(force.centre[j] + force.gain * force.parameters[j])}),
             term_of("scale_factor", "1", (f"force {a}",), {"s": float(force.gain + matrix[j, j] - 1.0)}),
@@ -196,7 +198,7 @@ def _covariance(found: ByHand) -> tuple[list[str], np.ndarray]:
     """Names of all coefficients, accelerometers first, and their covariance in SI."""
     names = [f"accelerometer_{a}.a" for a in "xyz"]
     names += [f"accelerometer_{'xyz'[j]}." + ("s" if j == l else f"m_{'xyz'[l]}") for j, l in LOWER]
-    for j, a in enumerate("xyz"):
+    for j, a in enumerate(AXIS_NAMES):
         names += [f"gyro_{a}." + ("b00" if j == l else f"m_{'xyz'[l]}") for l in range(3)]
         names += [f"gyro_{a}.a", *(f"gyro_{a}.g_{b}" for b in "xyz")]
     gains = np.repeat([found.accelerometer.gain, found.gyro.gain], [9, 21])

@@ -17,7 +17,7 @@ is worse than noise explains, a variance is added that explains it (Paule and Ma
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -415,34 +415,41 @@ def _fit(
     """Least squares of rows with a covariance: `rows(p)` gives residuals (r,), their derivative (r, p), covariance
     (r, r); `tested`: the rows to which a variance is added where the whole is worse than its noise.
     """
-    p, beyond = np.zeros(len(priors)), 0.0
-    added = np.zeros(len(rows(p)[0]))
+    added = np.zeros(len(rows(np.zeros(len(priors)))[0]))
     added[tested] = 1.0
-    test: Test | None = None
-    for _ in range(4):
-        root = np.linalg.cholesky(rows(p)[2] + np.diag(added * beyond**2))
 
-        def white(x: np.ndarray, root: np.ndarray = root) -> np.ndarray:
-            return np.concatenate([solve_triangular(root, rows(x)[0], lower=True), x / priors])
+    def best(start: np.ndarray, beyond: float) -> np.ndarray:
+        """With the weights that the start gives."""
+        root = np.linalg.cholesky(rows(start)[2] + np.diag(added * beyond**2))
 
-        def slope(x: np.ndarray, root: np.ndarray = root) -> np.ndarray:
-            return np.concatenate([solve_triangular(root, rows(x)[1], lower=True), np.diag(1.0 / priors)])
+        def white(p: np.ndarray) -> np.ndarray:
+            return np.concatenate([solve_triangular(root, rows(p)[0], lower=True), p / priors])
 
-        p = least_squares(white, p, jac=slope, x_scale=priors, xtol=1e-12, ftol=1e-12, gtol=1e-12).x
-        left, by, covariance = rows(p)
-        whole = slope(p)
-        known = np.linalg.inv(whole.T @ whole)
+        def slope(p: np.ndarray) -> np.ndarray:
+            return np.concatenate([solve_triangular(root, rows(p)[1], lower=True), np.diag(1.0 / priors)])
+
+        jacobian: Any = slope
+        return least_squares(white, start, jac=jacobian, x_scale=priors, xtol=1e-12, ftol=1e-12, gtol=1e-12).x
+
+    def known_of(p: np.ndarray, beyond: float) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance, and the directions, in units of the priors, of which the data say nothing."""
+        _, by, covariance = rows(p)
+        white = solve_triangular(np.linalg.cholesky(covariance + np.diag(added * beyond**2)), by, lower=True)
+        known = np.linalg.inv(white.T @ white + np.diag(priors**-2.0))
         values, vectors = np.linalg.eigh(known / np.outer(priors, priors))
-        unseen = vectors[:, values > _KEPT]
-        free = len(left) - (len(p) - unseen.shape[1])
-        if test is None:
-            first = white(p)[: len(left)]
-            test = chi_squared_test(float(first @ first), free)
-        if not test.passed:
-            beyond = _beyond(left, by, covariance, added, priors, free)
-    assert test is not None
+        return known, vectors[:, values > _KEPT]
+
+    p = best(best(np.zeros(len(priors)), 0.0), 0.0)
+    left, _, covariance = rows(p)
+    free = len(left) - (len(p) - known_of(p, 0.0)[1].shape[1])
+    first = np.linalg.solve(np.linalg.cholesky(covariance), left)
+    test, beyond = chi_squared_test(float(first @ first), free), 0.0
+    for _ in range(0 if test.passed else 3):
+        beyond = _beyond(*rows(p), added, priors, free)
+        p = best(p, beyond)
+    known, unseen = known_of(p, beyond)
     hidden = np.sum(unseen**2, axis=1) > _TAKES_PART
-    return Fitted(p, known, hidden, centre, gain, test, left[tested], beyond)
+    return Fitted(p, known, hidden, centre, gain, test, rows(p)[0][tested], beyond)
 
 
 def _beyond(
@@ -459,4 +466,8 @@ def _beyond(
 
     level = 0.5 * float(np.log(np.median(np.diag(covariance)[added > 0.0])))
     low, high = level - 12.0, level + 25.0
-    return 0.0 if excess(low) <= 0.0 or excess(high) >= 0.0 else float(np.exp(brentq(excess, low, high, xtol=1e-6)))
+    return (
+        0.0
+        if excess(low) <= 0.0 or excess(high) >= 0.0
+        else float(np.exp(cast(float, brentq(excess, low, high, xtol=1e-6))))
+    )

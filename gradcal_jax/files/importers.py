@@ -151,8 +151,11 @@ class ColumnMap(Section):
         """The sensors, one made of what stands at the top where `[[sensor]]` is absent."""
         if self.sensor:
             return self.sensor
-        of_one = {"rate": self.rate, "force": self.force, "temperature": self.temperature, "status": self.status}
-        return (SensorColumns(name=self.name, **of_one),)
+        return (
+            SensorColumns(
+                name=self.name, rate=self.rate, force=self.force, temperature=self.temperature, status=self.status
+            ),
+        )
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""

@@ -89,7 +89,7 @@ def correct_unit(
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         at = np.clip(temperature_c[rows], low, high)
         measured = np.concatenate([rate[rows], force[rows]], axis=1)
-        there = np.isfinite(measured).any(axis=0)
+        there = np.asarray(np.any(np.isfinite(measured), axis=0))
         matrix, _ = linear_part(channels, float(np.median(at)))
         inverse = np.linalg.inv(matrix)
         now = 0.0 * measured
@@ -109,7 +109,8 @@ def correct_unit(
             moved = 0.0
             for k in np.flatnonzero(there):
                 # Only what acts on it: a reading that is missing takes no other triad with it.
-                change = sum(inverse[k, j] * left[:, j] for j in np.flatnonzero(there) if inverse[k, j] != 0.0)
+                acts = np.flatnonzero(there & (inverse[k] != 0.0))
+                change = left[:, acts] @ inverse[k, acts]
                 now[:, k] += change
                 size = max(float(np.nanmax(np.abs(now[:, k]), initial=0.0)), 1e-300)
                 moved = max(moved, float(np.nanmax(np.abs(change), initial=0.0)) / size)

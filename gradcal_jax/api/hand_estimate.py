@@ -59,12 +59,13 @@ def estimate_by_hand(
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> list[HandReport]:
-    """The calibration of every asked unit (all, without `units`) in a log of many positions, by gravity (m/s²) alone.
+    """The calibration of every asked unit (all, without `units`) in a log of many positions, by `gravity` (m/s²).
 
     Accelerometers by |f| = g over the standstills, then gyros by the turns of gravity between them
     (`gradcal_jax.estimation.hand`). Readings may be raw counts. `options`: `api.estimate_options.Options`, of which
-    this takes `earth_rate` (rad/s, straight up), `clock` and `temperature_c`. Returns reports with a `calibration`
-    (SI), tests, what is left of gravity (m/s²) and of the turns (rad), and `messages`.
+    this takes `earth_rate` (rad/s, straight up), `clock` and `temperature_c`; `sources`: names of files, for the
+    provenance. Returns reports with a `calibration` (SI), tests, what is left of gravity (m/s²) and of the turns (rad),
+    and `messages`.
 
     Errors: `LogError` with a sentence where the log does not hold what the estimate needs.
     """

@@ -55,8 +55,8 @@ class HandRows(NamedTuple):
 
 
 class Positions(NamedTuple):
-    """The standstills: `force`, `rates` (K, 3) means, `duration` (K,) s, `rows` (K, 2) first and last; and the white
-    noise (3,) of each axis, as variance of a mean over one second.
+    """The standstills: `force`, `rates` `(K, 3)` means, `duration` `(K,)` s, `rows` `(K, 2)` first and last; and the
+    white noise `(3,)` of each axis, as variance of a mean over one second.
     """
 
     force: np.ndarray
@@ -84,9 +84,9 @@ class Fitted(NamedTuple):
 
 
 class ByHand(NamedTuple):
-    """Both triads. `cross` (9, 21): covariance of their parameters; `at_rest`: test of the rates over standstills, and
-    `unsteady` (rad/s) what they change by beyond noise; `turns`: how many counted; `earth_level` (2,): the Earth's
-    horizontal rate that was found, rad/s, in axes of no known azimuth.
+    """Both triads. `cross` `(9, 21)`: covariance of their parameters; `at_rest`: test of the rates over standstills,
+    and `unsteady` (rad/s) what they change by beyond noise; `turns`: how many counted; `earth_level` `(2,)`: the
+    Earth's horizontal rate that was found, rad/s, in axes of no known azimuth.
     """
 
     positions: Positions

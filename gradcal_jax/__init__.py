@@ -77,6 +77,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "export": "files.exports",
     "report": "pages.report",
     # calibrations of whole units
+    "estimate_by_hand": "api.hand_estimate",
     "estimate_units": "api.unit_estimate",
     "UnitCalibration": "files.unit_calibration",
     "read_any_calibration": "files.unit_calibration",

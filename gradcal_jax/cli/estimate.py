@@ -50,6 +50,7 @@ def estimate(
     read_every: str = "1 s",
     neighbours: str | None = None,
     temperature: str | None = None,
+    gravity: str | None = None,
     parameters: Path | None = None,
     points: Path | None = None,
     source: Recording = WHOLE,
@@ -60,7 +61,7 @@ def estimate(
     """Estimate a calibration from a log by the model of a spec, and say whether the data agree with that model.
 
     Without a spec: the bias over temperature of a vehicle at rest that warms by itself, with the noise that its log
-    shows.
+    shows; with --gravity, a whole unit that was laid down in many positions and turned by hand between them.
 
     The exit status is 1 where a target is missed, something cannot be observed, or the data contradict the model.
 
@@ -100,6 +101,10 @@ def estimate(
         Also without a structure: moves of one rate within, say, "5 K" taken together, beside what the map says of them.
     temperature
         At which a log without a thermometer was recorded, such as "23 degC".
+    gravity
+        Of the place, such as "9.80665 m/s^2": calibrate three accelerometers and three gyros by it alone, without table
+        and spec. The unit lay still in some twenty positions in all directions, and was turned by hand between them;
+        readings may be raw counts.
     parameters
         Write the bias over temperature here too, as parameters of the flight controller (PX4, ArduPilot) whose log
         this is.
@@ -115,6 +120,25 @@ def estimate(
     """
     from gradcal_jax.files.unit_spec import UnitSpec
 
+    if gravity is not None:
+        others: dict[str, object] = {"--spec": spec, "--recipe": recipe, "--axis": axis, "--table-axis": table_axis}
+        others |= {"--earth-rate": earth_rate, "--smoothness": smoothness != "spec", "--robust": robust}
+        others |= {"--lag": lag != "none", "--read-every": read_every != "1 s", "--neighbours": neighbours}
+        others |= {"--parameters": parameters, "--points": points, "a second log": more}
+        if used := [name for name, value in others.items() if value]:
+            raise ValueError(f"{', '.join(used)}: not for a unit that was turned by hand (--gravity)")
+        options = _options(None, latitude, lag, smoothness, clock, read_every, None, temperature)
+        g = quantity(gravity, "acceleration", "--gravity")
+        recorded = load(log, source)
+        files = _files(output, unit or recorded.units)
+        for path in files.values():
+            writable(path, force)
+        drawable(plot)
+        from gradcal_jax.cli.hand_estimate import estimate_of_held_units
+
+        return estimate_of_held_units(
+            recorded, str(log), g, unit, options=options, files=files, plot=plot, json=json
+        )  # fmt: skip
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if isinstance(model, UnitSpec):

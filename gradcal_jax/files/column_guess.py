@@ -23,6 +23,9 @@ x = { column = "gx", unit = "deg/s" }
 y = { column = "gy", unit = "deg/s" }
 z = { column = "gz", unit = "deg/s", scale = 0.0305 }     # counts: deg/s per count
 
+# [force]                                     # of its accelerometers: +1 g along an axis that points up at rest
+# x = { column = "ax", unit = "m/s^2" }
+
 # [table_angle]                               # of a rate table, where it was recorded
 # inner = { column = "angle", unit = "deg" }
 
@@ -39,7 +42,13 @@ _RATE: Final = re.compile(
     r"(?:[ _\-(\[]*(deg/s|dps|°/s|mdps|rad/s|rps|rad_s|deg_s|deg/h))?[)\]]*",
     re.IGNORECASE,
 )
+_FORCE: Final = re.compile(
+    r"(?:acc(?:el(?:erometer)?)?|a|specific[ _]?force|f)[ _.\-]?([xyz])"
+    r"(?:[ _\-(\[]*(m/s\^?2|m/s²|ms2|m_s2|mg|g))?[)\]]*",
+    re.IGNORECASE,
+)
 _UNITS: Final = {
+    "m/s2": "m/s^2", "m/s²": "m/s^2", "ms2": "m/s^2", "m_s2": "m/s^2",
     "sec": "s", "seconds": "s", "µs": "us", "dps": "deg/s", "°/s": "deg/s", "deg_s": "deg/s", "rps": "rad/s",
     "rad_s": "rad/s", "c": "degC", "f": "degF",
 }  # fmt: skip
@@ -64,10 +73,13 @@ def guess(path: Path) -> str | None:
     """
     names, delimiter = _names(path)
     rates: dict[str, tuple[str, str]] = {}
+    forces: dict[str, tuple[str, str]] = {}
     time = temperature = None
     for name in names:
         if (match := _RATE.fullmatch(name)) and match[1].lower() not in rates:
             rates[match[1].lower()] = (name, _unit(match[2]))
+        elif (match := _FORCE.fullmatch(name)) and match[1].lower() not in forces:
+            forces[match[1].lower()] = (name, _unit(match[2]))
         elif time is None and (match := _TIME.fullmatch(name)):
             time = (name, _unit(match[2]))
         elif temperature is None and (match := _TEMPERATURE.fullmatch(name)):
@@ -78,6 +90,7 @@ def guess(path: Path) -> str | None:
     lines += [_line("time", *time)] if time else ['sample_rate = "???"']
     lines += [_line("temperature", *temperature)] if temperature else []
     lines += [_line(f"rate.{axis}", *rates[axis]) for axis in sorted(rates)]
+    lines += [_line(f"force.{axis}", *forces[axis]) for axis in sorted(forces)]
     if delimiter not in (None, ","):
         lines += ["[csv]", f'delimiter = "{delimiter}"']
     return "\n".join(lines)

@@ -15,6 +15,8 @@ What the columns mean is said in a small TOML file, with units:
     [rate]
     x = { column = "gx", unit = "deg/s", scale = 0.0305, zero = 12 }      # (number - zero) × scale, in the unit
     y = { column = "gyro", index = 1, unit = "rad/s" }                    # one column of a two-dimensional array
+    [force]                                   # specific force: +1 g along an axis that points up at rest
+    x = { column = "ax", unit = "m/s^2" }     # as for rates
     [table_angle]
     inner = { column = 4, unit = "deg" }      # text and .npy: also by number, counted from 0
     [csv]
@@ -23,8 +25,9 @@ What the columns mean is said in a small TOML file, with units:
     [policy]
     gaps = "refuse"                           # see gradcal_jax.files.log_faults
 
-Several sensors on one table: `[[sensor]]` tables with `name`, `rate`, `temperature` and `status`, in the place of those
-at the top. Times count from the first row.
+Several sensors on one table: `[[sensor]]` tables with `name`, `rate`, `force`, `temperature` and `status`, in the place
+of those at the top. Times count from the first row. Raw counts whose scale nobody knows stand as they are, with
+`wrong_units = "keep"`.
 """
 
 from collections.abc import Iterator
@@ -45,6 +48,7 @@ from gradcal_jax.files.quantity import Flag, Number, Of, PositiveRate, Quantity,
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.tables import (
     AngleColumn,
+    ForceColumn,
     Numbers,
     RateColumn,
     Source,
@@ -75,6 +79,8 @@ class SensorColumns(Section):
     """Of the sensor."""
     rate: Annotated[dict[Name, RateColumn], Field(min_length=1, max_length=20)]
     """Columns of its axes, by name."""
+    force: Annotated[dict[Name, ForceColumn], Field(max_length=20, default_factory=dict[str, ForceColumn])]
+    """Columns of its accelerometers' specific force, by axis."""
     temperature: TemperatureColumn | None = None
     """Column of its temperature."""
     status: StatusColumn | None = None
@@ -102,6 +108,8 @@ class ColumnMap(Section):
     """Column of the computer's time."""
     rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     """Columns of the axes, by name."""
+    force: Annotated[dict[Name, ForceColumn], Field(max_length=20, default_factory=dict[str, ForceColumn])]
+    """Columns of the accelerometers' specific force, by axis."""
     temperature: TemperatureColumn | None = None
     """Column of the temperature."""
     status: StatusColumn | None = None
@@ -113,7 +121,7 @@ class ColumnMap(Section):
     table_rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     """Columns of the table's rates, by axis."""
     sensor: Annotated[tuple[SensorColumns, ...], Field(max_length=1000)] = ()
-    """Several sensors, in the place of `rate`, `temperature` and `status`."""
+    """Several sensors, in the place of `rate`, `force`, `temperature` and `status`."""
     csv: TextTable = TextTable()
     """How a text file is laid out."""
     policy: Policy = Policy()
@@ -122,12 +130,12 @@ class ColumnMap(Section):
     @model_validator(mode="after")
     def _together(self) -> "ColumnMap":
         problems: list[Problem] = []
-        if self.sensor and (self.rate or self.temperature or self.status):
+        if self.sensor and (self.rate or self.force or self.temperature or self.status):
             text = "stands in each [[sensor]], or at the top where there is one sensor only"
-            problems.append(Problem(("sensor",), f"rate, temperature and status {text}"))
+            problems.append(Problem(("sensor",), f"rate, force, temperature and status {text}"))
         if not self.sensor and not self.rate:
             problems.append(Problem(("rate",), "this key is missing; name at least one axis", kind="missing"))
-        axes = {tuple(sensor.rate) for sensor in self.sensor}
+        axes = {(tuple(sensor.rate), tuple(sensor.force)) for sensor in self.sensor}
         if len(axes) > 1:
             problems.append(Problem(("sensor",), "every sensor needs the same axes, in the same order"))
         if len({sensor.name for sensor in self.sensor}) < len(self.sensor):
@@ -144,7 +152,11 @@ class ColumnMap(Section):
         """The sensors, one made of what stands at the top where `[[sensor]]` is absent."""
         if self.sensor:
             return self.sensor
-        return (SensorColumns(name=self.name, rate=self.rate, temperature=self.temperature, status=self.status),)
+        return (
+            SensorColumns(
+                name=self.name, rate=self.rate, force=self.force, temperature=self.temperature, status=self.status
+            ),
+        )
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""
@@ -153,6 +165,7 @@ class ColumnMap(Section):
                 yield source
         for sensor in self.sensors:
             yield from sensor.rate.values()
+            yield from sensor.force.values()
             for source in (sensor.temperature, sensor.status):
                 if source is not None:
                     yield source
@@ -208,12 +221,16 @@ def _refuse_contradictions(columns: ColumnMap) -> None:
 
 def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
     sensors = columns.sensors
-    rate = np.stack(
-        [
-            np.stack([table.measured(column, "angular rate") for column in sensor.rate.values()], axis=-1)
-            for sensor in sensors
-        ]
+    rate, force = (
+        np.stack([np.stack([table.measured(c, dimension) for c in of.values()], axis=-1) for of in columns_of])
+        if columns_of[0]
+        else None
+        for dimension, columns_of in (
+            ("angular rate", [sensor.rate for sensor in sensors]),
+            ("acceleration", [sensor.force for sensor in sensors]),
+        )
     )
+    assert rate is not None
     rows = rate.shape[1]
     if rows < 2:
         raise LogError(f"there are {rows} rows of numbers; at least two are needed")
@@ -237,6 +254,8 @@ def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
         time_s=None if columns.time is None else table.stamps(columns.time),
         sample_rate_hz=None if columns.sample_rate is None else float(columns.sample_rate),
         full_scale_rad_per_s=None if columns.full_scale is None else float(columns.full_scale),
+        specific_force_m_per_s2=force,
+        force_axes=tuple(sensors[0].force),
         temperature_c=temperature if any(sensor.temperature for sensor in sensors) else None,
         table_axes=table_axes,
         table_angle_rad=np.stack(angles, axis=1) if angles else None,

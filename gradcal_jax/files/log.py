@@ -53,6 +53,7 @@ class Reason(IntFlag):
     MISSING_TEMPERATURE = 8
     FROZEN_TEMPERATURE = 16
     LEFT_OUT = 32
+    MISSING_FORCE = 64
 
     @property
     def words(self) -> str:

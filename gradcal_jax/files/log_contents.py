@@ -10,6 +10,7 @@ from gradcal_jax.files.section import Section
 PerSample = tuple[Literal["time"]]
 PerUnit = tuple[Literal["unit"], Literal["time"]]
 PerAxis = tuple[Literal["unit"], Literal["time"], Literal["axis"]]
+PerForceAxis = tuple[Literal["unit"], Literal["time"], Literal["force_axis"]]
 PerTableAxis = tuple[Literal["time"], Literal["table_axis"]]
 
 
@@ -33,6 +34,15 @@ class Rates(_Variable):
     dimensions: PerAxis
     """Dimensions of the variable."""
     units: Literal["rad s-1"]
+    """Its unit."""
+
+
+class Forces(_Variable):
+    """Specific forces: +1 g along an axis that points up at rest; of a row, the mean since the row before."""
+
+    dimensions: PerForceAxis
+    """Dimensions of the variable."""
+    units: Literal["m s-2"]
     """Its unit."""
 
 
@@ -72,8 +82,19 @@ class Standstills(_Variable):
     """Its unit."""
 
 
+class Mountings(_Variable):
+    """Of the mountings of the unit's spec the number, from 0."""
+
+    dimensions: PerSample
+    """Dimensions of the variable."""
+    units: Literal["1"]
+    """Its unit."""
+
+
 class Statuses(_Variable):
-    """0: usable; otherwise bits: 1 no rate, 2 saturated, 4 marked, 8 no temperature, 16 it is frozen, 32 left out."""
+    """0: usable; otherwise bits: 1 no rate, 2 saturated, 4 marked, 8 no temperature, 16 it is frozen, 32 left out,
+    64 no specific force.
+    """
 
     dimensions: PerUnit
     """Dimensions of the variable."""
@@ -99,6 +120,8 @@ class Variables(Section):
     """What the sensors said."""
     stretch_start: StretchStarts
     """Where unbroken stretches begin."""
+    specific_force: Forces | None = None
+    """What the accelerometers said."""
     temperature: Temperatures | None = None
     """Of the sensors."""
     table_angle: TableAngles | None = None
@@ -107,6 +130,8 @@ class Variables(Section):
     """Of the table's axes."""
     standstill: Standstills | None = None
     """Which standstill a row belongs to."""
+    mounting: Mountings | None = None
+    """How the unit hung."""
     host_time: Stamps | None = None
     """Of the computer's clock."""
     status: Statuses | None = None
@@ -118,8 +143,10 @@ class Labels(Section):
 
     unit: Annotated[tuple[Text, ...], Field(min_length=1)]
     """Serial numbers or names of the sensors."""
-    axis: Annotated[tuple[Text, ...], Field(min_length=1)]
-    """Names of their axes."""
+    axis: tuple[Text, ...]
+    """Names of their gyro axes; none where they have accelerometers alone."""
+    force_axis: tuple[Text, ...] = ()
+    """Names of their accelerometers' axes."""
     table_axis: tuple[Text, ...] = ()
     """Names of the table's axes."""
 
@@ -160,7 +187,7 @@ def contents(dataset: Any) -> LogContents:
     }
     labels = {
         name: tuple(str(label) for label in dataset[name].values)
-        for name in ("unit", "axis", "table_axis")
+        for name in ("unit", "axis", "force_axis", "table_axis")
         if name in dataset.coords
     }
     return LogContents.model_validate(

@@ -6,6 +6,7 @@
     unordered stamp             its time is before that of an earlier row                             mask, refuse
     gap                         an interval that later stamps do not make up for (jitter they do)     split, refuse
     missing rate                a rate that is no finite number                                       mask, refuse
+    missing force               a specific force that is no finite number                             mask, refuse
     saturated                   at full scale, or stuck at its own extreme three rows on end          mask, keep, refuse
     marked                      the device's own status                                               mask, keep, refuse
     missing temperature         a temperature that is no finite number                                mask, keep, refuse
@@ -32,6 +33,8 @@ Bools = NDArray[np.bool_]
 
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""
+_LARGEST_FORCE: Final = 500.0
+"""m/s²: usual in no record that a calibration is made of."""
 _GAP: Final = 1.6
 """Intervals: less is jitter."""
 _WINDOW: Final = 5
@@ -80,6 +83,8 @@ class Policy(Section):
     """Intervals that later stamps do not make up for."""
     missing_rates: Literal["mask", "refuse"] = "mask"
     """Rates that are no finite number."""
+    missing_forces: Literal["mask", "refuse"] = "mask"
+    """Specific forces that are no finite number."""
     saturated: Literal["mask", "keep", "refuse"] = "mask"
     """Rates at full scale, or stuck at their own extreme."""
     marked: Literal["mask", "keep", "refuse"] = "mask"
@@ -106,6 +111,8 @@ class Columns:
     sample_rate_hz: float | None = None
     """The stated sample rate, where there is one."""
     full_scale_rad_per_s: float | None = None
+    specific_force_m_per_s2: Floats | None = None
+    force_axes: tuple[str, ...] = ()
     temperature_c: Floats | None = None
     table_axes: tuple[str, ...] = ()
     table_angle_rad: Floats | None = None
@@ -135,7 +142,7 @@ class Columns:
         for field_ in fields(self):
             array: Any = getattr(self, field_.name)
             if isinstance(array, np.ndarray):
-                by_unit = field_.name in ("rate_rad_per_s", "temperature_c", "marked")
+                by_unit = field_.name in ("rate_rad_per_s", "specific_force_m_per_s2", "temperature_c", "marked")
                 cut[field_.name] = array[:, kept] if by_unit else array[kept]
         return replace(self, **cut, rows_before=first, rows_after=count - last)
 
@@ -171,6 +178,7 @@ class _Examination:
             return None if values is None else values[kept]
 
         rate = raw.rate_rad_per_s[:, kept]
+        force = None if raw.specific_force_m_per_s2 is None else raw.specific_force_m_per_s2[:, kept]
         temperature = None if raw.temperature_c is None else raw.temperature_c[:, kept]
         marked = None if raw.marked is None else raw.marked[:, kept]
         table_angle, table_rate, host = of(raw.table_angle_rad), of(raw.table_rate_rad_per_s), of(raw.host_time_s)
@@ -179,6 +187,10 @@ class _Examination:
         if raw.left_out is not None:
             status[:, raw.left_out[kept]] |= Reason.LEFT_OUT.value
         self.rates(rate, status)
+        if force is not None:
+            missing = np.any(~(np.abs(force) < _ABSURD), axis=2)
+            self.mask(status, missing, Reason.MISSING_FORCE, self.policy.missing_forces, "without a specific force")
+            self.force_sizes(force, status)
         if marked is not None:
             self.mask(status, marked, Reason.MARKED, self.policy.marked, "marked bad by the device")
         if temperature is not None:
@@ -190,6 +202,8 @@ class _Examination:
             rate_rad_per_s=rate,
             units=raw.units,
             axes=raw.axes,
+            specific_force_m_per_s2=force,
+            force_axes=raw.force_axes,
             temperature_c=temperature,
             table_axes=raw.table_axes,
             table_angle_rad=table_angle,
@@ -379,6 +393,16 @@ class _Examination:
             table_rate = np.gradient(table_angle, time, axis=0)
         if table_rate is not None:
             self.against_table(rate, table_rate, usable, action)
+
+    def force_sizes(self, force: Floats, status: NDArray[np.uint16]) -> None:
+        """Specific forces that no accelerometer of a gyro's unit says, or that are those of g."""
+        for unit, name in enumerate(self.raw.units):
+            if not (rows := status[unit] == 0).any():
+                continue
+            usual = float(np.median(np.linalg.norm(force[unit, rows], axis=1)))
+            if usual > _LARGEST_FORCE or (force.shape[2] == 3 and 0.5 < usual < 2.0):
+                text = f"the specific force of {name} is usually {usual:.3g} m/s²: is its unit g, or counts?"
+                self.found("wrong unit", self.policy.wrong_units, 0, text)
 
     def against_table(self, rate: Floats, table_rate: Floats, usable: Bools, action: str) -> None:
         """A table axis and a sensor axis that move as one, but by a factor that is one of units."""

@@ -102,6 +102,12 @@ class RateColumn(Measured):
     _unit = field_validator("unit")(_Of("angular rate"))
 
 
+class ForceColumn(Measured):
+    """A specific force."""
+
+    _unit = field_validator("unit")(_Of("acceleration"))
+
+
 class AngleColumn(Measured):
     """An angle."""
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.c_header import comment, literal
 from gradcal_jax.files.unit_calibration import CalibratedTerm, UnitCalibration
-from gradcal_jax.files.unit_correction import correct_unit
+from gradcal_jax.files.unit_correction import correct_unit, linear_part
 from gradcal_jax.units import DEG_PER_H, G
 
 Floats = NDArray[np.float64]
@@ -27,6 +27,7 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
                     "else: export to csv, or estimate with polynomials"
                 )
     errors, test = _errors(calibration)
+    inverse = _inverse(calibration)
     low, high = (float(t) for t in calibration.valid_temperature)
     slow, fast = (float(r) for r in calibration.valid_rate)
     lines = [
@@ -52,10 +53,14 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
         t0, ts, nt, w0, ws, nw = _shape(term)
         numbers = ", ".join(literal(v) for v in (t0, 1.0 / ts, w0, 1.0 / ws))
         lines.append(f"    {{{out}, {{{', '.join(map(str, signals))}}}, {numbers}, {nt}, {nw}, gradcal_c{k}}},")
-    lines += ["};", "", f"#define GRADCAL_T_MIN {literal(low)}", f"#define GRADCAL_T_MAX {literal(high)}"]
+    lines += ["};", "", "/* of the linear part at the middle of the temperatures */"]
+    rows = ",\n".join("    {" + ", ".join(literal(v) for v in row) + "}" for row in inverse)
+    lines += [f"static const float gradcal_inverse[6][6] = {{\n{rows}\n}};"]
+    lines += ["", f"#define GRADCAL_T_MIN {literal(low)}", f"#define GRADCAL_T_MAX {literal(high)}"]
     lines += [f"#define GRADCAL_W_MIN {literal(slow)}", f"#define GRADCAL_W_MAX {literal(fast)}", "", _FUNCTION]
     temperature, raw, found = test
-    tolerance = max(4e-6 * float(np.max(np.abs(found))), 1e-7)
+    rounding = float(np.max(np.abs(inverse) @ np.abs(raw)))  # of raw counts far off zero
+    tolerance = max(4e-6 * float(np.max(np.abs(found))), 4e-7 * rounding, 1e-7)
     lines += [
         "/* self-test: gradcal_correct(GRADCAL_TEST_T, raw, out) must give these within GRADCAL_TEST_TOLERANCE */",
         f"#define GRADCAL_TEST_T {literal(temperature)}",
@@ -89,7 +94,7 @@ static inline float gradcal_clip(float x, float low, float high)
 static inline void gradcal_correct(float temperature, const float raw[6], float out[6])
 {
     const float t = gradcal_clip(temperature, GRADCAL_T_MIN, GRADCAL_T_MAX);
-    for (int k = 0; k < 6; k++) out[k] = raw[k];
+    for (int k = 0; k < 6; k++) out[k] = 0.0f;
     for (int round = 0; round < """
     + str(_ROUNDS)
     + """; round++) {
@@ -112,7 +117,10 @@ static inline void gradcal_correct(float temperature, const float raw[6], float 
             }
             error[a->of] += value;
         }
-        for (int k = 0; k < 6; k++) out[k] = raw[k] - error[k];
+        for (int k = 0; k < 6; k++) error[k] = raw[k] - out[k] - error[k];
+        for (int k = 0; k < 6; k++) {
+            for (int j = 0; j < 6; j++) out[k] += gradcal_inverse[k][j] * error[j];
+        }
     }
 }
 """
@@ -136,13 +144,19 @@ def _coefficients(term: CalibratedTerm) -> list[float]:
     return list(term.coefficients.values())
 
 
+def _inverse(calibration: UnitCalibration) -> Floats:
+    """(6, 6): what each channel's error is divided by."""
+    low, high = (float(t) for t in calibration.valid_temperature)
+    return np.asarray(np.linalg.inv(linear_part(calibration.channel, 0.5 * (low + high))[0]), np.float64)
+
+
 def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c: Floats) -> Floats:
     """What the header's function gives, step by step in float32: `(n, 6)`."""
     f = np.float32
     low, high = (f(float(v)) for v in calibration.valid_temperature)
     slow, fast = (f(float(v)) for v in calibration.valid_rate)
     t, said = np.clip(temperature_c.astype(f), low, high), raw.astype(f)
-    out = said.copy()
+    out, inverse = np.zeros_like(said), _inverse(calibration).astype(f)
     for _ in range(_ROUNDS):
         error = np.zeros_like(out)
         for channel in calibration.channel:
@@ -162,7 +176,9 @@ def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c
                     signal = out[:, _INPUTS.index(name.strip("|"))]
                     value = value * (np.abs(signal) if name.startswith("|") else signal)
                 error[:, k] += value
-        out = said - error
+        left = said - out - error
+        for j in range(6):
+            out += inverse[:, j] * left[:, j : j + 1]
     return out.astype(np.float64)
 
 
@@ -172,7 +188,9 @@ def _errors(calibration: UnitCalibration) -> tuple[list[tuple[str, str, float, s
     low, high = (float(t) for t in calibration.valid_temperature)
     slow, fast = (float(r) for r in calibration.valid_rate)
     temperature = rng.uniform(low, high, _POINTS)
-    raw = np.concatenate([rng.uniform(slow, fast, (_POINTS, 3)), rng.uniform(-G, G, (_POINTS, 3))], axis=1)
+    inputs = np.concatenate([rng.uniform(slow, fast, (_POINTS, 3)), rng.uniform(-G, G, (_POINTS, 3))], axis=1)
+    matrix, bias = linear_part(calibration.channel, 0.5 * (low + high))
+    raw = inputs @ matrix.T + bias
     raw, temperature = raw.astype(np.float32).astype(np.float64), temperature.astype(np.float32).astype(np.float64)
     rate, force = correct_unit(
         calibration.channel, raw[:, :3], raw[:, 3:], temperature, temperatures=(low, high), rates=(slow, fast)

@@ -2,8 +2,9 @@
 
     measured = input + Σ map(T) · signals
 
-is solved for the inputs of all channels together: the sum, taken at the corrected values, is subtracted from what was
-measured, again until nothing changes. Each round gains a factor of the size of the errors.
+is solved for the inputs of all channels together: what the sum, taken at the corrected values, leaves of what was
+measured is divided by the linear part and added to them, again until nothing changes. Each round gains a factor of the
+size of what is not linear, or differs from its value at the middle of the temperatures: raw counts are no hindrance.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,8 @@ from gradcal_jax.files.unit_calibration import CalibratedChannel, CalibratedTerm
 Floats = NDArray[np.float64]
 _ROWS_AT_ONCE = 1 << 15
 _ROUNDS = 60
-_SETTLED = 4e-16
+_SETTLED = 1e-14
+_SIGNALS = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz")
 
 
 def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
@@ -52,6 +54,22 @@ def channel_error(channel: CalibratedChannel, temperature_c: Floats, signals: di
     return total
 
 
+def linear_part(channels: Sequence[CalibratedChannel], temperature_c: float) -> tuple[Floats, Floats]:
+    """At one temperature, turned slowly: measured = matrix (6, 6) · (rates x, y, z, forces x, y, z) + bias (6,), SI.
+    What the channels have not is taken as perfect.
+    """
+    at, matrix, bias = np.array([temperature_c]), np.eye(6), np.zeros(6)
+    for channel in channels:
+        own = _SIGNALS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")
+        for term in channel.term:
+            value = float(term_values(term, at, np.zeros(1))[0])
+            if not term.signals:
+                bias[own] += value
+            elif len(term.signals) == 1 and not term.signals[0].startswith("|"):
+                matrix[own, _SIGNALS.index(term.signals[0])] += value
+    return matrix, bias
+
+
 def correct_unit(
     channels: Sequence[CalibratedChannel],
     rate: Floats,
@@ -70,15 +88,15 @@ def correct_unit(
     for begin in range(0, len(rate), _ROWS_AT_ONCE):
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         at = np.clip(temperature_c[rows], low, high)
-        measured = {"gyro": rate[rows], "accelerometer": force[rows]}
-        now = {kind: values.copy() for kind, values in measured.items()}
+        measured = np.concatenate([rate[rows], force[rows]], axis=1)
+        there = np.asarray(np.any(np.isfinite(measured), axis=0))
+        matrix, _ = linear_part(channels, float(np.median(at)))
+        inverse = np.linalg.inv(matrix)
+        now = 0.0 * measured
         for _ in range(_ROUNDS):
-            signals = {f"rate {a}": now["gyro"][:, k] for k, a in enumerate("xyz")}
-            signals |= {f"force {a}": now["accelerometer"][:, k] for k, a in enumerate("xyz")}
-            signals = {name: values for name, values in signals.items() if np.isfinite(values).any()}
-            moved = 0.0
+            signals = {name: now[:, k] for k, name in enumerate(_SIGNALS) if there[k]}
+            left = measured - now
             for channel in channels:
-                k = "xyz".index(channel.axis)
                 own = dict(signals)
                 if channel.kind == "gyro" and (name := f"rate {channel.axis}") in own:
                     # The map holds at its edge; the rate that it multiplies goes on.
@@ -87,13 +105,18 @@ def correct_unit(
                 if channel.kind == "gyro" and (scale := channel.term_of("scale_factor")) is not None:
                     beyond = signals[f"rate {channel.axis}"] - own[f"rate {channel.axis}"]
                     error = error + term_values(scale, at, own[f"rate {channel.axis}"]) * beyond
-                better = measured[channel.kind][:, k] - error
-                change = np.nanmax(np.abs(better - now[channel.kind][:, k]), initial=0.0)
-                moved = max(moved, change / max(float(np.nanmax(np.abs(better), initial=0.0)), 1e-300))
-                now[channel.kind][:, k] = better
+                left[:, _SIGNALS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")] -= error
+            moved = 0.0
+            for k in np.flatnonzero(there):
+                # Only what acts on it: a reading that is missing takes no other triad with it.
+                acts = np.flatnonzero(there & (inverse[k] != 0.0))
+                change = left[:, acts] @ inverse[k, acts]
+                now[:, k] += change
+                size = max(float(np.nanmax(np.abs(now[:, k]), initial=0.0)), 1e-300)
+                moved = max(moved, float(np.nanmax(np.abs(change), initial=0.0)) / size)
             if moved <= _SETTLED:
                 break
-        found_rate[rows], found_force[rows] = now["gyro"], now["accelerometer"]
+        found_rate[rows], found_force[rows] = now[:, :3], now[:, 3:]
     return found_rate, found_force
 
 

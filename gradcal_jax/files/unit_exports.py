@@ -23,7 +23,7 @@ from gradcal_jax.files.bases import TemperaturePolynomial
 from gradcal_jax.files.calibration import AxisCalibration, BiasMap, Calibration, Noise, ScaleFactorMap
 from gradcal_jax.files.exports import Export, Loss
 from gradcal_jax.files.unit_calibration import CalibratedChannel, CalibratedTerm, UnitCalibration
-from gradcal_jax.files.unit_correction import term_values
+from gradcal_jax.files.unit_correction import linear_part, term_values
 from gradcal_jax.units import DEG_PER_H, G
 
 Floats = NDArray[np.float64]
@@ -133,22 +133,8 @@ class Linear(NamedTuple):
 
 def linear_at(calibration: UnitCalibration, temperature_c: float) -> Linear:
     """The linear part of every channel at one temperature; what a unit has not is taken as perfect."""
-    at = np.array([temperature_c])
-    found = Linear(np.eye(3), np.zeros(3), np.zeros((3, 3)), np.eye(3), np.zeros(3))
-    for channel in calibration.channel:
-        i = _TRIAD.index(channel.axis)
-        own, bias = (
-            (found.gyro, found.gyro_bias) if channel.kind == "gyro" else (found.accelerometer, found.accelerometer_bias)
-        )
-        signal = "rate" if channel.kind == "gyro" else "force"
-        for term in channel.term:
-            value = float(term_values(term, at, np.zeros(1))[0])
-            if not term.signals:
-                bias[i] += value
-            elif len(term.signals) == 1 and not term.signals[0].startswith("|"):
-                what, axis = term.signals[0].split()
-                (own if what == signal else found.sensitivity)[i, _TRIAD.index(axis)] += value
-    return found
+    matrix, bias = linear_part(calibration.channel, temperature_c)
+    return Linear(matrix[:3, :3], bias[:3], matrix[:3, 3:], matrix[3:, 3:], bias[3:])
 
 
 def _lost(calibration: UnitCalibration, carried: Callable[[CalibratedTerm], bool]) -> list[Loss]:

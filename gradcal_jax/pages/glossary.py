@@ -9,6 +9,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
     "guard band": "What an acceptance limit stays below its target, so that the risk of a wrong acceptance is small.",
     "guarded": "Of acceptance: a unit passes only where the risk that it exceeds its limit is below a chosen one.",
     "risk": "The chance of a wrong decision: of one unit (specific), or of any unit beforehand (global).",
+    "accelerometer": "A sensor of specific force: at rest it says +1 g along an axis that points up.",
     "angle random walk": "White noise of the rate; the angle integrated from it wanders as √time. In deg/√h.",
     "axis": "A direction of sensing or of turning: x, y or z. Each axis of a sensor is a channel of its own.",
     "attitude": "How a unit stands: the rotation from its own axes to East, North and up.",

@@ -6,8 +6,10 @@ from scipy.io import savemat
 
 from gradcal_jax.files.column_guess import EXAMPLE, guess
 from gradcal_jax.files.importers import import_log, parse_column_map, read_column_map
-from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log import LogError, write_log
+from gradcal_jax.files.log_contents import contents
 from gradcal_jax.files.matlab_file import read_matlab
+from gradcal_jax.files.netcdf import load_netcdf
 from gradcal_jax.files.problems import SpecError
 
 HEAD = 'format = "gradcal-columns/1"\n'
@@ -116,6 +118,12 @@ def test_the_example_of_a_column_map_is_one_and_a_header_is_guessed(tmp_path):
     assert {axis: column.unit for axis, column in found.rate.items()} == {"x": "rad/s", "y": "rad/s"}
     assert found.temperature.unit == "degC"
     assert found.csv.delimiter == ";"
+    path.write_text("t [s],gx [deg/s],ax [m/s2],acc_y (g)\n0,1,2,3\n", encoding="utf-8")
+    forces = parse_column_map(guess(path)).force
+    assert {axis: (column.column, column.unit) for axis, column in forces.items()} == {
+        "x": ("ax [m/s2]", "m/s^2"),
+        "y": ("acc_y (g)", "g"),
+    }
     path.write_text("t,gx,gy\n0,1,2\n", encoding="utf-8")
     assert 'unit = "???"' in guess(path)  # a header without units: a person says them
     path.write_text("when,voltage\n0,1\n", encoding="utf-8")
@@ -199,6 +207,43 @@ def test_matlab_arrays_are_those_of_scipy(tmp_path_factory, seed, compressed):
     for name, array in written.items():
         assert found[name].dtype == array.dtype
         np.testing.assert_array_equal(found[name], array.ravel() if 1 in array.shape else array)
+
+
+FORCES = "".join(f'force.{a} = {{ column = "acc", index = {k}, unit = "mg" }}\n' for k, a in enumerate("xyz"))
+
+
+def test_specific_forces_are_read_masked_and_judged(tmp_path):
+    path, n = tmp_path / "imu.npz", 400
+    rng = np.random.default_rng(5)
+    acc = 1000.0 * np.array([0.6, 0.0, 0.8]) + 5.0 * rng.standard_normal((n, 3))
+    acc[7, 1] = np.nan
+    np.savez(path, t=np.arange(n) * 10.0, gx=0.1 * rng.standard_normal(n), acc=acc, counts=np.full((n, 3), 33000))
+    log = import_log(path, plain(FORCES))
+    assert log.force_axes == ("x", "y", "z")
+    np.testing.assert_allclose(log.specific_force_m_per_s2[0], 9.80665e-3 * acc, rtol=1e-12)
+    assert log.counts() == {"used": n - 1, "missing force": 1}
+    assert import_log(path, plain(FORCES), rows=(0, 9)).specific_force_m_per_s2.shape == (1, 9, 3)
+    with pytest.raises(LogError, match="without a specific force"):
+        import_log(path, plain(FORCES + "[policy]\nmissing_forces = 'refuse'\n"))
+    with pytest.raises(LogError, match=r"usually 1 m/s²: is its unit g"):
+        import_log(path, plain(FORCES.replace('"mg"', '"m/s^2", scale = 1e-3')))
+    counts = FORCES.replace('"acc"', '"counts"').replace('"mg"', '"m/s^2"')
+    with pytest.raises(LogError, match="is its unit g, or counts"):
+        import_log(path, plain(counts))
+    kept = import_log(path, plain(counts + "[policy]\nwrong_units = 'keep'\n"))
+    assert [finding.kind for finding in kept.findings] == ["wrong unit"]
+    assert kept.specific_force_m_per_s2[0, 0, 2] == 33000.0
+    # A log with forces is one that other programs are told the contents of.
+    write_log(log, tmp_path / "log.nc")
+    described = contents(load_netcdf(tmp_path / "log.nc"))
+    assert described.labels.force_axis == ("x", "y", "z")
+    assert described.variables.specific_force is not None
+
+
+def test_forces_of_several_sensors_are_of_the_same_axes():
+    one = '[[sensor]]\nname = "a"\nrate.x = { column = "gx", unit = "deg/s" }\n' + FORCES
+    text = HEAD + 'sample_rate = "100 Hz"\n' + one + one.replace('"a"', '"b"').replace("force.z", "force.w")
+    assert "every sensor needs the same axes" in refused(text)
 
 
 def test_several_sensors_on_one_table(tmp_path):

@@ -1,0 +1,281 @@
+"""A log of a unit, held still in many positions and turned by hand -> its calibration, without table and spec."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import gradcal_jax
+from gradcal_jax import estimation
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import bridged_temperature, host_time
+from gradcal_jax.estimation import Test
+from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
+from gradcal_jax.files.calibration import FORMAT, LOG_HASH, Covariance, FitTest
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.unit_calibration import (
+    UNIT_ORDER,
+    CalibratedChannel,
+    CalibratedTerm,
+    UnitCalibration,
+    UnitNoise,
+    term_of,
+)
+from gradcal_jax.files.unit_correction import triad_of
+from gradcal_jax.model import AXIS_NAMES
+from gradcal_jax.units import DEG_PER_H, G
+
+# Of the three mean squares of gravity's direction along axes: below, all positions lie near one plane.
+_FLAT = 0.01
+_FRAME = "the accelerometers' own: x along accelerometer x, y in the plane of accelerometers x and y"
+_GYRO_RATE = {"basis": "polynomial", "degree": 0, "scale": "300 deg/s"}
+
+
+class HandReport(NamedTuple):
+    """The estimate of one unit. `tests` by name; `gravity_left` (m/s²) rms of |f| − g over the positions, `turns_left`
+    (rad) rms by which gravity's direction is missed after a turn, in each of two directions across it.
+    """
+
+    unit: str
+    found: ByHand
+    calibration: UnitCalibration
+    tests: dict[str, Test]
+    gravity_left: float
+    turns_left: float
+    messages: tuple[str, ...]
+
+    @property
+    def as_wished(self) -> bool:
+        """Everything observed, every test passed."""
+        return not self.calibration.unobservable and all(test.passed for test in self.tests.values())
+
+
+def estimate_by_hand(
+    log: Log,
+    gravity: float,
+    *,
+    units: Sequence[str] = (),
+    options: Options | None = None,
+    sources: dict[str, str] | None = None,
+) -> list[HandReport]:
+    """The calibration of every asked unit (all, without `units`) in a log of many positions, by `gravity` (m/s²).
+
+    Accelerometers by |f| = g over the standstills, then gyros by the turns of gravity between them
+    (`gradcal_jax.estimation.hand`). Readings may be raw counts. `options`: `api.estimate_options.Options`, of which
+    this takes `earth_rate` (rad/s, straight up), `clock` and `temperature_c`; `sources`: names of files, for the
+    provenance. Returns reports with a `calibration` (SI), tests, what is left of gravity (m/s²) and of the turns (rad),
+    and `messages`.
+
+    Errors: `LogError` with a sentence where the log does not hold what the estimate needs.
+    """
+    if not gravity > 0.0:
+        raise ValueError(f"gravity is {gravity:g} m/s²: it must be positive")
+    names = list(units) or list(log.units)
+    return [_report(log, name, gravity, options or Options(), sources or {}) for name in names]
+
+
+def _report(log: Log, name: str, gravity: float, options: Options, sources: dict[str, str]) -> HandReport:
+    number, messages, time = log.unit_index(name), [], log.time_s
+    if options.clock == "host":
+        time, said = host_time(log)
+        messages.append(said)
+    rates, force = triad_of(log, number)
+    missing = [f"gyro {a}" for k, a in enumerate("xyz") if not np.isfinite(rates[:, k]).any()]
+    missing += [f"accelerometer {a}" for k, a in enumerate("xyz") if not np.isfinite(force[:, k]).any()]
+    if missing:
+        raise LogError(
+            f"the log has no {', '.join(missing)}: gravity calibrates three gyros by three accelerometers, along axes "
+            "named x, y, z (in a column map: [rate] and [force])"
+        )
+    usable = log.usable(number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
+    usable[log.stretch_starts] = False  # what lay before the row was not recorded
+    temperature = bridged_temperature(log, number, options.temperature_c)
+    try:
+        standing = log.standstill
+        if standing is None:
+            standing = find_positions(rates, force, log.sample_interval_s, usable)
+            messages.append(
+                f"the log marks no standstills: {int(standing.max()) + 1} were found where rates and forces are quiet"
+            )
+        found = solve_by_hand(HandRows(time, rates, force, usable, standing), gravity, options.earth_rate)
+    except ValueError as error:
+        raise LogError(f"{name}: {error}") from None
+    held, force_fit, rate_fit = found.positions, found.accelerometer, found.gyro
+    between = slice(int(held.rows[0, 0]), int(held.rows[-1, 1]) + 1)
+    fastest = np.degrees(np.nanmax(np.abs((rates[between] - rate_fit.centre) / rate_fit.gain)))
+    fastest = float(np.radians(np.ceil(fastest)))
+    tests = {
+        "accelerometers: norm of gravity": force_fit.test,
+        "accelerometers: whiteness from position to position": estimation.whiteness(force_fit.left),
+        "gyros: turns of gravity": rate_fit.test,
+        "gyros: rates at rest": found.at_rest,
+    }
+    channels = tuple(_channels(found))
+    names, matrix = _covariance(found)
+    hidden = np.concatenate([force_fit.hidden, rate_fit.hidden])
+    low, high = float(temperature[between].min()), float(temperature[between].max())
+    calibration = UnitCalibration(
+        format=FORMAT,
+        title=f"calibration of {name} by hand",
+        serial_number=name,
+        quantity="unit",
+        simulated=log.simulated,
+        frame=_FRAME,
+        order=UNIT_ORDER,
+        valid_temperature=(_degrees_c(np.floor(low * 10.0) / 10.0), _degrees_c(np.ceil(high * 10.0) / 10.0)),
+        valid_rate=(Quantity.of(-fastest, "rad/s"), Quantity.of(fastest, "rad/s")),
+        channel=channels,
+        covariance=Covariance(
+            names=tuple(n for n, out in zip(names, hidden, strict=True) if not out),
+            matrix=tuple(tuple(float(v) for v in row) for row in matrix[np.ix_(~hidden, ~hidden)]),
+        ),
+        fit=tuple(
+            FitTest(name=key, statistic=t.statistic, degrees=t.degrees, chance=t.probability)
+            for key, t in tests.items()
+        ),
+        unobservable=tuple(n for n, out in zip(names, hidden, strict=True) if out),
+        noise=UnitNoise(
+            angle_random_walk=_density(held.rate_noise, rate_fit.gain, "rad/s/sqrt(Hz)"),
+            velocity_random_walk=_density(held.force_noise, force_fit.gain, "m/s^2/sqrt(Hz)"),
+            sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
+        ),
+        provenance={
+            "program": f"gradcal {gradcal_jax.__version__}",
+            "estimator": f"norm and turns of gravity, {gravity:.9g} m/s^2; {len(held.duration)} positions, "
+            f"{found.turns} turns",
+            **{key: text for key, text in {**log.provenance, **sources}.items() if text},
+            LOG_HASH: log.fingerprint(name),
+        },
+    )
+    left = [float(np.sqrt(np.mean(fit.left**2))) for fit in (force_fit, rate_fit)]
+    messages += _words(found, tests, calibration.unobservable, gravity, options.earth_rate)
+    return HandReport(name, found, calibration, tests, left[0], left[1], tuple(messages))
+
+
+def _degrees_c(value: float) -> Quantity:
+    return Quantity.of(float(value), "degC")
+
+
+def _density(noise: np.ndarray, gain: float, unit: str) -> Quantity:
+    return Quantity.of(float(np.sqrt(np.mean(noise))) / gain, unit)
+
+
+def _channels(found: ByHand) -> Iterator[CalibratedChannel]:
+    """What said = centre + gain · (…) comes to in the file's terms."""
+    gyro, force = found.gyro, found.accelerometer
+    for j, a in enumerate(AXIS_NAMES):
+        row = gyro.gain * gyro.parameters.reshape(3, 7)[j]
+        terms = [
+            term_of("bias", "rad/s", (), {"a": float(gyro.centre[j] + row[3])}),
+            term_of("scale_factor", "1", (f"rate {a}",), {"b00": float(gyro.gain + row[j] - 1.0)}, rate=_GYRO_RATE),
+        ]
+        terms += [
+            term_of(f"misalignment_{b}", "rad", (f"rate {b}",), {f"m_{b}": float(row[l])})
+            for l, b in enumerate("xyz")
+            if l != j
+        ]
+        terms += [
+            term_of(f"g_sensitivity_{b}", "rad/s/(m/s^2)", (f"force {b}",), {f"g_{b}": float(row[4 + l])})
+            for l, b in enumerate("xyz")
+        ]
+        yield CalibratedChannel(kind="gyro", axis=a, term=tuple(terms))
+    matrix = np.zeros((3, 3))
+    for value, place in zip(force.parameters[3:], LOWER, strict=True):
+        matrix[place] = force.gain * value
+    for j, a in enumerate(AXIS_NAMES):
+        terms: list[CalibratedTerm] = [
+            term_of("bias", "m/s^2", (), {"a": float(force.centre[j] + force.gain * force.parameters[j])}),
+            term_of("scale_factor", "1", (f"force {a}",), {"s": float(force.gain + matrix[j, j] - 1.0)}),
+        ]
+        terms += [
+            term_of(f"misalignment_{b}", "rad", (f"force {b}",), {f"m_{b}": float(matrix[j, l])})
+            for l, b in enumerate("xyz"[:j])
+        ]
+        yield CalibratedChannel(kind="accelerometer", axis=a, term=tuple(terms))
+
+
+def _covariance(found: ByHand) -> tuple[list[str], np.ndarray]:
+    """Names of all coefficients, accelerometers first, and their covariance in SI."""
+    names = [f"accelerometer_{a}.a" for a in "xyz"]
+    names += [f"accelerometer_{'xyz'[j]}." + ("s" if j == l else f"m_{'xyz'[l]}") for j, l in LOWER]
+    for j, a in enumerate(AXIS_NAMES):
+        names += [f"gyro_{a}." + ("b00" if j == l else f"m_{'xyz'[l]}") for l in range(3)]
+        names += [f"gyro_{a}.a", *(f"gyro_{a}.g_{b}" for b in "xyz")]
+    gains = np.repeat([found.accelerometer.gain, found.gyro.gain], [9, 21])
+    whole = np.block([[found.accelerometer.covariance, found.cross], [found.cross.T, found.gyro.covariance]])
+    return names, whole * np.outer(gains, gains)
+
+
+def _words(
+    found: ByHand, tests: dict[str, Test], unseen: Sequence[str], gravity: float, earth_up: float
+) -> Iterator[str]:
+    """What the data say, in sentences."""
+    force, gyro, held = found.accelerometer, found.gyro, found.positions
+    for fit, what, unit in ((force, "forces", "m/s²"), (gyro, "rates", "rad/s")):
+        if fit.gain != 1.0:
+            yield f"the {what} are counts, about {fit.gain:.4g} of them one {unit}: the scale factors hold that, too"
+    up = (held.force - force.centre) / np.linalg.norm(held.force - force.centre, axis=1, keepdims=True)
+    spread, axes = np.linalg.eigh(up.T @ up / len(up))
+    if spread[0] < _FLAT:
+        normal = ", ".join(f"{v:+.2f}" for v in axes[:, 0])
+        yield (
+            f"all positions lie near one plane: gravity was never along ({normal}) of the unit's x, y, z; hold it with "
+            "that direction up and down, too"
+        )
+    for k, a in enumerate("xyz"):
+        for words, most in (("up", up[:, k].max()), ("down", -up[:, k].min())):
+            if most < 0.5:
+                yield f"axis {a} was never held within 60° of {words}"
+    if unseen:
+        yield f"the data say nothing of {', '.join(unseen)}: the file holds them as of an ideal unit"
+    if force.beyond > 0.0:
+        yield (
+            f"|f| - g differs from position to position by {force.beyond / G * 1e6:.3g} µg more than noise explains: "
+            "was the unit quite still, and is the error in proportion to the force? The covariance counts it"
+        )
+    if gyro.beyond > 0.0:
+        yield (
+            f"gravity's direction after a turn is missed by {gyro.beyond * 1e6:.3g} µrad more than noise explains: the "
+            "gyros have errors that their scale, misalignment and sensitivity to acceleration do not hold, or the unit "
+            "moved in a standstill. The covariance counts it"
+        )
+    if found.unsteady > 0.0:
+        yield (
+            f"the gyros' rates at rest differ by {found.unsteady * DEG_PER_H:.3g} deg/h more than noise and their "
+            "sensitivity to acceleration explain: drift, it seems. The covariance counts it"
+        )
+    if not (white := tests["accelerometers: whiteness from position to position"]).passed:
+        yield f"|f| - g is not independent from position to position (chance {white.probability:.1g}): it warms or ages"
+    if earth_up == 0.0:
+        yield (
+            "of the Earth's rate what points up is in the sensitivities to acceleration, up to 15 deg/h at 1 g: with "
+            "--latitude it is taken off"
+        )
+    yield f"the accelerometers' scale factors are as right as g is: {gravity:.6g} m/s²"
+
+
+def hand_estimate_rows(report: HandReport) -> dict[str, Any]:
+    """All numbers of an estimate for another program, SI."""
+    found = report.calibration
+    covariance = found.covariance
+    assert covariance is not None
+    deviations = {name: float(np.sqrt(covariance.matrix[k][k])) for k, name in enumerate(covariance.names)}
+    parameters = [
+        {"name": f"{channel.name}.{n}", "value": v, "std": deviations.get(f"{channel.name}.{n}"), "unit": term.unit}
+        for channel in found.channel
+        for term in channel.term
+        for n, v in term.coefficients.items()
+    ]
+    return {
+        "unit": report.unit,
+        "simulated": found.simulated,
+        "parameters": parameters,
+        "positions": len(report.found.positions.duration),
+        "turns": report.found.turns,
+        "gravity_rms_m_per_s2": report.gravity_left,
+        "turns_rms_rad": report.turns_left,
+        "tests": [row.model_dump(mode="json") for row in found.fit],
+        "unobservable": list(found.unobservable),
+        "messages": list(report.messages),
+    }

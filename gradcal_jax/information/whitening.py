@@ -213,7 +213,7 @@ def filter_columns(
     count, p = columns.shape
     n = state.covariance.shape[0]
     # What is not traced may be NumPy's.
-    steps = steps._make(map(jnp.asarray, steps))
+    steps = jax.tree.map(jnp.asarray, steps)
     length = block_length(count, block)
     cut_steps = Steps(
         cut(steps.observation, length, 0.0),

@@ -30,6 +30,7 @@ ARGUMENTS = {
     "predict": "FILE",
     "recipe": "FILE -o OUT",
     "recipes": "FILE -o OUT",
+    "replan": "FILE -o OUT",
     "report": "FILE -o OUT",
     "rig check": "FILE",
     "run": "FILE --simulate -o OUT",

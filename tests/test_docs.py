@@ -160,6 +160,9 @@ ELSEWHERE = {
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
     "optimise unit.toml -o better.toml --steps 600": "tests/api/test_unit_optimise.py",
+    'estimate recording.npz --columns columns.toml --gravity "9.81744 m/s^2" --temperature "23 degC" -o unit.toml': (
+        "tests/unit/test_hand_recording.py"
+    ),
     "estimate run/log.nc --recipe recipe.toml -o calibration.toml --plot fit.png": (
         "tests/cli/test_unit_estimate_cli.py"
     ),

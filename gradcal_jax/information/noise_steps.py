@@ -47,7 +47,7 @@ class NoiseSteps(NamedTuple):
         still = np.broadcast_to(np.eye(n), (missing, n, n))
         fillings = (still, np.zeros((missing, n, n)), np.zeros((missing, n)), np.ones(missing), np.zeros(missing, bool))
         longer = [np.concatenate([np.asarray(f), filling]) for f, filling in zip(self, fillings, strict=False)]
-        return NoiseSteps(*longer, np.asarray(self.initial))
+        return NoiseSteps._make([*longer, np.asarray(self.initial), None])
 
 
 def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> NoiseSteps:

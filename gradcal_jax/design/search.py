@@ -25,8 +25,9 @@ _SURVIVORS, _FEWEST = 0.5, 4
 _QUICK_STEPS = 200
 # For an objective of more noise steps than this fewer begin, in proportion, and fewer hop.
 _CHEAP, _FEWEST_DEAR = 1024, 2
-# What makes small kernels run a little quicker in some programs costs a third of the time to compile each.
-_COMPILER = {"xla_cpu_use_fusion_emitters": False}
+# What makes small kernels run a little quicker in some programs costs a third of the time to compile each. Later
+# versions know no such option, and refuse what they do not know.
+_COMPILER = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
 # Standard deviations of hops in coordinates of unit size, in turn; after a round of each that gains less than this
 # share it ends.
 _HOPS = (0.3, 1.0)

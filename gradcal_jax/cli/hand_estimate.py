@@ -8,6 +8,7 @@ from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import as_json, save_figure
 from gradcal_jax.cli.recordings import described
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.cli.unit_estimate import write_calibrations
 from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ def estimate_of_held_units(
     """Estimate, print, write. The exit status: see `gradcal estimate`."""
     from gradcal_jax.api.estimate_options import Options
     from gradcal_jax.api.hand_estimate import estimate_by_hand, hand_estimate_rows
-    from gradcal_jax.files.unit_calibration import write_unit_calibration
 
     sources = {"log": Path(name).name}
     reports = estimate_by_hand(log, gravity, units=units, options=Options(**options), sources=sources)
@@ -37,11 +37,7 @@ def estimate_of_held_units(
         print(as_json({"units": [hand_estimate_rows(report) for report in reports]}))
     else:
         print("\n".join([described(log, name), *(_text(report) for report in reports)]))
-    for report in reports:
-        if (path := files.get(report.unit)) is not None:
-            write_unit_calibration(report.calibration, path)
-            if not json:
-                print(f"wrote {path}")
+    write_calibrations(reports, files, quiet=json)
     if plot is not None:
         from gradcal_jax.plots.by_hand import draw_by_hand
 

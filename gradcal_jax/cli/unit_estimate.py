@@ -12,6 +12,7 @@ from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
+    from gradcal_jax.api.hand_estimate import HandReport
     from gradcal_jax.api.unit_estimate import UnitReport
     from gradcal_jax.files.log import Log
     from gradcal_jax.files.unit_spec import UnitSpec
@@ -32,7 +33,6 @@ def estimate_of_units(
     """Estimate, print, write. The exit status: see `gradcal estimate`."""
     from gradcal_jax.api.estimate_options import Options
     from gradcal_jax.api.unit_estimate import estimate_units, unit_estimate_rows
-    from gradcal_jax.files.unit_calibration import write_unit_calibration
 
     reports = estimate_units(spec, logs, units=units, options=Options(**options), sources=sources)
     if json:
@@ -41,16 +41,25 @@ def estimate_of_units(
         print("\n".join(described(log, name) for log, name in zip(logs, names, strict=True)))
         for report in reports:
             print(_text(report))
-    for report in reports:
-        if (path := files.get(report.unit)) is not None:
-            write_unit_calibration(report.calibration, path)
-            if not json:
-                print(f"wrote {path}")
+    write_calibrations(reports, files, quiet=json)
     if plot is not None:
         from gradcal_jax.plots.unit_calibration import draw_unit_estimate
 
         save_figure(draw_unit_estimate(reports[0]), plot, quiet=json)
     return DONE if all(report.as_wished for report in reports) else NOT_AS_WISHED
+
+
+def write_calibrations(
+    reports: "Sequence[UnitReport] | Sequence[HandReport]", files: Mapping[str, Path], *, quiet: bool
+) -> None:
+    """Write the calibration of every unit that has a file to go to."""
+    from gradcal_jax.files.unit_calibration import write_unit_calibration
+
+    for report in reports:
+        if (path := files.get(report.unit)) is not None:
+            write_unit_calibration(report.calibration, path)
+            if not quiet:
+                print(f"wrote {path}")
 
 
 def _text(report: "UnitReport") -> str:

@@ -63,11 +63,11 @@ class LineFramer:
         return [line for line in lines if (line or self._keep_empty) and len(line) <= self._longest]
 
 
-class ModbusTcpFramer:
-    """Messages of Modbus TCP, by the length in their head. What cannot be a head is dropped byte by byte."""
+class BufferedFramer:
+    """What every framer has whose unfinished frame is all that it remembers."""
 
     def __init__(self) -> None:
-        self._buffer = b""
+        self._buffer: bytes = b""
 
     @property
     def pending(self) -> bytes:
@@ -75,6 +75,10 @@ class ModbusTcpFramer:
 
     def reset(self) -> None:
         self._buffer = b""
+
+
+class ModbusTcpFramer(BufferedFramer):
+    """Messages of Modbus TCP, by the length in their head. What cannot be a head is dropped byte by byte."""
 
     def push(self, data: bytes) -> list[bytes]:
         self._buffer += data
@@ -91,7 +95,7 @@ class ModbusTcpFramer:
         return frames
 
 
-class ModbusReplyFramer:
+class ModbusReplyFramer(BufferedFramer):
     """Replies of a Modbus RTU slave to functions 3, 4, 6 and 16, by the length that their head announces.
 
     The frames' CRC is *not* checked here: the codec does, so that a damaged reply is told from a missing one. Only what
@@ -99,15 +103,8 @@ class ModbusReplyFramer:
     """
 
     def __init__(self, address: int) -> None:
+        super().__init__()
         self._address = address
-        self._buffer = b""
-
-    @property
-    def pending(self) -> bytes:
-        return self._buffer
-
-    def reset(self) -> None:
-        self._buffer = b""
 
     def push(self, data: bytes) -> list[bytes]:
         self._buffer += data

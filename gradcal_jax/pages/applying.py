@@ -18,6 +18,7 @@ _ENDINGS: Final = {
     "c-header": "h",
     "csv": "csv",
 }
+_AT_ONE_TEMPERATURE: Final = ("kalibr", "matrices")
 
 
 class ExampleFact(NamedTuple):
@@ -41,8 +42,7 @@ class ExportFact(NamedTuple):
 
 def example_of(axis: AxisCalibration) -> ExampleFact:
     """A reading at a third of the largest rate, at room temperature where that is covered."""
-    cold, warm = (float(end) for end in axis.valid_temperature)
-    at = 25.0 if cold <= 25.0 <= warm else 0.5 * (cold + warm)
+    at = _room(axis)
     said_dps = float(f"{np.degrees(max(abs(float(end)) for end in axis.valid_rate)) / 3.0:.1g}")
     temperature, said = np.array([at]), np.array([np.radians(said_dps)])
     true = correction.correct(axis, said, temperature)
@@ -56,36 +56,29 @@ def example_of(axis: AxisCalibration) -> ExampleFact:
     )
 
 
-def unit_exports_of(calibration: UnitCalibration, name: str) -> list[ExportFact]:
-    """As `exports_of`, of a whole unit."""
-    cold, warm = (float(end) for end in calibration.valid_temperature)
-    at = 25.0 if cold <= 25.0 <= warm else 0.5 * (cold + warm)
+def exports_of(calibration: Calibration | UnitCalibration, name: str) -> list[ExportFact]:
+    """Every target with its command and its losses, at room temperature where a target is of one and it is covered."""
+    of_unit = isinstance(calibration, UnitCalibration)
+    at = _room(calibration if of_unit else calibration.axis[0])
     found: list[ExportFact] = []
-    for target in UNIT_FORMATS:
-        option = f' --temperature "{at:g} degC"' if target in ("kalibr", "matrices") else ""
+    for target in UNIT_FORMATS if of_unit else exports.FORMATS:
+        option = f' --temperature "{at:g} degC"' if target in _AT_ONE_TEMPERATURE else ""
         command = f"gradcal export {name} --format {target}{option} -o calibration.{_ENDINGS[target]}"
+        given = at if option else None
         try:
-            done = export_unit(calibration, target, temperature_c=at if option else None)
+            if of_unit:
+                done = export_unit(calibration, target, temperature_c=given)
+            else:
+                done = exports.export(calibration, target, temperature_c=given)
         except ValueError as error:
             found.append(ExportFact(target, "", (f"not for this calibration: {error}",)))
             continue
-        losses = tuple(f"{x.axis}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
+        axis = "" if of_unit else "axis "
+        losses = tuple(f"{axis}{x.axis}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
         found.append(ExportFact(target, command, losses))
     return found
 
 
-def exports_of(calibration: Calibration, name: str) -> list[ExportFact]:
-    """Every target with its command and its losses."""
-    found: list[ExportFact] = []
-    for target in exports.FORMATS:
-        warm = example_of(calibration.axis[0]).temperature_c
-        option = f' --temperature "{warm:g} degC"' if target == "kalibr" else ""
-        command = f"gradcal export {name} --format {target}{option} -o calibration.{_ENDINGS[target]}"
-        try:
-            done = exports.export(calibration, target, temperature_c=warm if option else None)
-        except ValueError as error:
-            found.append(ExportFact(target, "", (f"not for this calibration: {error}",)))
-            continue
-        losses = tuple(f"axis {x.axis}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
-        found.append(ExportFact(target, command, losses))
-    return found
+def _room(covered: AxisCalibration | UnitCalibration) -> float:
+    cold, warm = (float(end) for end in covered.valid_temperature)
+    return 25.0 if cold <= 25.0 <= warm else 0.5 * (cold + warm)

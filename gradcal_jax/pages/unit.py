@@ -13,7 +13,7 @@ from gradcal_jax.files.contracts import Prediction, RequirementRow
 from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.pages.applying import unit_exports_of
+from gradcal_jax.pages.applying import exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement_of
 from gradcal_jax.pages.course import course_of
 from gradcal_jax.pages.facts import AxisFact, Facts
@@ -50,7 +50,7 @@ def unit_facts(sources: Sources) -> Facts:
         parameters=tuple(_parameters(found, calibration, hidden)),
         axes=() if calibration is None else (_found_of(calibration, hidden),),
         examples=(),
-        exports=() if calibration is None else tuple(unit_exports_of(calibration, sources.calibration_name)),
+        exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=() if spec is None else tuple(_assumed(spec)),
         course=course,
         provenance=(*provenance_of(sources), ("versions", _versions())),

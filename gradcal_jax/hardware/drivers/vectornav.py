@@ -28,6 +28,7 @@ from ..checksums import crc16_vectornav, xor8
 from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
 from ..exchange import Exchange, NotThisReply
+from ..framing import BufferedFramer
 from ..roles import Identity, ImuBatch, ImuSettings, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -130,19 +131,12 @@ def packet_length(head: bytes) -> int | None:
     return length if length <= _LONGEST_PACKET else None
 
 
-class VectorNavFramer:
+class VectorNavFramer(BufferedFramer):
     """ASCII lines (`$…`, without the line end) and sound binary packets (FA…) from one stream, in order."""
 
     def __init__(self) -> None:
-        self._buffer = b""
+        super().__init__()
         self.bad_bytes = 0
-
-    @property
-    def pending(self) -> bytes:
-        return self._buffer
-
-    def reset(self) -> None:
-        self._buffer = b""
 
     def push(self, data: bytes) -> list[bytes]:
         self._buffer += data

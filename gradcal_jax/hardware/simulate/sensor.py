@@ -8,6 +8,7 @@ frame x east, y north, z up; the table's axes outermost first, given in the lab 
 the innermost axis' frame into the sensor's.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -103,7 +104,7 @@ class SensorSamples:
     temperature_c: NDArray[np.float64]
 
 
-class SampledSensor:
+class SampledSensor(ABC):
     """Samples one after the other, by a clock of its own; the same seed gives the same samples however many are asked
     for at once. A sensor says in `take` what they are."""
 
@@ -133,9 +134,9 @@ class SampledSensor:
         self._taken += count
         return ends
 
+    @abstractmethod
     def take(self, count: int) -> SensorSamples:
         """The next samples."""
-        raise NotImplementedError
 
 
 class SimulatedSensor(SampledSensor):

@@ -14,12 +14,16 @@ from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.structures import Structure, structures
 from gradcal_jax.design import (
+    KEPT,
     AnyCoordinates,
+    Compiled,
     Coordinates,
     Optimum,
     ProgrammeCoordinates,
     ProgrammeKnots,
     State,
+    exactly,
+    missed_limit,
     polish,
     search,
 )
@@ -50,7 +54,10 @@ _HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
 
 
 class Step(NamedTuple):
-    """How far an optimisation is: `best` in `unit`, of `name`; `share` of the work that is done, 0 to 1."""
+    """How far an optimisation is: `best` in `unit`, of `name`; `share` of the work that is done, 0 to 1.
+
+    `missed`: what the best plan so far does not keep, in words.
+    """
 
     name: str
     unit: str
@@ -58,6 +65,7 @@ class Step(NamedTuple):
     best: float
     share: float
     words: str
+    missed: str
     checkpoint: "Checkpoint"
 
 
@@ -82,7 +90,8 @@ class Optimised(NamedTuple):
     """An optimised spec (rounded) and how it was found. Values in `unit`.
 
     `before`: of the plan in the spec, None where it observes too little; `found`: of the optimum; `now`: of the rounded
-    plan, exactly. `starts`: where the starts of the chosen structure ended. `active`: the limits that bind, in words.
+    plan, exactly. `starts`: where the starts of the chosen structure ended, `inf` where one exceeds a limit. `active`:
+    the limits that bind, in words.
     """
 
     spec: Spec
@@ -123,7 +132,7 @@ def record_of(best: Optimised) -> dict[str, object]:
         "sentence": best.sentence,
         "gradient_norm": best.gradient_norm,
         "structure": best.structure,
-        "starts": [float(f"{v:.6g}") for v in best.starts],
+        "starts": [float(f"{v:.6g}") for v in best.starts if np.isfinite(v)],
         "active_limits": list(best.active),
         "shadow_prices": [{"limit": p.limit, "per": p.per, "change": p.change} for p in best.prices],
     }
@@ -203,12 +212,22 @@ def optimise(
         if own is not None:
             yield own
             return
+
+    def reached_by(compiled: Compiled, state: State) -> tuple[float, str]:
+        """What the best point of a search comes to, and what it does not keep."""
+        value, excess = exactly(compiled, state.best_point)
+        return value, missed_limit(excess, of.limits)
+
     choices = structures(spec, [s for s, _ in scenario_specs(spec)], motion=motion)
     best = None if checkpoint is None else (checkpoint.best_structure, checkpoint.best)
+    value, missed = np.inf, ""
+    if best is not None:
+        value, missed = reached_by(of.compiled(choices[best[0]].coordinates), best[1])
     first, state = (0, None) if checkpoint is None else (checkpoint.structure, checkpoint.state)
     for k in range(first, len(choices)):
+        compiled = of.compiled(choices[k].coordinates)
         for progress in search(
-            of.compiled(choices[k].coordinates),
+            compiled,
             starts=design.starts,
             seed=design.seed,
             steps=steps,
@@ -219,13 +238,22 @@ def optimise(
             better = best is None or progress.best < best[1].best
             if best is None or better:
                 best = k, progress.state
+                value, missed = reached_by(compiled, progress.state)
             share = (k + progress.step / progress.steps) / len(choices)
-            reached = Checkpoint(k, progress.state, *best)
-            yield Step(of.name, of.unit, known, best[1].best, 0.95 * share, choices[k].words, reached)
+            yield Step(
+                of.name,
+                of.unit,
+                known,
+                value,
+                0.95 * share,
+                choices[k].words,
+                missed,
+                Checkpoint(k, progress.state, *best),
+            )
             if until_met and better:
                 point, coordinates = progress.state.best_point, choices[k].coordinates
                 decoded = partial(plan_to_spec, spec, coordinates, point)
-                if early := enough(decoded, progress.best, choices[k].words, f"stopped early: {_MET}"):
+                if early := enough(decoded, value, choices[k].words, f"stopped early: {_MET}"):
                     yield early
                     return
             if stop():
@@ -256,11 +284,12 @@ def finished(
     if isinstance(coordinates, ProgrammeCoordinates):
         coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed, stop)
     else:
-        found = polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH if quick else _POLISH)
+        steps = _BRIEF_POLISH if quick else _POLISH
+        found = polish(of.compiled(coordinates), point, steps=steps, names=of.limits)
         fewer, point = _pruned(of, coordinates, found.point)
         if not (quick or found.converged) and fewer.size < coordinates.size:
             # Turns that vanish meanwhile leave valleys without end: without them it converges.
-            again = polish(of.compiled(fewer), point, steps=_POLISH)
+            again = polish(of.compiled(fewer), point, steps=_POLISH, names=of.limits)
             if again.held and again.value <= found.value * (1.0 + _NO_WORSE):
                 coordinates, found = fewer, again
     # As a recipe will have it, so that the number is of what is executed. Whatever comes of it, a plan is written.
@@ -301,12 +330,18 @@ def finished(
         now,
         converged,
         sentence,
-        tuple(float(v) for v in np.sort(state.values)),
+        _ends(of.compiled(structure.coordinates), state),
         found.gradient_norm,
         active_limits(coordinates, found.point) if isinstance(coordinates, Coordinates) else (),
         shadow_prices(of, coordinates, found) if isinstance(coordinates, Coordinates) else (),
         structure.words,
     )
+
+
+def _ends(compiled: Compiled, state: State) -> tuple[float, ...]:
+    """Where each start ended, the best first; `inf` where a limit is exceeded."""
+    ends = [exactly(compiled, point) for point in state.points]
+    return tuple(sorted(value if np.all(excess <= KEPT) else float(np.inf) for value, excess in ends))
 
 
 def _within_limits(spec: Spec, of: Measure) -> bool:
@@ -321,12 +356,12 @@ def best_programme(
     """Polish a programme, hop from the best, polish again: programmes that differ in which limits they run along are
     optima of their own, between which no descent leads."""
     objective, linear = of.compiled(knots), knots.limits
-    found, generator = polish(objective, point, linear=linear), np.random.default_rng(seed)
+    found, generator = polish(objective, point, linear=linear, names=of.limits), np.random.default_rng(seed)
     for k in range(_HOPS):
         if stop():
             break
         step = _HOP_STEPS[k % len(_HOP_STEPS)] * generator.standard_normal(point.shape)
-        other = polish(objective, knots.near(found.point + step), linear=linear)
+        other = polish(objective, knots.near(found.point + step), linear=linear, names=of.limits)
         if other.held and other.value < found.value:
             found = other
     return knots, found

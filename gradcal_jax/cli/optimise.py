@@ -1,5 +1,6 @@
 """`gradcal optimise`: the plan changes until the predicted residual is as low as sensor, rig and clock allow."""
 
+import math
 import signal
 import sys
 from pathlib import Path
@@ -137,9 +138,11 @@ def text(best: "Optimised") -> str:
         best.sentence,
     ]
     if len(best.starts) > 1:
-        lines.append(
-            f"{len(best.starts)} starts ended between {best.starts[0]:.4g} and {best.starts[-1]:.4g} {best.unit}"
-        )
+        kept = [value for value in best.starts if value < math.inf]
+        those = f"{len(best.starts)} starts"
+        if len(kept) < len(best.starts):
+            those = f"{len(kept)} of {those} kept the limits and" if kept else f"none of {those} kept the limits"
+        lines.append(those + (f" ended between {kept[0]:.4g} and {kept[-1]:.4g} {best.unit}" if kept else ""))
     if belief := belief_of(best.spec):
         lines.append(belief)
     if best.active:
@@ -154,7 +157,8 @@ def text(best: "Optimised") -> str:
 def progress_of(step: "Step") -> str:
     """How far a search is, in one line."""
     before = "" if step.before is None else f"{step.before:.4g} -> "
-    return f"{step.share:4.0%}  {step.name}: {before}{amount(step.best, step.unit)}  ({step.words})"
+    missed = f", but {step.missed}" if step.missed else ""
+    return f"{step.share:4.0%}  {step.name}: {before}{amount(step.best, step.unit)}{missed}  ({step.words})"
 
 
 class _Interrupt:
@@ -181,7 +185,6 @@ def _of_unit(
     spec: "UnitSpec", output: Path, *, json: bool, plot: Path | None, evaluations: int, until_met: bool
 ) -> int:
     """Search a unit's cycle and write the spec with the best one."""
-    import math
     import time
 
     from gradcal_jax.api.unit_optimise import UnitOptimum, optimise_unit

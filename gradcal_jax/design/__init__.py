@@ -22,11 +22,23 @@ from gradcal_jax.design.noise_floor import (
 )
 from gradcal_jax.design.objective import AnyCoordinates, Case, Objective
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
-from gradcal_jax.design.search import Compiled, Linear, Optimum, Progress, State, polish, search
+from gradcal_jax.design.search import (
+    KEPT,
+    Compiled,
+    Linear,
+    Optimum,
+    Progress,
+    State,
+    exactly,
+    missed_limit,
+    polish,
+    search,
+)
 
 __all__ = [
     "EASED",
     "EXACT",
+    "KEPT",
     "PRIOR_OF_WALK",
     "STEEPNESS",
     "AnyCoordinates",
@@ -52,10 +64,12 @@ __all__ = [
     "bias_floor",
     "bias_floor_anywhere",
     "criterion",
+    "exactly",
     "gated_noise_density",
     "least_noise_density",
     "limit",
     "make_coordinates",
+    "missed_limit",
     "polish",
     "polynomial_grid",
     "scale_factor_floor",

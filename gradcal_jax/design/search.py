@@ -41,6 +41,8 @@ CONVERGED = 1e-4
 _POLISHES = 3
 # A limit that is nearer than this binds; a linear one that is exceeded by less is held.
 _BINDING = 1e-4
+# A limit counts as kept where the logarithm of the excess is no larger.
+KEPT = 1e-3
 _HELD = 1e-8
 
 
@@ -275,10 +277,17 @@ def _descents(
         yield from enumerate(pool.map(descend, points))
 
 
-def polish(compiled: Compiled, point: np.ndarray, *, steps: int = 300, linear: Linear | None = None) -> Optimum:
+def polish(
+    compiled: Compiled,
+    point: np.ndarray,
+    *,
+    steps: int = 300,
+    linear: Linear | None = None,
+    names: Sequence[str] = (),
+) -> Optimum:
     """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly.
 
-    `linear`: further limits, on the vector itself.
+    `linear`: further limits, on the vector itself. `names`: of the compiled limits.
     """
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -300,7 +309,7 @@ def polish(compiled: Compiled, point: np.ndarray, *, steps: int = 300, linear: L
     from scipy.optimize import minimize
 
     options = {"maxiter": steps, "ftol": 1e-12}
-    value, excess = _exact(compiled, point)
+    value, excess = exactly(compiled, point)
     norm = np.inf
     for _ in range(_POLISHES):
         reached = minimize(
@@ -311,7 +320,7 @@ def polish(compiled: Compiled, point: np.ndarray, *, steps: int = 300, linear: L
             constraints=limits,
             options=options,
         ).x
-        after = _exact(compiled, reached)
+        after = exactly(compiled, reached)
         before_it = float(np.max(excess, initial=0.0))
         worse = after[0] > value and before_it <= 1e-6
         worse |= float(np.max(after[1], initial=0.0)) > max(before_it, 1e-6)
@@ -321,11 +330,11 @@ def polish(compiled: Compiled, point: np.ndarray, *, steps: int = 300, linear: L
         norm = _projected(*at(point), point, linear)
         if worse or norm < CONVERGED:
             break
-    held = bool(np.all(excess <= 1e-3)) and _beyond(linear, point) <= _HELD
+    held = bool(np.all(excess <= KEPT)) and _beyond(linear, point) <= _HELD
     converged = norm < CONVERGED and held
     if not held:
-        over = max(float(np.exp(np.max(excess, initial=0.0))) - 1.0, _beyond(linear, point))
-        sentence = f"not converged: a limit is still exceeded by {100 * over:.2g} %: no plan of this kind may meet it"
+        over = missed_limit(excess, names) or f"a limit of the plan is exceeded by {_beyond(linear, point):.2g}"
+        sentence = f"not converged: {over}: no plan of this kind may meet it"
     elif converged:
         sentence = f"converged: the largest gradient component is {norm:.1e} of the objective"
     else:
@@ -335,8 +344,16 @@ def polish(compiled: Compiled, point: np.ndarray, *, steps: int = 300, linear: L
     return Optimum(np.asarray(point), value, norm, converged, sentence, held)
 
 
-def _exact(compiled: Compiled, point: np.ndarray) -> tuple[float, np.ndarray]:
-    """The exact value and excess."""
+def missed_limit(excess: np.ndarray, names: Sequence[str]) -> str:
+    """The limit that is exceeded most, in words; empty where all are kept."""
+    if np.all(excess <= KEPT):
+        return ""
+    worst = int(np.argmax(excess))
+    return f"{names[worst] if names else 'a limit'} is {np.exp(excess[worst]):.3g} times what it may be"
+
+
+def exactly(compiled: Compiled, point: np.ndarray) -> tuple[float, np.ndarray]:
+    """The exact value, and the logarithms by which limits are exceeded."""
     logs = compiled(np.asarray(point)).logs
     return float(np.exp(logs[0])), logs[1:]
 

@@ -116,7 +116,7 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
             # Nothing is read of this move: only where it led to counts.
             found.append(_Leg(k, int(turned[0]) if len(turned) == 1 else -1, last, first))
             continue
-        rates = (log.rates - 0.5 * (quiet[k] + quiet[k + 1]))[last + 1 : first + 1, seen]
+        rates = (log.rates[last + 1 : first + 1] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
         where = _valleys(np.linalg.norm(rates, axis=1)) if len(turned) != 1 else []
         edges = [last, *(last + 1 + w for w in where), first]
         at, legs = means[k].copy(), []

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax import formulas
 from gradcal_jax.files.correction import Corrected, basis_values, followed, known_temperature
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.unit_calibration import CalibratedChannel, CalibratedTerm, UnitCalibration
@@ -27,30 +26,40 @@ _SIGNALS = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz
 
 def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
     """The map of a term, `(n,)`, in its unit; `rate` rad/s, of its channel's axis."""
+    return _at_rates(term, _at_temperatures(term, temperature_c), rate)
+
+
+def _at_temperatures(term: CalibratedTerm, temperature_c: Floats) -> Floats:
+    """`(n, functions of the rate)`: what multiplies them, or the map itself."""
     coefficients = np.array(list(term.coefficients.values()))
     one = np.ones((len(temperature_c), 1))
-    of_temperature = one if term.temperature is None else basis_values(term.temperature, temperature_c)
+    basis = one if term.temperature is None else basis_values(term.temperature, temperature_c)
+    return basis @ coefficients.reshape(basis.shape[1], -1)
+
+
+def _at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats | None) -> Floats:
     if term.rate is None or rate is None:
-        return of_temperature @ coefficients.reshape(of_temperature.shape[1], -1)[:, 0]
-    of_rate = basis_values(term.rate, rate)
-    return formulas.scale_factor_map(of_temperature, of_rate, coefficients.reshape(of_temperature.shape[1], -1))
+        return of_temperature[:, 0]
+    return np.einsum("nk,nk->n", of_temperature, basis_values(term.rate, rate))
 
 
-def channel_error(channel: CalibratedChannel, temperature_c: Floats, signals: dict[str, Floats]) -> Floats:
+def channel_error(
+    channel: CalibratedChannel, temperature_c: Floats, signals: dict[str, Floats], maps: Sequence[Floats] | None = None
+) -> Floats:
     """What a channel says beyond its input, `(n,)`, where the true inputs are `signals` ("rate x" rad/s, "force z"
-    m/s²; those that are not known count as none).
+    m/s²; those that are not known count as none). `maps`: of each term, `_at_temperatures`.
     """
     total = np.zeros(len(temperature_c))
-    for term in channel.term:
-        if term.rate is None:
-            product = term_values(term, temperature_c)
-        else:
-            product = term_values(term, temperature_c, signals[f"rate {channel.axis}"])
+    for k, term in enumerate(channel.term):
+        of_temperature = _at_temperatures(term, temperature_c) if maps is None else maps[k]
+        product = _at_rates(term, of_temperature, None if term.rate is None else signals[f"rate {channel.axis}"])
         for name in term.signals:
             signal = signals.get(name.strip("|"))
-            signal = np.zeros(len(temperature_c)) if signal is None else signal
+            if signal is None:
+                break
             product = product * (np.abs(signal) if name.startswith("|") else signal)
-        total += product
+        else:
+            total += product
     return total
 
 
@@ -88,35 +97,38 @@ def correct_unit(
     for begin in range(0, len(rate), _ROWS_AT_ONCE):
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         at = np.clip(temperature_c[rows], low, high)
-        measured = np.concatenate([rate[rows], force[rows]], axis=1)
-        there = np.asarray(np.any(np.isfinite(measured), axis=0))
+        measured = np.concatenate([rate[rows].T, force[rows].T])
+        there = np.asarray(np.any(np.isfinite(measured), axis=1))
         matrix, _ = linear_part(channels, float(np.median(at)))
         inverse = np.linalg.inv(matrix)
+        # The temperature stays as it is from round to round.
+        maps = [[_at_temperatures(term, at) for term in channel.term] for channel in channels]
         now = 0.0 * measured
         for _ in range(_ROUNDS):
-            signals = {name: now[:, k] for k, name in enumerate(_SIGNALS) if there[k]}
+            signals = {name: now[k] for k, name in enumerate(_SIGNALS) if there[k]}
             left = measured - now
-            for channel in channels:
-                own = dict(signals)
-                if channel.kind == "gyro" and (name := f"rate {channel.axis}") in own:
+            for channel, of_temperature in zip(channels, maps, strict=True):
+                own, name = signals, f"rate {channel.axis}"
+                beyond = np.zeros(0)
+                if channel.kind == "gyro" and name in signals:
                     # The map holds at its edge; the rate that it multiplies goes on.
-                    own[name] = np.clip(own[name], slow, fast)
-                error = channel_error(channel, at, own)
-                if channel.kind == "gyro" and (scale := channel.term_of("scale_factor")) is not None:
-                    beyond = signals[f"rate {channel.axis}"] - own[f"rate {channel.axis}"]
-                    error = error + term_values(scale, at, own[f"rate {channel.axis}"]) * beyond
-                left[:, _SIGNALS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")] -= error
+                    own = signals | {name: np.clip(signals[name], slow, fast)}
+                    beyond = signals[name] - own[name]
+                error = channel_error(channel, at, own, of_temperature)
+                if np.any(beyond) and (scale := channel.term_of("scale_factor")) is not None:
+                    error = error + term_values(scale, at, own[name]) * beyond
+                left[_SIGNALS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")] -= error
             moved = 0.0
             for k in np.flatnonzero(there):
                 # Only what acts on it: a reading that is missing takes no other triad with it.
                 acts = np.flatnonzero(there & (inverse[k] != 0.0))
-                change = left[:, acts] @ inverse[k, acts]
-                now[:, k] += change
-                size = max(float(np.nanmax(np.abs(now[:, k]), initial=0.0)), 1e-300)
+                change = inverse[k, acts] @ left[acts]
+                now[k] += change
+                size = max(float(np.nanmax(np.abs(now[k]), initial=0.0)), 1e-300)
                 moved = max(moved, float(np.nanmax(np.abs(change), initial=0.0)) / size)
             if moved <= _SETTLED:
                 break
-        found_rate[rows], found_force[rows] = now[:, :3], now[:, 3:]
+        found_rate[rows], found_force[rows] = now[:3].T, now[3:].T
     return found_rate, found_force
 
 

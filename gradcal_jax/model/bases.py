@@ -15,10 +15,10 @@ from numpy.polynomial import chebyshev as np_chebyshev
 from numpy.polynomial import legendre as np_legendre
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 
 
-class Basis(eqx.Module):
+class Basis(PytreeModule):
     """A finite set of functions of one variable."""
 
     def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:

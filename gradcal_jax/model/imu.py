@@ -17,7 +17,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace, placed
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis
 from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes
@@ -28,7 +28,7 @@ ChannelKind = Literal["gyro", "accelerometer"]
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
 
 
-class Channel(eqx.Module):
+class Channel(PytreeModule):
     """A gyro or an accelerometer along the body's axis `axis`, with its own terms and noise (`model`).
 
     An accelerometer's noise is as a gyro's with m/s in the place of rad. A gyro is read always, an accelerometer
@@ -55,7 +55,7 @@ class Channel(eqx.Module):
         return self.axis + 3 * KINDS.index(self.kind)
 
 
-class EncoderNoise(eqx.Module):
+class EncoderNoise(PytreeModule):
     """Error of each of `L` encoders, rad.
 
     A table that is `held` has one draw for each standstill, of variance `offset² + reading²/n` with n readings in it,
@@ -69,7 +69,7 @@ class EncoderNoise(eqx.Module):
     held: bool = eqx.field(static=True, default=True)
 
 
-class UnitModel(eqx.Module):
+class UnitModel(PytreeModule):
     """A whole unit on its table: `channels`, `installation` terms, and the encoders' noise."""
 
     channels: tuple[Channel, ...]

@@ -92,6 +92,11 @@ class Polynomial(Basis):
     def constant(self) -> np.ndarray:
         return np.eye(self.size)[0]
 
+    def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k size size"]:
+        """S with `basis(x + by) = basis(x) S` for all x."""
+        x = self.centre + self.scale * np.linspace(-1.0, 1.0, self.size)
+        return np.linalg.solve(self(x)[None], self(x + by[:, None]))
+
 
 class BSpline(Basis):
     """Clamped B-splines of `degree` on `knots` (both ends included)."""

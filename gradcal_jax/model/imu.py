@@ -18,11 +18,11 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
-from gradcal_jax.model.bases import Basis
+from gradcal_jax.model.bases import Basis, Polynomial
 from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes
 from gradcal_jax.model.sensor import SensorModel
-from gradcal_jax.model.terms import Map, SignalMap
+from gradcal_jax.model.terms import BiasTemperatureGradient, Map, SignalMap
 
 ChannelKind = Literal["gyro", "accelerometer"]
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
@@ -161,6 +161,26 @@ class UnitModel(PytreeModule):
                 parts.append(((group.pieces[:, None], places), shared.sums(basis(group.temperature), drive)))
         found = placed((len(nodes.kind), begin), *parts)
         return [found[:, a:b] for a, b in pairwise([0, *ends])]
+
+    def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p p"] | None:
+        """S with `columns at T + by = (columns at T) S`, one for each `by` (K); None where functions of temperature are
+        no polynomials.
+        """
+        result, known = np.tile(np.eye(self.size), (len(by), 1, 1)), {}
+        begin = 0
+        for term in (term for c in self.channels for term in c.model.terms):
+            if isinstance(term, Map | SignalMap):
+                basis, count = term.temperature, term.size // term.temperature.size
+                if not isinstance(basis, Polynomial):
+                    return None
+                places = begin + np.arange(term.size).reshape(basis.size, count).T
+                if (key := (basis.degree, basis.centre, basis.scale, basis.internal)) not in known:
+                    known[key] = basis.shifts(by)[:, None]
+                result[:, places[:, :, None], places[:, None, :]] = known[key]
+            elif not isinstance(term, BiasTemperatureGradient):
+                return None
+            begin += term.size
+        return result
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
         """Whitened rows of everything known beforehand."""

@@ -5,6 +5,8 @@ integrates on Gauss–Legendre nodes of smooth motion (`GaussNodes`), a log sums
 terms of the model are the same functions of either.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
@@ -51,7 +53,7 @@ class SampleNodes(PytreeModule):
         return np.add.reduceat(products.reshape(len(first), -1), self.starts, axis=0)
 
 
-class SharedNodes(PytreeModule):
+class SharedNodes(NamedTuple):
     """Nodes of `k` given pieces that are alike in `U` ways: what they see is of their kind, the temperature their own.
 
     Temperature runs smoothly along a piece, so functions of it are known by their values at `m` points, and a kind has
@@ -65,7 +67,7 @@ class SharedNodes(PytreeModule):
     rate: Float[AnyArray, "U q"]
     signals: dict[str, Float[AnyArray, "U q"]]
     share: Float[np.ndarray, "q m"]
-    moving: bool = eqx.field(static=True, default=True)
+    moving: bool = True
 
     def signal(self, name: str) -> Float[AnyArray, "U q"]:
         """A signal by its name, "rate x"; "|rate x|" its magnitude. "size ik": what a coordinate k (m) of where an

@@ -165,6 +165,7 @@ class CycleValue:
         rows = int(np.searchsorted(segments_of(built.motion, built.model).row_segment, len(plan.steps)))
         cycles = plan.stretches[0].cycles - 2
         shifts = built.model.shifts(segment.slope * plan.period * np.arange(cycles))
+        assert shifts is not None
         return repeated_gram(steps, columns, rows, shifts, built.points - 1)
 
     def plan(self, cycle: PoseCycle) -> UnitSchedule | None:

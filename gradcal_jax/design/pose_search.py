@@ -7,7 +7,7 @@ cycle ends where it began, up to whole turns, so that it can repeat. All figures
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -53,7 +53,7 @@ class PoseState(NamedTuple):
 
 def anneal(
     start: PoseCycle,
-    values: Callable[[Sequence[PoseCycle]], Sequence[float]],
+    values: Callable[[Sequence[PoseCycle]], Iterable[float]],
     limits: PoseLimits,
     *,
     evaluations: int,
@@ -70,7 +70,7 @@ def anneal(
     taken counts, so that they can be worked out side by side.
     """
     rng = np.random.default_rng(seed)
-    here, (now,) = start, values([start])
+    here, now = start, next(iter(values([start])))
     best, least = here, now
     for done in range(0, evaluations, together):
         share = min(1.0, (done + together) / evaluations)

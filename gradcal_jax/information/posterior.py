@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, PytreeModule, fixed, namespace
+from gradcal_jax.arrays import AnyArray, fixed, namespace
 from gradcal_jax.information.adjoint import whitened_factor
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
 from gradcal_jax.information.regressors import at_readings
@@ -66,7 +66,7 @@ def square_root(rows: Float[AnyArray, "rows p"]) -> SquareRootInformation:
     return SquareRootInformation(triangular_factor(rows / scale[None, :]), scale)
 
 
-class Posterior(PytreeModule):
+class Posterior(NamedTuple):
     """What is known after the plan: `C = spread spreadᵀ` on what can be observed, and `hidden`, what cannot.
 
     `spread` is `(p, r)`, `hidden` `(p, k)` with `r + k = p`: directions in parameter space of which the plan says

@@ -116,11 +116,13 @@ class CycleValue:
         self.minimised = self.quantities if design.minimise in (ALL, WORST) else own
         rows = self.built.model.prior_rows()
         self.prior = rows.T @ rows
+        # Whether cycles differ in temperature alone, which runs straight; see `information.repeated`.
         self.repeats = (
             len(spec.schedule.stretches) == 1
             and sum(segment.used for segment in spec.schedule.segments) == 1
             and spec.rig.table.standing == "held"
             and spec.sensor.thermal_lag is None
+            and not any(np.any(c.model.processes.rate_gain) for c in self.built.model.channels)
             and self.built.model.shifts(np.zeros(1)) is not None
         )
 
@@ -152,8 +154,13 @@ class CycleValue:
         for step in plan.steps:
             if step.axis >= 0:
                 turns[step.axis] += step.move.angle / (2.0 * math.pi)
-        if not self.repeats or stretch.cycles < _MANY or np.any(abs(turns - np.round(turns)) > _SLACK):
-            return _gram_of(self.built._replace(motion=motion_of(plan, self.built.spec)))
+        returns = np.all(abs(turns - np.round(turns)) < _SLACK)
+        few = self._of_three(plan) if self.repeats and returns and stretch.cycles >= _MANY else None
+        return _gram_of(self.built._replace(motion=motion_of(plan, self.built.spec))) if few is None else few
+
+    def _of_three(self, plan: UnitSchedule) -> np.ndarray | None:
+        """The same from three of its cycles, where they stand for all."""
+        (stretch,) = plan.stretches
         (segment,) = (s for s in plan.segments if s.used)
         shorter = 3.0 * plan.period + stretch.leftover
         stretch = replace(stretch, start=0.0, duration=shorter, cycles=3)
@@ -163,10 +170,9 @@ class CycleValue:
         built = self.built._replace(motion=motion_of(few, self.built.spec))
         steps, columns = unit_system(built.motion, built.model, built.body_nodes())
         rows = int(np.searchsorted(segments_of(built.motion, built.model).row_segment, len(plan.steps)))
-        cycles = plan.stretches[0].cycles - 2
-        shifts = built.model.shifts(segment.slope * plan.period * np.arange(cycles))
+        shifts = built.model.shifts(segment.slope * plan.period * np.arange(plan.stretches[0].cycles - 2))
         assert shifts is not None
-        return repeated_gram(steps, columns, rows, shifts, built.points - 1)
+        return repeated_gram(steps, columns, rows, shifts, built.points + 1)
 
     def plan(self, cycle: PoseCycle) -> UnitSchedule | None:
         """The whole plan of a cycle; None where it does not fit."""

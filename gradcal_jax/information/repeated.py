@@ -16,17 +16,20 @@ from jaxtyping import Float
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.whitening import FilterState, whiten_from
 
+# By how much of what a state is known beforehand its variance may still change from a cycle to the next.
+_SETTLED = 5e-3
+
 
 def repeated_gram(
     steps: NoiseSteps, columns: Float[np.ndarray, "R p"], rows: int, shifts: Float[np.ndarray, "J p p"], degree: int
-) -> Float[np.ndarray, "p p"]:
+) -> Float[np.ndarray, "p p"] | None:
     """`Φᵀ V⁻¹ Φ` of J + 2 cycles of `rows` readings each, and of what follows them.
 
     `steps`, `columns`: of the first three cycles, and after them of what follows the last. `shifts`: S of the second
-    cycle (one), of the third, and so on; of no higher degree than `degree` in their number.
+    cycle (one), of the third, and so on. `degree`: of S in the number of the cycle, and a few more for what enters.
 
-    The noise after one cycle is taken for that after all: with Markov processes of no more than a cycle's length and
-    readings of them throughout, standard deviations are good to about a thousandth.
+    None where the noise has not settled after one cycle: drifts of several times its length. Otherwise standard
+    deviations are those of all cycles to 1e-3, and to some 1e-5 with drifts that are forgotten in a cycle's time.
     """
     count, p = steps.initial.shape[0], columns.shape[1]
     beside = np.concatenate([np.zeros((count, p)), np.eye(count)], axis=1)
@@ -39,8 +42,11 @@ def repeated_gram(
         return whitened.T @ whitened, end.mean[:, :p], end.mean[:, p:], end.covariance
 
     first, entering, _, covariance = through(steps.initial, 0, rows)
-    every, own, onward, covariance = through(covariance, rows, 2 * rows)
-    last, *_ = through(covariance, 2 * rows, None)
+    every, own, onward, after = through(covariance, rows, 2 * rows)
+    known = np.diag(steps.initial)
+    if np.any(np.abs(np.diag(after - covariance)) > _SETTLED * np.where(known > 0.0, known, np.inf)):
+        return None
+    last, *_ = through(after, 2 * rows, None)
     driven = own @ shifts
     entries = np.concatenate([shifts, np.empty((len(shifts), count, p))], axis=1)
     for entry, drive in zip(entries, driven, strict=True):

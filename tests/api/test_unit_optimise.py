@@ -53,6 +53,23 @@ def test_a_cycle_that_repeats_is_valued_by_three_of_its_cycles():
             cycle = neighbour(cycle, limits, rng)
 
 
+@pytest.mark.parametrize(
+    ("changes", "repeats"),
+    [
+        ({"sensor.gyro.drift": [{"standard_deviation": "1 deg/h", "correlation_time": "1 h"}]}, True),
+        ({"sensor.gyro.scale_factor_instability": [{"standard_deviation": "9 ppm", "correlation_time": "1 h"}]}, False),
+        ({"sensor.thermal_lag": "2 min"}, False),
+    ],
+    ids=["drift longer than a cycle", "instability", "lag"],
+)
+def test_a_cycle_that_does_not_stand_for_all_is_valued_by_all(changes, repeats):
+    spec = gj.changed(gj.read_unit_spec("experiments/imu/optimised.toml"), changes)
+    few, all_ = CycleValue(spec), CycleValue(spec)
+    assert few.repeats == repeats
+    all_.repeats = False
+    assert few(_items(spec, few.design)) == all_(_items(spec, few.design))
+
+
 def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
     spec = gj.parse_unit_spec(gj.presets.text("gimbal-by-hand"))
     with pytest.raises(ValueError, match=r'drive is "hand".*drive = "motor"'):

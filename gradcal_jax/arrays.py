@@ -9,6 +9,7 @@ What the two libraries write differently stands here.
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,8 +24,20 @@ else:
 Carry = TypeVar("Carry")
 
 
+class PytreeModule(eqx.Module):
+    """An Equinox module whose methods are Python's own.
+
+    Equinox makes every method, each time it is looked up, a pytree with its module in it, so that it can be handed to
+    a transformation. Nobody hands over one of these, and a whole unit's prediction looks up hundreds.
+    """
+
+    __getattribute__ = object.__getattribute__
+
+
 def namespace(*trees: Any) -> Any:
     """`jax.numpy` where any array within the arguments (pytrees) is JAX's, else `numpy`."""
+    if all(type(tree) is np.ndarray for tree in trees):
+        return np  # without a walk through trees: hundreds of times for one unit
     return jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(trees)) else np
 
 
@@ -60,6 +73,12 @@ def summed(values: Any, first: np.ndarray) -> Any:
         return np.add.reduceat(values, first, axis=0)
     number = np.repeat(np.arange(len(first)), np.diff(first, append=values.shape[0]))
     return jax.ops.segment_sum(values, number, num_segments=len(first), indices_are_sorted=True)
+
+
+def cross(a: Any, b: Any) -> Any:
+    """`a × b` over the last axis; NumPy's own moves axes to and fro, which takes longer than the products."""
+    (ax, ay, az), (bx, by, bz) = ([v[..., k] for k in range(3)] for v in (a, b))
+    return namespace(a, b).stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def fixed(x: Any) -> Any:

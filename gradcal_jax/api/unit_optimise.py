@@ -1,7 +1,8 @@
 """`optimise` of a whole unit: the cycle of poses, moves and rests that leaves the least of several requirements."""
 
+import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,20 +10,24 @@ import numpy as np
 
 from gradcal_jax.api.optimise import BY_HAND, MARGIN
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
-from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, RequiredQuantity, quantity_of, summed_up
+from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, RequiredQuantity, quantity_of, summary
 from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
 from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.formulas import repetitions
-from gradcal_jax.information import Posterior, unit_system, whiten
+from gradcal_jax.information import Posterior, repeated_gram, segments_of, unit_system, whiten
 
 EVALUATIONS = 600
 # By how much worse a plan may be that is still taken at the beginning, of the logarithm: less, from a good plan.
-WARMEST = 0.05
+WARMEST = 0.01
+# Neighbours of a plan that are worked out side by side, where there are as many processes.
+TOGETHER = 2
 _SEARCH_GRID = 21
 # Of an angle step: rounding.
 _SLACK = 1e-9
+# Cycles of a plan from which on three stand for all.
+_MANY = 6
 
 
 class UnitOptimum(NamedTuple):
@@ -44,11 +49,13 @@ def optimise_unit(
     warmest: float = WARMEST,
     until_met: bool = False,
     stop: Callable[[], bool] = lambda: False,
+    values: Callable[[Sequence[PoseCycle]], Iterable[float]] | None = None,
 ) -> Iterator[PoseState | UnitOptimum]:
-    """Yields the state of the search after every evaluation, and the optimum at the end.
+    """Yields the state of the search after every `TOGETHER` evaluations, and the optimum at the end.
 
     `evaluations`: plans that are tried; `warmest`: see `design.pose_search.anneal`. `until_met`: no further than to a
-    plan that meets every target with `MARGIN`.
+    plan that meets every target with `MARGIN`. `values`: works `CycleValue` out for several cycles, in several
+    processes say; the optimum does not depend on it.
 
     Errors: `ValueError` where there is no requirement (or, with `until_met`, no target), the table is turned by hand,
     or the plan's turns are no whole numbers of the angle step.
@@ -57,17 +64,22 @@ def optimise_unit(
         raise ValueError("what is to be minimised? Give the spec a [[requirement]]")
     if spec.rig.table.drive == "hand":
         raise ValueError(BY_HAND)
-    design = spec.design or UnitDesign()
-    limits = _limits(spec, design)
-    value = _Value(spec, design)
+    value = CycleValue(spec)
+    design, limits = value.design, _limits(spec, value.design)
     if until_met and all(r.target is None for r in spec.requirement):
         raise ValueError("to stop when every target is met, give a requirement a target")
-    made, judged = 0, None
-    state, seed = None, design.seed if seed is None else seed
+    state, judged, seed = None, None, design.seed if seed is None else seed
     # A plan beyond a gyro's full scale begins the search slowed down to it.
     start = tuple(item._replace(rate=min(item.rate, limits.rates[item.axis])) for item in _items(spec, design))
-    for state in anneal(start, value, limits, evaluations=evaluations, seed=seed, warmest=warmest):
-        made += 1
+    for state in anneal(
+        start,
+        values or functools.partial(map, value),
+        limits,
+        evaluations=evaluations,
+        seed=seed,
+        warmest=warmest,
+        together=TOGETHER,
+    ):
         yield state
         if stop():
             break
@@ -80,18 +92,21 @@ def optimise_unit(
     tables["plan"]["cycle"]["moves"] = value.moves_in_words(state.best)
     found = unit_spec_of(tables)
     fine = tuple(quantity_of(value.built, r) for r in spec.requirement)
-    before, after = (_values(assemble_unit(s), value.prior, fine) for s in (spec, found))
+    before, after = (_statistics(value.prior + _gram_of(assemble_unit(s)), fine) for s in (spec, found))
     rows = tuple(
         (r.name, UNIT_OF_QUANTITY[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
     )
     ratios = [math.log(b / a) for b, a in zip(before, after, strict=True) if a and b]
-    yield UnitOptimum(found, rows, math.exp(float(np.mean(ratios))) if ratios else 1.0, made)
+    yield UnitOptimum(
+        found, rows, math.exp(float(np.mean(ratios))) if ratios else 1.0, round(state.share * evaluations)
+    )
 
 
-class _Value:
+class CycleValue:
     """What the search minimises, of a cycle: the logarithm of residual over target, on a coarse grid."""
 
-    def __init__(self, spec: UnitSpec, design: UnitDesign):
+    def __init__(self, spec: UnitSpec):
+        design = spec.design or UnitDesign()
         coarse = tuple(
             r.model_copy(update={"grid": tuple(min(g, _SEARCH_GRID) for g in r.grid)}) for r in spec.requirement
         )
@@ -99,7 +114,17 @@ class _Value:
         self.quantities, self.worst = tuple(quantity_of(self.built, r) for r in coarse), design.minimise == WORST
         own = tuple(q for q in self.quantities if q.requirement.name == design.minimise)
         self.minimised = self.quantities if design.minimise in (ALL, WORST) else own
-        self.prior = _gram(self.built.model.prior_rows())
+        rows = self.built.model.prior_rows()
+        self.prior = rows.T @ rows
+        # Whether cycles differ in temperature alone, which runs straight; see `information.repeated`.
+        self.repeats = (
+            len(spec.schedule.stretches) == 1
+            and sum(segment.used for segment in spec.schedule.segments) == 1
+            and spec.rig.table.standing == "held"
+            and spec.sensor.thermal_lag is None
+            and not any(np.any(c.model.processes.rate_gain) for c in self.built.model.channels)
+            and self.built.model.shifts(np.zeros(1)) is not None
+        )
 
     def __call__(self, cycle: PoseCycle) -> float:
         logs = list(self._logs(cycle, self.minimised).values())
@@ -115,14 +140,39 @@ class _Value:
         plan = self.plan(cycle)
         if plan is None:
             return {q.requirement.name: math.inf for q in quantities}
-        built = self.built._replace(motion=motion_of(plan, self.built.spec))
-        values = _values(built, self.prior, quantities)
+        values = _statistics(self.prior + self._gram(plan), quantities)
         return {
             r.name: math.log(v / (1.0 if r.target is None else float(r.target) * UNIT_OF_QUANTITY[r.quantity][1]))
             if v
             else math.inf
             for (r, *_), v in zip(quantities, values, strict=True)
         }
+
+    def _gram(self, plan: UnitSchedule) -> np.ndarray:
+        """What the rows of a plan say; of a cycle that repeats, from three of its cycles."""
+        (stretch, *_), turns = plan.stretches, np.zeros(len(plan.start))
+        for step in plan.steps:
+            if step.axis >= 0:
+                turns[step.axis] += step.move.angle / (2.0 * math.pi)
+        returns = np.all(abs(turns - np.round(turns)) < _SLACK)
+        few = self._of_three(plan) if self.repeats and returns and stretch.cycles >= _MANY else None
+        return _gram_of(self.built._replace(motion=motion_of(plan, self.built.spec))) if few is None else few
+
+    def _of_three(self, plan: UnitSchedule) -> np.ndarray | None:
+        """The same from three of its cycles, where they stand for all."""
+        (stretch,) = plan.stretches
+        (segment,) = (s for s in plan.segments if s.used)
+        shorter = 3.0 * plan.period + stretch.leftover
+        stretch = replace(stretch, start=0.0, duration=shorter, cycles=3)
+        warm = segment.temperature_start + segment.slope * shorter
+        segment = replace(segment, start=0.0, duration=shorter, temperature_end=warm)
+        few = replace(plan, segments=(segment,), stretches=(stretch,))
+        built = self.built._replace(motion=motion_of(few, self.built.spec))
+        steps, columns = unit_system(built.motion, built.model, built.body_nodes())
+        rows = int(np.searchsorted(segments_of(built.motion, built.model).row_segment, len(plan.steps)))
+        shifts = built.model.shifts(segment.slope * plan.period * np.arange(plan.stretches[0].cycles - 2))
+        assert shifts is not None
+        return repeated_gram(steps, columns, rows, shifts, built.points + 1)
 
     def plan(self, cycle: PoseCycle) -> UnitSchedule | None:
         """The whole plan of a cycle; None where it does not fit."""
@@ -156,20 +206,21 @@ class _Value:
         return moves
 
 
-def _gram(rows: np.ndarray) -> np.ndarray:
+def _gram_of(built: AssembledUnit) -> np.ndarray:
+    """What the rows of a plan say."""
+    rows = whiten(*unit_system(built.motion, built.model, built.body_nodes()))
     return rows.T @ rows
 
 
-def _values(built: AssembledUnit, prior: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[float | None]:
+def _statistics(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[float | None]:
     """Every requirement's statistic in people's units. By the product of the rows, whose columns, scaled, are far from
     parallel where all is observed.
     """
-    gram = prior + _gram(whiten(*unit_system(built.motion, built.model, built.body_nodes())))
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
     seen = values > 1e-13 * values[-1]
     known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
-    return [summed_up(q.requirement, q.residual(known))[q.requirement.statistic] for q in quantities]
+    return [summary(q.requirement, q.residual(known), q.requirement.statistic) for q in quantities]
 
 
 def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:

@@ -129,12 +129,14 @@ def summed_up(requirement: UnitRequirement, found: UnitResidual) -> dict[str, fl
     names: list[Statistic] = [
         name for name in STATISTICS if name != "mean of max" or isinstance(requirement, GyroScaleFactorRequirement)
     ]
-    result: dict[str, float | None] = {}
-    for name in names:
-        each = np.array([statistic(name, values) for values in found.values])
-        value = np.sqrt(np.mean(each**2)) if requirement.axis == "all" else np.max(each)
-        result[name] = float(value) if np.isfinite(value) else None
-    return result
+    return {name: summary(requirement, found, name) for name in names}
+
+
+def summary(requirement: UnitRequirement, found: UnitResidual, name: Statistic) -> float | None:
+    """One of these statistics."""
+    each = np.array([statistic(name, values) for values in found.values])
+    value = np.sqrt(np.mean(each**2)) if requirement.axis == "all" else np.max(each)
+    return float(value) if np.isfinite(value) else None
 
 
 def worst_axis(requirement: UnitRequirement, found: UnitResidual) -> str | None:

@@ -187,13 +187,21 @@ def _of_unit(
     """Search a unit's cycle and write the spec with the best one."""
     import time
 
-    from gradcal_jax.api.unit_optimise import UnitOptimum, optimise_unit
+    from gradcal_jax.api.unit_optimise import TOGETHER, UnitOptimum, optimise_unit
     from gradcal_jax.files import write_toml
+    from gradcal_jax.jobs.pool import LocalPool, cores
 
     best: UnitOptimum | None = None
     begun, first = time.monotonic(), None
-    with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
-        for event in optimise_unit(spec, evaluations=evaluations, until_met=until_met, stop=lambda: interrupt.asked):
+    tables = spec.model_dump_json(exclude_unset=True)
+    with LocalPool(min(TOGETHER, cores())) as pool, _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
+        for event in optimise_unit(
+            spec,
+            evaluations=evaluations,
+            until_met=until_met,
+            stop=lambda: interrupt.asked,
+            values=lambda cycles: pool.answers("cycle", ((tables, cycle) for cycle in cycles)),
+        ):
             if isinstance(event, UnitOptimum):
                 best = event
                 continue

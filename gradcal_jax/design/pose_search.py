@@ -7,7 +7,7 @@ cycle ends where it began, up to whole turns, so that it can repeat. All figures
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,6 @@ import numpy as np
 # Sizes of a change, in angle steps of 45°: to the next pose, a quarter, half a turn, whole turns.
 _TURNS = (1, 2, 3, 4, 8, 16, 24)
 _FACTORS = (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)
-_NO_VALUE = math.inf
 
 
 class CycleItem(NamedTuple):
@@ -54,29 +53,34 @@ class PoseState(NamedTuple):
 
 def anneal(
     start: PoseCycle,
-    value: Callable[[PoseCycle], float],
+    values: Callable[[Sequence[PoseCycle]], Iterable[float]],
     limits: PoseLimits,
     *,
     evaluations: int,
     seed: int,
-    warmest: float = 0.05,
-    coldest: float = 0.002,
+    warmest: float = 0.02,
+    coldest: float = 0.0007,
+    together: int = 1,
 ) -> Iterator[PoseState]:
-    """Yields after every evaluation. `value`: what is minimised; infinite for a cycle that cannot be.
+    """Yields after every `together` evaluations. `values`: what is minimised, of several cycles; infinite for one that
+    cannot be.
 
     `warmest`, `coldest`: by how much worse (in the value's unit) a step may be that is often still taken, at the
-    beginning and at the end.
+    beginning and at the end. `together`: neighbours of one cycle that are asked for at once, of which the first that is
+    taken counts, so that they can be worked out side by side.
     """
     rng = np.random.default_rng(seed)
-    here, now = start, value(start)
+    here, now = start, next(iter(values([start])))
     best, least = here, now
-    for k in range(evaluations):
-        share = (k + 1) / evaluations
+    for done in range(0, evaluations, together):
+        share = min(1.0, (done + together) / evaluations)
         temperature = warmest * (coldest / warmest) ** share
-        there = closed(neighbour(here, limits, rng), limits)
-        then = value(there) if feasible(there, limits) else _NO_VALUE
-        if then <= now or rng.random() < math.exp(-(then - now) / temperature):
-            here, now = there, then
+        neighbours = [neighbour(here, limits, rng) for _ in range(together)]
+        possible = [cycle for cycle in neighbours if feasible(cycle, limits)]
+        for there, then in zip(possible, values(possible), strict=True):
+            if then <= now or rng.random() < math.exp(-(then - now) / temperature):
+                here, now = there, then
+                break
         if now < least:
             best, least = here, now
         # Far from the best it goes on from there.
@@ -86,55 +90,69 @@ def anneal(
 
 
 def neighbour(cycle: PoseCycle, limits: PoseLimits, rng: np.random.Generator) -> PoseCycle:
-    """A cycle with one thing changed."""
+    """A cycle with one thing changed, closed again by the turn of the same axis that follows: poses between the two
+    change, and no others."""
     items, k = list(cycle), int(rng.integers(len(cycle)))
-    item = items[k]
-    what = rng.choice(["rest", "rate", "turn", "axis", "swap", "insert", "delete", "rests", "copy"], p=_SHARES)
+    item, axis = items[k], int(rng.integers(len(limits.rates)))
+    steps, factor = int(rng.choice(_TURNS)) * int(rng.choice([-1, 1])), float(rng.choice(_FACTORS))
+    what = rng.choice(list(_SHARES), p=list(_SHARES.values()))
     if what == "rest":
-        items[k] = item._replace(rest=_rest(item.rest * float(rng.choice(_FACTORS)), limits))
+        items[k] = item._replace(rest=_rest(item.rest * factor, limits))
     elif what == "rate":
-        items[k] = item._replace(rate=_rate(item.rate * float(rng.choice(_FACTORS)), item.axis, limits))
+        items[k] = item._replace(rate=_rate(item.rate * factor, item.axis, limits))
     elif what == "turn":
-        change = int(rng.choice(_TURNS)) * int(rng.choice([-1, 1]))
-        items[k] = item._replace(steps=-item.steps if rng.random() < 0.3 else item.steps + change)
+        items[k] = item._replace(steps=-item.steps if rng.random() < 0.3 else item.steps + steps)
     elif what == "axis":
-        axis = int(rng.integers(len(limits.rates)))
         items[k] = item._replace(axis=axis, rate=_rate(item.rate, axis, limits))
     elif what == "swap":
-        other = int(rng.integers(len(items)))
+        other = int(rng.integers(len(items))) if rng.random() < 0.5 else (k + 1) % len(items)
         items[k], items[other] = items[other], items[k]
     elif what == "insert" and len(items) < limits.most:
-        axis = int(rng.integers(len(limits.rates)))
-        steps = int(rng.choice(_TURNS)) * int(rng.choice([-1, 1]))
-        rate = _rate(limits.rates[axis] * rng.random(), axis, limits)
+        rate = _rate(limits.rates[axis] * min(1.0, 2.0 * rng.random()), axis, limits)
         items.insert(k, CycleItem(axis, steps, rate, _rest(item.rest or limits.shortest, limits)))
     elif what == "delete" and len(items) > 2:
         del items[k]
+        k -= 1
     elif what == "rests":
-        factor = float(rng.choice(_FACTORS))
         items = [i._replace(rest=_rest(i.rest * factor, limits) if i.rest else 0.0) for i in items]
     elif what == "copy" and len(items) < limits.most:
         # There and back: a move and its opposite, which cancels drift.
         items[k + 1 : k + 1] = [item._replace(steps=-item.steps)]
-    return tuple(items)
+    elif what == "move":
+        block = items[k : k + int(rng.integers(1, 7))]
+        del items[k : k + len(block)]
+        at = int(rng.integers(len(items) + 1))
+        items[at:at] = block if rng.random() < 0.7 else block[::-1]
+    return closed(tuple(items), limits, k)
 
 
-_SHARES = (0.2, 0.15, 0.2, 0.06, 0.1, 0.1, 0.11, 0.03, 0.05)
+_SHARES = {
+    "rest": 0.2,
+    "rate": 0.14,
+    "turn": 0.2,
+    "axis": 0.06,
+    "swap": 0.1,
+    "insert": 0.1,
+    "delete": 0.09,
+    "rests": 0.02,
+    "copy": 0.04,
+    "move": 0.05,
+}
 
 
-def closed(cycle: PoseCycle, limits: PoseLimits) -> PoseCycle:
-    """The cycle with the last turn of each axis changed so that it ends where it began, up to whole turns (on an axis
-    of limited travel, exactly). Items without turn and rest are left out."""
+def closed(cycle: PoseCycle, limits: PoseLimits, after: int | None = None) -> PoseCycle:
+    """The cycle with one turn of each axis changed so that it ends where it began, up to whole turns (on an axis of
+    limited travel, exactly): the last one, or the next one to the item `after`. Items without turn and rest are left
+    out."""
     items = list(cycle)
     for axis, (_, highest) in enumerate(limits.reach):
-        net = sum(i.steps for i in items if i.axis == axis)
+        turns = [k for k, i in enumerate(items) if i.axis == axis and i.steps]
+        net = sum(items[k].steps for k in turns)
         left = net if math.isfinite(highest) else (net + limits.per_turn // 2) % limits.per_turn - limits.per_turn // 2
-        if not left:
+        if not left or not turns:
             continue
-        last = max((k for k, i in enumerate(items) if i.axis == axis and i.steps), default=None)
-        if last is None:
-            continue
-        items[last] = items[last]._replace(steps=items[last].steps - left)
+        at = turns[-1] if after is None else next((k for k in turns if k > after), turns[0])
+        items[at] = items[at]._replace(steps=items[at].steps - left)
     return tuple(i for i in items if i.steps or i.rest)
 
 

@@ -17,6 +17,7 @@ from gradcal_jax.information.posterior import (
     unweighted,
 )
 from gradcal_jax.information.regressors import at_readings, since_origin
+from gradcal_jax.information.repeated import repeated_gram
 from gradcal_jax.information.residual import STATISTICS, contrasts, map_of, residual, statistic
 from gradcal_jax.information.unit_rows import Segments, segments_of, unit_information, unit_system
 from gradcal_jax.information.whitening import FilterState, whiten, whiten_from
@@ -47,6 +48,7 @@ __all__ = [
     "posterior",
     "power",
     "quantiles",
+    "repeated_gram",
     "residual",
     "seen",
     "segments_of",

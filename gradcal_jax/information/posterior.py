@@ -11,7 +11,6 @@ that the plan cannot observe have been set apart.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -67,7 +66,7 @@ def square_root(rows: Float[AnyArray, "rows p"]) -> SquareRootInformation:
     return SquareRootInformation(triangular_factor(rows / scale[None, :]), scale)
 
 
-class Posterior(eqx.Module):
+class Posterior(NamedTuple):
     """What is known after the plan: `C = spread spreadᵀ` on what can be observed, and `hidden`, what cannot.
 
     `spread` is `(p, r)`, `hidden` `(p, k)` with `r + k = p`: directions in parameter space of which the plan says

@@ -4,7 +4,9 @@ The numbers are those of `gradcal_jax.api.predict`; what is not asked for (the p
 shares of the error sources) is not computed. There is nothing to compile: NumPy computes each point by itself.
 """
 
-from collections.abc import Mapping
+import functools
+import json
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -13,10 +15,11 @@ from gradcal_jax.api.build import assemble
 from gradcal_jax.api.posterior_of_plan import posterior_of_plan, residual_map, statistic_of, verdict
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_prediction import posterior_of_unit, requirement_row
+from gradcal_jax.design.pose_search import PoseCycle
 from gradcal_jax.files import Spec, changed, to_toml
 from gradcal_jax.files.changes import any_spec_of
 from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.information import STATISTICS
 from gradcal_jax.jobs.results import OVER_RATE, Residual, Result, one_line
 
@@ -92,5 +95,22 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
     return cases.recommend(tables)
 
 
-TASKS: Final = {"predict": predict_points, "optimise": optimise_points, "recommend": recommend}
+def cycle_value(spec: str, cycle: PoseCycle) -> float:
+    """What the search over a unit's poses minimises, of one cycle; `spec` is the unit's as JSON."""
+    return _cycle_value(spec)(cycle)
+
+
+@functools.lru_cache(maxsize=1)
+def _cycle_value(spec: str) -> Callable[[PoseCycle], float]:
+    from gradcal_jax.api.unit_optimise import CycleValue
+
+    return CycleValue(unit_spec_of(json.loads(spec)))
+
+
+TASKS: Final = {
+    "predict": predict_points,
+    "optimise": optimise_points,
+    "recommend": recommend,
+    "cycle": cycle_value,
+}
 """What a worker can be asked to do."""

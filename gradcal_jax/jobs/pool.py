@@ -58,6 +58,13 @@ class LocalPool:
         for _ in range(count):
             yield done.get()
 
+    def answers(self, name: str, arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
+        """The results of one kind of task in order; raises what a task raised."""
+        found = dict(self.run(Task(k, name, of_task) for k, of_task in enumerate(arguments)))
+        if error := next((answer for answer in found.values() if isinstance(answer, Exception)), None):
+            raise error
+        return [found[k] for k in range(len(found))]
+
     def close(self) -> None:
         for worker in self._all:
             worker.close()

@@ -15,10 +15,10 @@ from numpy.polynomial import chebyshev as np_chebyshev
 from numpy.polynomial import legendre as np_legendre
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 
 
-class Basis(eqx.Module):
+class Basis(PytreeModule):
     """A finite set of functions of one variable."""
 
     def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
@@ -91,6 +91,11 @@ class Polynomial(Basis):
     @property
     def constant(self) -> np.ndarray:
         return np.eye(self.size)[0]
+
+    def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k size size"]:
+        """S with `basis(x + by) = basis(x) S` for all x."""
+        x = self.centre + self.scale * np.linspace(-1.0, 1.0, self.size)
+        return np.linalg.solve(self(x)[None], self(x + by[:, None]))
 
 
 class BSpline(Basis):

@@ -17,18 +17,18 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace, placed
-from gradcal_jax.model.bases import Basis
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
+from gradcal_jax.model.bases import Basis, Polynomial
 from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes
 from gradcal_jax.model.sensor import SensorModel
-from gradcal_jax.model.terms import Map, SignalMap
+from gradcal_jax.model.terms import BiasTemperatureGradient, Map, SignalMap
 
 ChannelKind = Literal["gyro", "accelerometer"]
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
 
 
-class Channel(eqx.Module):
+class Channel(PytreeModule):
     """A gyro or an accelerometer along the body's axis `axis`, with its own terms and noise (`model`).
 
     An accelerometer's noise is as a gyro's with m/s in the place of rad. A gyro is read always, an accelerometer
@@ -55,7 +55,7 @@ class Channel(eqx.Module):
         return self.axis + 3 * KINDS.index(self.kind)
 
 
-class EncoderNoise(eqx.Module):
+class EncoderNoise(PytreeModule):
     """Error of each of `L` encoders, rad.
 
     A table that is `held` has one draw for each standstill, of variance `offset² + reading²/n` with n readings in it,
@@ -69,7 +69,7 @@ class EncoderNoise(eqx.Module):
     held: bool = eqx.field(static=True, default=True)
 
 
-class UnitModel(eqx.Module):
+class UnitModel(PytreeModule):
     """A whole unit on its table: `channels`, `installation` terms, and the encoders' noise."""
 
     channels: tuple[Channel, ...]
@@ -161,6 +161,26 @@ class UnitModel(eqx.Module):
                 parts.append(((group.pieces[:, None], places), shared.sums(basis(group.temperature), drive)))
         found = placed((len(nodes.kind), begin), *parts)
         return [found[:, a:b] for a, b in pairwise([0, *ends])]
+
+    def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p p"] | None:
+        """S with `columns at T + by = (columns at T) S`, one for each `by` (K); None where functions of temperature are
+        no polynomials.
+        """
+        result, known = np.tile(np.eye(self.size), (len(by), 1, 1)), {}
+        begin = 0
+        for term in (term for c in self.channels for term in c.model.terms):
+            if isinstance(term, Map | SignalMap):
+                basis, count = term.temperature, term.size // term.temperature.size
+                if not isinstance(basis, Polynomial):
+                    return None
+                places = begin + np.arange(term.size).reshape(basis.size, count).T
+                if (key := (basis.degree, basis.centre, basis.scale, basis.internal)) not in known:
+                    known[key] = basis.shifts(by)[:, None]
+                result[:, places[:, :, None], places[:, None, :]] = known[key]
+            elif not isinstance(term, BiasTemperatureGradient):
+                return None
+            begin += term.size
+        return result
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
         """Whitened rows of everything known beforehand."""

@@ -11,11 +11,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyGroup, BodyNodes
 
 
-class InstallationTerm(eqx.Module):
+class InstallationTerm(PytreeModule):
     """An error that all channels see, linear in `size` parameters with independent priors `stds`."""
 
     stds: eqx.AbstractVar[AnyArray]
@@ -41,7 +41,7 @@ class InstallationTerm(eqx.Module):
 def seen(group: BodyGroup, p: Float[AnyArray, "U q m 3"], outer: Float[AnyArray, "U q #m 3"]) -> AnyArray:
     """What inserted rotations add to rate and force at the nodes, `(U, q, 6, m)`; ṗ apart."""
     xp = namespace(p, outer)
-    both = xp.concatenate([xp.cross(outer, p), xp.cross(group.force[..., None, :], p)], axis=-1)
+    both = xp.concatenate([cross(outer, p), cross(group.force[..., None, :], p)], axis=-1)
     return xp.swapaxes(both, -1, -2)
 
 

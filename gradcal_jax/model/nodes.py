@@ -5,14 +5,16 @@ integrates on Gauss–Legendre nodes of smooth motion (`GaussNodes`), a log sums
 terms of the model are the same functions of either.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from gradcal_jax.arrays import AnyArray, namespace, placed, put
+from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, placed, put
 
 
-class GaussNodes(eqx.Module):
+class GaussNodes(PytreeModule):
     """Nodes of the `k` given `pieces`, `q` each: `weight` s, `rate` rad/s, `temperature` °C.
 
     Where `moving` is false the rate is zero throughout.
@@ -31,7 +33,7 @@ class GaussNodes(eqx.Module):
         return xp.reshape(xp.swapaxes(weighted @ first, -1, -2), (first.shape[0], -1))
 
 
-class SampleNodes(eqx.Module):
+class SampleNodes(PytreeModule):
     """Samples `(n,)` of a log in order of time; those of the k-th of `pieces` begin at `starts[k]`.
 
     `noise`: standard deviation of a sample's rate (rad/s), which functions that are not linear in it must not see.
@@ -51,7 +53,7 @@ class SampleNodes(eqx.Module):
         return np.add.reduceat(products.reshape(len(first), -1), self.starts, axis=0)
 
 
-class SharedNodes(eqx.Module):
+class SharedNodes(NamedTuple):
     """Nodes of `k` given pieces that are alike in `U` ways: what they see is of their kind, the temperature their own.
 
     Temperature runs smoothly along a piece, so functions of it are known by their values at `m` points, and a kind has
@@ -65,7 +67,7 @@ class SharedNodes(eqx.Module):
     rate: Float[AnyArray, "U q"]
     signals: dict[str, Float[AnyArray, "U q"]]
     share: Float[np.ndarray, "q m"]
-    moving: bool = eqx.field(static=True, default=True)
+    moving: bool = True
 
     def signal(self, name: str) -> Float[AnyArray, "U q"]:
         """A signal by its name, "rate x"; "|rate x|" its magnitude. "size ik": what a coordinate k (m) of where an
@@ -94,7 +96,7 @@ class SharedNodes(eqx.Module):
 NodeGroup = GaussNodes | SampleNodes | SharedNodes
 
 
-class Nodes(eqx.Module):
+class Nodes(PytreeModule):
     """All nodes of `count` pieces, and what terms that are no integrals need of each piece.
 
     `temperature_change` K over the piece; `angle_before`, `angle_after`: the table's angle at its ends, rad.
@@ -118,7 +120,7 @@ class Nodes(eqx.Module):
         return result
 
 
-class BodyGroup(eqx.Module):
+class BodyGroup(PytreeModule):
     """Nodes of `U` kinds of pieces of a motion on `L` table axes, as the body on it sees them, `q` each.
 
     `kinds`: their numbers; `pieces`, `kind`, `temperature`, `share`: see `SharedNodes`. `weight` s; `rate` rad/s and
@@ -152,7 +154,7 @@ class BodyGroup(eqx.Module):
     def turned(self, k: int) -> Float[AnyArray, "U q 6"]:
         """What a small rotation about axis k adds to rate and force, but for its own change."""
         xp, axis = namespace(self.axes), self.axes[..., k, :]
-        return xp.concatenate([xp.cross(self.outer[..., k, :], axis), xp.cross(self.force, axis)], axis=-1)
+        return xp.concatenate([cross(self.outer[..., k, :], axis), cross(self.force, axis)], axis=-1)
 
     def shared(self, own: str = "rate", index: int = 0) -> SharedNodes:
         """The nodes with a component of rate or force for the `rate` of a single axis, and all of them as signals."""
@@ -168,7 +170,7 @@ class BodyGroup(eqx.Module):
         return xp.reshape((self.weight[:, None, :] @ flat)[:, 0], (values.shape[0], *values.shape[2:]))
 
 
-class BodyNodes(eqx.Module):
+class BodyNodes(PytreeModule):
     """All nodes of `P` pieces of `K` kinds. Of each kind, as a piece of it begins: `angle_before` rad of the joints and
     their directions `axes_before`; `angle_after`: as it ends. `axis`: which joint it turns, −1: none; `mounting`: which
     one. `kind`: of every piece.

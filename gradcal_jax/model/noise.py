@@ -21,10 +21,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray
+from gradcal_jax.arrays import AnyArray, PytreeModule
 
 
-class Processes(eqx.Module):
+class Processes(PytreeModule):
     """`m` independent scalar noise processes; every field has the shape `(m,)` and SI units."""
 
     initial_std: Float[AnyArray, " m"]
@@ -73,7 +73,7 @@ def constant(standard_deviation, *, bias_gain=0.0, rate_gain=0.0) -> Processes:
     return _process(standard_deviation, 0.0, 0.0, bias_gain, rate_gain)
 
 
-class Reference(eqx.Module):
+class Reference(PytreeModule):
     """Noise of the reference: an angle read at standstill or on the move, or a rate that is held.
 
     Arguments, all standard deviations: `reading_noise` rad, white, each reading; `standstill_offset` rad, one draw each

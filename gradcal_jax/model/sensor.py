@@ -6,17 +6,16 @@ What is linear in parameters is a term (`terms`); everything else is noise (`noi
 terms' parameters, one term after the other.
 """
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 from gradcal_jax.model.nodes import Nodes
 from gradcal_jax.model.noise import Processes, Reference, angle_reference, no_processes
 from gradcal_jax.model.terms import BIAS, SCALE_FACTOR, BiasTemperatureGradient, EncoderHarmonics, Map, SignalMap, Term
 
 
-class SensorModel(eqx.Module):
+class SensorModel(PytreeModule):
     """A sensor channel and its reference: `terms`, `angle_random_walk` (rad/√s), processes, noise of the reference.
 
     Errors: `ValueError` without any map to calibrate.

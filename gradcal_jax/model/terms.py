@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
 from gradcal_jax.model.nodes import NodeGroup, Nodes, SampleNodes, SharedNodes
 
@@ -26,7 +26,7 @@ DISCREPANCY: Final = "{}_discrepancy"
 _NO_NOISE = 1e-8
 
 
-class Term(eqx.Module):
+class Term(PytreeModule):
     """A source of error that is linear in `size` parameters; `name` is what a model finds it by."""
 
     name: eqx.AbstractVar[str]

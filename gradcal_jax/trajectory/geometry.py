@@ -12,17 +12,16 @@ the rate of all that stands outside that stage: the Earth's, and that of the axe
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace
 
 EARTH_RATE = 7.292115e-5
 """rad/s, of the Earth against the stars (WGS 84)."""
 
 
-class Geometry(eqx.Module):
+class Geometry(PytreeModule):
     """A table of `L` axes, outermost first, and how the body hangs on it.
 
     `axes`: directions at zero, each in the frame that the axis outside it carries (the first: that of the base).
@@ -65,7 +64,7 @@ def frames(geometry: Geometry, angles: Float[AnyArray, "*s L"], mounting: AnyArr
         direction = geometry.axes[k]
         axes.append(_seen(inner, direction))
         if k + 1 < geometry.axis_count:
-            crosses.append(_seen(inner, xp.cross(geometry.axes[k + 1], direction)))
+            crosses.append(_seen(inner, cross(geometry.axes[k + 1], direction)))
         inner = rotation(direction, angles[..., k]) @ inner
     none = xp.zeros((*angles.shape[:-1], 0, 3))
     return Frames(

@@ -2,11 +2,10 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, namespace, running_sum
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, running_sum
 
 
 class RampTemperature(NamedTuple):
@@ -22,7 +21,7 @@ class RampTemperature(NamedTuple):
     lag_rate: Float[AnyArray, ""]
 
 
-class Programme(eqx.Module):
+class Programme(PytreeModule):
     """Stretches on which the chamber moves at a constant slope: `durations` s, `slopes` K/s, from `start` °C.
 
     `jumps` K: by how much it changes, in no time, as each stretch begins (the plateaus of the standard method).

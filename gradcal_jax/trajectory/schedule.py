@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, filled, namespace, put, running_sum, size_class
+from gradcal_jax.arrays import AnyArray, PytreeModule, filled, namespace, put, running_sum, size_class
 from gradcal_jax.formulas import reading_times, repetitions
 from gradcal_jax.trajectory.motion import Move, PieceTable, divide, joined, standing
 from gradcal_jax.trajectory.programme import Programme
@@ -29,7 +29,7 @@ _NO_KNOT = -1
 _AT_KNOT = 1e-6
 
 
-class Pieces(eqx.Module):
+class Pieces(PytreeModule):
     """What every piece is: `(P,)` arrays; see `motion.PieceTable` for the first ones.
 
     `move`: whose times and rates it has; `segment` counts moves as they are made. `relaxed`: its one reading stands for
@@ -55,7 +55,7 @@ class Pieces(eqx.Module):
     high: Int[AnyArray, " P"]
 
 
-class Schedule(eqx.Module):
+class Schedule(PytreeModule):
     """A plan of one channel. `duration` s, `peak_rate` rad/s, `ramp` s of each move; `fill_move` have the duration that
     is left between the knots `fill_from` and `fill_to` of the programme after all moves, `fill_counts` times each.
 

@@ -4,11 +4,10 @@ One axis turns at a time; all others stand. The pieces, their rates and temperat
 axis; the geometry makes of them the body's rate, specific force and attitude at every instant.
 """
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from gradcal_jax.arrays import AnyArray, namespace, size_class
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, size_class
 from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory.geometry import Geometry, frames
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
@@ -24,7 +23,7 @@ _WAVES = 3
 _SAME_POSE = 1e-9
 
 
-class TableMotion(eqx.Module):
+class TableMotion(PytreeModule):
     """`line`: the pieces, `(P,)`; `axis`: which axis each turns (−1: all stand); `mounting`: how the unit hangs then.
 
     `start_angles` rad: of the axes as the motion begins. Pieces of one `kind` differ in temperature and by whole turns

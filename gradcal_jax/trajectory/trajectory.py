@@ -10,6 +10,7 @@ trajectory of its own.
 """
 
 from dataclasses import fields, replace
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -17,14 +18,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 
 Everything = slice(None)
 # Times within this of each other are the same; s.
 _HAIR = 1e-6
 
 
-class Trajectory(eqx.Module):
+class Trajectory(PytreeModule):
     """Pieces of one channel. Fields of shape `(P,)` unless said; see the module's head for the symbols.
 
     `read`: a reading at the end of the piece, which stands for `share` of them; `at_rest`: the axis stands then;
@@ -178,7 +179,10 @@ def held(
     )  # fmt: skip
 
 
+@lru_cache(maxsize=64)
 def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss–Legendre nodes and weights on [0, 1]."""
+    """Gauss–Legendre nodes and weights on [0, 1]; the same arrays for all who ask, which nobody may change."""
     x, w = np.polynomial.legendre.leggauss(nodes)
-    return (x + 1.0) / 2.0, w / 2.0
+    x, w = (x + 1.0) / 2.0, w / 2.0
+    x.flags.writeable = w.flags.writeable = False
+    return x, w

@@ -263,7 +263,7 @@ class SimulatedUnitLab:
             for number in range(1, units + 1)
         }
         cold, hot = (float(end) for end in chamber.range)
-        espec = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
+        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
         axes = spec.rig.table.axis
         plants = dict(zip((axis.name for axis in axes), self.axis_plants, strict=True))
         by_hand = any(step.move.shape == "hand" for step in spec.schedule.steps)
@@ -277,7 +277,7 @@ class SimulatedUnitLab:
         options = Stim300Options(rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
         self.imus = {name: SimulatedStim300(unit, clock, options) for name, unit in self.units.items()}
         several = len(spec.rig.table.mounting) > 1
-        devices = [espec, person if by_hand else stages, *self.imus.values()]
+        devices = [self.chamber, person if by_hand else stages, *self.imus.values()]
         devices += [person] if several and not by_hand else []
         self.ports = [SimulatedPort(device, clock) for device in devices]
         at_chamber, at_table, *others = (port.url for port in self.ports)

@@ -1,6 +1,7 @@
 """Processes for the tests: a simulated laboratory that outlives the runs on it, and a run that can be killed.
 
-python hardware_processes.py serve FOLDER SPEED SEED    serves until its input closes; writes FOLDER/rig.toml
+python hardware_processes.py serve FOLDER SPEED SEED UNITS RATE_HZ    serves until its input closes; writes
+                                                                      FOLDER/rig.toml and FOLDER/hidden_truth.json
 python hardware_processes.py run FOLDER RUN SPEED [guard]
 """
 
@@ -25,10 +26,13 @@ from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.unit_lab import SimulatedUnitLab
 
 
-def serve(folder: Path, speed: float, seed: int) -> None:
+def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: float) -> None:
     clock, spec = RealClock(speed=speed), read_recipe(folder / "recipe.toml").spec
     if isinstance(spec, UnitSpec):
-        made = SimulatedUnitLab(spec, clock, seed=seed, burst_s=0.5, room_c=20.0)
+        burst_s = 0.016 if speed == 1.0 else 0.5
+        made = SimulatedUnitLab(
+            spec, clock, seed=seed, units=units, sample_rate_hz=sample_rate_hz, burst_s=burst_s, room_c=20.0
+        )
     else:
         made = SimulatedLab(spec, clock, seed=seed, burst_s=2.0)
     with made as lab:
@@ -59,11 +63,13 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
 
 
 @contextmanager
-def laboratory(folder: Path, speed: float, seed: int = 0) -> Iterator[subprocess.Popen[str]]:
+def laboratory(
+    folder: Path, speed: float, seed: int = 0, *, units: int = 1, sample_rate_hz: float = 125.0
+) -> Iterator[subprocess.Popen[str]]:
     """A laboratory in a process of its own for the recipe in a folder, ready to be used; `hidden_truth.json` there says
     what it hides."""
     process = subprocess.Popen(
-        [sys.executable, __file__, "serve", str(folder), str(speed), str(seed)],
+        [sys.executable, __file__, "serve", str(folder), *map(str, (speed, seed, units, sample_rate_hz))],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -90,6 +96,6 @@ def start_run(
 
 if __name__ == "__main__":
     if sys.argv[1] == "serve":
-        serve(Path(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4]))
+        serve(Path(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4]), int(sys.argv[5]), float(sys.argv[6]))
     else:
         sys.exit(run(Path(sys.argv[2]), Path(sys.argv[3]), float(sys.argv[4]), "guard" in sys.argv[5:]))

@@ -117,7 +117,7 @@ def in_band(value: float, degrees: int, outside: float = 0.01) -> bool:
 
 def test_a_killed_run_of_a_unit_is_made_safe_and_gone_on_with(tmp_path: Path) -> None:
     sums = Sums()
-    killed_run(tmp_path / "one", quick(2), 1, 3, sums)
+    killed_run(tmp_path / "one", quick(2), 1, 2, sums)
     assert sums.kills.total() == sums.guarded == sums.seams == 1
     squares, degrees, nees, count = sums.together
     assert in_band(squares, degrees, 2e-4), sums.each

@@ -16,12 +16,12 @@ from ...files.unit_sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from .espec import EspecOptions, SimulatedEspec
-from .lab import axis_tables, chamber_truth, lab_rig, rate_truth, temperature_truth
+from .lab import axis_tables, chamber_truth, lab_rig, rate_truth, temperature_truth, unit_options
 from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth, ChamberPlant
 from .port import SimulatedPort
 from .sensor import TruthBasis
-from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
+from .stim300 import SimulatedStim300
 from .unit import (
     Coefficients,
     Drifts,
@@ -274,7 +274,7 @@ class SimulatedUnitLab:
             if encoder.highest_deg is not None:
                 reach = round(encoder.highest_deg / 360.0 * stage.settings["limit.cycle.dist"])
                 stage.settings |= {"limit.min": -reach, "limit.max": reach}
-        options = Stim300Options(rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
+        options = unit_options(sample_rate_hz, burst_s)
         self.imus = {name: SimulatedStim300(unit, clock, options) for name, unit in self.units.items()}
         several = len(spec.rig.table.mounting) > 1
         devices = [self.chamber, person if by_hand else stages, *self.imus.values()]

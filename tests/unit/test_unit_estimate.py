@@ -102,15 +102,42 @@ def test_an_axis_that_was_away_where_a_run_was_resumed_does_no_harm(away_deg):
     _require_consistent(report, truth)
 
 
-def test_angles_that_come_late_do_no_harm():
-    """A busy computer stamps the readings of an axis 0.16 s late, where another one's move follows at once."""
+def test_a_standstill_ends_where_a_run_broke_off_at_rest():
+    """It went on at rest, too, and elsewhere, so that no row lies between the two standstills."""
     spec, rng = scene("two axes", 0.1), np.random.default_rng(8)
     truth = draw_truth(spec, rng)
     (log,) = record(spec, truth, rng)
-    angle, rows = log.table_angle_rad.copy(), round(0.16 / log.sample_interval_s)
+    rests = runs(log.standstill >= 0)
+    # A rest with tilt at 90 degrees, and the next one where tilt is elsewhere.
+    at = [np.degrees(log.table_angle_rad[first]) for first, _ in rests]
+    number = next(k for k, angle in enumerate(at) if k > 5 and abs(angle[0] - 90.0) < 1.0)
+    later = next(k for k, angle in enumerate(at) if k > number and 10.0 < (angle[0] - 90.0) % 360.0 < 350.0)
+    broke, again = rests[number][1] - 20, rests[later][0] + 20
+    kept = np.r_[: int(broke), int(again) : len(log.time_s)]
+    part = replace(
+        log,
+        time_s=log.time_s[kept],
+        rate_rad_per_s=log.rate_rad_per_s[:, kept],
+        specific_force_m_per_s2=log.specific_force_m_per_s2[:, kept],
+        temperature_c=log.temperature_c[:, kept],
+        table_angle_rad=log.table_angle_rad[kept],
+        standstill=log.standstill[kept],
+        stretch_starts=np.array([0, broke]),
+        rows_read=len(kept),
+    )
+    (report,) = estimate_units(spec, [part])
+    _require_consistent(report, truth)
+
+
+def test_rates_that_are_stamped_late_do_no_harm():
+    """By a busy computer, 0.3 s: where one axis turns at once after another, its angle seems to leave too early."""
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(8)
+    truth = draw_truth(spec, rng)
+    (log,) = record(spec, truth, rng)
+    angle, rows = log.table_angle_rad.copy(), round(0.3 / log.sample_interval_s)
     assert rows > 2
     for first, end in runs(log.standstill < 0):
-        angle[first + rows : end] = angle[first : end - rows]
+        angle[first : end - rows] = angle[first + rows : end]
     (report,) = estimate_units(spec, [replace(log, table_angle_rad=angle)])
     _require_consistent(report, truth)
 

@@ -10,7 +10,7 @@ import numpy as np
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.gradient_estimate import gradient_channels
-from gradcal_jax.api.log_rows import rows_of
+from gradcal_jax.api.log_rows import of_host_clock, rows_of
 from gradcal_jax.api.standard_estimate import standard_channel
 from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.files import Spec
@@ -26,7 +26,7 @@ def estimate_channels(
     **Raises:** `LogError` and `ValueError` with a sentence where the log does not hold what the estimate needs.
     """
     options = options or Options()
-    built = assemble(spec)
+    built = assemble(of_host_clock(spec, [log], options))
     wanted_axes = [log.axes[log.axis_index(a)] for a in axes] or _common_axes(built, log)
     wanted_units = [log.unit_index(u) for u in units] or list(range(len(log.units)))
     result: list[UnitChannel] = []

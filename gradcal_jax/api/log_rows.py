@@ -1,6 +1,7 @@
 """One unit's rows of one axis, as a log has them, ready for integration."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -9,7 +10,12 @@ from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.files import correction
 from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
+
+AnySpec = TypeVar("AnySpec", Spec, UnitSpec)
 
 
 class Rows(NamedTuple):
@@ -100,6 +106,21 @@ def host_time(log: Log) -> tuple[np.ndarray, str]:
     said = f"a second of the sensor is {slope:.9f} s of the computer ({known}); "
     time = log.time_s[0] + slope * (log.time_s - log.time_s[0])
     return time, said + "rates are integrated over the computer's time"
+
+
+def of_host_clock(spec: AnySpec, logs: Sequence[Log], options: Options) -> AnySpec:
+    """The spec by which logs are estimated: where rates are integrated over the computer's time, the sample clock's
+    error is that of the line through both clocks, of which the logs say how well it is known, and no longer the spec's.
+    """
+    if options.clock != "host":
+        return spec
+    fits = [_clock_fits(log)[1] for log in logs]
+    if any(stds is None for stds in fits):
+        return spec
+    # Every log is laid on the computer's clock by a slope of its own; what is common is not more than the least sure.
+    std = max(float(np.sum(stds**-2.0)) ** -0.5 for stds in fits if stds is not None)
+    sensor = spec.sensor.model_copy(update={"sample_clock_error": Quantity.of(std, "ppm")})
+    return spec.model_copy(update={"sensor": sensor})
 
 
 def _clock_fits(log: Log) -> tuple[np.ndarray, np.ndarray | None]:

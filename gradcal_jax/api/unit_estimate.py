@@ -12,7 +12,7 @@ import gradcal_jax
 from gradcal_jax import estimation
 from gradcal_jax.api.calibration import excess_of
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import bridged_temperature, host_time
+from gradcal_jax.api.log_rows import bridged_temperature, host_time, of_host_clock
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_prediction import requirement_row
 from gradcal_jax.api.unit_residual import internal_misalignments
@@ -116,7 +116,7 @@ def estimate_units(
     names = list(units) or [name for name in logs[0].units if all(name in log.units for log in logs)]
     if not names:
         raise LogError("no unit is in all of the logs")
-    built = assemble_unit(spec)
+    built = assemble_unit(of_host_clock(spec, logs, options))
     return [_report(built, logs, name, options, sources or {}) for name in names]
 
 
@@ -240,7 +240,9 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
     temperature = bridged_temperature(log, number, options.temperature_c)
     angles = _table_angles(built, log)
     if log.standstill is not None:
-        standing = log.standstill >= 0  # a new array: it is changed where logs are joined
+        standing = log.standstill >= 0
+        # One may follow another at once, where a run broke off at rest and went on at rest elsewhere.
+        standing[1:] &= (np.diff(log.standstill) == 0) | ~standing[:-1]
     elif gyros.any():
         found = estimation.find_standstills(np.nan_to_num(rates[:, gyros]), log.sample_interval_s, valid=usable)
         standing = found >= 0

@@ -112,9 +112,11 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
     for k, ((_, last), (first, _)) in enumerate(itertools.pairwise(spans)):
         change = means[k + 1] - means[k]
         turned = np.flatnonzero(np.abs(change) > _LEAST_TURN)
-        if quiet is None or not log.usable[last + 1 : first + 1].all() or log.mounting[last] != log.mounting[first]:
-            # Nothing is read of this move: only where it led to counts.
-            found.append(_Leg(k, int(turned[0]) if len(turned) == 1 else -1, last, first))
+        whole = bool(log.usable[last + 1 : first + 1].all()) and log.mounting[last] == log.mounting[first]
+        if quiet is None or not whole:
+            # Nothing is read of this move: only where it led to counts. Where rows are missing, as where a run was
+            # resumed, an axis that stands as before may have been away.
+            found.append(_Leg(k, int(turned[0]) if whole and len(turned) == 1 else -1, last, first))
             continue
         rates = (log.rates[last + 1 : first + 1] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
         where = _valleys(np.linalg.norm(rates, axis=1)) if len(turned) != 1 else []
@@ -170,7 +172,13 @@ def _which(
 def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], legs: list[_Leg]) -> list[np.ndarray]:
     """Of each axis, its angles (rad) before its first move, and after each of its moves: means of what was read from
     the end of one to the beginning of the next, whatever others did then.
+
+    A busy computer's stamps are late, and where another axis's move comes next, rows of it may be of the axis's own:
+    they count from when all stood first to when they did last, and where they never did, in the middle half.
     """
+    standing = np.zeros(len(known), bool)
+    for first, last in spans:
+        standing[first : last + 1] = True
     result: list[np.ndarray] = []
     for axis in range(log.angles.shape[1]):
         own = [leg for leg in legs if leg.axis in (axis, -1)]
@@ -178,7 +186,9 @@ def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], 
         ends = [*(leg.begin for leg in own), spans[-1][1]]
         values = []
         for a, b in zip(begins, ends, strict=True):
-            rows = np.arange(a, max(b, a) + 1)
+            rows, quarter = np.arange(a, max(b, a) + 1), max(b - a, 0) // 4
+            rest = rows[standing[rows]]
+            rows = np.arange(rest[0], rest[-1] + 1) if len(rest) else rows[quarter : len(rows) - quarter]
             good = rows[known[rows]]
             values.append(float(np.mean(log.angles[good if len(good) else rows[:1], axis])))
         result.append(np.array(values))

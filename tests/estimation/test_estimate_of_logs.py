@@ -270,6 +270,19 @@ def test_the_computers_clock_in_the_place_of_the_sensors():
         estimate_channels(spec, made.log, options=Options(clock="host"))
 
 
+def test_what_is_unsure_of_the_computers_clock_is_unsure_of_the_scale_factor():
+    spec, rate_std = spec_of(), 40e-6
+    made = simulate_log(spec, sample_rate_hz=20.0, seed=3)
+    known = replace(made.log, host_time_s=made.log.time_s)
+    unsure = replace(known, provenance={"clock_from_row": "0", "clock_rate_std": f"{rate_std:.1e}"})
+    b00 = 2  # after the two of the bias
+    variances = []
+    for log in (known, unsure):
+        (channel,) = estimate_channels(spec, log, options=Options(clock="host"))
+        variances.append(channel.found.known[0].covariance(channel.model.to_reported)[b00, b00])
+    assert variances[1] - variances[0] == pytest.approx(rate_std**2, rel=1e-3)
+
+
 SLOW = 300e-6
 
 

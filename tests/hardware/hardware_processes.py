@@ -1,9 +1,11 @@
 """Processes for the tests: a simulated laboratory that outlives the runs on it, and a run that can be killed.
 
-python hardware_processes.py serve FOLDER SPEED     serves until its input closes; writes FOLDER/rig.toml
+python hardware_processes.py serve FOLDER SPEED SEED UNITS RATE_HZ    serves until its input closes; writes
+                                                                      FOLDER/rig.toml and FOLDER/hidden_truth.json
 python hardware_processes.py run FOLDER RUN SPEED [guard]
 """
 
+import json
 import os
 import subprocess
 import sys
@@ -13,6 +15,7 @@ from pathlib import Path
 
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.rig import read_rig
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.files.writing import write_toml, write_whole
 from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.clock import RealClock
@@ -20,15 +23,25 @@ from gradcal_jax.hardware.interlocks import Limits, standard_rules
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
+from gradcal_jax.hardware.simulate.unit_lab import SimulatedUnitLab
 
 
-def serve(folder: Path, speed: float) -> None:
-    with SimulatedLab(read_recipe(folder / "recipe.toml").spec, RealClock(speed=speed), burst_s=2.0) as lab:
+def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: float) -> None:
+    clock, spec = RealClock(speed=speed), read_recipe(folder / "recipe.toml").spec
+    if isinstance(spec, UnitSpec):
+        burst_s = 0.016 if speed == 1.0 else 0.5
+        made = SimulatedUnitLab(
+            spec, clock, seed=seed, units=units, sample_rate_hz=sample_rate_hz, burst_s=burst_s, room_c=20.0
+        )
+    else:
+        made = SimulatedLab(spec, clock, seed=seed, burst_s=2.0)
+    with made as lab:
         write_toml(lab.rig, folder / "rig.toml")
+        write_whole(folder / "hidden_truth.json", json.dumps(lab.truths()))
         print("ready", flush=True)
         for line in sys.stdin:
             if line.strip() == "state":
-                rate = max(abs(plant.state(lab.axis_plants[0]._phases[-1].start_s)[1]) for plant in lab.axis_plants)
+                rate = max(abs(plant.state(clock.now())[1]) for plant in lab.axis_plants)
                 print(lab.chamber.mode, rate, flush=True)
 
 
@@ -50,10 +63,13 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
 
 
 @contextmanager
-def laboratory(folder: Path, speed: float) -> Iterator[subprocess.Popen[str]]:
-    """A laboratory in a process of its own, ready to be used."""
+def laboratory(
+    folder: Path, speed: float, seed: int = 0, *, units: int = 1, sample_rate_hz: float = 125.0
+) -> Iterator[subprocess.Popen[str]]:
+    """A laboratory in a process of its own for the recipe in a folder, ready to be used; `hidden_truth.json` there says
+    what it hides."""
     process = subprocess.Popen(
-        [sys.executable, __file__, "serve", str(folder), str(speed)],
+        [sys.executable, __file__, "serve", str(folder), *map(str, (speed, seed, units, sample_rate_hz))],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -80,6 +96,6 @@ def start_run(
 
 if __name__ == "__main__":
     if sys.argv[1] == "serve":
-        serve(Path(sys.argv[2]), float(sys.argv[3]))
+        serve(Path(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4]), int(sys.argv[5]), float(sys.argv[6]))
     else:
         sys.exit(run(Path(sys.argv[2]), Path(sys.argv[3]), float(sys.argv[4]), "guard" in sys.argv[5:]))

@@ -21,12 +21,18 @@ import numpy as np
 import pytest
 from hardware_bench import sensor_on_table
 from hardware_evidence import record
+from hardware_processes import laboratory, start_run
+from scipy.stats import chi2
+from unit_bench import estimated, made, short
 
 from gradcal_jax.files.rig import read_rig, rig_of
 from gradcal_jax.files.writing import write_toml
+from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.imu_common import join
+from gradcal_jax.hardware.execute import log as log_of_run
 from gradcal_jax.hardware.journal import Journal, read_journal
+from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Progress, Runner
 from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig
 from gradcal_jax.hardware.simulate.espec import SimulatedEspec
@@ -175,6 +181,52 @@ def test_three_units_at_full_rate_for_ten_minutes_lose_nothing(tmp_path: Path) -
         f"{max(memory):.0f} MB (after a tenth of the time {memory[len(memory) // 10]:.0f} MB), its journal grew to "
         f"{found['bytes'] / 1e6:.0f} MB; longest wait between two chunks {1e3 * wait:.0f} ms; the simulated devices "
         f"beside it used {sim:.0f} %",
+        "tests/hardware/test_full_rate.py",
+    )
+
+
+@pytest.mark.evidence
+def test_three_units_of_gyros_and_accelerometers_at_full_rate(tmp_path: Path) -> None:
+    """The recipe of a whole unit on two axes, in real time, with its guard: journal, logs, estimates of all three."""
+    recipe, run = made(short()), tmp_path / "run"
+    write_toml(recipe, tmp_path / "recipe.toml")
+    with laboratory(tmp_path, 1.0, 4, units=len(UNITS), sample_rate_hz=RATE_HZ):
+        began = time.monotonic()
+        process = start_run(tmp_path, run, 1.0, guard=True)
+        said = process.communicate(timeout=600.0)[0]
+        took_s = time.monotonic() - began
+        assert process.returncode == 0, said
+    folder = RunFolder(run)
+    contents, (step,) = folder.contents(), track_of(recipe, ["tilt", "spin"]).steps
+    assert contents.damaged_bytes == 0
+    (begins,) = (e.data["begins_s"] for e in contents.events if e.name == "step begins")
+    hidden = json.loads((tmp_path / "hidden_truth.json").read_text(encoding="utf-8"))
+    registers = {e.data["device"]: e.data["registers"] for e in contents.events if e.name == "configuration"}
+    found, samples = [], 0
+    for device in folder.rig().imu:
+        chunks = contents.chunks(device.name)
+        decoder = DRIVERS[device.driver].load().decoder_of(config_of(device, "imu", ()), registers[device.name])
+        read = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks])
+        assert int(np.maximum(read.gap_before[1:], 0).sum()) == 0
+        assert decoder.bad_bytes <= 20 + 20 + 26
+        # The counter repeats after 256 samples; the number of samples excludes that so many are missing.
+        assert abs(len(read) - RATE_HZ * (chunks[-1].time_s - chunks[0].time_s)) < 100
+        log = log_of_run(run, device.name)
+        assert log.host_time_s is not None
+        assert np.all(np.rint(np.diff(log.time_s) * RATE_HZ) == 1)
+        during = (log.host_time_s > begins) & (log.host_time_s <= begins + step.duration_s)
+        assert abs(int(during.sum()) - RATE_HZ * step.duration_s) < 100
+        assert np.isfinite(log.specific_force_m_per_s2).all()
+        samples += len(read)
+        found.append(estimated(log, recipe.spec, hidden["units"][device.name] | hidden["installation"]))
+    for squares, degrees, nees, count in found:
+        assert chi2.ppf(0.005 / 3.0, degrees) < squares < chi2.ppf(1.0 - 0.005 / 3.0, degrees), found
+        assert chi2.ppf(0.005 / 3.0, count) < nees < chi2.ppf(1.0 - 0.005 / 3.0, count), found
+    record(
+        "three units of gyros and accelerometers at 2000 samples/s, a unit's recipe on two axes, in real time",
+        f"{took_s:.0f} s, of them {step.duration_s:.0f} s of data; {samples} samples of both kinds, none missing; "
+        f"journal whole, {folder.journal_path.stat().st_size / 1e6:.0f} MB; of each unit's log "
+        + "; ".join(f"χ² {s:.0f} of {d}, NEES {n:.0f} of {c}" for s, d, n, c in found),
         "tests/hardware/test_full_rate.py",
     )
 

@@ -1,15 +1,11 @@
 """Runs killed (SIGKILL) wherever they are and gone on with: what is in the journal stays, what is measured is whole.
 
-A laboratory in a process of its own outlives the runs on it. When to kill is drawn by what the journal shows: while a
-run starts, while it waits for its temperature, in any part of a step with data, while it makes the rig safe. In which
-of these a kill fell is read from the journal afterwards.
+A laboratory in a process of its own outlives the runs on it; when they are killed, `killing` says.
 """
 
 import collections
 import itertools
 import shutil
-import signal
-import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
@@ -21,14 +17,15 @@ import numpy as np
 import pytest
 from hardware_bench import short_recipe
 from hardware_evidence import record
-from hardware_processes import laboratory, start_run
+from hardware_processes import laboratory
+from killing import SAFE, STANDING, STARTING, TURNING, WAITING, Killer, Watched, require_seams
 
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.drivers import stim300
-from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, parse_journal, read_journal
+from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, read_journal
 from gradcal_jax.hardware.recording import log_of
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
 from gradcal_jax.hardware.setup import config_of
@@ -37,9 +34,6 @@ from gradcal_jax.hardware.track import Step, Track
 SPEED = 20.0
 RATE_HZ = 125.0
 EDGE = 31
-STARTING, WAITING, TURNING, STANDING, SAFE = "starting", "waiting for its temperature", "turning", "standing", "safe"
-AIMS = (STARTING, WAITING, STANDING, TURNING, SAFE)
-SHARES = (0.08, 0.08, 0.38, 0.38, 0.08)
 
 
 def prepared(folder: Path, ramp_k: float) -> Track:
@@ -57,97 +51,6 @@ def prepared(folder: Path, ramp_k: float) -> Track:
     return track_of(made, ["x"])
 
 
-# ---------------------------------------------------------------------------------------------------------- killing
-
-
-class Watched:
-    """A run as a process, and the part of the journal that it has written so far."""
-
-    def __init__(self, folder: Path, run: Path) -> None:
-        self.journal = run / "journal"
-        self._from = self.journal.stat().st_size if self.journal.exists() else 0
-        self.process = start_run(folder, run, SPEED)
-
-    def written(self) -> bytes:
-        if not self.journal.exists():
-            return b""
-        with self.journal.open("rb") as file:
-            file.seek(self._from)
-            return file.read()
-
-    def await_word(self, word: bytes) -> bool:
-        """False when the run ended before."""
-        end = time.monotonic() + 120.0
-        while word not in self.written():
-            if self.process.poll() is not None:
-                return False
-            assert time.monotonic() < end, f"never came: {word!r}"
-            time.sleep(0.01)
-        return True
-
-    def lasts(self, real_s: float) -> bool:
-        """Wait so long; False when the run ended before."""
-        try:
-            self.process.wait(timeout=real_s)
-        except subprocess.TimeoutExpired:
-            return True
-        return False
-
-    def end(self) -> str:
-        """Wait for the process and close its pipe; what it said."""
-        assert self.process.stdout is not None
-        said = self.process.stdout.read()
-        self.process.wait()
-        self.process.stdout.close()
-        return said
-
-
-def strike(run: Watched, aim: str, track: Track, first: int, random: np.random.Generator) -> bool:
-    """Let the run come to where it is to be killed, and kill it there. False when it ended before."""
-    if aim == STARTING:
-        alive = run.lasts(float(random.uniform(0.0, 1.2)))
-    elif aim == WAITING:
-        alive = run.await_word(b'"state":"running"') and run.lasts(float(random.uniform(0.0, 0.8)))
-    else:
-        # A step with data, of those that come next, and an instant in it; beyond the last there is only the end.
-        coming = [number for number in range(first, len(track.steps)) if track.steps[number].read_at_s]
-        ahead = int(random.choice(3, p=(0.3, 0.4, 0.3)))
-        if ahead < len(coming):
-            step = track.steps[coming[ahead]]
-            begins = b'"event":"step begins","step":"%s"' % step.name.encode()
-            turns = [(move.start_s, move.start_s + move.duration_s) for move in step.moves]
-            span = turns[int(random.choice(len(turns)))] if aim == TURNING else (0.0, step.duration_s)
-            alive = run.await_word(begins) and run.lasts(float(random.uniform(*span)) / SPEED)
-        else:
-            alive = aim == SAFE
-        if alive and aim == SAFE:
-            if ahead < len(coming):
-                run.process.send_signal(signal.SIGTERM)
-            run.await_word(b'"event":"ending"')
-            alive = run.lasts(float(random.uniform(0.0, 0.1)))
-    if alive:
-        run.process.send_signal(signal.SIGKILL)
-    return alive
-
-
-def fell_in(events: list[Event]) -> str:
-    """What a session did when it was killed, by the events that it left."""
-    state = STARTING
-    turning: set[str] = set()
-    for event in events:
-        if event.name == "ending":
-            state = SAFE
-        elif event.name == "step":
-            state = WAITING
-        elif event.name == "step begins":
-            state = STANDING if event.data["data"] else WAITING
-        elif event.name == "move" and event.data["kind"] == "turn":
-            turning.add(event.data["axis"])
-        elif event.name == "angle" and not event.data["moving"]:
-            turning.discard(event.data["axis"])
-    return TURNING if state == STANDING and turning else state
-
-
 @dataclass
 class Tally:
     """What was killed, where, and what became of it."""
@@ -163,14 +66,15 @@ class Tally:
 
 def killed_runs(folder: Path, track: Track, kills: int, seed: int, *, runs: int = 1) -> Tally:
     """Kill runs and go on with each until it is complete, until there are as many as asked."""
-    random, tally = np.random.default_rng(seed), Tally()
+    killer = Killer(folder, track, SPEED, np.random.default_rng(seed), kills)
+    tally = Tally(killer.kills)
     with laboratory(folder, SPEED):
-        whole = Watched(folder, folder / "whole")
+        whole = Watched(folder, folder / "whole", SPEED)
         said = whole.end()
         assert whole.process.returncode == 0, said
         wanted = data_set(folder / "whole", track, tally)
         while tally.kills.total() < kills or tally.runs < runs:
-            one_run(folder, folder / f"run{tally.runs}", track, kills, random, tally)
+            killer.run_to_its_end(folder / f"run{tally.runs}")
             with kept_where_it_fails(folder, tally.runs):
                 found = data_set(folder / f"run{tally.runs}", track, tally)
                 require_equal(found, wanted)
@@ -190,33 +94,6 @@ def kept_where_it_fails(folder: Path, number: int) -> Iterator[None]:
             shutil.copytree(folder / name, kept / name)
         problem.add_note(f"run{number} and the run that nobody killed are kept in {kept}")
         raise
-
-
-def one_run(folder: Path, path: Path, track: Track, kills: int, random: np.random.Generator, tally: Tally) -> None:
-    torn, records = b"", []
-    while True:
-        done = [int(event.data["number"]) for event in parse_journal(torn).events if event.name == "step done"]
-        first = max(done, default=-1) + 1
-        run = Watched(folder, path)
-        aim = AIMS[int(random.choice(len(AIMS), p=SHARES))]
-        killed = tally.kills.total() < kills and strike(run, aim, track, first, random)
-        said = run.end()
-        journal = (path / "journal").read_bytes() if (path / "journal").exists() else b""
-        # Nothing that was on the disk is ever lost or changed, and it reads as it did.
-        assert journal.startswith(torn)
-        contents = parse_journal(journal)
-        assert contents.records[: len(records)] == records
-        if killed:
-            fresh = [entry for entry in contents.records[len(records) :] if isinstance(entry, Event)]
-            tally.kills[fell_in(fresh)] += 1
-        torn, records = journal, contents.records
-        # A kill may come between the run's last word and the end of its process.
-        if run.process.returncode == 0 or exit_status(contents) == "success":
-            return
-        assert run.process.returncode == -signal.SIGKILL or "SIGTERM" in said, said
-        if not (path / "run.json").exists():
-            for entry in path.glob("*"):
-                entry.unlink()
 
 
 # ------------------------------------------------------------------------------------------------------ the data set
@@ -261,30 +138,6 @@ def data_set(path: Path, track: Track, tally: Tally) -> list[StepData]:
         lost = round(step_s * RATE_HZ) > 1 and any(abs(at_s - lost_s) < 10.0 for lost_s in torn_s)
         assert lost or min(abs(at_s - begin) for begin in again) < 0.1, (at_s, step_s)
     return found
-
-
-def require_seams(contents: JournalContents, track: Track) -> int:
-    """Every session that goes on in the middle of the track marks one seam, at the step with which it goes on, before
-    it does anything of it; no other does. How many there are."""
-    sessions: list[list[Event]] = []
-    for event in contents.events:
-        if event.name == "session":
-            sessions.append([])
-        if sessions:
-            sessions[-1].append(event)
-    seams = 0
-    for number, events in enumerate(sessions):
-        first = int(events[0].data["first_step"])
-        names = [event.name for event in events]
-        if "step" not in names:
-            continue
-        marked = [event for event in events if event.name == "seam"]
-        assert len(marked) == (number > 0 and first > 0)
-        for seam in marked:
-            assert seam.data["step"] == track.steps[first].name
-            assert names.index("seam") < names.index("step")
-        seams += len(marked)
-    return seams
 
 
 def overflows(contents: JournalContents, folder: RunFolder) -> list[float]:

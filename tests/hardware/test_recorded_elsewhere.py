@@ -1,18 +1,28 @@
 """A unit that somebody else's logger recorded: the run without a unit, the recording, and the log of both."""
 
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 from hardware_bench import Rig, short_recipe
+from hardware_evidence import record
+from scipy.stats import chi2
+from test_end_to_end import SMALL, distance
 
+from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.cli import main
-from gradcal_jax.files.log import read_log
+from gradcal_jax.files import Spec
+from gradcal_jax.files.log import Log, read_log
 from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.hardware.simulate.sensor import SensorSamples
 
 MAP = """\
 format = "gradcal-columns/1"
@@ -121,3 +131,69 @@ def test_a_recording_of_another_axis_or_run_is_a_sentence(tmp_path: Path, capsys
         assert "another run" in said or "two places" in said
         assert "Traceback" not in said
     assert not (tmp_path / "log.nc").exists()
+
+
+# --------------------------------------------------------------------------------------------- what is estimated of it
+
+UNSURE_CLOCK = SLOWER | SMALL | {"sensor.sample_clock_error": "50 ppm"}
+
+
+def recorded_run(folder: Path, made: Recipe, seed: int) -> tuple[Log, dict[str, Any]]:
+    """The log of a run without a unit and of what a logger kept of the lab's unit, by a clock of which nobody knows
+    the start nor, but for its 50 ppm, the rate; and the hidden truth."""
+    clock, kept = VirtualClock(), list[SensorSamples]()
+    with SimulatedLab(made.spec, clock, seed=seed) as lab:
+        take = lab.sensor.take
+
+        def keeping(count: int) -> SensorSamples:
+            kept.append(take(count))
+            return kept[-1]
+
+        lab.sensor.take = keeping
+        rig = lab.rig.model_copy(update={"imu": ()})
+        result = run_session(new_folder(folder, made, rig, simulated={}), rig, clock, simulated=True)
+        truth = lab.truths()
+    assert (result.exit_status, result.reason) == ("success", "")
+    rate = np.concatenate([part.rate_dps[:, 0] for part in kept])
+    began_s = np.random.default_rng(seed).uniform(0.0, 1e5)
+    recording = Log(
+        began_s + np.arange(1.0, len(rate) + 1.0) / 125.0,
+        np.radians(rate)[None, :, None],
+        ("SN7",),
+        ("x",),
+        np.concatenate([part.temperature_c for part in kept])[None],
+    )
+    return execute.log(folder, recording=recording), truth
+
+
+def squares(made: Recipe, log: Log, truth: dict[str, Any], clock: Literal["sensor", "host"]) -> tuple[float, ...]:
+    """χ² of the data and of the parameters' errors, and the degrees of freedom of both: data, theirs, errors, theirs"""
+    assert isinstance(made.spec, Spec)
+    (calibration,) = estimate_calibration(made.spec, log, options=Options(clock=clock)).calibrations
+    (axis,) = calibration.axis
+    fit = next(test for test in axis.fit if test.name == "χ² of the fit")
+    return fit.statistic, fit.degrees, *distance(calibration, truth)
+
+
+@pytest.mark.evidence
+def test_calibrations_of_recordings_are_as_sure_as_they_say(tmp_path: Path) -> None:
+    """By the recording's own clock, whose error the spec reckons, and by the run's, as well as the motion tells it."""
+    made, runs = short_recipe(ramp_k=6.0, changes=UNSURE_CLOCK), 40
+    found: dict[str, list[tuple[float, ...]]] = {"sensor": [], "host": []}
+    stds = list[float]()
+    for seed in range(runs):
+        log, truth = recorded_run(tmp_path / f"run{seed}", made, seed)
+        stds.append(float(log.provenance["clock_rate_std"]))
+        for clock, sums in found.items():
+            sums.append(squares(made, log, truth, clock))
+    said = list[str]()
+    for clock, sums in found.items():
+        data, degrees, errors, count = np.sum(sums, axis=0)
+        for value, free in ((data, degrees), (errors, count)):
+            assert chi2.ppf(0.005, free) < value < chi2.ppf(0.995, free), (clock, sums)
+        said.append(f"by the {clock}'s clock χ² {data:.0f} of {degrees:.0f}, errors {errors:.0f} of {count:.0f}")
+    record(
+        "calibrations of a unit that was recorded elsewhere (clock off by 50 ppm, 1 sigma, unknown start)",
+        f"{runs} runs: {'; '.join(said)}; the rate of the recording's clock known to {1e6 * np.median(stds):.1f} ppm",
+        "tests/hardware/test_recorded_elsewhere.py",
+    )

@@ -7,7 +7,9 @@ import numpy as np
 from hardware_bench import unpredicted
 
 from gradcal_jax import estimation
+from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.unit_estimate import unit_rows
 from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
@@ -72,23 +74,8 @@ def made(spec: UnitSpec) -> Recipe:
 def estimated(log: Log, spec: UnitSpec, truth: dict[str, float]) -> tuple[float, int, float, int]:
     """χ² of a log and its degrees of freedom, and the normalised square of all errors of the estimate and theirs."""
     built = assemble_unit(spec)
-    model, count = built.model, len(log.time_s)
-    usable = log.usable()
-    usable[log.stretch_starts] = False
-    assert log.specific_force_m_per_s2 is not None
-    assert log.temperature_c is not None
-    assert log.table_angle_rad is not None
-    assert log.standstill is not None
-    rows = estimation.UnitRows(
-        log.time_s,
-        log.rate_rad_per_s[0],
-        log.specific_force_m_per_s2[0],
-        log.temperature_c[0],
-        log.table_angle_rad,
-        log.standstill >= 0,
-        usable,
-        np.zeros(count, int) if log.mounting is None else log.mounting,
-    )
+    model = built.model
+    rows, _ = unit_rows(built, [log], log.units[0], Options())
     done = estimation.executed_unit(rows, built.motion.geometry)
     readings = estimation.readings_of(model, done, rows, rows.temperature_c, built.points)
     found = estimation.estimate_unit(readings)

@@ -11,8 +11,9 @@ from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_estimate import UnitReport, estimate_units
 from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_residual import quantity_of
-from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.formulas import runs
 
 UNITS = 300
 
@@ -84,6 +85,75 @@ def test_standstills_that_no_log_marks_are_found_and_lost_rows_do_no_harm():
     assert any("no standstills" in message for message in report.messages)
     values = np.array(list(truth.values()))
     assert 1e-4 < stats.chi2.sf(squared(report, values), len(values)) < 1.0 - 1e-4
+
+
+@pytest.mark.parametrize("away_deg", [0.0, 130.0])
+def test_an_axis_that_was_away_where_a_run_was_resumed_does_no_harm(away_deg):
+    """A seam in a move of tilt, in which spin turned, too, and came back: that it stood there is not believed."""
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(8)
+    truth = draw_truth(spec, rng)
+    (log,) = record(spec, truth, rng)
+    move = _moves_of(log, axis=0)[5]
+    angle, rate = log.table_angle_rad.copy(), log.rate_rad_per_s.copy()
+    angle[move, 1] += np.radians(away_deg) * np.sin(np.linspace(0.0, np.pi, len(move)))
+    rate[0, move] += 0.3 * away_deg / 130.0
+    starts = np.array([0, move[len(move) // 2]])
+    (report,) = estimate_units(spec, [replace(log, table_angle_rad=angle, rate_rad_per_s=rate, stretch_starts=starts)])
+    _require_consistent(report, truth)
+
+
+def test_a_standstill_ends_where_a_run_broke_off_at_rest():
+    """It went on at rest, too, and elsewhere, so that no row lies between the two standstills."""
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(8)
+    truth = draw_truth(spec, rng)
+    (log,) = record(spec, truth, rng)
+    rests = runs(log.standstill >= 0)
+    # A rest with tilt at 90 degrees, and the next one where tilt is elsewhere.
+    at = [np.degrees(log.table_angle_rad[first]) for first, _ in rests]
+    number = next(k for k, angle in enumerate(at) if k > 5 and abs(angle[0] - 90.0) < 1.0)
+    later = next(k for k, angle in enumerate(at) if k > number and 10.0 < (angle[0] - 90.0) % 360.0 < 350.0)
+    broke, again = rests[number][1] - 20, rests[later][0] + 20
+    kept = np.r_[: int(broke), int(again) : len(log.time_s)]
+    part = replace(
+        log,
+        time_s=log.time_s[kept],
+        rate_rad_per_s=log.rate_rad_per_s[:, kept],
+        specific_force_m_per_s2=log.specific_force_m_per_s2[:, kept],
+        temperature_c=log.temperature_c[:, kept],
+        table_angle_rad=log.table_angle_rad[kept],
+        standstill=log.standstill[kept],
+        stretch_starts=np.array([0, broke]),
+        rows_read=len(kept),
+    )
+    (report,) = estimate_units(spec, [part])
+    _require_consistent(report, truth)
+
+
+def test_rates_that_are_stamped_late_do_no_harm():
+    """By a busy computer, 0.3 s: where one axis turns at once after another, its angle seems to leave too early."""
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(8)
+    truth = draw_truth(spec, rng)
+    (log,) = record(spec, truth, rng)
+    angle, rows = log.table_angle_rad.copy(), round(0.3 / log.sample_interval_s)
+    assert rows > 2
+    for first, end in runs(log.standstill < 0):
+        angle[first : end - rows] = angle[first + rows : end]
+    (report,) = estimate_units(spec, [replace(log, table_angle_rad=angle)])
+    _require_consistent(report, truth)
+
+
+def _moves_of(log: Log, axis: int) -> list[np.ndarray]:
+    """The rows between two standstills of those moves in which no axis but this one turns."""
+    turned = [
+        (np.arange(a, b), np.ptp(log.table_angle_rad[a - 1 : b + 1], axis=0)) for a, b in runs(log.standstill < 0)
+    ]
+    return [rows for rows, by in turned if by[axis] > 0.5 and np.sum(by) - by[axis] < 0.01]
+
+
+def _require_consistent(report: UnitReport, truth: dict[str, float]) -> None:
+    values = np.array(list(truth.values()))
+    assert 1e-4 < stats.chi2.sf(squared(report, values), len(values)) < 1.0 - 1e-4
+    assert 1e-4 < report.consistency.fit.probability < 1.0 - 1e-4
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,9 @@ _TYPICAL_BIAS_DPS: Final = 0.02
 _TYPICAL_SCALE: Final = 1000e-6
 _SLIPS: Final = 0.02
 _SENSOR_NAME: Final = "unit1"
+# Bits/s. 2000 datagrams/s of rates, forces and temperatures are more than the usual line carries with any to spare.
+_BAUDRATE: Final = 921_600
+_BAUDRATE_AT_FULL_RATE: Final = 1_843_200
 # A plan may use all of the travel that it is allowed: the cable's hard end lies this far beyond.
 _BEYOND_DEG: Final = 2.0
 
@@ -214,8 +217,7 @@ class SimulatedLab:
                 for stage in self.table.stages:
                     reach = round(limited / 360.0 * stage.settings["limit.cycle.dist"])
                     stage.settings |= {"limit.min": -reach, "limit.max": reach}
-        options = Stim300Options(rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
-        self.imu = SimulatedStim300(self.sensor, clock, options)
+        self.imu = SimulatedStim300(self.sensor, clock, unit_options(sample_rate_hz, burst_s))
         self.ports = [
             SimulatedPort(device, clock, on_socket=on_sockets) for device in (self.chamber, self.table, self.imu)
         ]
@@ -250,6 +252,12 @@ def axis_tables(name: str, port: str, number: int, limits: dict[str, str], by_ha
     return found | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
 
 
+def unit_options(sample_rate_hz: float, burst_s: float) -> Stim300Options:
+    """Of a simulated unit whose bytes reach the computer every `burst_s`."""
+    line = _BAUDRATE if sample_rate_hz < RATES_HZ[-1] else _BAUDRATE_AT_FULL_RATE
+    return Stim300Options(baudrate=line, rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
+
+
 def lab_rig(
     at_chamber: str,
     axes: list[dict[str, Any]],
@@ -258,7 +266,7 @@ def lab_rig(
     at_person: str | None = None,
 ) -> RigFile:
     """The rig file of simulated devices; `units`: names and ports. `at_person`: where somebody hangs them anew."""
-    options = {"sample_rate": f"{sample_rate_hz:g} Hz"}
+    options = {"sample_rate": f"{sample_rate_hz:g} Hz", "baudrate": unit_options(sample_rate_hz, 0.0).baudrate}
     tables: dict[str, Any] = {
         "format": "gradcal-rig/1",
         "title": "simulated laboratory",

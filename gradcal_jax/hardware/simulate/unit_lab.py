@@ -16,12 +16,12 @@ from ...files.unit_sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from .espec import EspecOptions, SimulatedEspec
-from .lab import axis_tables, chamber_truth, lab_rig, rate_truth, temperature_truth
+from .lab import axis_tables, chamber_truth, lab_rig, rate_truth, temperature_truth, unit_options
 from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth, ChamberPlant
 from .port import SimulatedPort
 from .sensor import TruthBasis
-from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
+from .stim300 import SimulatedStim300
 from .unit import (
     Coefficients,
     Drifts,
@@ -263,7 +263,7 @@ class SimulatedUnitLab:
             for number in range(1, units + 1)
         }
         cold, hot = (float(end) for end in chamber.range)
-        espec = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
+        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
         axes = spec.rig.table.axis
         plants = dict(zip((axis.name for axis in axes), self.axis_plants, strict=True))
         by_hand = any(step.move.shape == "hand" for step in spec.schedule.steps)
@@ -274,10 +274,10 @@ class SimulatedUnitLab:
             if encoder.highest_deg is not None:
                 reach = round(encoder.highest_deg / 360.0 * stage.settings["limit.cycle.dist"])
                 stage.settings |= {"limit.min": -reach, "limit.max": reach}
-        options = Stim300Options(rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
+        options = unit_options(sample_rate_hz, burst_s)
         self.imus = {name: SimulatedStim300(unit, clock, options) for name, unit in self.units.items()}
         several = len(spec.rig.table.mounting) > 1
-        devices = [espec, person if by_hand else stages, *self.imus.values()]
+        devices = [self.chamber, person if by_hand else stages, *self.imus.values()]
         devices += [person] if several and not by_hand else []
         self.ports = [SimulatedPort(device, clock) for device in devices]
         at_chamber, at_table, *others = (port.url for port in self.ports)

@@ -18,6 +18,7 @@ from hardware_bench import (
     vectornav_bench,
     zaber_bench,
 )
+from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 
 from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.drivers import odrive
@@ -41,7 +42,6 @@ from gradcal_jax.hardware.errors import (
 from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis
 from gradcal_jax.hardware.setup import DRIVERS
 from gradcal_jax.hardware.simulate.faults import Faults
-from gradcal_jax.hardware.simulate.odrive import ODriveOptions, SimulatedODrive
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options

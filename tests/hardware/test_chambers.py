@@ -12,6 +12,9 @@ import minimalmodbus
 import pytest
 import serial
 from hardware_bench import cts_bench, espec_bench, f4_bench, f4t_bench, julabo_bench, thermotron_bench, weiss_bench
+from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
+from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
+from simulated_devices.weiss import WeissOptions
 
 from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.drivers import watlow_f4t
@@ -35,9 +38,6 @@ from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
 from gradcal_jax.hardware.simulate.faults import Faults
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
-from gradcal_jax.hardware.simulate.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
-from gradcal_jax.hardware.simulate.weiss import WeissOptions
 from gradcal_jax.hardware.transport import Transport
 
 BENCHES = {

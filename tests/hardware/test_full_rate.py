@@ -23,6 +23,7 @@ from hardware_bench import sensor_on_table
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
 from scipy.stats import chi2
+from simulated_devices.odrive import SimulatedODrive
 from unit_bench import estimated, made, short
 
 from gradcal_jax.files.rig import read_rig, rig_of
@@ -36,7 +37,6 @@ from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Progress, Runner
 from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig
 from gradcal_jax.hardware.simulate.espec import SimulatedEspec
-from gradcal_jax.hardware.simulate.odrive import SimulatedODrive
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options

@@ -14,6 +14,8 @@ import pytest
 from hardware_bench import Rig, aerosmith_bench, cts_bench, grbl_bench, julabo_bench, short_recipe, thermotron_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated_devices.line_chambers import SimulatedCts, SimulatedJulabo, SimulatedThermotron
+from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 
 from gradcal_jax.files.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
 from gradcal_jax.files.problems import SpecError
@@ -33,8 +35,6 @@ from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of
-from gradcal_jax.hardware.simulate.line_chambers import SimulatedCts, SimulatedJulabo, SimulatedThermotron
-from gradcal_jax.hardware.simulate.line_tables import SimulatedAerosmith, SimulatedGrbl
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 
 # Question or command -> its bytes, and the bytes of a reply with the values in it.

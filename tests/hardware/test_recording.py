@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, short_recipe
+from simulated_devices.vectornav import SimulatedVectorNav
 
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
@@ -20,7 +21,6 @@ from gradcal_jax.hardware.recording import log_of
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.simulate.sensor import SensorTruth
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
-from gradcal_jax.hardware.simulate.vectornav import SimulatedVectorNav
 
 START_S = 1000.0
 RATE_DPS, ACCELERATION_DPS2 = 200.0, 300.0

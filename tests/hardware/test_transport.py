@@ -15,6 +15,7 @@ import pytest
 from hardware_bench import espec_bench, served
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated_devices.replay import ReplayedDevice
 
 from gradcal_jax.hardware import transcript
 from gradcal_jax.hardware.clock import RealClock, VirtualClock
@@ -23,7 +24,6 @@ from gradcal_jax.hardware.errors import Disconnected, PortRefused
 from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.replay import ReplayedDevice
 from gradcal_jax.hardware.transport import PortLock, Transport
 
 

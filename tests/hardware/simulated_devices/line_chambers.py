@@ -6,8 +6,8 @@ Written from the protocols' public descriptions (see the heads of `files/presets
 import re
 from functools import reduce
 
-from ..clock import Clock
-from .plants import ChamberPlant
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.plants import ChamberPlant
 
 
 class SimulatedThermotron:

@@ -9,8 +9,8 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from ..clock import Clock
-from .plants import ChamberPlant
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.plants import ChamberPlant
 
 _LAYOUTS: dict[int, tuple[str, str]] = {
     14: (

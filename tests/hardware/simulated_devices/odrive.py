@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..checksums import xor8
-from ..clock import Clock
-from .plants import AxisPlant
+from gradcal_jax.hardware.checksums import xor8
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.plants import AxisPlant
 
 _LONGEST_LINE = 256
 _IDLE, _CLOSED_LOOP = 1, 8

@@ -6,8 +6,8 @@ Written from public descriptions (see the heads of `files/presets/devices`), not
 import re
 from collections import deque
 
-from ..clock import Clock
-from .plants import AxisPlant
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.plants import AxisPlant
 
 
 class SimulatedGrbl:

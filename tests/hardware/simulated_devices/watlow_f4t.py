@@ -9,8 +9,8 @@ that do not exist are refused (exception 2), set points outside its limits (3), 
 import struct
 from dataclasses import dataclass, field
 
-from ..clock import Clock
-from .plants import ChamberPlant
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.plants import ChamberPlant
 
 _OFF, _ON, _AUTO = 62, 63, 10
 

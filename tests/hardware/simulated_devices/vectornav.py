@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..checksums import crc16_vectornav, xor8
-from ..clock import Clock
-from .sensor import SampledSensor
+from gradcal_jax.hardware.checksums import crc16_vectornav, xor8
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.sensor import SampledSensor
 
 _STANDARD_GRAVITY = 9.80665
 

@@ -8,9 +8,9 @@ unfinished for 50 ms of real time is forgotten.
 import time
 from dataclasses import dataclass
 
-from ..checksums import crc16_modbus
-from ..clock import Clock
-from .plants import ChamberPlant
+from gradcal_jax.hardware.checksums import crc16_modbus
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.plants import ChamberPlant
 
 
 @dataclass

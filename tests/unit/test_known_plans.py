@@ -114,8 +114,8 @@ def test_navigation_and_instability_of_the_scale_factor(plan, metres, ppm):
 
 
 def test_a_cheap_encoder_costs_misalignment_and_not_scale_factor():
-    """180 arcsec in the place of 5, its harmonics too, on the plan found by annealing: the prototype's, another one, went
-    from 5.84 to 7.3 ppm and from 1.58 to 41 µrad."""
+    """180 arcsec in the place of 5, its harmonics too, on the plan found by annealing: the prototype's, another one,
+    went from 5.84 to 7.3 ppm and from 1.58 to 41 µrad."""
     rows = {}
     for size in ("5 arcsec", "180 arcsec"):
         document = copy.deepcopy(shipped("optimised"))

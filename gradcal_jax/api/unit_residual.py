@@ -129,10 +129,10 @@ def summed_up(requirement: UnitRequirement, found: UnitResidual) -> dict[str, fl
     names: list[Statistic] = [
         name for name in STATISTICS if name != "mean of max" or isinstance(requirement, GyroScaleFactorRequirement)
     ]
-    return {name: summary(requirement, found, name) for name in names}
+    return {name: summary_statistic(requirement, found, name) for name in names}
 
 
-def summary(requirement: UnitRequirement, found: UnitResidual, name: Statistic) -> float | None:
+def summary_statistic(requirement: UnitRequirement, found: UnitResidual, name: Statistic) -> float | None:
     """One of these statistics."""
     each = np.array([statistic(name, values) for values in found.values])
     value = np.sqrt(np.mean(each**2)) if requirement.axis == "all" else np.max(each)

@@ -134,8 +134,8 @@ def _report(
     # How a move went is first taken from the gyros as they are, then corrected by what that gave: a scale factor of a
     # per cent that depends on the rate is otherwise seen at the wrong rates.
     held = tuple(_channels(built, model.to_reported @ first.parameters))
-    better = rows._replace(rates=correct_unit(held, rows.rates, rows.force, temperature)[0])
-    done, readings, found = _read(built, name, rows, better, temperature)
+    rates, felt = correct_unit(held, rows.rates, rows.force, temperature)
+    done, readings, found = _read(built, name, rows, rows._replace(rates=rates), temperature, felt)
     at = segments_of(done.motion, model)
     half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
     of_segment = rows.time_s[done.rows[at.first + 1]]
@@ -174,14 +174,19 @@ def _report(
 
 
 def _read(
-    built: AssembledUnit, name: str, rows: UnitRows, seen: UnitRows, temperature: np.ndarray
+    built: AssembledUnit,
+    name: str,
+    rows: UnitRows,
+    seen: UnitRows,
+    temperature: np.ndarray,
+    felt: np.ndarray | None = None,
 ) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
-    """What was done, by the rates of `seen`; what the unit said of it; and the estimate."""
+    """What was done, by the rates of `seen`; what the unit, which felt such forces, said of it; and the estimate."""
     try:
         done = estimation.executed_unit(seen, built.motion.geometry)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
-    readings = estimation.readings_of(built.model, done, rows, temperature, built.points)
+    readings = estimation.readings_of(built.model, done, rows, temperature, built.points, felt)
     found = estimation.estimate_unit(readings)
     scale = float(np.sqrt(found.estimate.chi_squared[0] / max(int(found.estimate.degrees[0]), 1)))
     if scale > _ABSURD:

@@ -9,6 +9,7 @@ Row `i` of a log stands for the time from row `i − 1` to itself.
 """
 
 import itertools
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -291,18 +292,26 @@ def _motion(log: UnitRows, geometry: Geometry, made: _Builder, start: np.ndarray
 
 
 def nodes_of_rows(
-    done: ExecutedUnit, log: UnitRows, geometry: Geometry, points: int, temperature_c: np.ndarray, error_of=None
+    done: ExecutedUnit,
+    log: UnitRows,
+    geometry: Geometry,
+    points: int,
+    temperature_c: np.ndarray,
+    error_of=None,
+    felt: np.ndarray | None = None,
 ) -> BodyNodes:
     """The nodes of what was done, with the table as `geometry` says. `temperature_c` `(n,)`: what the maps follow.
 
-    `error_of(axis, angle) -> (error, its derivative)`, rad: what every axis stands beyond its encoder's angle.
+    `error_of(axis, angle) -> (error, its derivative)`, rad: what every axis stands beyond its encoder's angle. `felt`
+    `(P, 3)`: the mean specific force over every piece, m/s², NaN where it is not known: off the axes a move adds some
+    hundredths of g to gravity, and gyros are sensitive to it.
     """
     motion = eqx.tree_at(lambda m: m.geometry, done.motion, geometry)
     before, after = motion.angles()
     seen_before, seen_after = (angle + _errors(error_of, angle)[0] for angle in (before, after))
     sizes = np.array([1 if way is None else len(way) - 1 for way in done.travelled])
     groups = tuple(
-        _group(done, log, motion, np.flatnonzero(sizes == n), int(n), points, temperature_c, before, error_of)
+        _group(done, log, motion, np.flatnonzero(sizes == n), int(n), points, temperature_c, before, error_of, felt)
         for n in np.unique(sizes)
     )
     begin, end = temperature_c[done.rows[:-1]], temperature_c[done.rows[1:]]
@@ -326,7 +335,7 @@ def _errors(error_of, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([b[0] for b in both], axis=-1), np.stack([b[1] for b in both], axis=-1)
 
 
-def _group(done, log, motion, kinds, count, points, temperature_c, before, error_of) -> BodyGroup:
+def _group(done, log, motion, kinds, count, points, temperature_c, before, error_of, felt) -> BodyGroup:
     geometry, line = motion.geometry, motion.line
     duration = line.duration[kinds]
     own = motion.turns[kinds][:, None, :]
@@ -345,4 +354,8 @@ def _group(done, log, motion, kinds, count, points, temperature_c, before, error
     share = w[None] if count == 1 else lagrange(x, (np.arange(count) + 0.5) / count)
     weight = np.broadcast_to(duration[:, None] / count, since.shape)
     own_kinds = kinds, kinds, np.arange(len(kinds))
-    return body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting)
+    group = body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting)
+    if felt is None or count == 1:
+        return group
+    beyond = felt[kinds] - group.integral(group.force) / np.where(duration > 0.0, duration, 1.0)[:, None]
+    return replace(group, felt=group.force + np.where(np.isfinite(beyond), beyond, 0.0)[:, None])

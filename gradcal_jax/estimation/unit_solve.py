@@ -96,7 +96,9 @@ def _small(vector: np.ndarray) -> np.ndarray:
 
 
 class UnitReadings(NamedTuple):
-    """What a unit's rows say, ready to be compared with any table: `observed` `(R,)`, integrals in rad and m/s."""
+    """What a unit's rows say, ready to be compared with any table: `observed` `(R,)`, integrals in rad and m/s; `felt`
+    `(P, 3)`, the mean specific force over every piece, m/s², where it is known.
+    """
 
     model: UnitModel
     done: ExecutedUnit
@@ -104,12 +106,13 @@ class UnitReadings(NamedTuple):
     temperature_c: np.ndarray
     points: int
     observed: np.ndarray
+    felt: np.ndarray | None
 
     def expected(self, parameters: np.ndarray) -> np.ndarray:
         """`h(β)` `(R,)` of the parameters in the engine's coordinates."""
         model = self.model
         table = installed(self.done.motion.geometry, model, parameters[model.calibrated :])
-        nodes = nodes_of_rows(self.done, self.log, table.geometry, self.points, self.temperature_c, table.error_of)
+        nodes = self._nodes(table.geometry, table.error_of)
         at = segments_of(self.done.motion, model)
         ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
         result, begin = np.zeros(len(at.row_segment)), 0
@@ -123,15 +126,28 @@ class UnitReadings(NamedTuple):
 
     def nominal(self) -> BodyNodes:
         """The nodes with everything as it is drawn."""
-        return nodes_of_rows(self.done, self.log, self.done.motion.geometry, self.points, self.temperature_c)
+        return self._nodes(self.done.motion.geometry)
+
+    def _nodes(self, geometry: Geometry, error_of=None) -> BodyNodes:
+        return nodes_of_rows(self.done, self.log, geometry, self.points, self.temperature_c, error_of, self.felt)
 
 
 def readings_of(
-    model: UnitModel, done: ExecutedUnit, log: UnitRows, temperature_c: np.ndarray, points: int
+    model: UnitModel,
+    done: ExecutedUnit,
+    log: UnitRows,
+    temperature_c: np.ndarray,
+    points: int,
+    felt: np.ndarray | None = None,
 ) -> UnitReadings:
-    """The integrals of every channel over the segments that it is read in."""
+    """The integrals of every channel over the segments that it is read in. `felt` `(n, 3)`: the specific force at the
+    rows, corrected, m/s².
+    """
     at = segments_of(done.motion, model)
     step = np.diff(log.time_s, prepend=log.time_s[0])
+    if felt is not None:
+        total = np.cumsum(felt * step[:, None], axis=0)[done.rows]
+        felt = np.diff(total, axis=0) / np.diff(log.time_s[done.rows])[:, None]
     first, last = done.rows[at.first], done.rows[at.last + 1]
     observed = np.zeros(len(at.row_segment))
     for i, c in enumerate(model.channels):
@@ -140,7 +156,7 @@ def readings_of(
         whole = total[last + 1] - total[first + 1]
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
-    return UnitReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0))
+    return UnitReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt)
 
 
 class UnitEstimate(NamedTuple):

@@ -127,6 +127,7 @@ class BodyGroup(PytreeModule):
     `force` m/s² in body components, the Earth's rate and gravity in them; `earth` rad/s and `up`, the Earth's rate and
     the vertical; `attitude`: body to East-North-Up. `axes`: the axes' directions; `crosses`: see `trajectory.geometry`;
     `outer`: the rate of all that stands outside each axis; `joint`: rate (rad/s) and `angle` (rad) of each axis.
+    `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`.
     """
 
     kinds: Int[np.ndarray, " U"]
@@ -145,6 +146,7 @@ class BodyGroup(PytreeModule):
     outer: Float[AnyArray, "U q L 3"]
     joint: Float[AnyArray, "U q L"]
     angle: Float[AnyArray, "U q L"]
+    felt: Float[AnyArray, "U q 3"] | None = None
 
     @property
     def moving(self) -> bool:
@@ -158,7 +160,8 @@ class BodyGroup(PytreeModule):
 
     def shared(self, own: str = "rate", index: int = 0) -> SharedNodes:
         """The nodes with a component of rate or force for the `rate` of a single axis, and all of them as signals."""
-        seen = {"rate": self.rate, "force": self.force, "earth": self.earth}
+        force = self.force if own == "force" or self.felt is None else self.felt
+        seen = {"rate": self.rate, "force": force, "earth": self.earth}
         signals = {f"{name} {AXIS_NAMES[k]}": of[..., k] for name, of in seen.items() for k in range(3)}
         along = signals[f"{own} {AXIS_NAMES[index]}"]
         return SharedNodes(self.pieces, self.kind, self.temperature, self.weight, along, signals, self.share)

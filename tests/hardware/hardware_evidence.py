@@ -22,6 +22,12 @@ Shown by tests, without figures:
 * the wall clock stepped by years changes nothing (`test_journal_and_safety`, `test_clock_and_physics`);
 * of two runs on one port the second is refused (`test_transport`);
 * a port that leads to another device is a sentence with what was sent and what came back (`test_run_cli`);
+* a host that sleeps in a turn, a stage that swallows one, samples that are lost: the step is made again, or the run
+  ends and says so; an axis faster than it was told is stopped (`test_not_done`);
+* a guard that is killed is announced and replaced, a run that hangs is ended, and where a run's folder is moved or
+  removed before the run is killed, the rig is made safe (`test_guard`);
+* commands of every chamber, axis and unit that are lost, doubled, damaged or late once are noticed (`test_chambers`,
+  `test_axes_and_imus`, `test_weiss_ramps`);
 * somebody at the terminal of `gradcal run` turns a gimbal by hand, mistypes, pauses, gives up and goes on
   (`test_operator`, on a pseudo-terminal of its own);
 * minimalmodbus and the vendor's zaber.serial speak with the simulated F4 and the simulated stage (`test_chambers`,

@@ -118,6 +118,8 @@ class Killer:
             # A step with data, of those that come next, and an instant in it; beyond the last there is only the end.
             coming = [number for number in range(first, len(steps)) if steps[number].read_at_s]
             ahead = int(random.choice(3, p=(0.3, 0.4, 0.3)))
+            if coming and aim != SAFE:
+                ahead = min(ahead, len(coming) - 1)
             if ahead < len(coming):
                 step = steps[coming[ahead]]
                 begins = b'"event":"step begins","step":"%s"' % step.name.encode()

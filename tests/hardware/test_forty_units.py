@@ -18,7 +18,7 @@ from gradcal_jax.files import changed, presets
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware import execute
 
-RUNS, UNITS = 5, 8
+RUNS, UNITS = 20, 2
 
 
 def three_axes() -> UnitSpec:
@@ -70,14 +70,17 @@ def test_forty_units_err_as_predicted(tmp_path: Path, axes: str, spec: UnitSpec)
             chi += report.consistency.fit.statistic
             degrees += report.consistency.fit.degrees
     ratio = np.sqrt(np.mean(square, axis=0) / np.mean(expected, axis=0))
+    # Units of one run share a table: what is left of a quantity counts run by run.
+    by_run = np.mean(np.reshape(square, (RUNS, UNITS, -1)), axis=1)
+    doubt = 0.5 * np.std(by_run, axis=0, ddof=1) / np.sqrt(RUNS) / np.mean(by_run, axis=0)
     together = float(np.exp(np.mean(np.log(ratio))))
     record(
         f"forty units on a table of {axes} axes",
         f"residual over prediction {together:.3f} in the geometric mean of {len(ratio)} quantities ({ratio.min():.3f} "
-        f"to {ratio.max():.3f}); χ² of the data {chi:.0f} of {degrees}, of the units' parameters {nees:.0f} of {own}",
+        f"to {ratio.max():.3f}, each ± {np.median(doubt):.3f}); χ² of the data {chi:.0f} of {degrees}, of the units' parameters {nees:.0f} of {own}",
         "test_forty_units",
     )
     assert abs(together - 1.0) < 0.05, ratio
-    assert np.all(np.abs(ratio - 1.0) < 0.15), ratio
+    assert np.all(np.abs(ratio - 1.0) < 3.0 * doubt), (ratio, doubt)
     assert chi2.ppf(0.005, degrees) < chi < chi2.ppf(0.995, degrees), (chi, degrees)
     assert chi2.ppf(0.005, own) < nees < chi2.ppf(0.995, own), (nees, own)

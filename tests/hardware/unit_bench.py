@@ -76,6 +76,9 @@ def estimated(log: Log, spec: UnitSpec, truth: dict[str, float]) -> tuple[float,
     built = assemble_unit(spec)
     model = built.model
     rows, _ = unit_rows(built, [log], log.units[0], Options())
+    assert log.temperature_c is not None
+    # As it was read: what smooths a thermometer's steps in a ramp of an hour is too slow for one of a minute.
+    rows = rows._replace(temperature_c=log.temperature_c[0])
     done = estimation.executed_unit(rows, built.motion.geometry)
     readings = estimation.readings_of(model, done, rows, rows.temperature_c, built.points)
     found = estimation.estimate_unit(readings)

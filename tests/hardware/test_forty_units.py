@@ -77,7 +77,8 @@ def test_forty_units_err_as_predicted(tmp_path: Path, axes: str, spec: UnitSpec)
     record(
         f"forty units on a table of {axes} axes",
         f"residual over prediction {together:.3f} in the geometric mean of {len(ratio)} quantities ({ratio.min():.3f} "
-        f"to {ratio.max():.3f}, each ± {np.median(doubt):.3f}); χ² of the data {chi:.0f} of {degrees}, of the units' parameters {nees:.0f} of {own}",
+        f"to {ratio.max():.3f}, each ± {np.median(doubt):.3f}); χ² of the data {chi:.0f} of {degrees}, of the units' "
+        f"parameters {nees:.0f} of {own}",
         "test_forty_units",
     )
     assert abs(together - 1.0) < 0.05, ratio

@@ -18,7 +18,7 @@ from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.formulas import repetitions
 from gradcal_jax.information import Posterior, repeated_gram, segments_of, unit_system, whiten
 
-EVALUATIONS = 600
+EVALUATIONS, QUICK_EVALUATIONS = 4000, 400
 # By how much worse a plan may be that is still taken at the beginning, of the logarithm: less, from a good plan.
 WARMEST = 0.01
 # Neighbours of a plan that are worked out side by side, where there are as many processes.

@@ -32,7 +32,7 @@ def optimise(
     output: Output,
     json: Json = False,
     plot: Plot = None,
-    steps: int = 240,
+    steps: int | None = None,
     quick: Flag = False,
     until_met: Flag = False,
     resume: Flag = False,
@@ -55,9 +55,10 @@ def optimise(
     plot
         Draw the residual before and after into this file (.png, .svg, .pdf).
     steps
-        Iterations of each start; of a whole unit, plans that are tried in all.
+        Iterations of each start, 240 unless said; of a whole unit, plans that are tried in all, 4000 unless said: some
+        minutes.
     quick
-        Few starts: a plan within some per cent of the best, in seconds.
+        Few starts, or plans: within some per cent of the best, in seconds.
     until_met
         Stop at the first plan that meets every target with a margin of 10 %; search nothing where the spec's own does.
     resume
@@ -72,12 +73,14 @@ def optimise(
 
     writable(output, force or resume)
     drawable(plot)
-    if steps < 20:
+    if steps is not None and steps < 20:
         raise ValueError(f"--steps: expected at least 20, got {steps}")
     found = any_spec_in(spec)
     use_float64()
     if isinstance(found, UnitSpec):
-        return _of_unit(found, output, json=json, plot=plot, evaluations=steps, until_met=until_met)
+        if resume:
+            raise ValueError("a search of a whole unit is not kept: start anew, without --resume")
+        return _of_unit(found, output, json=json, plot=plot, plans=steps, quick=quick, until_met=until_met)
     from gradcal_jax import api
     from gradcal_jax.api import checkpoints
     from gradcal_jax.api import optimise as room
@@ -94,7 +97,7 @@ def optimise(
     checkpoint = checkpoints.read(kept, found) if resume else None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         best: Optimised | None = None
-        options = {"steps": steps, "quick": quick, "stop": lambda: interrupt.asked}
+        options = {"steps": steps or room.STEPS, "quick": quick, "stop": lambda: interrupt.asked}
         if shortest:
             events = minimise_time(found, **options)
         else:
@@ -182,12 +185,12 @@ class _Interrupt:
 
 
 def _of_unit(
-    spec: "UnitSpec", output: Path, *, json: bool, plot: Path | None, evaluations: int, until_met: bool
+    spec: "UnitSpec", output: Path, *, json: bool, plot: Path | None, plans: int | None, quick: bool, until_met: bool
 ) -> int:
     """Search a unit's cycle and write the spec with the best one."""
     import time
 
-    from gradcal_jax.api.unit_optimise import TOGETHER, UnitOptimum, optimise_unit
+    from gradcal_jax.api.unit_optimise import EVALUATIONS, QUICK_EVALUATIONS, TOGETHER, UnitOptimum, optimise_unit
     from gradcal_jax.files import write_toml
     from gradcal_jax.jobs.pool import LocalPool, cores
 
@@ -197,7 +200,7 @@ def _of_unit(
     with LocalPool(min(TOGETHER, cores())) as pool, _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         for event in optimise_unit(
             spec,
-            evaluations=evaluations,
+            evaluations=plans or (QUICK_EVALUATIONS if quick else EVALUATIONS),
             until_met=until_met,
             stop=lambda: interrupt.asked,
             values=lambda cycles: pool.answers("cycle", ((tables, cycle) for cycle in cycles)),

@@ -146,8 +146,10 @@ def readings_of(
     at = segments_of(done.motion, model)
     step = np.diff(log.time_s, prepend=log.time_s[0])
     if felt is not None:
-        total = np.cumsum(felt * step[:, None], axis=0)[done.rows]
-        felt = np.diff(total, axis=0) / np.diff(log.time_s[done.rows])[:, None]
+        lost = ~np.isfinite(felt)
+        total, missing = (np.cumsum(x, axis=0)[done.rows] for x in (np.where(lost, 0.0, felt) * step[:, None], lost))
+        mean = np.diff(total, axis=0) / np.diff(log.time_s[done.rows])[:, None]
+        felt = np.where(np.diff(missing, axis=0) > 0, np.nan, mean)
     first, last = done.rows[at.first], done.rows[at.last + 1]
     observed = np.zeros(len(at.row_segment))
     for i, c in enumerate(model.channels):

@@ -5,7 +5,7 @@ is the mean of what the channel says within its interval (three Gauss–Legendre
 out from the names of the calibration's coefficients. Accelerometers sit off the axes and feel it.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -342,8 +342,10 @@ def bench_of(spec, mounting: int = 0) -> Bench:
     )
 
 
-def recordings(spec, truth: dict[str, float], rng: np.random.Generator, **options) -> list[Recorded]:
-    """What a logger keeps of a spec's plan: one recording for each stretch of used data, so for each mounting."""
+def recordings(spec, truth: dict[str, float], rng: np.random.Generator, *, lever=None, **options) -> list[Recorded]:
+    """What a logger keeps of a spec's plan: one recording for each stretch of used data, so for each mounting. `lever`
+    (m): how far off the axes the unit is, in the place of the bench's own.
+    """
     schedule, found = spec.schedule, []
     segments = schedule.segments
     times = [segments[0].start, *(s.start + s.duration for s in segments)]
@@ -354,9 +356,10 @@ def recordings(spec, truth: dict[str, float], rng: np.random.Generator, **option
         legs = legs_of(schedule.steps, stretch.cycles)
         if stretch.leftover > 0.0:
             legs = [*legs, Leg(-1, stretch.leftover)]
+        bench = bench_of(spec, mounting)
         found.append(
             record(
-                bench_of(spec, mounting), legs, schedule.start, truth,
+                bench if lever is None else replace(bench, lever=lever), legs, schedule.start, truth,
                 lambda t, begin=stretch.start: np.interp(begin + t, times, course),
                 rng, names=names, number=mounting + 1, **options,
             )

@@ -28,6 +28,11 @@ def estimate_channels(
     options = options or Options()
     built = assemble(of_host_clock(spec, [log], options))
     wanted_axes = [log.axes[log.axis_index(a)] for a in axes] or _common_axes(built, log)
+    if options.earth_rate and len(wanted_axes) > 1:
+        raise ValueError(
+            "the Earth's rate along each of several axes is another, and changes as others turn: estimate one at a "
+            "time with --axis, or describe the table in a whole unit's spec (gradcal new two-axis-table), which has it"
+        )
     wanted_units = [log.unit_index(u) for u in units] or list(range(len(log.units)))
     result: list[UnitChannel] = []
     for axis in wanted_axes:

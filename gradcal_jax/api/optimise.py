@@ -139,6 +139,7 @@ def record_of(best: Optimised) -> dict[str, object]:
     absent = {"before"} if best.before is None else set[str]()
     absent |= set() if np.isfinite(best.now) else {"now"}
     absent |= {"gradient_norm"} if best.gradient_norm is None else set()
+    absent |= set() if record["starts"] else {"starts"}
     return {name: value for name, value in {"before": best.before, **record}.items() if name not in absent}
 
 

@@ -255,6 +255,14 @@ def test_the_earths_rate_is_taken_off():
     np.testing.assert_allclose(corrected, plain, atol=1e-10)
 
 
+def test_one_number_is_not_the_earths_rate_along_several_axes():
+    spec = spec_of()
+    log = simulate_log(spec, sample_rate_hz=20.0, seed=3).log
+    both = replace(log, rate_rad_per_s=np.tile(log.rate_rad_per_s, 2), axes=("x", "y"))
+    with pytest.raises(ValueError, match="changes as others turn"):
+        estimate_channels(spec, both, axes=["x", "y"], options=Options(earth_rate=5e-5))
+
+
 def test_the_computers_clock_in_the_place_of_the_sensors():
     spec = spec_of()
     made = simulate_log(spec, sample_rate_hz=20.0, seed=3, noiseless=True)

@@ -135,7 +135,7 @@ def _report(
     # per cent that depends on the rate is otherwise seen at the wrong rates.
     held = tuple(_channels(built, model.to_reported @ first.parameters))
     rates, felt = correct_unit(held, rows.rates, rows.force, temperature)
-    done, readings, found = _read(built, name, rows, rows._replace(rates=rates), temperature, felt)
+    done, readings, found = _read(built, name, rows, rows._replace(rates=rates), temperature, felt, first.parameters)
     at = segments_of(done.motion, model)
     half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
     of_segment = rows.time_s[done.rows[at.first + 1]]
@@ -180,14 +180,16 @@ def _read(
     seen: UnitRows,
     temperature: np.ndarray,
     felt: np.ndarray | None = None,
+    about: np.ndarray | None = None,
 ) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
-    """What was done, by the rates of `seen`; what the unit, which felt such forces, said of it; and the estimate."""
+    """What was done, by the rates of `seen`; what the unit, which felt such forces, said of it; and the estimate, near
+    `about`."""
     try:
         done = estimation.executed_unit(seen, built.motion.geometry)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     readings = estimation.readings_of(built.model, done, rows, temperature, built.points, felt)
-    found = estimation.estimate_unit(readings)
+    found = estimation.estimate_unit(readings, about)
     scale = float(np.sqrt(found.estimate.chi_squared[0] / max(int(found.estimate.degrees[0]), 1)))
     if scale > _ABSURD:
         raise LogError(

@@ -6,8 +6,8 @@ channels' terms are taken at what they then see:
 
     r = y − h(β),    δ = argmin |W r − W J δ|² + |P (β + δ)|²,    β ← β + δ
 
-with the whitened Jacobian `W J` at the drawing. The steps contract by the size of what they correct: an installation
-that is off by 1 mrad gains three digits a step.
+with the whitened Jacobian `W J` at the drawing, or about what a first estimate found. The steps contract by the size of
+what they correct: an installation that is off by 1 mrad gains three digits a step.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,15 @@ import numpy as np
 
 from gradcal_jax.estimation.solve import Estimate, Whitened
 from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, nodes_of_rows
-from gradcal_jax.information import Posterior, SquareRootInformation, posterior, segments_of, unit_system, whiten
+from gradcal_jax.information import (
+    NoiseSteps,
+    Posterior,
+    SquareRootInformation,
+    posterior,
+    segments_of,
+    unit_system,
+    whiten,
+)
 from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import (
     AxisHarmonics,
@@ -34,6 +42,8 @@ from gradcal_jax.trajectory import Geometry, rotation
 _ROUNDS = 12
 # A step that moves nothing by more than this share of its standard deviation is the last.
 _SETTLED = 1e-3
+# rad, of differences.
+_SMALL_TURN = 1e-5
 
 
 class Installed(NamedTuple):
@@ -128,6 +138,26 @@ class UnitReadings(NamedTuple):
         """The nodes with everything as it is drawn."""
         return self._nodes(self.done.motion.geometry)
 
+    def linear(self, about: np.ndarray | None) -> tuple[NoiseSteps, np.ndarray]:
+        """Noise steps, and the readings' derivatives by the parameters `(R, p)`, `about` these; None: as all is drawn.
+
+        A channel sees a turn of the table through its own errors. Where the turn is hardly known (a mounting, which
+        misalignments look like), that is more than what a run leaves of them over temperature.
+        """
+        motion, model = self.done.motion, self.model
+        if about is None:
+            return unit_system(motion, model, self.nominal())
+        table = installed(motion.geometry, model, about[model.calibrated :])
+        steps, columns = unit_system(motion, model, self._nodes(table.geometry, table.error_of))
+        here, begin = self.expected(about), model.calibrated
+        for term in model.installation:
+            if isinstance(term, BaseTilt | NonOrthogonality | MountingError):
+                for k in range(begin, begin + term.size):
+                    there = about + _SMALL_TURN * np.eye(model.size)[k]
+                    columns[:, k] = (self.expected(there) - here) / _SMALL_TURN
+            begin += term.size
+        return steps, columns
+
     def _nodes(self, geometry: Geometry, error_of=None) -> BodyNodes:
         return nodes_of_rows(self.done, self.log, geometry, self.points, self.temperature_c, error_of, self.felt)
 
@@ -185,13 +215,16 @@ class UnitEstimate(NamedTuple):
         return self.estimate.known[0]
 
 
-def estimate_unit(readings: UnitReadings) -> UnitEstimate:
+def estimate_unit(readings: UnitReadings, about: np.ndarray | None = None) -> UnitEstimate:
     """Parameters of a unit and its installation from its rows. What cannot be observed gets the smallest parameters.
+
+    `about`: parameters near which they are, in the engine's coordinates; the covariance is that of readings that are
+    linear there.
 
     Errors: `ValueError` where a row that is used is not finite.
     """
     model = readings.model
-    steps, columns = unit_system(readings.done.motion, model, readings.nominal())
+    steps, columns = readings.linear(about)
     used = np.asarray(segments_of(readings.done.motion, model).used)
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a reading that is used is not finite")
@@ -205,7 +238,7 @@ def estimate_unit(readings: UnitReadings) -> UnitEstimate:
     seen = spread > OBSERVABLE * spread[0]
     deviation = known.deviations(np.eye(model.size))
     counted = np.isfinite(deviation) & (deviation > 0.0)
-    beta, moved, rounds = np.zeros(model.size), np.inf, 0
+    beta, moved, rounds = np.zeros(model.size) if about is None else about.copy(), np.inf, 0
 
     def left_over() -> np.ndarray:
         apart = np.where(used, readings.observed - readings.expected(beta), 0.0)

@@ -38,7 +38,7 @@ def squared(report: UnitReport, truth: np.ndarray) -> float:
     return float(white @ white)
 
 
-@pytest.mark.parametrize(("plan", "mrad"), [("two axes", 1.0), ("one axis, three mountings", 0.1), ("by hand", 1.0)])
+@pytest.mark.parametrize(("plan", "mrad"), [("two axes", 1.0), ("one axis, three mountings", 1.0), ("by hand", 1.0)])
 def test_a_unit_on_a_table_that_is_off_is_found_within_its_covariance(plan, mrad):
     report, truth = estimated(scene(plan, mrad), 11)
     tests, size = report.consistency, report.built.model.size

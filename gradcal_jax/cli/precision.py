@@ -7,12 +7,13 @@ The library itself never changes JAX's global switches.
 import ctypes
 import os
 import signal
+import sys
 import threading
 from types import FrameType
 
 _SOON_S = 0.05
 # Of <malloc.h>: arenas, allocations that are maps of their own, bytes that are kept at the heap's end, and taken ahead.
-_HEAP = {-8: 1, -4: 0, -1: 1 << 30, -2: 64 << 20}
+_HEAP = {-8: 1, -4: 0, -1: 256 << 20, -2: 64 << 20}
 
 
 def use_float64() -> None:
@@ -40,8 +41,10 @@ def _keep_memory() -> None:
     """Freed memory stays with the process, one heap for all threads, where the C library is GNU's.
 
     A program's arrays of some megabytes are otherwise given back after every call and cleared by the system before the
-    next: a third of the time of a search whose readings are thousands.
+    next: a third of the time of a search whose readings are thousands. A process that has JAX already is not ours.
     """
+    if "jax" in sys.modules:
+        return
     try:
         allow = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):

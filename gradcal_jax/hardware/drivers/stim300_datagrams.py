@@ -6,7 +6,6 @@ where a CRC fits, stays locked while CRCs fit, and on a failure goes on by one b
 """
 
 import zlib
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,8 +109,8 @@ class Stim300Decoder:
         self.round_samples = _MODULUS // self._step
         self._gaps = GapCounter(step=self._step, modulus=_MODULUS, ticks_per_s=float(INTERNAL_RATE_HZ))
         # Within a round of the counter no two datagrams are alike, so one that is was sent once and came twice.
-        self._recent: deque[bytes] = deque(maxlen=_MODULUS // self._step - 1)
-        self._last_count: int | None = None
+        self._recent: dict[bytes, None] = {}
+        self._before = b""
         self._starting_up = True
         self._bad_bytes = 0
         self.special_datagrams = 0
@@ -132,7 +131,7 @@ class Stim300Decoder:
             stride = layout.length + 2 * bool(self._line_end)
             whole = len(self._buffer) // stride
             if self._line_end is None:
-                if self._last_count is not None:
+                if self._recent:
                     # What comes after the first datagram tells: no identifier is a CR.
                     if self._buffer == b"\r":
                         break
@@ -215,20 +214,19 @@ class Stim300Decoder:
         return True
 
     def _first_comers(self, block: NDArray[np.uint8], layout: DatagramLayout) -> NDArray[np.uint8]:
-        """Without the datagrams that are there already: only where the counter does not go on are they looked for."""
-        counts = block[:, layout.counter].astype(np.int64)
-        last = int(counts[0]) - self._step if self._last_count is None else self._last_count
-        regular = bool(np.all(np.mod(np.diff(counts, prepend=last), _MODULUS) == self._step))
+        """Without the datagrams that are there already. A late repetition may carry the very count that is due, and
+        what follows may go on from there: each is looked for.
+        """
         fresh: list[int] = []
         for row in range(len(block)):
             datagram = block[row].tobytes()
-            # Where something was lost a late repetition may carry the very count that is due: each is looked for. In
-            # a regular block only the last can be one, as what follows has the same count.
-            if (regular and row < len(block) - 1) or not self._came_before(datagram, layout):
-                self._recent.append(datagram)
+            if not self._came_before(datagram, layout):
+                self._recent.pop(datagram, None)
+                self._recent[datagram] = None
+                if len(self._recent) >= self.round_samples:
+                    del self._recent[next(iter(self._recent))]
+                self._before = datagram
                 fresh.append(row)
-                last = int(counts[row])
-        self._last_count = last
         self.repeated_datagrams += len(block) - len(fresh)
         return block[fresh]
 
@@ -236,8 +234,8 @@ class Stim300Decoder:
         if datagram not in self._recent:
             return False
         # A unit that always says the same is no reason to believe that its datagrams are repetitions.
-        before, said = self._recent[-1], slice(1, layout.counter)
-        return datagram == before or datagram[said] != before[said]
+        said = slice(1, layout.counter)
+        return datagram == self._before or datagram[said] != self._before[said]
 
     def _decode(self, block: NDArray[np.uint8], layout: DatagramLayout, host_time_s: float) -> ImuBatch:
         block = self._first_comers(block, layout)

@@ -13,7 +13,7 @@ from types import FrameType
 
 _SOON_S = 0.05
 # Of <malloc.h>: arenas, allocations that are maps of their own, bytes that are kept at the heap's end, and taken ahead.
-_HEAP = {-8: 1, -4: 0, -1: 256 << 20, -2: 64 << 20}
+_HEAP = {-4: 0, -1: 256 << 20, -2: 64 << 20}
 
 
 def use_float64() -> None:

@@ -69,7 +69,7 @@ def main() -> None:
     text = (
         f"# Benchmark of imports\n\n{time.strftime('%Y-%m-%d')}, {os.cpu_count()} cores, {platform.system()} "
         f"{platform.machine()}, Python {platform.python_version()}; `python experiments/benchmarks/imports.py`. An "
-        "hour at 1 kHz,\n3,600,000 messages, on a quiet machine.\n\n"
+        f"hour at 1 kHz,\n3,600,000 messages; load {os.getloadavg()[0]:.1f}.\n\n"
         "| log | file, MB | seconds | of the processor | peak MB |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n"
     )
     (HERE / "imports.md").write_text(text, encoding="utf-8")

@@ -120,7 +120,7 @@ def measure(spec: Spec) -> Measure:
         limits = [[*limit, one] for limit, one in zip(limits, noticing, strict=True)]
         # What is missed of a hidden map has a target like any residual.
         targets = np.append(targets, 1.0 - float(design.notice.power))
-        names += ("the power to notice a hidden map",)
+        names += ("the chance to miss a hidden map",)
     cases = tuple(
         Case(
             model,

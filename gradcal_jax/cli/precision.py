@@ -12,7 +12,7 @@ import threading
 from types import FrameType
 
 _SOON_S = 0.05
-# Of <malloc.h>: arenas, allocations that are maps of their own, bytes that are kept at the heap's end, and taken ahead.
+# Of <malloc.h>: allocations that are maps of their own, bytes that are kept at the heap's end, and bytes taken ahead.
 _HEAP = {-4: 0, -1: 256 << 20, -2: 64 << 20}
 
 
@@ -38,7 +38,7 @@ def use_float64() -> None:
 
 
 def _keep_memory() -> None:
-    """Freed memory stays with the process, one heap for all threads, where the C library is GNU's.
+    """Freed memory stays with the process, where the C library is GNU's.
 
     A program's arrays of some megabytes are otherwise given back after every call and cleared by the system before the
     next: a third of the time of a search whose readings are thousands. A process that has JAX already is not ours.

@@ -26,6 +26,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from gradcal_jax.information.by_platform import by_platform, like
 from gradcal_jax.information.native import Kept, native
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.whitening import (
@@ -35,9 +36,13 @@ from gradcal_jax.information.whitening import (
     applied,
     block_length,
     cut,
+    cut_rows,
+    cut_up,
     filter_columns,
+    gains,
     over_blocks,
     times,
+    to_the_ends,
     total,
     transposed,
     whiten,
@@ -88,15 +93,15 @@ def _factor(rows: Array, below: Array) -> tuple[Array, Array]:
 
 def _linearised(steps: NoiseSteps, columns: Array) -> tuple[Array, Callable[[NoiseSteps, Array], Array]]:
     """Whitened rows, and `dG` as a function of the tangents."""
-    code = native(steps, columns)
-    if code is None:
+    if native(steps, columns) is None:
         filtered = _filtered(steps, columns)
         rows = jnp.reshape(filtered.rows, (-1, columns.shape[1]))
-        return rows, lambda d_steps, d_columns: _tangent(filtered, steps, columns, d_steps, d_columns)
+        return rows, lambda d_steps, d_columns: _tangent(filtered, steps, d_steps, d_columns)
     rows, kept = _kept(steps, columns)
 
     def cotangents(of_product):
-        return code.cotangents(steps, rows, kept, of_product)
+        results = jax.tree.map(like, (*steps[:4], steps.initial, rows))
+        return _pull_by_platform(results, steps, rows, kept, of_product)
 
     def tangent(d_steps, d_columns):
         tangents = (*d_steps[:4], d_steps.initial, d_columns)
@@ -109,9 +114,10 @@ def _linearised(steps: NoiseSteps, columns: Array) -> tuple[Array, Callable[[Noi
 
 @jax.custom_jvp
 def _kept(steps: NoiseSteps, columns: Array) -> tuple[Array, Kept]:
-    code = native(steps, columns)
-    assert code is not None
-    return code.keep(steps, columns)
+    (count, p), n, dtype = columns.shape, steps.observation.shape[1], like(columns).dtype
+    shapes = ((count, n, p), (count, n, n), (count, n), (count,))
+    results = like(columns), Kept(*(jax.ShapeDtypeStruct(shape, dtype) for shape in shapes))
+    return _keep_by_platform(results, steps, columns)
 
 
 @_kept.defjvp
@@ -122,11 +128,73 @@ def _kept_jvp(primals, tangents):
     return (rows, kept), (d_rows, jax.tree.map(jnp.zeros_like, kept))
 
 
+def _kept_natively(steps: NoiseSteps, columns: Array) -> tuple[Array, Kept]:
+    code = native(steps, columns)
+    assert code is not None
+    return code.keep(steps, columns)
+
+
+def _kept_in_blocks(steps: NoiseSteps, columns: Array) -> tuple[Array, Kept]:
+    count = columns.shape[0]
+    filtered = _filtered(steps, columns)
+    assert filtered.states is not None
+
+    def by_reading(x: Array) -> Array:
+        """`(B, K, …)` to `(N, …)`."""
+        return jnp.reshape(x, (-1, *x.shape[2:]))[:count]
+
+    def in_order(x: Array) -> Array:
+        """`(K, …, B)` to `(N, …)`."""
+        return by_reading(jnp.moveaxis(x, (-1, 0), (0, 1)))
+
+    covariances, per_std = in_order(filtered.covariance), in_order(filtered.per_std)
+    cross = jnp.einsum("kij,kj->ki", covariances, jnp.asarray(steps.observation))
+    kept = Kept(by_reading(jnp.moveaxis(filtered.states, 0, 2)), covariances, cross * per_std[:, None] ** 2, per_std)
+    return by_reading(filtered.rows), kept
+
+
+_keep_by_platform = by_platform("gradcal_keep", _kept_natively, _kept_in_blocks)
+
+
+def _pulled_natively(steps: NoiseSteps, rows: Array, kept: Kept, of_product: Array) -> list[Array]:
+    code = native(steps, rows)
+    assert code is not None
+    return code.cotangents(steps, rows, kept, of_product)
+
+
+def _pulled_in_blocks(steps: NoiseSteps, rows: Array, kept: Kept, of_product: Array) -> tuple[Array, ...]:
+    filtered = _refiltered(steps, rows, kept)
+
+    def linear(tangents):
+        return _tangent(filtered, steps, _changed(steps, tangents), tangents[-1])
+
+    (told,) = jax.linear_transpose(linear, (*steps[:4], steps.initial, rows))(of_product)
+    return told
+
+
+_pull_by_platform = by_platform("gradcal_pull", _pulled_natively, _pulled_in_blocks)
+
+
 @jax.jit  # So that it is traced once, and not at every use of `_linearised`.
 def _tangent_in_blocks(steps: NoiseSteps, columns: Array, tangents: tuple[Array, ...]) -> Array:
-    transition, covariance, observation, variance, initial, d_columns = tangents
-    d_steps = NoiseSteps(transition, covariance, observation, variance, steps.used, initial)
-    return _tangent(_filtered(steps, columns), steps, columns, d_steps, d_columns)
+    return _tangent(_filtered(steps, columns), steps, _changed(steps, tangents), tangents[-1])
+
+
+def _changed(steps: NoiseSteps, tangents: tuple[Array, ...]) -> NoiseSteps:
+    transition, covariance, observation, variance, initial, _ = tangents
+    return NoiseSteps(transition, covariance, observation, variance, steps.used, initial)
+
+
+def _refiltered(steps: NoiseSteps, rows: Array, kept: Kept) -> Filtered:
+    """What was kept, in blocks again; the end is not in it."""
+    length = block_length(rows.shape[0])
+    cut_steps = cut_up(jax.tree.map(jnp.asarray, steps), length)
+    covariance = cut(kept.covariances, length, 0.0)
+    closed, gain, per_std = gains(cut_steps, covariance)
+    through, _ = to_the_ends(closed, gain)
+    states = jnp.moveaxis(cut_rows(kept.states, length), 2, 0)
+    end = FilterState(kept.states[-1], kept.covariances[-1])
+    return Filtered(cut_steps, cut_rows(rows, length), states, covariance, closed, gain, per_std, through, end)
 
 
 def _filtered(steps: NoiseSteps, columns: Array) -> Filtered:
@@ -163,15 +231,12 @@ def _backwards(filtered: Filtered) -> tuple[Array, Array, Array]:
     return us, rhos, first_of_all
 
 
-def _tangent(
-    filtered: Filtered, steps: NoiseSteps, columns: Array, d_steps: NoiseSteps, d_columns: Array
-) -> Float[Array, "p p"]:
+def _tangent(filtered: Filtered, steps: NoiseSteps, d_steps: NoiseSteps, d_columns: Array) -> Float[Array, "p p"]:
     """`dG`; see the module's head. Each pair of transposes is found once, and symmetrised at the end."""
     us, rhos, first_of_all = _backwards(filtered)
     states = filtered.states
     assert states is not None
-    blocks, length, p = us.shape
-    n = states.shape[0]
+    length, n = us.shape[1], states.shape[0]
 
     def by_time(x: Array) -> Array:
         """`(K, …, B)` to `(…, B, K)`: as the large arrays have it."""
@@ -187,9 +252,7 @@ def _tangent(
 
     d_noise, d_transition = small(d_steps.covariance, later=True), small(d_steps.transition, later=True)
     d_observation, d_variance = small(d_steps.observation), small(d_steps.reading_variance)
-    if missing := blocks * length - columns.shape[0]:
-        d_columns = jnp.concatenate([d_columns, jnp.zeros((missing, p), d_columns.dtype)])
-    of_u = d_variance * us - 2.0 * jnp.reshape(d_columns, us.shape)
+    of_u = d_variance * us - 2.0 * cut_rows(d_columns, length)
     of_u = of_u + 2.0 * total(d_observation[i] * smoothed[i] for i in range(n))
     half = jnp.einsum("bkp,bkq->pq", us, of_u)
     for i in range(n):

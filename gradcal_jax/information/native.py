@@ -2,8 +2,8 @@
 
 XLA pays for every pass over N × p numbers what a whole product costs; `filter.cc` goes through the readings once. The
 machine's own C++ compiler makes it at first use, a second for each number of noise states, and the user's cache
-folder keeps it. Without a compiler, on other devices, or with `GRADCAL_NATIVE=0` the same is computed by XLA
-(`whitening.filter_columns`, `adjoint`): several times slower, and equal but for rounding.
+folder keeps it. Without a compiler, in programs for other devices, or with `GRADCAL_NATIVE=0` the same is computed by
+XLA (`whitening.filter_columns`, `adjoint`): several times slower, and equal but for rounding.
 """
 
 import ctypes
@@ -143,8 +143,8 @@ def _call(name: str, shapes, arguments) -> list[Array]:
 
 
 def native(steps: NoiseSteps, *others: Array) -> Native | None:
-    """The machine code that serves these arrays, or None where there is none."""
-    if os.environ.get("GRADCAL_NATIVE") == "0" or jax.default_backend() != "cpu" or os.name != "posix":
+    """The machine code that serves these arrays in a program for a CPU, or None where there is none."""
+    if os.environ.get("GRADCAL_NATIVE") == "0" or os.name != "posix":
         return None
     # What JAX makes of them: without its float64, NumPy's doubles become singles.
     kinds = {canonicalize_dtype(x.dtype).name for x in (*steps[:4], steps.initial, *others)}

@@ -31,6 +31,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from gradcal_jax.arrays import AnyArray, namespace, size_class
+from gradcal_jax.information.by_platform import by_platform, like
 from gradcal_jax.information.native import native, plain
 from gradcal_jax.information.noise_steps import NoiseSteps
 
@@ -65,10 +66,15 @@ def whiten_from(
     if block is None and namespace(state, steps, columns) is np:
         return _by_value(state, steps, columns)
     if block is None and native(steps, columns, *state) is not None:
-        return _natively(state, steps, columns)
+        return _quickly(state, steps, columns)
+    return _in_blocks(state, steps, columns, block)
+
+
+def _in_blocks(
+    state: FilterState, steps: NoiseSteps, columns: Array, block: int | None = None
+) -> tuple[Array, FilterState]:
     filtered = filter_columns(state, steps, columns, block)
-    rows = jnp.reshape(filtered.rows, (-1, columns.shape[1]))[: columns.shape[0]]
-    return rows, filtered.end
+    return jnp.reshape(filtered.rows, (-1, columns.shape[1]))[: columns.shape[0]], filtered.end
 
 
 def _by_value(state: FilterState, steps: NoiseSteps, columns: np.ndarray) -> tuple[np.ndarray, FilterState]:
@@ -87,13 +93,9 @@ def _by_value(state: FilterState, steps: NoiseSteps, columns: np.ndarray) -> tup
     return np.asarray(rows)[:count, :p], FilterState(np.asarray(after.mean)[:, :p], np.asarray(after.covariance))
 
 
-@jax.jit
-def _compiled_whitening(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:
-    filtered = filter_columns(state, steps, columns, None)
-    return jnp.reshape(filtered.rows, (-1, columns.shape[1]))[: columns.shape[0]], filtered.end
+_compiled_whitening = jax.jit(_in_blocks)
 
 
-@jax.custom_jvp
 def _natively(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:
     code = native(steps, columns, *state)
     assert code is not None
@@ -101,8 +103,16 @@ def _natively(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Ar
     return rows, FilterState(*after)
 
 
-@_natively.defjvp
-def _natively_jvp(primals, tangents):
+_filter_by_platform = by_platform("gradcal_filter", _natively, _in_blocks)
+
+
+@jax.custom_jvp
+def _quickly(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:
+    return _filter_by_platform(jax.tree.map(like, (columns, state)), state, steps, columns)
+
+
+@_quickly.defjvp
+def _quickly_jvp(primals, tangents):
     return jax.jvp(partial(whiten_from, block=block_length(len(primals[2]))), primals, tangents)
 
 
@@ -210,39 +220,48 @@ def filter_columns(
     state: FilterState, steps: NoiseSteps, columns: Float[Array, "N p"], block: int | None, *, keep: bool = False
 ) -> Filtered:
     """Everything but the derivative; `keep`: the states, too."""
-    count, p = columns.shape
-    n = state.covariance.shape[0]
     # What is not traced may be NumPy's.
     steps = jax.tree.map(jnp.asarray, steps)
-    length = block_length(count, block)
-    cut_steps = Steps(
-        cut(steps.observation, length, 0.0),
-        cut(steps.reading_variance, length, 1.0),
-        cut(steps.used, length, False),
-        cut(steps.transition, length, np.eye(n), later=True),
-        cut(steps.covariance, length, 0.0, later=True),
-    )
+    length = block_length(columns.shape[0], block)
+    cut_steps = cut_up(steps, length)
     first = steps.transition[0]
     before, end = _covariances(cut_steps, first @ state.covariance @ first.T + steps.covariance[0])
-    closed, gain, per_std = _gains(cut_steps, before)
-
-    def to_the_end(onward, now):
-        a, g = now
-        return times(onward, a), applied(onward, g)
-
-    none = _identity(n, per_std[0])
-    through, effect = jax.lax.scan(to_the_end, none, (closed, gain), reverse=True)
-    blocks = per_std.shape[1]
-    if missing := blocks * length - count:
-        columns = jnp.concatenate([columns, jnp.zeros((missing, p), columns.dtype)])
-    data = jnp.reshape(columns, (blocks, length, p))
+    closed, gain, per_std = gains(cut_steps, before)
+    through, effect = to_the_ends(closed, gain)
+    data = cut_rows(columns, length)
     starts, mean = over_blocks(through, effect, data, first @ state.mean)
     rows, states = _rows(cut_steps, closed, gain, per_std, data, starts, keep)
     return Filtered(cut_steps, rows, states, before, closed, gain, per_std, through, FilterState(mean, end))
 
 
-def _identity(n: int, like: Float[Array, " B"]) -> Float[Array, "n n B"]:
-    return jnp.broadcast_to(jnp.eye(n, dtype=like.dtype)[:, :, None], (n, n, like.shape[0]))
+def cut_up(steps: NoiseSteps, length: int) -> Steps:
+    """Steps in blocks of so many readings."""
+    return Steps(
+        cut(steps.observation, length, 0.0),
+        cut(steps.reading_variance, length, 1.0),
+        cut(steps.used, length, False),
+        cut(steps.transition, length, np.eye(steps.observation.shape[1]), later=True),
+        cut(steps.covariance, length, 0.0, later=True),
+    )
+
+
+def cut_rows(x: Float[Array, " N *s"], length: int) -> Float[Array, "B K *s"]:
+    """Rows in blocks, filled up with zeros at the end."""
+    if missing := -x.shape[0] % length:
+        x = jnp.concatenate([x, jnp.zeros((missing, *x.shape[1:]), x.dtype)])
+    return jnp.reshape(x, (-1, length, *x.shape[1:]))
+
+
+def to_the_ends(closed: Float[Array, "K n n B"], gain: Float[Array, "K n B"]) -> tuple[Array, Array]:
+    """Ψ of each block `(n, n, B)`, and E, what each reading adds to the state at its block's end `(K, n, B)`."""
+
+    def step(onward, now):
+        a, g = now
+        return times(onward, a), applied(onward, g)
+
+    n, blocks = gain.shape[1:]
+    none = jnp.broadcast_to(jnp.eye(n, dtype=gain.dtype)[:, :, None], (n, n, blocks))
+    return jax.lax.scan(step, none, (closed, gain), reverse=True)
 
 
 def _covariances(steps: Steps, start: Float[Array, "n n"]) -> tuple[Float[Array, "K n n B"], Float[Array, "n n"]]:
@@ -304,7 +323,7 @@ def _triangle(rows: Float[Array, "K n B"]) -> Float[Array, "n n B"]:
     return jnp.stack(triangle, axis=1)
 
 
-def _gains(steps: Steps, before: Array) -> tuple[Array, Array, Array]:
+def gains(steps: Steps, before: Array) -> tuple[Array, Array, Array]:
     """`A`, `g` and `1/√S` of every reading, from the covariance before it."""
 
     def of_readings(now: Steps, covariance):

@@ -11,7 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax.information import FilterState, NoiseSteps, gram, native, whiten, whiten_from, whitened_factor
+from gradcal_jax.information import (
+    FilterState,
+    NoiseSteps,
+    adjoint,
+    gram,
+    native,
+    whiten,
+    whiten_from,
+    whitened_factor,
+    whitening,
+)
 from gradcal_jax.information.whitening import block_length
 
 pytestmark = pytest.mark.skipif(native._compiler() is None, reason="this machine has no C++ compiler")
@@ -199,6 +209,39 @@ def test_rows_have_the_derivative_of_the_blocks():
         return compiled(lambda: jax.jvp(f, (floats(steps), columns), (floats(steps), d_columns)))
 
     close(rows(None), rows(block_length(40)))
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 19, 100), (3, 5, 40), None])
+def test_programs_for_other_devices_compute_the_same_without_machine_code(shape):
+    """What a program for another device would do, done on this one."""
+    steps, columns = shared(19, 41) if shape is None else system(*shape)
+    state = FilterState(jnp.ones((steps.observation.shape[1], columns.shape[1])), steps.initial)
+    close(compiled(whitening._in_blocks, state, steps, columns), compiled(whitening._natively, state, steps, columns))
+    by_code, in_blocks = (compiled(f, steps, columns) for f in (adjoint._kept_natively, adjoint._kept_in_blocks))
+    # Where no step leads to the next reading, the code keeps no state.
+    close(in_blocks[:1] if shape is None else in_blocks, by_code[:1] if shape is None else by_code)
+    pulled = compiled(adjoint._pulled_in_blocks, steps, *in_blocks, weights(columns.shape[1]))
+    wanted = compiled(adjoint._pulled_natively, steps, *by_code, weights(columns.shape[1]))
+    if shape is None:  # Nobody asks for what a step that is none would change.
+        pulled, wanted = pulled[2:], wanted[2:]
+    close(pulled, tuple(wanted))
+
+
+def test_the_platform_that_a_program_is_lowered_for_decides_not_the_one_where_it_is_traced():
+    steps, columns = system(3, 7, 400)
+    batch = jnp.stack([columns, 2.0 * columns])
+    gradients = jax.grad(lambda c: jnp.sum(jax.vmap(partial(gram, steps))(c)))
+
+    def calls_and_loops(function, platform):
+        text = str(jax.jit(function).trace(batch).lower(lowering_platforms=(platform,)).as_text())
+        return text.count("@gradcal_"), text.count("stablehlo.while")
+
+    assert calls_and_loops(gradients, "cpu")[0] == 2
+    calls, loops = calls_and_loops(gradients, "cuda")
+    assert calls == 0
+    assert loops > 5
+    assert calls_and_loops(lambda c: whiten(steps, c[0]), "cpu") == (1, 0)
+    assert calls_and_loops(lambda c: whiten(steps, c[0]), "cuda")[0] == 0
 
 
 def test_single_precision():

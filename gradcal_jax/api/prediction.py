@@ -1,5 +1,6 @@
 """The contract gradcal-prediction/1, filled from a spec."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,9 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     observed is None, with a warning. Errors: none; whatever is wrong with a file, `read_spec` has refused already.
     """
     if isinstance(spec, UnitSpec):
-        return predict_unit(spec)
+        found = predict_unit(spec)
+        between = _between(found.requirements, [predict_unit(one) for one in extremes(spec)] if limits else [])
+        return found.model_copy(update={"requirements": tuple(between)})
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}
     pairs: list[tuple[Requirement, Axis]] = [
@@ -87,7 +90,7 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     )
 
 
-def _between(rows: list[RequirementRow], others: list[Prediction]) -> list[RequirementRow]:
+def _between(rows: Sequence[RequirementRow], others: list[Prediction]) -> Sequence[RequirementRow]:
     """The rows with the least and the largest of what they are in the other predictions, which have the same rows."""
     if not others:
         return rows

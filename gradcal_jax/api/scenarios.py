@@ -9,22 +9,24 @@ from itertools import product
 from typing import Any, Literal
 
 from gradcal_jax.files import Spec, changed
+from gradcal_jax.files.changes import AnySpec
 from gradcal_jax.files.design import Scenario
 from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.unit_spec import UnitSpec
 
 # Of more uncertain correlation times than these, each end is tried with the others as they are written.
 _TOGETHER = 2
 
 
-def scenario_specs(spec: Spec) -> list[tuple[Spec, float]]:
+def scenario_specs(spec: AnySpec) -> list[tuple[AnySpec, float]]:
     """The spec as each scenario has it, and its weight; the spec itself where nothing is uncertain.
 
     For a design that minimises the worst: every standard deviation at its largest. For one that minimises the mean: the
     figures as written, and each end of each alone, all with the same weight.
     """
-    design = spec.design
-    robust = "mean" if design is None else design.robust
-    given = [] if design is None else [(changed(spec, overrides(s)), float(s.weight)) for s in design.scenario]
+    robust = "mean" if spec.design is None else spec.design.robust
+    scenarios = spec.design.scenario if isinstance(spec, Spec) and spec.design is not None else ()
+    given = [(changed(spec, overrides(s)), float(s.weight)) for s in scenarios]
     return [
         (changed(one, values) if values else one, weight)
         for one, weight in given or [(spec, 1.0)]
@@ -32,7 +34,7 @@ def scenario_specs(spec: Spec) -> list[tuple[Spec, float]]:
     ]
 
 
-def extremes(spec: Spec) -> list[Spec]:
+def extremes(spec: AnySpec) -> list[AnySpec]:
     """Specs among which are the best and the worst that uncertain figures allow; none where nothing is uncertain."""
     if not spec.sensor.uncertain_figures():
         return []
@@ -53,12 +55,12 @@ def _leaves(tables: dict[str, Any], before: str):
             yield key, value
 
 
-def _star(spec: Spec) -> list[dict[str, str]]:
+def _star(spec: Spec | UnitSpec) -> list[dict[str, str]]:
     figures = spec.sensor.uncertain_figures()
     return [{}, *({key: ends[k].text} for key, ends in figures.items() for k in (0, 1))]
 
 
-def _corners(spec: Spec, end: Literal[0, 1]) -> list[dict[str, str]]:
+def _corners(spec: Spec | UnitSpec, end: Literal[0, 1]) -> list[dict[str, str]]:
     figures = spec.sensor.uncertain_figures()
     sizes = {key: ends[end].text for key, ends in figures.items() if not _is_time(key)}
     times: dict[str, tuple[Quantity, Quantity]] = {key: ends for key, ends in figures.items() if _is_time(key)}

@@ -4,11 +4,13 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from statistics import fmean
 from typing import NamedTuple
 
 import numpy as np
 
 from gradcal_jax.api.optimise import BY_HAND, MARGIN
+from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, RequiredQuantity, quantity_of, summary_statistic
 from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
@@ -103,7 +105,9 @@ def optimise_unit(
 
 
 class CycleValue:
-    """What the search minimises, of a cycle: the logarithm of residual over target, on a coarse grid."""
+    """What the search minimises, of a cycle: the logarithm of residual over target, on a coarse grid; of `uncertain`
+    noise its mean over the scenarios, or the worst.
+    """
 
     def __init__(self, spec: UnitSpec):
         design = spec.design or UnitDesign()
@@ -111,6 +115,9 @@ class CycleValue:
             r.model_copy(update={"grid": tuple(min(g, _SEARCH_GRID) for g in r.grid)}) for r in spec.requirement
         )
         self.built, self.schedule, self.design = assemble_unit(spec), spec.schedule, design
+        scenarios = scenario_specs(spec)
+        self.models = tuple(assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios)
+        self.robust = max if design.robust == "worst" else fmean
         self.quantities, self.worst = tuple(quantity_of(self.built, r) for r in coarse), design.minimise == WORST
         own = tuple(q for q in self.quantities if q.requirement.name == design.minimise)
         self.minimised = self.quantities if design.minimise in (ALL, WORST) else own
@@ -127,38 +134,44 @@ class CycleValue:
         )
 
     def __call__(self, cycle: PoseCycle) -> float:
-        logs = list(self._logs(cycle, self.minimised).values())
-        return max(logs) if self.worst else float(np.mean(logs))
+        together = max if self.worst else fmean
+        return self.robust([together(logs) for logs in self._logs(cycle, self.minimised)])
 
     def largest_ratio(self, cycle: PoseCycle) -> float:
         """The logarithm of the largest residual over its target."""
         limited = tuple(q for q in self.quantities if q.requirement.target is not None)
-        return max(self._logs(cycle, limited).values())
+        return self.robust([max(logs) for logs in self._logs(cycle, limited)])
 
-    def _logs(self, cycle: PoseCycle, quantities: tuple[RequiredQuantity, ...]) -> dict[str, float]:
-        """By requirement, the logarithm of the residual over the target; without a target, of the residual."""
+    def _logs(self, cycle: PoseCycle, quantities: tuple[RequiredQuantity, ...]) -> list[list[float]]:
+        """In each scenario and of each quantity the logarithm of the residual, over the target where there is one."""
         plan = self.plan(cycle)
         if plan is None:
-            return {q.requirement.name: math.inf for q in quantities}
-        values = _statistics(self.prior + self._gram(plan), quantities)
-        return {
-            r.name: math.log(v / (1.0 if r.target is None else float(r.target) * UNIT_OF_QUANTITY[r.quantity][1]))
-            if v
-            else math.inf
-            for (r, *_), v in zip(quantities, values, strict=True)
-        }
+            return [[math.inf] * len(quantities)]
+        targets = [q.requirement.target for q in quantities]
+        factors = [UNIT_OF_QUANTITY[q.requirement.quantity][1] for q in quantities]
+        limits = [1.0 if t is None else float(t) * f for t, f in zip(targets, factors, strict=True)]
+        return [
+            [
+                math.log(v / limit) if v else math.inf
+                for v, limit in zip(_statistics(self.prior + gram, quantities), limits, strict=True)
+            ]
+            for gram in self._grams(plan)
+        ]
 
-    def _gram(self, plan: UnitSchedule) -> np.ndarray:
-        """What the rows of a plan say; of a cycle that repeats, from three of its cycles."""
+    def _grams(self, plan: UnitSchedule) -> list[np.ndarray]:
+        """What the rows of a plan say in each scenario; of a cycle that repeats, from three of its cycles."""
         (stretch, *_), turns = plan.stretches, np.zeros(len(plan.start))
         for step in plan.steps:
             if step.axis >= 0:
                 turns[step.axis] += step.move.angle / (2.0 * math.pi)
         returns = np.all(abs(turns - np.round(turns)) < _SLACK)
         few = self._of_three(plan) if self.repeats and returns and stretch.cycles >= _MANY else None
-        return _gram_of(self.built._replace(motion=motion_of(plan, self.built.spec))) if few is None else few
+        if few is not None:
+            return few
+        built = self.built._replace(motion=motion_of(plan, self.built.spec))
+        return [_gram_of(built._replace(model=model)) for model in self.models]
 
-    def _of_three(self, plan: UnitSchedule) -> np.ndarray | None:
+    def _of_three(self, plan: UnitSchedule) -> list[np.ndarray] | None:
         """The same from three of its cycles, where they stand for all."""
         (stretch,) = plan.stretches
         (segment,) = (s for s in plan.segments if s.used)
@@ -168,11 +181,17 @@ class CycleValue:
         segment = replace(segment, start=0.0, duration=shorter, temperature_end=warm)
         few = replace(plan, segments=(segment,), stretches=(stretch,))
         built = self.built._replace(motion=motion_of(few, self.built.spec))
-        steps, columns = unit_system(built.motion, built.model, built.body_nodes())
+        nodes = built.body_nodes()
         rows = int(np.searchsorted(segments_of(built.motion, built.model).row_segment, len(plan.steps)))
         shifts = built.model.shifts(segment.slope * plan.period * np.arange(plan.stretches[0].cycles - 2))
         assert shifts is not None
-        return repeated_gram(steps, columns, rows, shifts, built.points + 1)
+        grams = []
+        for model in self.models:
+            steps, columns = unit_system(built.motion, model, nodes)
+            grams.append(repeated_gram(steps, columns, rows, shifts, built.points + 1))
+            if grams[-1] is None:
+                return None
+        return grams
 
     def plan(self, cycle: PoseCycle) -> UnitSchedule | None:
         """The whole plan of a cycle; None where it does not fit."""

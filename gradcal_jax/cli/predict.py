@@ -61,11 +61,10 @@ def predict(
     use_float64()
     from gradcal_jax import api
 
-    rows, tests = ((), {})
+    rows, tests, limits = (), {}, not json or bool(found.sensor.uncertain_figures())
     if isinstance(found, UnitSpec):
-        prediction = api.predict(found)
+        prediction = api.predict(found, limits=limits)
     else:
-        limits = not json or bool(found.sensor.uncertain_figures())
         prediction = api.predict(found, limits=limits, notices=True, outlook=True)
         if monte_carlo is not None:
             rows, tests = api.monte_carlo(found, monte_carlo, seed)

@@ -23,15 +23,15 @@ from gradcal_jax.files.quantity import (
     Time,
 )
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.uncertain import UncertainSection
+from gradcal_jax.files.uncertain import UncertainSection, figures_of
 
-_PROCESS = ("standard_deviation", "correlation_time")
+PROCESS = ("standard_deviation", "correlation_time")
 
 
 class Drift(UncertainSection):
     """In-run bias instability: a first-order Gauss–Markov process (stationary standard deviation, correlation time)."""
 
-    FIGURES: ClassVar[tuple[str, ...]] = _PROCESS
+    FIGURES: ClassVar[tuple[str, ...]] = PROCESS
 
     standard_deviation: PositiveRate
     """Stationary standard deviation of the rate error."""
@@ -42,7 +42,7 @@ class Drift(UncertainSection):
 class ScaleFactorInstability(UncertainSection):
     """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate."""
 
-    FIGURES: ClassVar[tuple[str, ...]] = _PROCESS
+    FIGURES: ClassVar[tuple[str, ...]] = PROCESS
 
     standard_deviation: PositiveScaleFactor
     """Stationary standard deviation of the scale factor's error, a ratio."""
@@ -53,7 +53,7 @@ class ScaleFactorInstability(UncertainSection):
 class TemperatureError(UncertainSection):
     """Error of the temperature measurement; the maps' slopes in temperature turn it into rate error."""
 
-    FIGURES: ClassVar[tuple[str, ...]] = _PROCESS
+    FIGURES: ClassVar[tuple[str, ...]] = PROCESS
 
     standard_deviation: PositiveTemperatureDifference
     """Standard deviation of the temperature's error."""
@@ -219,9 +219,7 @@ class Sensor(UncertainSection):
         tables += [(f"sensor.drift[{i}]", d) for i, d in enumerate(self.drift)]
         tables += [(f"sensor.scale_factor_instability[{i}]", d) for i, d in enumerate(self.scale_factor_instability)]
         tables.append(("sensor.temperature_error", self.temperature_error))
-        return {
-            f"{key}.{name}": ends for key, table in tables if table is not None for name, ends in table.ranges().items()
-        }
+        return figures_of(tables)
 
     @property
     def usable_rate(self) -> float | None:

@@ -8,7 +8,7 @@ uncertain          = { correlation_time = ["1 min", "20 min"] }              # o
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, ClassVar, Final, cast
 
 from pydantic import BeforeValidator, model_validator
@@ -87,3 +87,10 @@ class UncertainSection(Section):
         if not 0.0 < ends[0] <= nominal <= ends[1]:
             refuse(Problem(key, f"must hold what is written, {nominal}, between its least and largest", list(value)))
         return ends[0], ends[1]
+
+
+def figures_of(tables: Iterable[tuple[str, UncertainSection | None]]) -> dict[str, tuple[Quantity, Quantity]]:
+    """The ranges of several tables, each by its key in the spec, under the keys of the figures."""
+    return {
+        f"{key}.{name}": ends for key, table in tables if table is not None for name, ends in table.ranges().items()
+    }

@@ -1,6 +1,6 @@
 """`[design]` of a whole unit: what `optimise` minimises over poses and moves."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -24,5 +24,7 @@ class UnitDesign(Section):
     """Longest rest."""
     moves: Annotated[Count, Field(ge=2, le=400)] = 80
     """Most turns in a cycle."""
+    robust: Literal["mean", "worst"] = "mean"
+    """Whether the mean over what `uncertain` noise figures may be, or the worst of it, counts."""
     seed: Whole = 0
     """Seed of the annealing."""

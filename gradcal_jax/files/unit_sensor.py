@@ -1,6 +1,6 @@
 """`[sensor]` of a whole unit: three gyros and three accelerometers, their errors, noise and frame."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -26,7 +26,8 @@ from gradcal_jax.files.quantity import (
     VelocityRandomWalk,
 )
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.sensor import Bias, Drift, ScaleFactor, ScaleFactorInstability
+from gradcal_jax.files.sensor import PROCESS, Bias, Drift, ScaleFactor, ScaleFactorInstability
+from gradcal_jax.files.uncertain import UncertainSection, figures_of
 
 BodyAxis = Literal["x", "y", "z"]
 BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
@@ -59,8 +60,10 @@ class SquaredSensitivity(Section):
     """Standard deviation before the calibration; absent: unknown."""
 
 
-class SpecificForceDrift(Section):
+class SpecificForceDrift(UncertainSection):
     """Instability of an accelerometer's bias: a first-order Gauss–Markov process."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = PROCESS
 
     standard_deviation: PositiveSpecificForce
     """Stationary standard deviation."""
@@ -111,8 +114,10 @@ class LeverArm(Section):
     """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
 
 
-class GyroTriad(Section):
+class GyroTriad(UncertainSection):
     """`[sensor.gyro]`: what is the same for every gyro of the unit. A table that is absent is not estimated: known."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk")
 
     axes: BodyAxes = ("x", "y", "z")
     """Which gyros the unit has."""
@@ -145,9 +150,11 @@ class GyroTriad(Section):
         return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
 
 
-class AccelerometerTriad(Section):
+class AccelerometerTriad(UncertainSection):
     """`[sensor.accelerometer]`: what is the same for every accelerometer of the unit. Read where the table stands, and
     on moves no faster than `read_on_moves_below`."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk",)
 
     axes: BodyAxes = ("x", "y", "z")
     """Which accelerometers the unit has."""
@@ -219,3 +226,14 @@ class UnitSensor(Section):
             problems.append(Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]"))
         refuse(*problems)
         return self
+
+    def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
+        """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
+        tables: list[tuple[str, UncertainSection]] = []
+        for key, triad in (("sensor.gyro", self.gyro), ("sensor.accelerometer", self.accelerometer)):
+            if triad is not None:
+                tables += [(key, triad), *((f"{key}.drift[{i}]", d) for i, d in enumerate(triad.drift))]
+        if self.gyro is not None:
+            instabilities = self.gyro.scale_factor_instability
+            tables += [(f"sensor.gyro.scale_factor_instability[{i}]", d) for i, d in enumerate(instabilities)]
+        return figures_of(tables)

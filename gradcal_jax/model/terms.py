@@ -101,7 +101,8 @@ class Discrepancy(Term):
         """Pairs of sets of functions whose products the structure leaves out."""
         extra_t = self.temperature
         if self.rate is None:
-            return [(extra_t(temperature), namespace(temperature).ones((*temperature.shape, 1)))]
+            # Of the rates' shape: a unit's are at nodes of their own.
+            return [(extra_t(temperature), namespace(temperature).ones((*rate.shape, 1)))]
         all_t, all_w = extra_t.from_zero(temperature), self.rate.from_zero(rate)
         within_t, beyond_t = all_t[..., : extra_t.lowest], all_t[..., extra_t.lowest :]
         return [(beyond_t, all_w), (within_t, all_w[..., self.rate.lowest :])]

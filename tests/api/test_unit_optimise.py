@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
+from gradcal_jax import files
 from gradcal_jax.api.unit_optimise import TOGETHER, CycleValue, UnitOptimum, _items, _limits, optimise_unit
 from gradcal_jax.cli import main
 from gradcal_jax.design.pose_search import PoseState, closed, neighbour
@@ -35,6 +36,52 @@ def test_the_optimum_is_what_its_plan_leaves(searched):
     gain = math.exp(sum(math.log(row[2] / row[3]) for row in best.rows) / len(best.rows))
     assert best.gain == pytest.approx(gain, rel=1e-9)
     assert best.gain > 1.02
+
+
+UNCERTAIN = {
+    "sensor.accelerometer.uncertain": {"velocity_random_walk": "factor 1.5"},
+    "sensor.accelerometer.drift[0].uncertain": {"standard_deviation": "factor 2", "correlation_time": ["20 s", "1 h"]},
+}
+
+
+def test_uncertain_noise_of_a_unit_makes_a_range_that_holds_every_draw():
+    spec = small(**UNCERTAIN)
+    figures = spec.sensor.uncertain_figures()
+    assert len(figures) == 3
+    assert gj.parse_unit_spec(files.to_toml(spec)) == spec
+    ranges = [row.uncertain for row in gj.predict(spec, limits=True).requirements]
+    assert all(row.uncertain is None for row in gj.predict(small(), limits=True).requirements)
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        drawn = {k: float(np.exp(rng.uniform(*np.log(ends)))) for k, ends in figures.items()}
+        for (low, high), row in zip(ranges, gj.predict(gj.changed(spec, drawn)).requirements, strict=True):
+            assert low * (1 - 1e-9) <= row.decisive <= high * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("robust", ["mean", "worst"])
+def test_the_value_of_a_cycle_is_the_mean_or_the_worst_over_what_noise_may_be(robust):
+    spec = small(**UNCERTAIN, **{"design.robust": robust, "design.minimise": "worst ratio"})
+    value = CycleValue(spec)
+    cases = [CycleValue(small(**{"design.minimise": "worst ratio"} | texts)) for texts in cases_of(robust)]
+    cycle = _items(spec, value.design)
+    each = [case(cycle) for case in cases]
+    assert max(each) - min(each) > 0.1
+    assert value(cycle) == pytest.approx(max(each) if robust == "worst" else np.mean(each), rel=1e-12)
+
+
+def cases_of(robust: str) -> list[dict[str, str]]:
+    """Written out by hand: what the three uncertain figures are in each scenario."""
+    walk, std, time = (
+        "sensor.accelerometer.velocity_random_walk",
+        "sensor.accelerometer.drift[0].standard_deviation",
+        "sensor.accelerometer.drift[0].correlation_time",
+    )
+    figures = small().sensor.accelerometer
+    walks = [float(figures.velocity_random_walk) * by for by in (1 / 1.5, 1.5)]
+    stds = [float(figures.drift[0].standard_deviation) * by for by in (0.5, 2.0)]
+    if robust == "worst":
+        return [{walk: walks[1], std: stds[1]} | more for more in ({}, {time: "20 s"}, {time: "1 h"})]
+    return [{}, *({walk: w} for w in walks), *({std: s} for s in stds), {time: "20 s"}, {time: "1 h"}]
 
 
 def test_a_cycle_that_repeats_is_valued_by_three_of_its_cycles():

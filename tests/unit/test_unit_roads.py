@@ -11,7 +11,9 @@ from helpers_unit import DEG, shipped
 from random_units import motion, nodes_of, random_scene, system_of, unit_of
 from reference_unit import Scene, Simulator
 
+from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_prediction import predict_unit
+from gradcal_jax.files import changed
 from gradcal_jax.files.unit_spec import unit_spec_of
 from gradcal_jax.information import square_root, whiten
 from gradcal_jax.information.unit_rows import unit_information, unit_system
@@ -174,3 +176,21 @@ def test_rows_in_another_unit_of_angle_leave_the_posterior_as_it_is(factor):
     rows = np.concatenate([whiten(scaled, columns * factor), of.prior_rows()])
     found = dict(zip(of.names(), square_root(rows).deviations(of.to_reported), strict=True))
     agree(found, by_the_program(scene))
+
+
+@pytest.mark.parametrize(
+    ("key", "term", "rate_free"),
+    [("bias", "bias_discrepancy", True), ("scale_factor", "scale_factor_discrepancy", False)],
+)
+def test_a_units_discrepancy_is_the_map_of_a_higher_degree(key, term, rate_free):
+    """Columns of the polynomials after the cubic; at rest and on moves alike."""
+    spec = unit_spec_of(shipped("hand2"))
+    beyond = assemble_unit(changed(spec, {f"sensor.gyro.{key}.discrepancy": hidden}))
+    higher = assemble_unit(changed(spec, {f"sensor.gyro.{key}.temperature.degree": 5}))
+    columns = [unit_system(b.motion, b.model, b.body_nodes())[1] for b in (beyond, higher)]
+    places = beyond.model.where("gyro", 0, f"{key}_discrepancy"), higher.model.where("gyro", 0, key)
+    found, wanted = (c[:, place] for c, place in zip(columns, places, strict=True))
+    per_degree = wanted.shape[1] // 6
+    assert found.shape[1] == wanted[:, 4 * per_degree :].shape[1]
+    assert np.max(abs(found)) > 0.0
+    np.testing.assert_allclose(found, wanted[:, 4 * per_degree :], rtol=0.0, atol=1e-12 * np.max(abs(found)))

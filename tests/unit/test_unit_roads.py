@@ -179,10 +179,13 @@ def test_rows_in_another_unit_of_angle_leave_the_posterior_as_it_is(factor):
 
 
 @pytest.mark.parametrize(
-    ("key", "term", "rate_free"),
-    [("bias", "bias_discrepancy", True), ("scale_factor", "scale_factor_discrepancy", False)],
+    ("key", "hidden"),
+    [
+        ("bias", {"standard_deviation": "2 deg/h", "temperature_degree": 5}),
+        ("scale_factor", {"standard_deviation": "10 ppm", "temperature_degree": 5, "rate_degree": 3}),
+    ],
 )
-def test_a_units_discrepancy_is_the_map_of_a_higher_degree(key, term, rate_free):
+def test_a_units_discrepancy_is_the_map_of_a_higher_degree(key, hidden):
     """Columns of the polynomials after the cubic; at rest and on moves alike."""
     spec = unit_spec_of(shipped("hand2"))
     beyond = assemble_unit(changed(spec, {f"sensor.gyro.{key}.discrepancy": hidden}))

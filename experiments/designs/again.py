@@ -17,9 +17,11 @@ import jax
 import numpy as np
 from variants import MOVING, STATIC, spec_of
 
-from gradcal_jax.api.measure import measure
-from gradcal_jax.api.optimise import PRICED, Optimised, optimise
-from gradcal_jax.design import Coordinates, ProgrammeKnots, polish
+from gradcal_jax.api.measure import Measure, measure
+from gradcal_jax.api.optimise import PRICED, Step, optimise, polished, shadow_prices
+from gradcal_jax.api.scenarios import scenario_specs
+from gradcal_jax.api.structures import structures
+from gradcal_jax.design import Coordinates, Optimum, ProgrammeKnots, polish
 
 HERE = Path(__file__).parent
 STEPS = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -32,12 +34,13 @@ NAMES = [name for name in (*MOVING, *STATIC) if name != "shortest-for-77ppm"]
 def tried(name: str, count: int) -> dict[str, Any]:
     """Optimise a variant, perturb its optimum and polish `count` times, ease its limits."""
     spec = spec_of(name)
-    best = next(e for e in optimise(spec) if isinstance(e, Optimised))
-    of, coordinates = measure(spec), best.coordinates
+    kept = [e.checkpoint for e in optimise(spec) if isinstance(e, Step)][-1]
+    structure = structures(spec, [s for s, _ in scenario_specs(spec)])[kept.best_structure]
+    of = measure(spec)
+    coordinates, found = polished(of, structure.coordinates, kept.best.best_point)
     objective = of.compiled(coordinates)
     knots = coordinates if isinstance(coordinates, ProgrammeKnots) else None
     linear = None if knots is None else knots.limits
-    found = polish(objective, best.point, linear=linear)
     begun, generator = time.perf_counter(), np.random.default_rng(0)
     values: dict[str, list[float]] = {}
     for k in range(count):
@@ -48,10 +51,10 @@ def tried(name: str, count: int) -> dict[str, Any]:
         other = polish(objective, point, steps=150, linear=linear)
         values.setdefault(str(step), []).append(other.value if other.held else np.inf)
         if (k + 1) % 20 == 0:
-            print(f"  {k + 1} of {count}: best {min(min(v) for v in values.values()):.5g} {best.unit}", flush=True)
+            print(f"  {k + 1} of {count}: best {min(min(v) for v in values.values()):.5g} {of.unit}", flush=True)
     every = np.concatenate([np.array(v) for v in values.values()])
     return {
-        "unit": best.unit,
+        "unit": of.unit,
         "optimum": found.value,
         "gradient": found.gradient_norm,
         "count": count,
@@ -59,21 +62,21 @@ def tried(name: str, count: int) -> dict[str, Any]:
         "better": int(np.sum(every < 0.99 * found.value)),
         "by_step": {s: [float(f(v)) for f in (np.min, np.median, np.max)] for s, v in values.items()},
         "seconds": round(time.perf_counter() - begun),
-        "prices": prices(best, of, found.point) if isinstance(coordinates, Coordinates) else [],
+        "prices": prices(of, coordinates, found) if isinstance(coordinates, Coordinates) else [],
     }
 
 
-def prices(best: Optimised, of, point: np.ndarray) -> list[dict[str, Any]]:
+def prices(of: Measure, coordinates: Coordinates, found: Optimum) -> list[dict[str, Any]]:
     """Each shadow price beside the difference of the optima with its limit eased and tightened."""
     rows = []
-    for price in best.prices:
+    for price in shadow_prices(of, coordinates, found):
         index = next(i for i, priced in enumerate(PRICED) if priced[0] == price.limit)
         amount, size = EASED[price.per], PRICED[index][2]
         ends = []
         for sign in (1.0, -1.0):
             by = np.zeros(len(PRICED))
             by[index] = sign * amount * size
-            ends.append(polish(of.compiled(best.coordinates.eased(by)), point).value)
+            ends.append(polish(of.compiled(coordinates.eased(by)), found.point).value)
         difference = (ends[0] - ends[1]) / (2.0 * amount)
         rows.append({"limit": price.limit, "per": price.per, "price": price.change, "difference": difference})
     return rows
@@ -117,7 +120,7 @@ def table(found: dict[str, dict[str, Any]]) -> str:
 
 def main() -> None:
     """Try the named variants, or all; the others keep their figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}")
     parser.add_argument("--count", type=int, default=200)
     asked = parser.parse_args()

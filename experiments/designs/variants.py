@@ -97,6 +97,7 @@ def compared(name: str) -> dict[str, object]:
     from gradcal_jax.files.recipe import read_recipe
 
     spec = read_recipe(path_of(name)).spec
+    assert isinstance(spec, Spec)
     if name not in MOVING:
         return {"residual": predict(spec).requirements[0].mean, "limit": None, "relaxed": []}
     proven = limits(spec)[0]

@@ -276,23 +276,8 @@ def finished(
     stop: Callable[[], bool],
     quick: bool,
 ) -> Optimised:
-    """Prune, polish and round the best point of a search; the plan as it was where that is no better."""
-    point = state.best_point
-    coordinates = structure.coordinates
-    # Fewer turns would be another class of sizes, for which to compile.
-    if not quick:
-        coordinates, point = _pruned(of, coordinates, point)
-    if isinstance(coordinates, ProgrammeCoordinates):
-        coordinates, found = best_programme(of, *coordinates.knots(point), design_of(spec).seed, stop)
-    else:
-        steps = _BRIEF_POLISH if quick else _POLISH
-        found = polish(of.compiled(coordinates), point, steps=steps, names=of.limits)
-        fewer, point = _pruned(of, coordinates, found.point)
-        if not (quick or found.converged) and fewer.size < coordinates.size:
-            # Turns that vanish meanwhile leave valleys without end: without them it converges.
-            again = polish(of.compiled(fewer), point, steps=_POLISH, names=of.limits)
-            if again.held and again.value <= found.value * (1.0 + _NO_WORSE):
-                coordinates, found = fewer, again
+    """Polish and round the best point of a search; the plan as it was where that is no better."""
+    coordinates, found = polished(of, structure.coordinates, state.best_point, design_of(spec).seed, stop, quick=quick)
     # As a recipe will have it, so that the number is of what is executed. Whatever comes of it, a plan is written.
     sentence, converged = found.sentence, found.converged
     try:
@@ -337,6 +322,31 @@ def finished(
         shadow_prices(of, coordinates, found) if isinstance(coordinates, Coordinates) else (),
         structure.words,
     )
+
+
+def polished(
+    of: Measure,
+    coordinates: AnyCoordinates,
+    point: np.ndarray,
+    seed: int = 0,
+    stop: Callable[[], bool] = lambda: False,
+    *,
+    quick: bool = False,
+) -> tuple[AnyCoordinates | ProgrammeKnots, Optimum]:
+    """The optimum that the best point of a search leads to, and its coordinates, without turns that vanish."""
+    # Fewer turns would be another class of sizes, for which to compile.
+    if not quick:
+        coordinates, point = _pruned(of, coordinates, point)
+    if isinstance(coordinates, ProgrammeCoordinates):
+        return best_programme(of, *coordinates.knots(point), seed, stop)
+    found = polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH if quick else _POLISH, names=of.limits)
+    fewer, point = _pruned(of, coordinates, found.point)
+    if not (quick or found.converged) and fewer.size < coordinates.size:
+        # Turns that vanish meanwhile leave valleys without end: without them it converges.
+        again = polish(of.compiled(fewer), point, steps=_POLISH, names=of.limits)
+        if again.held and again.value <= found.value * (1.0 + _NO_WORSE):
+            return fewer, again
+    return coordinates, found
 
 
 def _ends(compiled: Compiled, state: State) -> tuple[float, ...]:

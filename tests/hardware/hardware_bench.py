@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from simulated_devices.line_chambers import SimulatedCts, SimulatedJulabo, SimulatedThermotron
+from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 from simulated_devices.vectornav import SimulatedVectorNav, VectorNavOptions
@@ -128,6 +128,7 @@ def _axis(truth: AxisTruth | None, clock: Clock) -> AxisPlant:
 thermotron_bench = _lines_bench("thermotron-3800", SimulatedThermotron, _chamber)
 cts_bench = _lines_bench("cts", SimulatedCts, _chamber)
 julabo_bench = _lines_bench("julabo", SimulatedJulabo, _chamber)
+f4t_scpi_bench = _lines_bench("watlow-f4t-scpi", SimulatedF4TScpi, _chamber)
 grbl_bench = _lines_bench("grbl", SimulatedGrbl, _axis)
 aerosmith_bench = _lines_bench("aerosmith-like", SimulatedAerosmith, _axis)
 

@@ -11,7 +11,16 @@ from typing import Any
 import minimalmodbus
 import pytest
 import serial
-from hardware_bench import cts_bench, espec_bench, f4_bench, f4t_bench, julabo_bench, thermotron_bench, weiss_bench
+from hardware_bench import (
+    cts_bench,
+    espec_bench,
+    f4_bench,
+    f4t_bench,
+    f4t_scpi_bench,
+    julabo_bench,
+    thermotron_bench,
+    weiss_bench,
+)
 from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
@@ -48,6 +57,7 @@ BENCHES = {
     "thermotron": thermotron_bench,
     "cts": cts_bench,
     "julabo": julabo_bench,
+    "watlow-f4t-scpi": f4t_scpi_bench,
 }
 
 

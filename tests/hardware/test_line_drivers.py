@@ -11,10 +11,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, aerosmith_bench, cts_bench, grbl_bench, julabo_bench, short_recipe, thermotron_bench
+from hardware_bench import (
+    Rig,
+    aerosmith_bench,
+    cts_bench,
+    f4t_scpi_bench,
+    grbl_bench,
+    julabo_bench,
+    short_recipe,
+    thermotron_bench,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_devices.line_chambers import SimulatedCts, SimulatedJulabo, SimulatedThermotron
+from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 
 from gradcal_jax.files.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
@@ -61,6 +70,17 @@ ASKED: dict[str, dict[str, tuple[bytes, bytes, dict[str, str]]]] = {
             {"model": "CRYOCOMPACT CF31 VERSION 5.0"},
         ),
     },
+    "watlow-f4t-scpi": {
+        "identity": (
+            b"*IDN?\n",
+            b"Watlow Electric,F4T1L1EAA2C1AAA,12345,4.07\n",
+            {"model": "F4T1L1EAA2C1AAA", "serial": "12345", "firmware": "4.07"},
+        ),
+        "air": (b":SOURCE:CLOOP1:PVALUE?\n", b"-12.3456\n", {"air": "-12.3456"}),
+        "setpoint": (b":SOURCE:CLOOP1:SPOINT?\n", b"25.0000\n", {"setpoint": "25.0000"}),
+        "event": (b":OUTPUT1:STATE?\n", b"ON\n", {"event": "ON"}),
+        "unit": (b":UNIT:TEMPERATURE?\n", b"F\n", {"unit": "F"}),
+    },
     "grbl": {
         "status": (
             b"?",
@@ -82,6 +102,13 @@ TOLD: dict[str, dict[str, tuple[dict[str, float], list[bytes]]]] = {
     "julabo": {
         "setpoint": ({"setpoint": 34.56}, [b"OUT_SP_00 34.56\r"]),
         "on": ({}, [b"OUT_MODE_05 1\r"]),
+    },
+    "watlow-f4t-scpi": {
+        "setpoint": (
+            {"setpoint": -40.0},
+            [b":OUTPUT1:STATE ON\n", b":SOURCE:CLOOP1:RACTION OFF\n", b":SOURCE:CLOOP1:SPOINT -40.00\n"],
+        ),
+        "off": ({}, [b":OUTPUT1:STATE OFF\n"]),
     },
     "grbl": {"home": ({}, [b"$H\n"]), "stop": ({}, [b"\x85"])},
 }
@@ -182,11 +209,13 @@ def test_a_value_that_was_written_is_shown_by_itself_alone(value: float, spec: s
 
 
 @pytest.mark.parametrize(
-    ("chamber", "table"), [("thermotron-3800", "grbl"), ("cts", "aerosmith-like"), ("julabo", "grbl")]
+    ("chamber", "table"),
+    [("thermotron-3800", "grbl"), ("cts", "aerosmith-like"), ("julabo", "grbl"), ("watlow-f4t-scpi", "aerosmith-like")],
 )
 def test_a_run_on_devices_that_are_described_alone(chamber: str, table: str, tmp_path: Path) -> None:
     clock = VirtualClock()
     simulated = {"thermotron-3800": SimulatedThermotron, "cts": SimulatedCts, "julabo": SimulatedJulabo}
+    simulated["watlow-f4t-scpi"] = SimulatedF4TScpi
     tables = {"grbl": SimulatedGrbl, "aerosmith-like": SimulatedAerosmith}
     with Rig(clock, stage=True) as lab:
         air, axis = simulated[chamber](lab.chamber.plant, clock), tables[table](lab.axis, clock)
@@ -256,7 +285,29 @@ def test_a_bath_in_local_mode_or_on_another_set_point_is_noticed() -> None:
             bath.identify()
 
 
-@pytest.mark.parametrize("bench", [thermotron_bench, cts_bench, julabo_bench])
+def test_set_points_that_an_f4t_ignores_while_its_loop_is_off_are_noticed() -> None:
+    with f4t_scpi_bench(VirtualClock()) as (chamber, device, _):
+        device.receive(b":SOURCE:CLOOP1:SPOINT 60\n")
+        assert device.ignored == [":SOURCE:CLOOP1:SPOINT 60"]
+        chamber.hold(60.0)
+        assert chamber.read().setpoint_c == 60.0
+        chamber.standby()
+        obeys, device._obeys = device._obeys, lambda text, now: "OUTPUT1" in text or obeys(text, now)
+        with pytest.raises(NotVerified, match="setpoint -20"):
+            chamber.hold(-20.0)
+
+
+def test_an_f4t_that_was_left_ramping_or_in_fahrenheit() -> None:
+    with f4t_scpi_bench(VirtualClock()) as (chamber, device, _):
+        device.action = "BOTH"
+        chamber.hold(60.0)
+        assert (device.action, chamber.read().setpoint_c) == ("OFF", 60.0)
+        device.unit = "F"
+        with pytest.raises(Rejected, match="must be Celsius"):
+            chamber.identify()
+
+
+@pytest.mark.parametrize("bench", [thermotron_bench, cts_bench, julabo_bench, f4t_scpi_bench])
 def test_an_alarm_is_in_the_reading(bench: Any) -> None:
     with bench(VirtualClock()) as (chamber, device, _):
         chamber.hold(30.0)

@@ -238,3 +238,79 @@ class SimulatedJulabo:
     def _run(self, on: bool) -> None:
         self.running = on
         self.plant.switch(self._clock.now(), on)
+
+
+class SimulatedF4TScpi:
+    """SCPI without replies to commands. A set point that is told while event 1 has the loop off is taken, and ignored;
+    SPOINT? is the one in force, which ramps where RACTION says so. A new controller speaks Fahrenheit."""
+
+    _DEAF_S = 0.1
+
+    def __init__(self, plant: ChamberPlant, clock: Clock, *, unit: str = "C") -> None:
+        self.plant = plant
+        self._clock = clock
+        self._buffer = b""
+        self._deaf_until_s = -1.0
+        self.unit = unit
+        self.ramp_k_per_min = 3.0
+        self.action = "OFF"
+        self.input = "NONE"
+        self.ignored: list[str] = []
+
+    def receive(self, data: bytes) -> list[bytes]:
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        return [reply.encode() + b"\n" for reply in map(self._line, lines) if reply]
+
+    def reboot(self) -> None:
+        self._buffer = b""
+        self._switch(False)
+
+    def raise_alarm(self) -> None:
+        self.input = "ERROR"
+        self._switch(False)
+
+    def _line(self, line: bytes) -> str:
+        now, text = self._clock.now(), line.decode("latin-1").strip().upper()
+        if now < self._deaf_until_s - 1e-9:
+            self.ignored.append(text)
+            return ""
+        if text.endswith("?"):
+            return self._answers(now).get(text, "")
+        self._deaf_until_s = now + self._DEAF_S
+        if not self._obeys(text, now):
+            self.ignored.append(text)
+        return ""
+
+    def _answers(self, now: float) -> dict[str, str]:
+        return {
+            "*IDN?": "Watlow Electric,F4T1L1EAA2C1AAA,12345,4.07",
+            ":UNIT:TEMPERATURE?": self.unit,
+            ":SOURCE:CLOOP1:PVALUE?": f"{self._shown(self.plant.air_c(now)):.4f}",
+            ":SOURCE:CLOOP1:SPOINT?": f"{self._shown(self.plant.set_point_c(now)):.4f}",
+            ":SOURCE:CLOOP1:RRATE?": f"{self.ramp_k_per_min:.4f}",
+            ":SOURCE:CLOOP1:ERROR?": self.input,
+            ":OUTPUT1:STATE?": "ON" if self.plant.conditioning else "OFF",
+        }
+
+    def _shown(self, celsius: float) -> float:
+        return celsius if self.unit == "C" else 1.8 * celsius + 32.0
+
+    def _obeys(self, text: str, now: float) -> bool:
+        if (match := re.fullmatch(r":SOURCE:CLOOP1:SPOINT (-?\d+(?:\.\d+)?)", text)) is not None:
+            value = float(match[1]) if self.unit == "C" else (float(match[1]) - 32.0) / 1.8
+            if not self.plant.conditioning:
+                return False
+            gradient = self.ramp_k_per_min if self.action in ("SETPOINT", "BOTH") else None
+            self.plant.command(now, target_c=value, gradient_k_per_min=gradient)
+        elif (match := re.fullmatch(r":SOURCE:CLOOP1:RACTION (OFF|STARTUP|SETPOINT|BOTH)", text)) is not None:
+            self.action = match[1]
+        elif (match := re.fullmatch(r":UNIT:TEMPERATURE ([CF])", text)) is not None:
+            self.unit = match[1]
+        elif (match := re.fullmatch(r":OUTPUT1:STATE (ON|OFF)", text)) is not None:
+            self._switch(match[1] == "ON" and self.input == "NONE")
+        else:
+            return False
+        return True
+
+    def _switch(self, on: bool) -> None:
+        self.plant.switch(self._clock.now(), on)

@@ -130,12 +130,14 @@ def _report(
         raise ValueError("the lag of a whole unit is not fitted: give a time, such as --lag 90s")
     temperature = correction.followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)
     model = built.model
-    first = _read(built, name, rows, rows, temperature)[2]
+    threshold = options.threshold if options.robust else None
+    first = _read(built, name, rows, rows, temperature, threshold)[2]
     # How a move went is first taken from the gyros as they are, then corrected by what that gave: a scale factor of a
     # per cent that depends on the rate is otherwise seen at the wrong rates.
     held = tuple(_channels(built, model.to_reported @ first.parameters))
     rates, felt = correct_unit(held, rows.rates, rows.force, temperature)
-    done, readings, found = _read(built, name, rows, rows._replace(rates=rates), temperature, felt, first.parameters)
+    corrected = rows._replace(rates=rates)
+    done, readings, found = _read(built, name, rows, corrected, temperature, threshold, felt, first.parameters)
     at = segments_of(done.motion, model)
     half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
     of_segment = rows.time_s[done.rows[at.first + 1]]
@@ -170,7 +172,9 @@ def _report(
         _gravity(readings, calibration, temperature),
         (),
     )
-    return report._replace(messages=(*messages, *_words(report, found)))
+    names = [model.channels[k].name for k in at.row_channel[used]]
+    lesser = _counting_less(found, names, of_segment[at.row_segment][used])
+    return report._replace(messages=(*messages, *lesser, *_words(report, found)))
 
 
 def _read(
@@ -179,6 +183,7 @@ def _read(
     rows: UnitRows,
     seen: UnitRows,
     temperature: np.ndarray,
+    threshold: float | None,
     felt: np.ndarray | None = None,
     about: np.ndarray | None = None,
 ) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
@@ -189,7 +194,7 @@ def _read(
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     readings = estimation.readings_of(built.model, done, rows, temperature, built.points, felt)
-    found = estimation.estimate_unit(readings, about)
+    found = estimation.estimate_unit(readings, about, threshold=threshold)
     scale = float(np.sqrt(found.estimate.chi_squared[0] / max(int(found.estimate.degrees[0]), 1)))
     if scale > _ABSURD:
         raise LogError(
@@ -321,6 +326,15 @@ def _gravity(
     g = float(done.motion.geometry.gravity)
     before, after = (float(np.sqrt(np.mean((np.linalg.norm(f, axis=1) - g) ** 2))) for f in (force, corrected))
     return before, after
+
+
+def _counting_less(found: UnitEstimate, channels: list[str], time_s: np.ndarray) -> list[str]:
+    """The readings that a robust estimate trusts the least, in a sentence."""
+    low = np.argsort(found.weights)[: np.count_nonzero(found.weights < 1.0)]
+    if not len(low):
+        return []
+    named = ", ".join(f"{channels[k].replace('_', ' ')} at {time_s[k]:.6g} s" for k in low[:5])
+    return [f"{len(low)} of {len(found.weights)} readings count for less than in full, the least: {named}"]
 
 
 def _words(report: UnitReport, found: UnitEstimate) -> list[str]:

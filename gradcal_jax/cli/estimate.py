@@ -143,7 +143,7 @@ def estimate(
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if isinstance(model, UnitSpec):
         alone = {"--axis": axis, "--table-axis": table_axis, "--earth-rate": earth_rate, "--latitude": latitude}
-        alone |= {"--smoothness": smoothness != "spec", "--robust": robust, "--neighbours": neighbours}
+        alone |= {"--smoothness": smoothness != "spec", "--neighbours": neighbours}
         alone |= {"--parameters": parameters, "--points": points}
         if used := [name for name, value in alone.items() if value]:
             raise ValueError(f"{', '.join(used)}: for one gyro axis alone, and the spec is of a whole unit")
@@ -157,7 +157,8 @@ def estimate(
 
         use_float64()
         return estimate_of_units(
-            model, logs, [str(p) for p in (log, *more)], unit, options=options, files=files, plot=plot, json=json,
+            model, logs, [str(p) for p in (log, *more)], unit,
+            options=options | {"robust": robust}, files=files, plot=plot, json=json,
             sources={"log": ", ".join(p.name for p in (log, *more)), "spec": (spec or recipe or Path()).name},
         )  # fmt: skip
     if more:

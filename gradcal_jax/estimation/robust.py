@@ -18,6 +18,8 @@ from gradcal_jax.estimation.solve import Estimate, Whitened, solve, whitened
 from gradcal_jax.model import SensorModel
 
 HUBER = 2.5
+# Of a weight, at which the rounds end.
+NO_CHANGE = 0.01
 
 
 class RobustEstimate(NamedTuple):
@@ -86,10 +88,8 @@ def _reweighted(
         spread = innovation_variance(steps)[used]
         # What the reading would show against its undisturbed variance: the innovation itself, in its old measure.
         plain_spread = spread - extra[used]
-        innovation = found.residuals[0] * np.sqrt(spread)
-        against = np.abs(innovation) / np.sqrt(np.maximum(plain_spread, np.finfo(float).tiny))
-        new = np.minimum(1.0, threshold / np.maximum(against, threshold))
-        if np.max(np.abs(new - weight)) < 0.01:
+        new = huber_weights(found.residuals[0], spread, plain_spread, threshold)
+        if np.max(np.abs(new - weight)) < NO_CHANGE:
             break
         weight = new
         extra[used] = (1.0 / weight - 1.0) * plain_spread
@@ -97,6 +97,12 @@ def _reweighted(
         white = whitened(observations, model, steps)
         found = solve(white)
     return white, found, weight
+
+
+def huber_weights(residuals: np.ndarray, spread: np.ndarray, plain_spread: np.ndarray, threshold: float) -> np.ndarray:
+    """Of readings whose normalised innovations have the variance `spread`, and would undisturbed have another."""
+    against = np.abs(residuals) * np.sqrt(spread / np.maximum(plain_spread, np.finfo(float).tiny))
+    return np.minimum(1.0, threshold / np.maximum(against, threshold))
 
 
 def innovation_variance(steps) -> np.ndarray:

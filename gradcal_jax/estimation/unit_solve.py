@@ -16,6 +16,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
+from gradcal_jax.estimation.robust import NO_CHANGE, huber_weights, innovation_variance
 from gradcal_jax.estimation.solve import Estimate, Whitened
 from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, nodes_of_rows
 from gradcal_jax.information import (
@@ -194,7 +195,7 @@ def readings_of(
 class UnitEstimate(NamedTuple):
     """Of one unit: the `estimate` (`U` = 1) and the `white` rows it stands on, linear about it: of those of the `R`
     rows that are `used`. `leverage`: how much of each of them the parameters take up, which its residual lacks.
-    `moved`: by how many of its σ the last of the `rounds` went.
+    `moved`: by how many of its σ the last of the `rounds` went. `weights`: of the rows used, 1 in full.
     """
 
     estimate: Estimate
@@ -203,6 +204,7 @@ class UnitEstimate(NamedTuple):
     leverage: np.ndarray
     moved: float
     rounds: int
+    weights: np.ndarray
 
     @property
     def parameters(self) -> np.ndarray:
@@ -215,19 +217,40 @@ class UnitEstimate(NamedTuple):
         return self.estimate.known[0]
 
 
-def estimate_unit(readings: UnitReadings, about: np.ndarray | None = None) -> UnitEstimate:
+def estimate_unit(
+    readings: UnitReadings, about: np.ndarray | None = None, *, threshold: float | None = None
+) -> UnitEstimate:
     """Parameters of a unit and its installation from its rows. What cannot be observed gets the smallest parameters.
 
     `about`: parameters near which they are, in the engine's coordinates; the covariance is that of readings that are
-    linear there.
+    linear there. `threshold`: rows that are further off, in standard deviations, count for less; see `robust`.
 
     Errors: `ValueError` where a row that is used is not finite.
     """
-    model = readings.model
     steps, columns = readings.linear(about)
-    used = np.asarray(segments_of(readings.done.motion, model).used)
+    used = np.asarray(segments_of(readings.done.motion, readings.model).used)
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a reading that is used is not finite")
+    found = _solved(readings, steps, columns, used, about)
+    if threshold is None:
+        return found
+    variance, extra, weights = np.asarray(steps.reading_variance), np.zeros(len(used)), found.weights
+    for _ in range(_ROUNDS):
+        spread = innovation_variance(steps)[used]
+        new = huber_weights(found.estimate.residuals[0], spread, spread - extra[used], threshold)
+        if np.max(np.abs(new - weights)) < NO_CHANGE:
+            break
+        extra[used], weights = (1.0 / new - 1.0) * (spread - extra[used]), new
+        steps = steps._replace(reading_variance=variance + extra)
+        found = _solved(readings, steps, columns, used, found.parameters)
+    return found._replace(weights=weights)
+
+
+def _solved(
+    readings: UnitReadings, steps: NoiseSteps, columns: np.ndarray, used: np.ndarray, about: np.ndarray | None
+) -> UnitEstimate:
+    """With such noise, by steps with the derivatives `columns` from the parameters `about` on."""
+    model = readings.model
     jacobian, prior = np.asarray(whiten(steps, columns))[used], model.prior_rows()
     design = np.concatenate([jacobian, prior])
     norm = np.linalg.norm(design, axis=0)
@@ -256,4 +279,4 @@ def estimate_unit(readings: UnitReadings, about: np.ndarray | None = None) -> Un
     leverage = np.sum(orthogonal[: len(jacobian)] ** 2, axis=1)
     found = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
     white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
-    return UnitEstimate(found, white, used, leverage, moved, rounds)
+    return UnitEstimate(found, white, used, leverage, moved, rounds, np.ones(len(rest)))

@@ -275,6 +275,33 @@ def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: fl
     return np.interp(np.linspace(time[0], time[-1], count + 1), time, turned)
 
 
+def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
+    """What to add to the gyros' integrals over every piece `(P, 3)`, rad, where the table stopped for an instant.
+
+    The row in which it stopped holds the end of one axis's turn and the beginning of another's, some tens of µrad at
+    100 rows/s. What they turn about differs, and tells them apart.
+    """
+    result, axis, rows = np.zeros((len(done.motion.axis), 3)), done.motion.axis, done.rows
+    step, seen = np.diff(log.time_s, prepend=log.time_s[0]), np.isfinite(log.rates).any(axis=0)
+    before, _ = done.motion.angles()
+    rests = np.flatnonzero(axis < 0)
+    for k in np.flatnonzero((axis[:-1] >= 0) & (axis[1:] >= 0) & (axis[:-1] != axis[1:])):
+        stop = int(rows[k + 1])
+        near = np.arange(max(rows[k] + 1, stop - 1), min(rows[k + 2], stop + 1) + 1)
+        around = [j for j in (np.searchsorted(rests, k) - 1, np.searchsorted(rests, k)) if 0 <= j < len(rests)]
+        still = [np.mean(log.rates[rows[j] + 1 : rows[j + 1] + 1], axis=0) for j in rests[around]]
+        turned = (log.rates[near] - np.mean(still, axis=0)) * step[near, None] if still else np.full((1, 3), np.nan)
+        mounting = done.motion.mounting[[k + 1]]
+        axes = frames(done.motion.geometry, before[[k + 1]], mounting).axes[0][[axis[k], axis[k + 1]]] * seen
+        if not np.isfinite(turned[:, seen]).all() or np.linalg.svd(axes, compute_uv=False)[-1] < _SEEN:
+            continue
+        ended, begun = np.linalg.lstsq(axes.T[seen], turned[:, seen].T)[0]
+        late = np.sum(begun[near <= stop]) * axes[1] - np.sum(ended[near > stop]) * axes[0]
+        result[k] -= late
+        result[k + 1] += late
+    return result
+
+
 def _motion(log: UnitRows, geometry: Geometry, made: _Builder, start: np.ndarray) -> TableMotion:
     rows, axis, lost = np.array(made.rows), np.array(made.axis), np.array(made.lost)
     duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]

@@ -18,7 +18,7 @@ import numpy as np
 
 from gradcal_jax.estimation.robust import NO_CHANGE, huber_weights, innovation_variance
 from gradcal_jax.estimation.solve import Estimate, Whitened
-from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, nodes_of_rows
+from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, across_stops, nodes_of_rows
 from gradcal_jax.information import (
     NoiseSteps,
     Posterior,
@@ -182,11 +182,13 @@ def readings_of(
         mean = np.diff(total, axis=0) / np.diff(log.time_s[done.rows])[:, None]
         felt = np.where(np.diff(missing, axis=0) > 0, np.nan, mean)
     first, last = done.rows[at.first], done.rows[at.last + 1]
-    observed = np.zeros(len(at.row_segment))
+    observed, shared = np.zeros(len(at.row_segment)), across_stops(done, log)
     for i, c in enumerate(model.channels):
         values = (log.rates if c.kind == "gyro" else log.force)[:, c.axis]
         total = np.concatenate([[0.0], np.cumsum(np.where(np.isfinite(values), values, 0.0) * step)])
         whole = total[last + 1] - total[first + 1]
+        if c.kind == "gyro":
+            whole = whole + np.add.reduceat(shared[:, c.axis], at.first)
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
     return UnitReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt)

@@ -31,7 +31,7 @@ def three_axes() -> UnitSpec:
             return move | {"pose": {inner[axis]: to for axis, to in move["pose"].items()}}
         return move | ({"axis": inner[move["axis"]]} if "axis" in move else {})
 
-    # Upright, the outer and the inner axis are parallel: without a rest no gyro tells where one ends and the other begins.
+    # Upright, the outer and the inner axis are parallel: without a rest no gyro tells one from the other.
     moves = [*(renamed(move) for move in MOVES), {"rest": "3 s"}]
     moves += [{"pose": {"outer": goal}, "rest": "3 s"} for goal in ("90 deg", "0 deg")]
     return changed(short(3), {"rig.table": table | {"tilt": "100 urad"}, "plan.cycle.moves": moves})

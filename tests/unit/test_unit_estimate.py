@@ -13,9 +13,11 @@ from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_estimate import UnitReport, estimate_units
 from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_residual import quantity_of
+from gradcal_jax.estimation.unit_executed import UnitRows, across_stops, executed_unit
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import runs
+from gradcal_jax.trajectory import frames
 
 UNITS = 300
 
@@ -177,6 +179,47 @@ def test_rates_that_are_stamped_late_do_no_harm():
         angle[first : end - rows] = angle[first + rows : end]
     (report,) = estimate_units(spec, [replace(log, table_angle_rad=angle)])
     _require_consistent(report, truth)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 2e-3, 5e-3, 9e-3])
+def test_what_two_axes_turn_in_one_row_is_told_apart_by_what_they_turn_about(late_s):
+    """Tilt brakes to a stop within a row of 10 ms, and spin takes off at once: integrals by formula, not by rows."""
+    geometry = assemble_unit(scene("two axes", 0.0)).motion.geometry
+    by, step = np.radians([30.0, 40.0]), 0.01
+    half = np.sqrt(by / np.radians(300.0))  # Accelerating half of the angle, braking the other half.
+    begins = 2.0 + late_s + np.array([0.0, 2.0 * half[0]])
+
+    def turned(time: np.ndarray, axis: int) -> np.ndarray:
+        u = np.clip((time - begins[axis]) / half[axis], 0.0, 2.0)
+        return by[axis] * np.where(u < 1.0, 0.5 * u**2, 1.0 - 0.5 * (2.0 - u) ** 2)
+
+    time = step * np.arange(round((begins[1] + 2.0 * half[1] + 2.0) / step))
+    angles = np.stack([turned(time, axis) for axis in range(2)], axis=1)
+    frame = frames(geometry, np.zeros((1, 2)), np.zeros(1, int)).axes[0]
+    bias = np.radians([0.1, -0.2, 0.3])
+    rates = np.diff(angles, axis=0, prepend=0.0) / step @ frame + bias
+    standing = (time < begins[0]) | (time > begins[1] + 2.0 * half[1] + step)
+    count = len(time)
+    log = UnitRows(
+        time,
+        rates,
+        np.zeros((count, 3)),
+        np.full(count, 20.0),
+        angles,
+        standing,
+        np.ones(count, bool),
+        np.zeros(count, int),
+    )
+    done = executed_unit(log, geometry)
+    moves = np.flatnonzero(done.motion.axis >= 0)
+    assert done.motion.axis[moves].tolist() == [0, 1]
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum((log.rates - bias) * step, axis=0)])
+    plain = np.diff(total[done.rows + 1], axis=0)[moves]
+    wanted = by[:, None] * frame
+    found = plain + across_stops(done, log)[moves]
+    np.testing.assert_allclose(found, wanted, atol=2e-9)
+    if late_s in (2e-3, 5e-3):
+        assert np.max(np.abs(plain - wanted)) > 1e-5
 
 
 def _moves_of(log: Log, axis: int) -> list[np.ndarray]:

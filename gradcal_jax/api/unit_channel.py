@@ -79,13 +79,7 @@ def finished(
     if options.robust:
         robust = estimation.estimate_robustly(observations, model, threshold=options.threshold)
         found, white, weights = robust.estimate, robust.white[0], robust.weights[0]
-        low = int(np.count_nonzero(weights < 1.0))
-        if low:
-            at = observations.time_s[observations.used][np.argsort(weights)[: min(low, 5)]]
-            messages.append(
-                f"{low} of {len(weights)} readings count for less than in full, the least at "
-                + ", ".join(f"{t:.6g} s" for t in at)
-            )
+        messages += counting_less(weights, observations.time_s[observations.used])
     tests = estimation.consistency(found, white, 0, _subsets(observations, rows), model.to_reported)
     if lag_std is not None and lag > 0.99 * LONGEST_LAG_S:
         messages.append(f"the lag stands at the longest looked at, {lag:.0f} s: the data do not tell it")
@@ -116,6 +110,15 @@ def finished(
         groups,
         tuple(test for test in structure if test is not None),
     )
+
+
+def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str] = ()) -> list[str]:
+    """The readings that a robust estimate trusts the least, in a sentence; `names`: of the channel of each."""
+    low = np.argsort(weights)[: np.count_nonzero(weights < 1.0)]
+    if not len(low):
+        return []
+    named = ", ".join(f"{f'{names[k]} ' if names else ''}at {time_s[k]:.6g} s" for k in low[:5])
+    return [f"{len(low)} of {len(weights)} readings count for less than in full, the least {named}"]
 
 
 def whitened_columns(observations: Observations) -> np.ndarray:

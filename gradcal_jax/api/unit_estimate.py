@@ -14,6 +14,7 @@ from gradcal_jax.api.calibration import excess_of
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, host_time, of_host_clock
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
+from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_prediction import requirement_row
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import NOT_OBSERVED, prior_deviations
@@ -172,8 +173,8 @@ def _report(
         _gravity(readings, calibration, temperature),
         (),
     )
-    names = [model.channels[k].name for k in at.row_channel[used]]
-    lesser = _counting_less(found, names, of_segment[at.row_segment][used])
+    names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
+    lesser = counting_less(found.weights, of_segment[at.row_segment][used], names)
     return report._replace(messages=(*messages, *lesser, *_words(report, found)))
 
 
@@ -326,15 +327,6 @@ def _gravity(
     g = float(done.motion.geometry.gravity)
     before, after = (float(np.sqrt(np.mean((np.linalg.norm(f, axis=1) - g) ** 2))) for f in (force, corrected))
     return before, after
-
-
-def _counting_less(found: UnitEstimate, channels: list[str], time_s: np.ndarray) -> list[str]:
-    """The readings that a robust estimate trusts the least, in a sentence."""
-    low = np.argsort(found.weights)[: np.count_nonzero(found.weights < 1.0)]
-    if not len(low):
-        return []
-    named = ", ".join(f"{channels[k].replace('_', ' ')} at {time_s[k]:.6g} s" for k in low[:5])
-    return [f"{len(low)} of {len(found.weights)} readings count for less than in full, the least: {named}"]
 
 
 def _words(report: UnitReport, found: UnitEstimate) -> list[str]:

@@ -117,7 +117,7 @@ class CycleValue:
         self.built, self.schedule, self.design = assemble_unit(spec), spec.schedule, design
         scenarios = scenario_specs(spec)
         self.models = tuple(assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios)
-        self.robust = max if design.robust == "worst" else fmean
+        self.over_scenarios = max if design.robust == "worst" else fmean
         self.quantities, self.worst = tuple(quantity_of(self.built, r) for r in coarse), design.minimise == WORST
         own = tuple(q for q in self.quantities if q.requirement.name == design.minimise)
         self.minimised = self.quantities if design.minimise in (ALL, WORST) else own
@@ -135,12 +135,12 @@ class CycleValue:
 
     def __call__(self, cycle: PoseCycle) -> float:
         together = max if self.worst else fmean
-        return self.robust([together(logs) for logs in self._logs(cycle, self.minimised)])
+        return self.over_scenarios([together(logs) for logs in self._logs(cycle, self.minimised)])
 
     def largest_ratio(self, cycle: PoseCycle) -> float:
-        """The logarithm of the largest residual over its target."""
+        """The logarithm of the largest residual over its target, in whichever scenario."""
         limited = tuple(q for q in self.quantities if q.requirement.target is not None)
-        return self.robust([max(logs) for logs in self._logs(cycle, limited)])
+        return max(max(logs) for logs in self._logs(cycle, limited))
 
     def _logs(self, cycle: PoseCycle, quantities: tuple[RequiredQuantity, ...]) -> list[list[float]]:
         """In each scenario and of each quantity the logarithm of the residual, over the target where there is one."""

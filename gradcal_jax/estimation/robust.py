@@ -9,17 +9,20 @@ What this heals are bad *readings* (an encoder's slip, a reading taken too early
 stays, shows as several bad readings in a row: it is reported, and only the data can be mended.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from gradcal_jax.estimation.observations import Observations
 from gradcal_jax.estimation.solve import Estimate, Whitened, solve, whitened
+from gradcal_jax.information import NoiseSteps
 from gradcal_jax.model import SensorModel
 
 HUBER = 2.5
 # Of a weight, at which the rounds end.
-NO_CHANGE = 0.01
+_NO_CHANGE = 0.01
+Found = TypeVar("Found")
 
 
 class RobustEstimate(NamedTuple):
@@ -79,30 +82,44 @@ def _unit(found: Estimate, unit: int) -> Estimate:
 def _reweighted(
     observations: Observations, model: SensorModel, white: Whitened, found: Estimate, threshold: float, rounds: int
 ) -> tuple[Whitened, Estimate, np.ndarray]:
-    used = observations.used
-    plain_variance = np.asarray(observations.steps.reading_variance)
-    extra = np.zeros(len(used))
-    weight = np.ones(int(used.sum()))
+    def again(steps: NoiseSteps, _) -> tuple[Whitened, Estimate]:
+        white = whitened(observations, model, steps)
+        return white, solve(white)
+
+    residuals = lambda both: both[1].residuals[0]  # noqa: E731
+    both, weights = reweighted(
+        observations.steps, observations.used, (white, found), residuals, again, threshold, rounds
+    )
+    return *both, weights
+
+
+def reweighted(
+    steps: NoiseSteps,
+    used: np.ndarray,
+    found: Found,
+    residuals: Callable[[Found], np.ndarray],
+    again: Callable[[NoiseSteps, Found], Found],
+    threshold: float,
+    rounds: int,
+) -> tuple[Found, np.ndarray]:
+    """What is found, and the weights of the readings `used`, once no weight changes any more.
+
+    `residuals` of what is found, each over its own standard deviation; `again`: finds it anew with other noise steps.
+    """
+    plain, extra, weights = steps.reading_variance, np.zeros(len(used)), np.ones(int(used.sum()))
     for _ in range(rounds):
-        steps = observations.steps._replace(reading_variance=np.asarray(plain_variance + extra))
         spread = innovation_variance(steps)[used]
         # What the reading would show against its undisturbed variance: the innovation itself, in its old measure.
         plain_spread = spread - extra[used]
-        new = huber_weights(found.residuals[0], spread, plain_spread, threshold)
-        if np.max(np.abs(new - weight)) < NO_CHANGE:
+        against = np.abs(residuals(found)) * np.sqrt(spread / np.maximum(plain_spread, np.finfo(float).tiny))
+        new = np.minimum(1.0, threshold / np.maximum(against, threshold))
+        if np.max(np.abs(new - weights)) < _NO_CHANGE:
             break
-        weight = new
-        extra[used] = (1.0 / weight - 1.0) * plain_spread
-        steps = observations.steps._replace(reading_variance=np.asarray(plain_variance + extra))
-        white = whitened(observations, model, steps)
-        found = solve(white)
-    return white, found, weight
-
-
-def huber_weights(residuals: np.ndarray, spread: np.ndarray, plain_spread: np.ndarray, threshold: float) -> np.ndarray:
-    """Of readings whose normalised innovations have the variance `spread`, and would undisturbed have another."""
-    against = np.abs(residuals) * np.sqrt(spread / np.maximum(plain_spread, np.finfo(float).tiny))
-    return np.minimum(1.0, threshold / np.maximum(against, threshold))
+        weights = new
+        extra[used] = (1.0 / weights - 1.0) * plain_spread
+        steps = steps._replace(reading_variance=np.asarray(plain) + extra)
+        found = again(steps, found)
+    return found, weights
 
 
 def innovation_variance(steps) -> np.ndarray:

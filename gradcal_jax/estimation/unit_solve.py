@@ -16,7 +16,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.robust import NO_CHANGE, huber_weights, innovation_variance
+from gradcal_jax.estimation.robust import reweighted
 from gradcal_jax.estimation.solve import Estimate, Whitened
 from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, across_stops, nodes_of_rows
 from gradcal_jax.information import (
@@ -236,15 +236,11 @@ def estimate_unit(
     found = _solved(readings, steps, columns, used, about)
     if threshold is None:
         return found
-    variance, extra, weights = np.asarray(steps.reading_variance), np.zeros(len(used)), found.weights
-    for _ in range(_ROUNDS):
-        spread = innovation_variance(steps)[used]
-        new = huber_weights(found.estimate.residuals[0], spread, spread - extra[used], threshold)
-        if np.max(np.abs(new - weights)) < NO_CHANGE:
-            break
-        extra[used], weights = (1.0 / new - 1.0) * (spread - extra[used]), new
-        steps = steps._replace(reading_variance=variance + extra)
-        found = _solved(readings, steps, columns, used, found.parameters)
+
+    def again(noise: NoiseSteps, last: UnitEstimate) -> UnitEstimate:
+        return _solved(readings, noise, columns, used, last.parameters)
+
+    found, weights = reweighted(steps, used, found, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
     return found._replace(weights=weights)
 
 

@@ -1,4 +1,4 @@
-"""Strict JAX for every test; shape and dtype annotations are checked here and nowhere else.
+"""Strict JAX for every test; shape and dtype annotations are checked here and nowhere else, where there are any.
 
 That takes as long again as what it checks: GRADCAL_UNCHECKED=1 leaves it out, for proofs of thousands of estimates.
 """
@@ -17,7 +17,8 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 if not os.environ.get("GRADCAL_UNCHECKED"):
-    jaxtyping.install_import_hook("gradcal_jax", "beartype.beartype")
+    core = [f"gradcal_jax.{room}" for room in ("design", "identify", "information", "linalg", "model", "trajectory")]
+    jaxtyping.install_import_hook(core, "beartype.beartype")
 
 
 def pytest_addoption(parser):

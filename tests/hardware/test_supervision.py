@@ -107,6 +107,12 @@ def test_a_rig_is_tried_for_a_recipe_and_moves_only_where_it_is_said(made: Path,
         # A stage that stalls, and one that goes slowly, are not good.
         lab.table.stages[0].plant.move_to = lambda *_: None
         assert main([*asked, "--move"]) != 0
+        # Nor is a unit that says a tenth less than it was set to.
+        lab.sensor.clock_error = -0.1
+        capsys.readouterr()
+        assert main(asked) != 0
+        assert "of 125 samples/s, 0 missing  NOT AS IT SHOULD BE" in capsys.readouterr().out
+        lab.sensor.clock_error = 0.0
         lab.chamber.raise_alarm(18)
         assert main(asked) != 0
         assert "ALARM 18" in capsys.readouterr().out

@@ -49,12 +49,12 @@ class Oven(ChamberPlant):
 
 
 def silent(truth):
-    """Without noise and drift, its clock right, the accelerometers where the axes meet."""
+    """Without noise and drift, its clock right, all sensors where the axes meet."""
     quiet = {
         kind: replace(getattr(truth, kind), white=0.0, walk=0.0, drifts=type(truth.gyro.drifts)())
         for kind in ("gyro", "accelerometer")
     }
-    return replace(truth, lever=(0.0, 0.0, 0.0), clock_error=0.0, **quiet)
+    return replace(truth, lever=(0.0, 0.0, 0.0), gyro_lever=(0.0, 0.0, 0.0), clock_error=0.0, **quiet)
 
 
 def simulated(truth, table, seconds: float):
@@ -101,7 +101,7 @@ def test_the_simulated_unit_is_the_twin(seed: int) -> None:
         assert apart(wrong) > 1e-8, name
 
 
-def test_accelerometers_off_the_axes_feel_the_turning() -> None:
+def test_what_is_off_the_axes_feels_the_turning() -> None:
     drawn, (table, _, _) = draw_unit(SPEC, 5, 1), draw_table(SPEC, 5)
     at_the_axes = silent(drawn)
     lever = np.array([0.05, 0.0, 0.0])
@@ -114,12 +114,19 @@ def test_accelerometers_off_the_axes_feel_the_turning() -> None:
     felt = 9.80665 * (off.acceleration_g - there.acceleration_g)[rows]
     np.testing.assert_allclose(felt[:, 0], -(np.radians(200.0) ** 2) * 0.05, rtol=0.05)
     np.testing.assert_allclose(felt[:, 1:], 0.0, atol=0.02)
+    # A gyro there says what its g-sensitivity makes of the same force.
+    turned = simulated(replace(at_the_axes, gyro_lever=tuple(lever)), table, seconds)
+    np.testing.assert_array_equal(turned.acceleration_g, there.acceleration_g)
+    said = np.radians(turned.rate_dps - there.rate_dps)[rows]
+    assert drawn.gyro is not None
+    assert drawn.gyro.force is not None
+    np.testing.assert_allclose(said, felt @ drawn.gyro.force.values[..., 0].T, rtol=0.05, atol=1e-7)
 
 
 def test_noise_is_as_strong_as_the_spec_says() -> None:
     drawn, (table, _, _) = draw_unit(SPEC, 7, 1), draw_table(SPEC, 7)
     quiet = simulated(silent(drawn), table, 5.5)
-    noisy = simulated(replace(drawn, lever=(0.0, 0.0, 0.0), clock_error=0.0), table, 5.5)
+    noisy = simulated(replace(drawn, lever=(0.0, 0.0, 0.0), gyro_lever=(0.0, 0.0, 0.0), clock_error=0.0), table, 5.5)
     # Differences of neighbours: the drifts, slower than a minute, fall out.
     for said, other, density in (
         (noisy.rate_dps, quiet.rate_dps, np.degrees(float(SPEC.sensor.gyro.angle_random_walk))),

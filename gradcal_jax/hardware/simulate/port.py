@@ -120,8 +120,10 @@ class SimulatedPort:
         self.close()
 
     def unplug(self) -> None:
-        """The cable is out: the host's port is gone."""
+        """The cable is out: the host's port is gone, and so is its name, or another's port would answer to it."""
         self._link.detach()
+        if not self._on_socket:
+            Path(self.url).unlink(missing_ok=True)
         self._hang_up()
 
     def replug(self) -> None:

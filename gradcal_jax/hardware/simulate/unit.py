@@ -4,9 +4,9 @@ Attitude is a product of quaternions, body to East-North-Up, outermost stage fir
 
     base (tilt, azimuth) · axis 1 · (its non-orthogonality to axis 2) · axis 2 · … · mounting · (mounting's error)
 
-The unit turns at the Earth's rate and at those of the axes, and feels what holds it up. Its gyros sit where the axes
-meet; its accelerometers a `lever` off, and they feel the turning, too. Of every sample the mean over its interval is
-said, through the sensors' own errors (IEEE 1431, 1293):
+The unit turns at the Earth's rate and at those of the axes, and feels what holds it up. Its gyros and accelerometers
+sit off the point where the axes meet, some millimetres apart, so they feel the turning, too. Of every sample the mean
+over its interval is said, through the sensors' own errors (IEEE 1431, 1293):
 
     gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + drift + walks
     accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift
@@ -108,12 +108,14 @@ class Hanging:
 
 @dataclass(frozen=True)
 class UnitTruth:
-    """A unit's errors. `lever`: of the accelerometers from where the axes meet, m, in the body. `names`: its hidden
-    parameters as a calibration names them."""
+    """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from where the axes meet, m, in the body.
+    `names`: its hidden parameters as a calibration names them.
+    """
 
     gyro: TriadTruth | None
     accelerometer: TriadTruth | None
     lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gyro_lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
     clock_error: float = 0.0
     names: dict[str, float] = field(default_factory=dict[str, float])
 
@@ -158,13 +160,14 @@ class SimulatedUnit(SampledSensor):
         shares = np.arange(count * _PARTS + 1) / _PARTS
         edges = np.interp(shares, np.arange(count + 1.0), ends)
         rate, force = self._motion(edges)
-        felt = force + self._at_the_lever(rate, edges)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
         said: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
         for kind, triad in self._triads():
+            lever = self.truth.gyro_lever if kind == "gyro" else self.truth.lever
+            felt = force + _at_lever(np.array(lever), rate, edges)
             noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else felt
             mean = own.reshape(count, _PARTS, 3).mean(axis=1)
-            ideal = _gyro(triad, rate, force, temperature) if kind == "gyro" else _felt(triad, felt, temperature)
+            ideal = _gyro(triad, rate, felt, temperature) if kind == "gyro" else _felt(triad, felt, temperature)
             said[kind] = ideal.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
         return SensorSamples(
             ends[1:],
@@ -206,15 +209,14 @@ class SimulatedUnit(SampledSensor):
         up = np.broadcast_to(np.array([0.0, 0.0, table.gravity]), rate.shape)
         return rate, _rotate(_back(attitude), up)
 
-    def _at_the_lever(self, rate: Vectors, edges: NDArray[np.float64]) -> Vectors:
-        """What turning adds to the specific force: ω × (ω × r) + ω̇ × r."""
-        lever = np.array(self.truth.lever)
-        return np.cross(rate, np.cross(rate, lever)) + np.cross(
-            np.gradient(rate, (edges[1:] + edges[:-1]) / 2.0, axis=0), lever
-        )
-
 
 # --------------------------------------------------------------------------------------------- what the sensors say
+
+
+def _at_lever(lever: Vectors, rate: Vectors, edges: NDArray[np.float64]) -> Vectors:
+    """What turning adds to the specific force: ω × (ω × r) + ω̇ × r."""
+    middles = (edges[1:] + edges[:-1]) / 2.0
+    return np.cross(rate, np.cross(rate, lever)) + np.cross(np.gradient(rate, middles, axis=0), lever)
 
 
 def _gyro(truth: TriadTruth, rate: Vectors, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:

@@ -38,7 +38,9 @@ from .zaber import SimulatedZaber, ZaberOptions
 
 _XYZ: Final = "xyz"
 _PAIRS: Final = ("xy", "xz", "yz")
+# Of a unit from where the axes meet, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
+_APART_M: Final = 0.003
 _CONSTANT: Final = TruthBasis()
 # Of what has a flat prior, SI: something typical.
 _TYPICAL: Final = {
@@ -167,8 +169,8 @@ def draw_unit(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
     clock = 0.0
     if sensor.sample_clock_error:
         clock = names.found["sample_clock"] = float(sensor.sample_clock_error) * float(names.random.standard_normal())
-    place = (float(lever[0]), float(lever[1]), float(lever[2]))
-    return UnitTruth(gyro, accelerometer, place, clock, names.found)
+    of_gyros = lever + _APART_M * names.random.standard_normal(3)
+    return UnitTruth(gyro, accelerometer, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, names.found)
 
 
 def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:

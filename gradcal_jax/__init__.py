@@ -56,7 +56,7 @@ _HOME_OF_NAME: dict[str, str] = {
     # runs and logs
     "run": "hardware.execute",
     "resume": "hardware.execute",
-    "log": "hardware.execute",
+    "log": "decoding.run_log",
     "Log": "files.log",
     "read_log": "files.log",
     "write_log": "files.log",

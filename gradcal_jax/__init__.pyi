@@ -21,6 +21,7 @@ from gradcal_jax.api.hand_estimate import estimate_by_hand as estimate_by_hand
 from gradcal_jax.api.replan import replan as replan
 from gradcal_jax.api.unit_estimate import estimate_units as estimate_units
 from gradcal_jax.api.validation import validate as validate
+from gradcal_jax.decoding.run_log import log as log
 from gradcal_jax.files import Spec as Spec
 from gradcal_jax.files import SpecError as SpecError
 from gradcal_jax.files import changed as changed
@@ -51,7 +52,6 @@ from gradcal_jax.files.unit_exports import export_unit as export_unit
 from gradcal_jax.files.unit_spec import UnitSpec as UnitSpec
 from gradcal_jax.files.unit_spec import parse_unit_spec as parse_unit_spec
 from gradcal_jax.files.unit_spec import read_unit_spec as read_unit_spec
-from gradcal_jax.hardware.execute import log as log
 from gradcal_jax.hardware.execute import resume as resume
 from gradcal_jax.hardware.execute import run as run
 from gradcal_jax.identify.limiting_function import limiting_function as limiting_function

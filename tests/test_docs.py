@@ -82,7 +82,7 @@ def test_the_two_commands_use_what_is_here():
     job, tests = (line.strip() for line in re.findall(r"^ {4}python3\.11 -m venv .*$", README, flags=re.M))
     for line in (job, tests):
         assert line.startswith("python3.11 -m venv .venv && .venv/bin/pip install -q -c constraints/py311.txt ")
-    assert tests.endswith(".venv/bin/pytest -n 2")
+    assert tests.endswith(".venv/bin/pytest -n 4")
     for version in ("311", "312", "313"):
         pins = (ROOT / "constraints" / f"py{version}.txt").read_text(encoding="utf-8").splitlines()
         assert all(re.fullmatch(r"#.*|[a-zA-Z0-9._-]+==[0-9][0-9a-zA-Z.]*", line) for line in pins)

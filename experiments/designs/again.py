@@ -26,7 +26,7 @@ from gradcal_jax.design import Coordinates, Optimum, ProgrammeKnots, polish
 HERE = Path(__file__).parent
 STEPS = (0.05, 0.1, 0.2, 0.4, 0.8)
 # Amounts by which limits are eased, in the price's unit.
-EASED = {"minute": 0.5, "deg/s": 1.5, "deg/s^2": 3.0, "turn": 0.1, "K/min": 0.02}
+EASED = {"minute": 0.5, "deg/s": 0.5, "deg/s^2": 3.0, "turn": 0.1, "K/min": 0.02}
 # The shortest plan is the chamber's; a search in time has no optimum of this kind.
 NAMES = [name for name in (*MOVING, *STATIC) if name != "shortest-for-77ppm"]
 

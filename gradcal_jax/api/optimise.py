@@ -24,6 +24,7 @@ from gradcal_jax.design import (
     State,
     exactly,
     missed_limit,
+    multipliers,
     polish,
     search,
 )
@@ -430,9 +431,11 @@ PRICED: Final = (
 
 
 def shadow_prices(of: Measure, coordinates: Coordinates, found: Optimum) -> tuple[Price, ...]:
-    """The objective's derivatives in the limits. At an optimum the free numbers need not move (envelope theorem)."""
-    slopes = of.compiled(coordinates)(found.point)
-    given = np.exp(slopes.logs[0]) * slopes.of_eased[0]
+    """The objective's derivatives in the limits. At an optimum the free numbers need not move (envelope theorem), but
+    what else binds (targets, what is to be noticed) is eased with them, at its own cost."""
+    compiled = of.compiled(coordinates)
+    slopes = compiled(found.point)
+    given = np.exp(slopes.logs[0]) * (slopes.of_eased[0] + multipliers(compiled, found.point) @ slopes.of_eased[1:])
     bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
     return tuple(
         Price(name, per, float(g) * size)

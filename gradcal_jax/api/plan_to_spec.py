@@ -186,6 +186,13 @@ class _Move(NamedTuple):
         peak = math.ceil(least / step - 1e-6) * step
         return self._replace(duration=duration, peak=peak) if 0.0 < peak <= most * _HAIR else None
 
+    def lesser(self, duration: float, limits: Limits, step: float, fine: float) -> "_Move | None":
+        """As much of the same turn, in multiples of `fine` (rad), as its rate makes in a shorter time."""
+        peak = self.peak or abs(self.angle) / formulas.turned_angle(self.element.shape, 1.0, self.duration)
+        short = self._replace(duration=duration, angle=0.0, peak=0.0)
+        count = _most(short, math.copysign(peak, self.angle), limits, fine) if duration > 0.0 else 0
+        return short._replace(angle=count * fine).lasting(duration, limits, step) if count else None
+
 
 def _moves(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> list[_Move]:
     """The moves on the controllers' grids.
@@ -217,7 +224,7 @@ def _moves(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> list[_Move]:
         here += count if move.angle else 0
         moves.append(move)
     for group in range(coordinates.groups):
-        _fill([i for i, m in enumerate(moves) if m.element.group == group], moves, coordinates, every, quick)
+        _fill([i for i, m in enumerate(moves) if m.element.group == group], moves, coordinates, every, quick, fine)
     return moves
 
 
@@ -238,8 +245,10 @@ def _most(rest: _Move, peak: float, limits: Limits, fine: float) -> int:
     return int(math.copysign(count, peak))
 
 
-def _fill(members: list[int], moves: list[_Move], coordinates: Coordinates, every: float, step: float) -> None:
-    """Make the moves of a visit last as long as it does, where they can."""
+def _fill(
+    members: list[int], moves: list[_Move], coordinates: Coordinates, every: float, step: float, fine: float
+) -> None:
+    """Make the moves of a visit last as long as it does, where they can; turns no further where nothing else helps."""
     turns = sorted((i for i in members if moves[i].angle), key=lambda i: -moves[i].duration)
     left = float(coordinates.frame.own_time) - sum(moves[i].duration for i in members)
     while abs(left) > _LEFT:
@@ -249,7 +258,13 @@ def _fill(members: list[int], moves: list[_Move], coordinates: Coordinates, ever
                 moves[i] = other
                 return
         longest = max((i for i in members if not moves[i].angle), key=lambda i: moves[i].duration, default=None)
-        if left > 0.0 or longest is None or moves[longest].duration < 1.5 * every:
+        if left > 0.0:
+            return
+        if longest is None or moves[longest].duration < 1.5 * every:
+            lesser = (moves[i].lesser(moves[i].duration + left, coordinates.limits, step, fine) for i in turns)
+            shorter = next(((i, turn) for i, turn in zip(turns, lesser, strict=True) if turn is not None), None)
+            if shorter is not None and not coordinates.travels:
+                moves[shorter[0]] = shorter[1]
             return
         moves[longest] = moves[longest]._replace(duration=moves[longest].duration - every)
         left += every

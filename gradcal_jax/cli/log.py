@@ -118,8 +118,8 @@ def log(
     json
         Print what the log holds as JSON.
     """
+    from gradcal_jax.decoding.run_log import log as log_of
     from gradcal_jax.files.log import write_log
-    from gradcal_jax.hardware.execute import log as log_of
 
     if columns is not None and recording is None:
         raise ValueError("--columns says what a --recording's columns mean, and there is none")

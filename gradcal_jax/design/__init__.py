@@ -31,6 +31,7 @@ from gradcal_jax.design.search import (
     State,
     exactly,
     missed_limit,
+    multipliers,
     polish,
     search,
 )
@@ -70,6 +71,7 @@ __all__ = [
     "limit",
     "make_coordinates",
     "missed_limit",
+    "multipliers",
     "polish",
     "polynomial_grid",
     "scale_factor_floor",

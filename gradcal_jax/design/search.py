@@ -358,6 +358,18 @@ def exactly(compiled: Compiled, point: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.exp(logs[0])), logs[1:]
 
 
+def multipliers(compiled: Compiled, point: np.ndarray) -> Float[np.ndarray, " k"]:
+    """At an optimum: what each compiled limit costs, d log value / d log excess; nought where it does not bind."""
+    from scipy.optimize import nnls
+
+    values, rows, _ = compiled(np.asarray(point), SHARPNESS[-1])
+    binding = values[1:] > -_BINDING
+    costs = np.zeros(len(binding))
+    if np.any(binding):
+        costs[binding] = nnls(rows[1:][binding].T, -rows[0])[0]
+    return costs
+
+
 def _beyond(linear: Linear | None, point: np.ndarray) -> float:
     """By how much a point exceeds the worst of its linear limits."""
     if linear is None:

@@ -30,6 +30,7 @@ from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.tracks import trapezoid_acceleration
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.formulas import repetitions
 
 _HAIR: Final = Decimal("1e-6")  # of a step: rounding of the arithmetic, never of the plan
 _MOST_MOVES: Final = 1000
@@ -232,7 +233,7 @@ def _cycle(
                 other[key] = rounder.time(other[key])
     if "duration" in cycle:
         cycle["duration"] = rounder.time(cycle["duration"])
-    _keep_period(cycle, spec, schedule.cycle.duration, rounder)
+    _keep_period(cycle, spec, schedule, rounder)
 
 
 def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder, keep_shapes: bool, notes: list[str]) -> None:
@@ -291,17 +292,23 @@ def _duration(move: Table) -> float:
     return int(move.get("repeat", 1)) * units.parse(move["rest" if "rest" in move else "duration"], "time")
 
 
-def _keep_period(cycle: Table, spec: Spec, period: float, rounder: _Rounder) -> None:
+def _keep_period(cycle: Table, spec: Spec, schedule: GradientSchedule, rounder: _Rounder) -> None:
     """Take what rounding added from the longest standing, so that as many repetitions fit as before."""
+    assert schedule.cycle is not None
+    own, period = schedule.cycle.moving, schedule.cycle.duration
     rests = [(units.parse(move["rest"], "time"), move, "rest") for move in cycle["moves"] if "rest" in move]
     if "other_axes" in cycle:
         other = cycle["other_axes"]
         rests.append((units.parse(other["duration"], "time"), other, "duration"))
+    resolved = resolve_cycle(Cycle.model_validate(cycle), spec.rig)
+    over = resolved.moving + resolved.other - period
+    if any(repetitions(s.duration, resolved.moving, period)[0] < s.cycles for s in schedule.stretches):
+        # The moves themselves no longer fit at the end: the time of the other axes does not help.
+        rests = [entry for entry in rests if entry[2] == "rest"]
+        over = max(over, resolved.moving - own)
     alone = [entry for entry in rests if entry[1].get("repeat", 1) == 1]
     if not alone:
         return
-    resolved = resolve_cycle(Cycle.model_validate(cycle), spec.rig)
-    over = resolved.moving + resolved.other - period
     longest, table, key = max(alone, key=lambda entry: entry[0])
     if over > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
         table[key] = rounder.to("time", "time", longest - over, ROUND_FLOOR)

@@ -1,18 +1,15 @@
-"""A recipe executed, on a rig or on simulated devices, and the log of it: what `gradcal run` and `gradcal log` do."""
+"""A recipe executed, on a rig or on simulated devices: what `gradcal run` does."""
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, TypedDict, Unpack
 
-from ..files.log import Log
 from ..files.recipe import Recipe
 from ..files.rig import OPERATOR, TERMINAL, RigFile
 from ..files.unit_spec import UnitSpec
 from ..files.writing import write_whole
-from .clock import RealClock, VirtualClock
-from .recording import log_of, log_of_recording
+from .clock import RealClock
 from .run_folder import RunFolder, mounting_of, new_folder, prepare_resume
 from .runner import Progress, Runner, RunResult
 from .session import run_session
@@ -20,6 +17,7 @@ from .setup import configs_of
 from .simulate.lab import SimulatedLab
 from .simulate.stim300 import RATES_HZ
 from .simulate.unit_lab import SimulatedUnitLab
+from .simulate.virtual_clock import VirtualClock
 from .supervision import Knows
 from .terminal import Terminal
 
@@ -110,23 +108,6 @@ def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack
         return _simulated(found.path, found.recipe(), notes["simulation"], first, attended)
     _require_somebody(found.rig(), found.recipe(), attended)
     return _on_rig(found, first, attended)
-
-
-def log(folder: str | Path, unit: str | None = None, *, recording: Log | None = None) -> Log:
-    """The log of a run, decoded from its journal's raw bytes: rates in rad/s, times in s, temperatures in °C, the
-    table's angles in rad, standstills.
-
-    `unit`: of several units on the table, the one whose log to make. `recording`: what somebody else's logger recorded
-    of the unit in this run; its clock is found by the motion. Errors: `ValueError` where the folder is not a run's, or
-    the recording is not of it; `HardwareError` where the journal holds no samples of a stretch with data.
-    """
-    found = RunFolder(Path(folder))
-    about = {name: str(text) for name, text in found.notes().get("about", {}).items()}
-    if recording is not None:
-        made = log_of_recording(found.contents(), found.recipe(), found.rig(), recording, unit)
-    else:
-        made = log_of(found.contents(), found.recipe(), found.rig(), unit)
-    return replace(made, provenance={**about, **made.provenance})
 
 
 def _require_somebody(rig: RigFile, recipe: Recipe, attended: Attended) -> None:

@@ -21,6 +21,7 @@ from gradcal_jax.design import (
     least_noise_density,
     limit,
     make_coordinates,
+    multipliers,
     polish,
     scale_factor_floor,
     search,
@@ -322,3 +323,5 @@ def test_a_limit_that_binds_is_held():
     assert np.allclose(found.point, [1.0, 1.0], atol=1e-5)
     assert found.converged, found.sentence
     assert found.gradient_norm < 1e-5
+    # d log f = 2/3 (1, 1) there, and the logarithm of the excess falls by 1/12 (1, 1).
+    np.testing.assert_allclose(multipliers(at, found.point), [8.0], rtol=1e-4)

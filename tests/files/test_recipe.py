@@ -51,6 +51,25 @@ def on_grid(value, step):
     return abs(count - round(count)) < Decimal("1e-6")
 
 
+@pytest.mark.parametrize(("visits", "slope"), [(1, 2), (2, 1)])
+@pytest.mark.parametrize("other", [30, 1400])
+def test_rounding_keeps_visits_that_fill_their_ramp_to_the_last_second(visits, slope, other):
+    # In steps finer than a controller's. The other axes have the longest standing, which is no help to the last visit.
+    own = (6000.0 / slope - (visits - 1) * other) / visits
+    turn = {"peak_rate": "180 deg/s", "shape": "cosine ramps", "turn": "36000 deg", "duration": "220.0437 s"}
+    rest = {"rest": f"{0.5 * own - 220.0437!r} s", "read_every": "1 s"}
+    changes = {
+        "plan.gradient": f"{slope} K/min",
+        "plan.cycle.other_axes.duration": f"{other} s",
+        "plan.cycle.moves": [rest, turn, rest, {**turn, "turn": "-36000 deg"}],
+    }
+    spec = files.changed(PAPER, changes)
+    assert spec.schedule.cycles == visits
+    result = rounded(spec)
+    assert result.spec.schedule.cycles == visits
+    assert not any("leaves room" in note for note in result.notes)
+
+
 @pytest.mark.parametrize("name", presets.names())
 def test_every_preset_makes_a_recipe_that_reads_back_whole(name):
     spec = files.parse_spec(presets.text(name))

@@ -20,7 +20,7 @@ from hardware_bench import (
 )
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 
-from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import odrive
 from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.drivers.lines import LinesConfig
@@ -45,6 +45,7 @@ from gradcal_jax.hardware.simulate.faults import Faults
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.simulate.zaber import SimulatedZaber, ZaberOptions
 
 AXES = {"zaber": zaber_bench, "odrive": odrive_bench, "grbl": grbl_bench, "aerosmith": aerosmith_bench}

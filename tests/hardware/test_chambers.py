@@ -25,7 +25,7 @@ from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
 
-from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import watlow_f4t
 from gradcal_jax.hardware.drivers.espec import EspecConfig
 from gradcal_jax.hardware.drivers.watlow_f4 import WatlowF4Config
@@ -47,6 +47,7 @@ from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
 from gradcal_jax.hardware.simulate.faults import Faults
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.transport import Transport
 
 BENCHES = {

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, stim300_bench
 
-from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, Mounting, Process, SensorTruth
 from gradcal_jax.hardware.simulate.stim300 import Stim300Options
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 # --- clock ------------------------------------------------------------------------------------------------------------
 

@@ -14,15 +14,15 @@ from hardware_bench import short_recipe
 from hardware_evidence import record
 from scipy.stats import chi2
 
+from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import presets
 from gradcal_jax.files.calibration import Calibration, read_calibration
 from gradcal_jax.files.log import Log, write_log
 from gradcal_jax.files.recipe import Recipe, read_recipe
-from gradcal_jax.hardware.clock import VirtualClock
-from gradcal_jax.hardware.recording import log_of
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 SMALL = {
     "sensor.scale_factor.temperature.degree": 1,

@@ -23,7 +23,6 @@ from hardware_bench import (
 from hardware_evidence import record
 
 from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, weiss, zaber
 from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
@@ -31,6 +30,7 @@ from gradcal_jax.hardware.errors import Disconnected, HardwareError, NotVerified
 from gradcal_jax.hardware.exchange import NotThisReply
 from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
 from gradcal_jax.hardware.simulate.faults import FAULTS, Faults
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 HERE = "tests/hardware/test_faults_in_figures.py"
 

@@ -14,6 +14,7 @@ from unit_bench import MOVES, made, short
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.api.unit_residual import quantity_of
+from gradcal_jax.decoding import run_log
 from gradcal_jax.files import changed, presets
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware import execute
@@ -56,7 +57,7 @@ def test_forty_units_err_as_predicted(tmp_path: Path, axes: str, spec: UnitSpec)
         assert execute.run(made(spec), folder, simulate=True, seed=seed, units=UNITS).exit_status == "success"
         hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
         for unit, found in hidden["units"].items():
-            (report,) = estimate_units(spec, [execute.log(folder, unit)])
+            (report,) = estimate_units(spec, [run_log.log(folder, unit)])
             truth = found | hidden["installation"]
             error = report.found.parameters - np.linalg.solve(reported, np.array([truth[name] for name in names]))
             known = report.found.known

@@ -26,13 +26,13 @@ from scipy.stats import chi2
 from simulated_devices.odrive import SimulatedODrive
 from unit_bench import estimated, made, short
 
+from gradcal_jax.decoding.run_log import log as log_of_run
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.rig import read_rig, rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.imu_common import join
-from gradcal_jax.hardware.execute import log as log_of_run
 from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Progress, Runner

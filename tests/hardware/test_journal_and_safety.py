@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from hardware_bench import Rig
 
-from gradcal_jax.hardware.clock import RealClock, VirtualClock
-from gradcal_jax.hardware.clockmap import fit_clock
+from gradcal_jax.decoding.clockmap import fit_clock
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import (
     Chunk,
@@ -26,6 +26,7 @@ from gradcal_jax.hardware.journal import (
 )
 from gradcal_jax.hardware.safety import make_safe
 from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 # --- journal ----------------------------------------------------------------------------------------------------------
 

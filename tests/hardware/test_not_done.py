@@ -12,12 +12,12 @@ from hardware_bench import Rig, short_recipe
 from hardware_evidence import record
 
 from gradcal_jax.hardware.binding import track_of
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.interlocks import Limits, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.runner import Progress, Runner
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 
 @contextmanager

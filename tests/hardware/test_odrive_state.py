@@ -5,10 +5,10 @@ import pytest
 from hardware_bench import odrive_bench
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.drivers.odrive import CLOSED_LOOP, IDLE, ODriveAxis, ODriveConfig
 from gradcal_jax.hardware.errors import DeviceFault
 from gradcal_jax.hardware.roles import AxisSafe
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 
 def travelled(device: SimulatedODrive, clock: VirtualClock, duration_s: float) -> tuple[float, float]:

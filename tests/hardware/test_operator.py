@@ -15,23 +15,24 @@ import numpy as np
 import pytest
 from hardware_bench import served, unpredicted
 
+from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import Quantity, changed, parse_spec, presets
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.files.writing import to_toml, write_toml
-from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
+from gradcal_jax.hardware.clock import Clock, RealClock
 from gradcal_jax.hardware.drivers import operator, zaber
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
 from gradcal_jax.hardware.execute import run
 from gradcal_jax.hardware.journal import Chunk, read_journal
-from gradcal_jax.hardware.recording import log_of
 from gradcal_jax.hardware.roles import AxisSafe
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.operator import OperatorOptions, SimulatedOperator
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
 from gradcal_jax.hardware.terminal import Terminal
 from gradcal_jax.hardware.track import Move, Step, Track, beyond_limits

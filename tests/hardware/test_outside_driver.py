@@ -13,17 +13,18 @@ import pytest
 from hardware_bench import Rig, short_recipe
 
 from gradcal_jax.cli import main
+from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, RigFile, parse_rig, rig_of
 from gradcal_jax.files.writing import write_toml
-from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.guard import make_folder_safe
-from gradcal_jax.hardware.recording import log_of
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of, driver_names, driver_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 HERE = Path(__file__).parent / "outside_driver"
 

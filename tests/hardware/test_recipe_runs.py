@@ -11,14 +11,13 @@ from hardware_bench import short_recipe, unpredicted
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
 
+from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
-from gradcal_jax.hardware.recording import log_of
 from gradcal_jax.hardware.run_folder import (
     RunFolder,
     RunFolderError,
@@ -30,6 +29,7 @@ from gradcal_jax.hardware.run_folder import (
 from gradcal_jax.hardware.runner import Progress, Runner, RunResult
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import Track
 
 SPEED = 20.0

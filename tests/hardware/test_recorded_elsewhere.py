@@ -13,16 +13,16 @@ from test_end_to_end import SMALL, distance
 from gradcal_jax.api.calibration import estimate_calibration
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.cli import main
+from gradcal_jax.decoding import run_log
 from gradcal_jax.files import Spec
 from gradcal_jax.files.log import Log, read_log
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.hardware import execute
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.simulate.sensor import SensorSamples
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 MAP = """\
 format = "gradcal-columns/1"
@@ -163,7 +163,7 @@ def recorded_run(folder: Path, made: Recipe, seed: int) -> tuple[Log, dict[str, 
         ("x",),
         np.concatenate([part.temperature_c for part in kept])[None],
     )
-    return execute.log(folder, recording=recording), truth
+    return run_log.log(folder, recording=recording), truth
 
 
 def squares(made: Recipe, log: Log, truth: dict[str, Any], clock: Literal["sensor", "host"]) -> tuple[float, ...]:

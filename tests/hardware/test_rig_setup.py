@@ -8,7 +8,6 @@ from hardware_bench import sensor_on_table
 
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, parse_rig, read_rig
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.drivers.espec import EspecConfig
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.drivers.zaber import ZaberConfig
@@ -18,6 +17,7 @@ from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
 from gradcal_jax.hardware.transcript import Direction
 

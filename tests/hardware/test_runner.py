@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from hardware_bench import Rig
 
-from gradcal_jax.hardware.clock import VirtualClock
-from gradcal_jax.hardware.clockmap import fit_clock
+from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.interlocks import Interlocks, Limits, Rule, Situation, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
@@ -23,6 +22,7 @@ from gradcal_jax.hardware.runner import WAYS, Progress, Runner, State
 from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, SensorTruth
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import Course, Move, Stable, Step, Track, beyond_limits
 
 TURN = Move(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)

@@ -13,15 +13,16 @@ import pytest
 from hardware_bench import Rig, short_recipe
 
 from gradcal_jax.cli import main
+from gradcal_jax.decoding.run_log import log
 from gradcal_jax.files.rig import RigFile, rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
-from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.dry_run import dry_run, rate_as_made
-from gradcal_jax.hardware.execute import log
 from gradcal_jax.hardware.roles import ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.supervision import read_status
 
 SLOWER = {"rig.table.max_acceleration": "300 deg/s^2"}

@@ -18,12 +18,13 @@ from hypothesis import strategies as st
 from simulated_devices.replay import ReplayedDevice
 
 from gradcal_jax.hardware import transcript
-from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import espec
 from gradcal_jax.hardware.errors import Disconnected, PortRefused
 from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.transport import PortLock, Transport
 
 

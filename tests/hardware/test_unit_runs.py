@@ -12,13 +12,13 @@ from hardware_evidence import record
 from scipy.stats import chi2
 from unit_bench import estimated, hand, made, short
 
+from gradcal_jax.decoding import run_log
 from gradcal_jax.files import changed, presets
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import RigFile, parse_rig
 from gradcal_jax.files.unit_spec import parse_unit_spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.binding import track_of
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import Chunk
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading
@@ -26,6 +26,7 @@ from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Progress, Runner
 from gradcal_jax.hardware.settings import KeptSettings
 from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import Move
 from gradcal_jax.hardware.turning import AxesDuty
 
@@ -36,7 +37,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Log]:
     folder = tmp_path_factory.mktemp("unit") / "run"
     result = execute.run(made(short()), folder, simulate=True, seed=3, units=2)
     assert (result.exit_status, result.verified_safe) == ("success", True), result.reason
-    return folder, execute.log(folder, "unit2")
+    return folder, run_log.log(folder, "unit2")
 
 
 def moves_of(folder: Path) -> list[tuple[str, float, float]]:
@@ -212,7 +213,7 @@ def test_three_units_on_a_two_axis_table(tmp_path: Path) -> None:
     assert execute.run(recipe, tmp_path / "run", simulate=True, seed=5, units=3).exit_status == "success"
     hidden = json.loads((tmp_path / "run" / "hidden_truth.json").read_text(encoding="utf-8"))
     for name, own in hidden["units"].items():
-        log = execute.log(tmp_path / "run", name)
+        log = run_log.log(tmp_path / "run", name)
         show_in_bands(f"a two-axis table, {name} of three", estimated(log, recipe.spec, own | hidden["installation"]))
 
 
@@ -231,7 +232,7 @@ def test_a_run_that_was_interrupted_goes_on(tmp_path: Path) -> None:
     first = execute.run(recipe, run, simulate=True, seed=8, on_progress=look, with_runner=runners.append)
     assert (first.exit_status, first.steps_done) == ("stopped", 1)
     assert execute.resume(run).exit_status == "success"
-    log = execute.log(run)
+    log = run_log.log(run)
     assert log.provenance["seams"] == "1"
     assert len(log.stretch_starts) == 2
     hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
@@ -274,7 +275,7 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
     assert execute.resume(run).exit_status == "success"
     hung = [event.data["mounting"] for event in RunFolder(run).contents().events if event.name == "hung"]
     assert hung == [1, 2, 3]
-    log = execute.log(run)
+    log = run_log.log(run)
     assert log.mounting is not None
     assert np.unique(log.mounting).tolist() == [0, 1, 2]
     assert np.all(np.diff(log.mounting) >= 0)
@@ -311,4 +312,4 @@ def test_a_gimbal_turned_by_hand(tmp_path: Path) -> None:
     )
     hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     truth = hidden["units"]["unit1"] | hidden["installation"]
-    show_in_bands("a gimbal turned by hand", estimated(execute.log(run), recipe.spec, truth))
+    show_in_bands("a gimbal turned by hand", estimated(run_log.log(run), recipe.spec, truth))

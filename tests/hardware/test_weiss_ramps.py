@@ -7,10 +7,10 @@ import pytest
 from hardware_bench import weiss_bench
 from simulated_devices.weiss import SimulatedWeiss, WeissOptions
 
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.drivers.weiss import WeissConfig, parse_description
 from gradcal_jax.hardware.errors import NotVerified
 from gradcal_jax.hardware.roles import Chamber, ChamberSafe
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 CONFIG = WeissConfig(reply_timeout_s=0.3, acknowledge_timeout_s=0.1, description_silence_s=0.1, product_channel="MV01")
 

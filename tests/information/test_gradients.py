@@ -125,6 +125,7 @@ def _bound_check(scene):
     assert np.max(np.abs(found - slope) / np.linalg.norm(gradient, axis=1)) < 1e-6
 
 
+@pytest.mark.evidence
 def test_an_offset_of_zero_that_has_its_state():
     """The state's covariance is then singular; the criteria depend on the offset's square, so their derivative is 0."""
     scene = SCENES["gap"]
@@ -153,6 +154,7 @@ def test_all_scenes(name):
     check(replace(scene, start=scene.start + 0.0137))
 
 
+@pytest.mark.evidence
 def test_a_break_at_the_end_of_a_piece_keeps_its_derivative():
     """12 °C, an edge of the bins, is reached as a piece ends: from above the derivative is that of either side."""
     scene = SCENES["bases"]

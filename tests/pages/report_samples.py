@@ -10,10 +10,10 @@ from gradcal_jax import api
 from gradcal_jax.files import Spec, changed, parse_spec, presets
 from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, bias_names, scale_factor_names
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 TURN = {"turn": "720 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"}
 BACK = {"turn": "-720 deg", "peak_rate": "100 deg/s", "shape": "cosine ramps"}

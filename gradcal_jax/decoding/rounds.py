@@ -28,7 +28,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .roles import ImuBatch
+from ..hardware.roles import ImuBatch
 
 WINDOW_S: Final = 60.0
 _FEWEST_ARRIVALS: Final = 3

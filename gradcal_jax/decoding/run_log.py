@@ -17,6 +17,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -26,17 +27,17 @@ from ..files.log import Finding, Log, Reason
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
 from ..files.unit_spec import UnitSpec
+from ..hardware.drivers.imu_common import STANDARD_GRAVITY, join
+from ..hardware.errors import HardwareError
+from ..hardware.journal import Chunk, Event, JournalContents
+from ..hardware.roles import ImuBatch, ImuDecoder
+from ..hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
+from ..hardware.setup import config_of, driver_of
+from ..hardware.stretches import breaks_off
+from ..hardware.track import Move
 from .alignment import Alignment, Track, align
 from .clockmap import ClockMap, fit_clock
-from .drivers.imu_common import STANDARD_GRAVITY, join
-from .errors import HardwareError
-from .journal import Chunk, Event, JournalContents
-from .roles import ImuBatch, ImuDecoder
 from .rounds import Doubt, rounds_resolved
-from .run_folder import SESSION, exit_status, rig_as_run
-from .setup import config_of, driver_of
-from .stretches import breaks_off
-from .track import Move
 
 _MARGIN_S: Final = 0.02
 # Stamps of samples are late by what unit, adapter and system take, nobody knows how much; a row too few at rest costs
@@ -69,6 +70,23 @@ class _Session:
     def origin_s(self) -> float:
         """When the run's clock stood at zero, by the clock on the wall."""
         return self.wall_clock_s - self.begun_s
+
+
+def log(folder: str | Path, unit: str | None = None, *, recording: Log | None = None) -> Log:
+    """The log of a run, decoded from its journal's raw bytes: rates in rad/s, times in s, temperatures in °C, the
+    table's angles in rad, standstills.
+
+    `unit`: of several units on the table, the one whose log to make. `recording`: what somebody else's logger recorded
+    of the unit in this run; its clock is found by the motion. Errors: `ValueError` where the folder is not a run's, or
+    the recording is not of it; `HardwareError` where the journal holds no samples of a stretch with data.
+    """
+    found = RunFolder(Path(folder))
+    about = {name: str(text) for name, text in found.notes().get("about", {}).items()}
+    if recording is not None:
+        made = log_of_recording(found.contents(), found.recipe(), found.rig(), recording, unit)
+    else:
+        made = log_of(found.contents(), found.recipe(), found.rig(), unit)
+    return replace(made, provenance={**about, **made.provenance})
 
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:

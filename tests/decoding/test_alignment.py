@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from motion_and_recording import Motion, Recorded, readings, recording, turns
 
-from gradcal_jax.hardware.alignment import Alignment, NoAlignment, Track, align
+from gradcal_jax.decoding.alignment import Alignment, NoAlignment, Track, align
 
 UNKNOWN = "of another run|fits at two places"
 

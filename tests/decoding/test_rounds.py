@@ -15,11 +15,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from gradcal_jax.decoding.rounds import Doubt, rounds_resolved
 from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers.imu_common import GapCounter, join
 from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
 from gradcal_jax.hardware.roles import ImuBatch
-from gradcal_jax.hardware.rounds import Doubt, rounds_resolved
 
 SAMPLE_S = 0.008
 ROUND = 16

@@ -107,7 +107,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     fastest = float(np.radians(np.ceil(fastest)))
     tests = {
         "accelerometers: norm of gravity": force_fit.test,
-        "accelerometers: whiteness from position to position": estimation.whiteness(force_fit.left),
+        "accelerometers: whiteness from position to position": estimation.whiteness(force_fit.left, force_fit.taken),
         "gyros: turns of gravity": rate_fit.test,
         "gyros: rates at rest": found.at_rest,
     }

@@ -43,7 +43,9 @@ BY_HAND: Final = (
 """Why no plan of turns by hand is searched."""
 # A turn within this share of its cap is said to be at its limit.
 _AT_LIMIT: Final = 1e-3
-_POLISH: Final = 300
+_FIRST: Final = 300
+_POLISH: Final = 1000
+_POLISHES: Final = 5
 _BRIEF_POLISH: Final = 40
 # What leaving out vanished turns may cost.
 _NO_WORSE: Final = 1e-3
@@ -340,13 +342,18 @@ def polished(
         coordinates, point = _pruned(of, coordinates, point)
     if isinstance(coordinates, ProgrammeCoordinates):
         return best_programme(of, *coordinates.knots(point), seed, stop)
-    found = polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH if quick else _POLISH, names=of.limits)
-    fewer, point = _pruned(of, coordinates, found.point)
-    if not (quick or found.converged) and fewer.size < coordinates.size:
+    if quick:
+        return coordinates, polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH, names=of.limits)
+    found = polish(of.compiled(coordinates), point, steps=_FIRST, rounds=1, names=of.limits)
+    for _ in range(_POLISHES):
+        if found.converged:
+            break
         # Turns that vanish meanwhile leave valleys without end: without them it converges.
-        again = polish(of.compiled(fewer), point, steps=_POLISH, names=of.limits)
-        if again.held and again.value <= found.value * (1.0 + _NO_WORSE):
-            return fewer, again
+        fewer, point = _pruned(of, coordinates, found.point)
+        again = polish(of.compiled(fewer), point, steps=_POLISH, rounds=1, names=of.limits)
+        if not again.held or again.value > found.value * (1.0 + _NO_WORSE):
+            break
+        coordinates, found = fewer, again
     return coordinates, found
 
 

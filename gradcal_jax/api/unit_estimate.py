@@ -132,13 +132,7 @@ def _report(
     temperature = correction.followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)
     model = built.model
     threshold = options.threshold if options.robust else None
-    first = _read(built, name, rows, rows, temperature, threshold)[2]
-    # How a move went is first taken from the gyros as they are, then corrected by what that gave: a scale factor of a
-    # per cent that depends on the rate is otherwise seen at the wrong rates.
-    held = tuple(_channels(built, model.to_reported @ first.parameters))
-    rates, felt = correct_unit(held, rows.rates, rows.force, temperature)
-    corrected = rows._replace(rates=rates)
-    done, readings, found = _read(built, name, rows, corrected, temperature, threshold, felt, first.parameters)
+    done, readings, found = fitted_twice(built, name, rows, temperature, threshold)
     at = segments_of(done.motion, model)
     half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
     of_segment = rows.time_s[done.rows[at.first + 1]]
@@ -153,9 +147,10 @@ def _report(
     tests = estimation.consistency(found.estimate, found.white, 0, few, model.to_reported)
     channels: dict[str, tuple[Test, Test]] = {}
     for i, c in enumerate(model.channels):
-        own = found.estimate.residuals[0][at.row_channel[used] == i]
-        free = round(float(np.sum(1.0 - found.leverage[at.row_channel[used] == i])))
-        channels[c.name] = estimation.chi_squared_test(float(own @ own), free), estimation.whiteness(own)
+        own = at.row_channel[used] == i
+        left, taken = found.estimate.residuals[0][own], found.taken[own]
+        free = round(len(left) - float(np.sum(taken**2)))
+        channels[c.name] = estimation.chi_squared_test(float(left @ left), free), estimation.whiteness(left, taken)
     known = Posterior(found.known.spread * excess_of(tests), found.known.hidden)
     requirements = tuple(requirement_row(built, known, r) for r in built.spec.requirement)
     covered = _covered(done, rows, temperature)
@@ -176,6 +171,20 @@ def _report(
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
     lesser = counting_less(found.weights, of_segment[at.row_segment][used], names)
     return report._replace(messages=(*messages, *lesser, *_words(report, found)))
+
+
+def fitted_twice(
+    built: AssembledUnit, name: str, rows: UnitRows, temperature: np.ndarray, threshold: float | None = None
+) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
+    """What was done, what the unit said of it, and the estimate, at a `temperature` (degC) for each row.
+
+    How a move went is first taken from the gyros as they are, then corrected by what that gave: a scale factor of a
+    per cent that depends on the rate is otherwise seen at the wrong rates.
+    """
+    first = _read(built, name, rows, rows, temperature, threshold)[2]
+    held = tuple(_channels(built, built.model.to_reported @ first.parameters))
+    rates, felt = correct_unit(held, rows.rates, rows.force, temperature)
+    return _read(built, name, rows, rows._replace(rates=rates), temperature, threshold, felt, first.parameters)
 
 
 def _read(

@@ -37,7 +37,6 @@ _NOWHERE = 1e3
 _LARGEST = 700.0
 # Largest gradient component of log(value) that counts as zero.
 CONVERGED = 1e-4
-# Where it has not converged it begins anew, with no memory of curvature, so often in all.
 _POLISHES = 3
 # A limit that is nearer than this binds; a linear one that is exceeded by less is held.
 _BINDING = 1e-4
@@ -282,12 +281,14 @@ def polish(
     point: np.ndarray,
     *,
     steps: int = 300,
+    rounds: int = _POLISHES,
     linear: Linear | None = None,
     names: Sequence[str] = (),
 ) -> Optimum:
     """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly.
 
-    `linear`: further limits, on the vector itself. `names`: of the compiled limits.
+    Where `steps` do not do it begins anew, with no memory of curvature, `rounds` in all. `linear`: further limits, on
+    the vector itself. `names`: of the compiled limits.
     """
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -311,7 +312,7 @@ def polish(
     options = {"maxiter": steps, "ftol": 1e-12}
     value, excess = exactly(compiled, point)
     norm = np.inf
-    for _ in range(_POLISHES):
+    for _ in range(rounds):
         reached = minimize(
             lambda z: (float(at(z)[0][0]), at(z)[1][0].copy()),  # SLSQP writes into what it is given.
             point,

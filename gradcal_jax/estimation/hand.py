@@ -69,8 +69,8 @@ class Positions(NamedTuple):
 
 class Fitted(NamedTuple):
     """Parameters `(p,)` with their covariance, in fractions of `gain` about `centre`; `hidden` `(p,)`: those of which
-    the data say nothing; `test`: χ² by the noise alone; `left`: residuals of the rows that it is of; `beyond`: standard
-    deviation that had to be added to each of them.
+    the data say nothing; `test`: χ² by the noise alone; `left`: residuals of the rows that it is of; `taken`: those
+    rows of an orthonormal basis of what the parameters explain; `beyond`: standard deviation that had to be added.
     """
 
     parameters: np.ndarray
@@ -80,6 +80,7 @@ class Fitted(NamedTuple):
     gain: float
     test: Test
     left: np.ndarray
+    taken: np.ndarray
     beyond: float
 
 
@@ -433,11 +434,14 @@ def _fit(
 
     def known_of(p: np.ndarray, beyond: float) -> tuple[np.ndarray, np.ndarray]:
         """Covariance, and the directions, in units of the priors, of which the data say nothing."""
-        _, by, covariance = rows(p)
-        white = solve_triangular(np.linalg.cholesky(covariance + np.diag(added * beyond**2)), by, lower=True)
+        white = whitened(p, beyond)
         known = np.linalg.inv(white.T @ white + np.diag(priors**-2.0))
         values, vectors = np.linalg.eigh(known / np.outer(priors, priors))
         return known, vectors[:, values > _KEPT]
+
+    def whitened(p: np.ndarray, beyond: float) -> np.ndarray:
+        _, by, covariance = rows(p)
+        return solve_triangular(np.linalg.cholesky(covariance + np.diag(added * beyond**2)), by, lower=True)
 
     p = best(best(np.zeros(len(priors)), 0.0), 0.0)
     left, _, covariance = rows(p)
@@ -449,7 +453,8 @@ def _fit(
         p = best(p, beyond)
     known, unseen = known_of(p, beyond)
     hidden = np.sum(unseen**2, axis=1) > _TAKES_PART
-    return Fitted(p, known, hidden, centre, gain, test, rows(p)[0][tested], beyond)
+    taken = np.linalg.qr(np.concatenate([whitened(p, beyond), np.diag(1.0 / priors)]))[0][: len(left)]
+    return Fitted(p, known, hidden, centre, gain, test, rows(p)[0][tested], taken[tested], beyond)
 
 
 def _beyond(

@@ -196,14 +196,14 @@ def readings_of(
 
 class UnitEstimate(NamedTuple):
     """Of one unit: the `estimate` (`U` = 1) and the `white` rows it stands on, linear about it: of those of the `R`
-    rows that are `used`. `leverage`: how much of each of them the parameters take up, which its residual lacks.
-    `moved`: by how many of its σ the last of the `rounds` went. `weights`: of the rows used, 1 in full.
+    rows that are `used`. `taken`: those rows of an orthonormal basis of what the parameters explain, which residuals
+    lack. `moved`: by how many of its σ the last of the `rounds` went. `weights`: of the rows used, 1 in full.
     """
 
     estimate: Estimate
     white: Whitened
     used: np.ndarray
-    leverage: np.ndarray
+    taken: np.ndarray
     moved: float
     rounds: int
     weights: np.ndarray
@@ -274,7 +274,7 @@ def _solved(
         rest, rounds = left_over(), rounds + 1
     chi_squared = np.array([rest @ rest + np.sum((prior @ beta) ** 2)])
     degrees = np.array([len(design) - np.count_nonzero(seen)])
-    leverage = np.sum(orthogonal[: len(jacobian)] ** 2, axis=1)
+    taken = orthogonal[: len(jacobian)] @ left[:, seen]
     found = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
     white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
-    return UnitEstimate(found, white, used, leverage, moved, rounds, np.ones(len(rest)))
+    return UnitEstimate(found, white, used, taken, moved, rounds, np.ones(len(rest)))

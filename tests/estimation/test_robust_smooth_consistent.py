@@ -22,6 +22,7 @@ from gradcal_jax.estimation import (
     whiteness,
     with_smoothness,
 )
+from gradcal_jax.estimation.consistency import taken_up
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 
 BINS = 'temperature = { basis = "bins", edges = [%s] }\nsmoothness = "%s"' % (  # noqa: UP031
@@ -186,7 +187,37 @@ def test_whiteness_notices_what_lasts():
     shocks = rng.standard_normal(2000)
     assert whiteness(shocks).passed
     assert not whiteness(np.convolve(shocks, [1.0, 0.3], "valid")).passed
-    white, _ = random_rows(rng)
+
+
+def test_whiteness_counts_what_the_parameters_took_up():
+    """Behind a fit of 16 parameters the plain statistic of 100 readings fires far more often than it says."""
+    rng, count = np.random.default_rng(8), 100
+    at = np.linspace(-1.0, 1.0, count)
+    rows = np.stack([np.cos(k * np.arccos(at)) for k in range(16)], axis=1)
+    for prior, likely in ((np.zeros((0, 16)), 0.15), (np.diag(np.full(16, 0.5)), 0.05)):
+        fits = []
+        for _ in range(2000):
+            truth = rng.standard_normal(16) / 0.5
+            white = Whitened(rows[None], (rows @ truth + rng.standard_normal(count))[None], prior)
+            fits.append((white, solve(white).residuals[0]))
+        taken = taken_up(fits[0][0])
+        right = [whiteness(left, taken).probability for _, left in fits]
+        plain = [whiteness(left).probability for _, left in fits]
+        for level in (0.05, 0.01):
+            assert stats.binomtest(int(np.sum(np.array(right) < level)), 2000, level).pvalue > 1e-4
+        assert np.mean(np.array(plain) < 0.05) > likely
+        assert consistency(solve(fits[0][0]), fits[0][0], 0, {}, np.eye(16)).whiteness.probability == right[0]
+
+
+def test_whiteness_without_a_fit_is_ljung_and_box():
+    shocks = np.random.default_rng(9).standard_normal(400)
+    correlations = np.array([shocks[k:] @ shocks[:-k] for k in range(1, 21)]) / (shocks @ shocks)
+    want = 400.0 * 402.0 * np.sum(correlations**2 / (400.0 - np.arange(1, 21)))
+    assert whiteness(shocks).statistic == pytest.approx(want, rel=1e-12)
+
+
+def test_consistency_without_splits():
+    white, _ = random_rows(np.random.default_rng(7))
     quiet = consistency(solve(white), white, 0, {"none": np.ones(300, bool)}, np.eye(6))
     assert quiet.splits == ()
     assert quiet.noise_scale == pytest.approx(1.0, abs=0.15)

@@ -17,10 +17,15 @@ from gradcal_jax.api.measure import design_block
 from gradcal_jax.api.optimise import Optimised, Step
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, residual_map, statistic_of
 from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing, visit_times
+from gradcal_jax.api.unit_build import assemble_unit, motion_of
+from gradcal_jax.api.unit_prediction import known_of_motions, requirement_row
 from gradcal_jax.files import Spec, changed, tables_of
+from gradcal_jax.files.changes import AnySpec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.rounding import steps_of
 from gradcal_jax.files.schedule import TemperatureSegment
+from gradcal_jax.files.unit_plan import cycles_between
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information, posterior
 
 PAUSE_S = 1800.0
@@ -44,19 +49,21 @@ class KnownRow(NamedTuple):
     at_end: float | None
 
 
-def with_done(spec: Spec, done: Sequence[Span], pause_s: float = PAUSE_S) -> Spec:
+def with_done(spec: AnySpec, done: Sequence[Span], pause_s: float = PAUSE_S) -> AnySpec:
     """The spec with spans of its own plan as what was done before it."""
-    plan = tables_of(spec)["plan"]
-    parts = [
-        {"plan": plan, "start": f"{begin:.9g} s", "end": f"{end:.9g} s", "pause": f"{pause_s:.9g} s"}
-        for begin, end in done
-    ]
+    plan: dict[str, Any] = {"plan": tables_of(spec)["plan"]}
+    if isinstance(spec, Spec):
+        plan["pause"] = f"{pause_s:.9g} s"
+    parts = [plan | {"start": f"{begin:.9g} s", "end": f"{end:.9g} s"} for begin, end in done]
     return changed(spec, {"done": [*tables_of(spec).get("done", ()), *parts]}) if parts else spec
 
 
-def known_so_far(spec: Spec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
+def known_so_far(spec: Spec | UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
     """What is left by what was done of the spec's plan, and once it has gone on from `goes_on_s` (s, its clock): where
-    the last span ends, while a run is under way, or where a step begins that is made again."""
+    the last span ends, while a run is under way, or where a step begins that is made again. Of a whole unit whole
+    cycles count."""
+    if isinstance(spec, UnitSpec):
+        return _known_of_unit(spec, done, goes_on_s)
     ends_s, rows = spec.schedule.duration, list[KnownRow]()
     flows = bool(done) and abs(goes_on_s - done[-1][1]) < _BRIEF_S
     rest = [(done[-1][0], ends_s)] if flows else [(goes_on_s, ends_s)] if goes_on_s < ends_s else []
@@ -72,13 +79,39 @@ def known_so_far(spec: Spec, done: Sequence[Span], goes_on_s: float) -> list[Kno
     return rows
 
 
-def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> Spec:
+def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
+    _one_stretch(spec)
+    built, plan = assemble_unit(spec), spec.schedule
+    rest = [*done, (goes_on_s, plan.duration)]
+    if done and abs(goes_on_s - done[-1][1]) < _BRIEF_S:
+        # A cycle that is under way goes on.
+        rest = [*done[:-1], (done[-1][0], plan.duration)]
+    rows = []
+    for spans in (done, rest):
+        parts = [part for span in spans if (part := cycles_between(plan, *span)) is not None]
+        known = known_of_motions(built, (*built.past, *(motion_of(part, spec) for part in parts)))
+        rows.append([requirement_row(built, known, requirement) for requirement in spec.requirement])
+    return [KnownRow(now.name, now.axis, now.unit, now.decisive, end.decisive) for now, end in zip(*rows, strict=True)]
+
+
+def _one_stretch(spec: UnitSpec) -> None:
+    if len(spec.schedule.stretches) > 1:
+        raise ValueError(f"a plan of several stretches of used data is not planned anew: {_GO_ON}")
+
+
+def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> AnySpec:
     """The spec of what is still to be done, with what was: a ramp of `left_s` (None: what the plan had left) from where
-    the chamber was to where it was to end, and on it as many turns at the table as fit, about as long as they were.
+    the chamber was to where it was to end, and on it as many turns at the table as fit, about as long as they were; of
+    a whole unit, its cycle.
 
     Errors: `ValueError` for a standard plan, where nothing is left, and where what is left is not one ramp.
     """
-    schedule = spec.gradient_schedule
+    if isinstance(spec, UnitSpec):
+        _one_stretch(spec)
+        schedule, cycle = spec.schedule, spec.plan.cycle
+    else:
+        schedule = spec.gradient_schedule
+        cycle = schedule.cycle
     seam_s = done[-1][1] if done else 0.0
     left = [s for s in schedule.segments if s.end > seam_s + _BRIEF_S]
     ramps = [s for s in left if s.kind == "ramp"]
@@ -101,7 +134,6 @@ def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pa
     if span_k <= 0.0:
         raise ValueError(f"no time is left for a ramp: {_GO_ON}")
     ends_c, lasts_s = begins_c + math.copysign(span_k, ends_c - begins_c), span_k / slope
-    design = tables_of(spec).get("design") or tomllib.loads(design_block(spec))["design"]
     plan: dict[str, Any] = {
         "plan.programme": None,
         "plan.soak": None,
@@ -109,9 +141,12 @@ def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pa
         "plan.gradient": f"{60.0 * slope:.9g} K/min",
     }
     soak = schedule.segments[0]
-    if soak.kind == "soak" and (schedule.cycle is None or not done):
+    if soak.kind == "soak" and (cycle is None or not done):
         plan["plan.soak"] = {"duration": f"{soak.duration:.9g} s", "used": soak.used and not done}
-    if schedule.cycle is not None:
+    if isinstance(spec, UnitSpec):
+        return changed(with_done(spec, done), plan)
+    design = tables_of(spec).get("design") or tomllib.loads(design_block(spec))["design"]
+    if cycle is not None:
         plan["plan.cycle"] = _visits(spec, design, lasts_s)
     design = {name: value for name, value in design.items() if name not in ("max_total", "max_motion")}
     if design["minimise"] not in TIMES:
@@ -128,7 +163,7 @@ def replan(
     quick: bool = False,
     watch: Callable[[Step], None] = lambda _: None,
 ) -> Optimised:
-    """The best plan for what is left of a run, given what was done of it.
+    """The best plan for what is left of a run, given what was done of it. Of a whole unit: `rest_of`, and `optimise`.
 
     `spec`: of the recipe that was executed; `done`: from when to when, on its plan's clock (s), as
     `hardware.stretches` reads it from the journal. `left_s`: how long the rest may take; None: as long as the plan had

@@ -26,12 +26,14 @@ _SLACK = 1e-9
 
 
 class AssembledUnit(NamedTuple):
-    """A unit's spec in the core's terms. `points`: at how many along a piece functions of temperature are known."""
+    """A unit's spec in the core's terms. `points`: at how many along a piece functions of temperature are known.
+    `past`: what was done before the plan begins, a part after the other."""
 
     spec: UnitSpec
     model: UnitModel
     motion: TableMotion
     points: int
+    past: tuple[TableMotion, ...] = ()
 
     def body_nodes(self) -> BodyNodes:
         """The nodes on which the terms are integrated."""
@@ -45,7 +47,8 @@ def assemble_unit(spec: UnitSpec) -> AssembledUnit:
     degree = max(b.degree if isinstance(b, Polynomial) else _ROUGH for b in bases)
     # A lagging unit's exponentials and a spline's pieces are no polynomials.
     points = max(degree + 1, _ROUGH if spec.sensor.thermal_lag is not None else 1)
-    return AssembledUnit(spec, model_, motion_of(spec.schedule, spec), points)
+    past = tuple(motion_of(part, spec) for part in spec.past)
+    return AssembledUnit(spec, model_, motion_of(spec.schedule, spec), points, past)
 
 
 def unit_model(spec: UnitSpec) -> UnitModel:

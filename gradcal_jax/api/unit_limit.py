@@ -24,6 +24,7 @@ from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit
 from gradcal_jax.api.unit_prediction import posterior_of_unit, requirement_row
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY
 from gradcal_jax.design import criterion, limit
+from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information, square_root, statistic
@@ -58,8 +59,11 @@ class _Look(NamedTuple):
 def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
     """The limit of every requirement of a unit's plan for which there is a proof.
 
-    Errors: `ValueError` where there is none for any, with the quantities that have one.
+    Errors: `ValueError` where there is none for any, with the quantities that have one, and where the plan goes on with
+    what was done before.
     """
+    if spec.done:
+        raise goes_on("a limit")
     built = assemble_unit(spec)
     proven = [(r, found) for r in spec.requirement if (found := _certified(built, r)) is not None]
     if not proven:

@@ -19,6 +19,7 @@ from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, r
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.formulas import repetitions
 from gradcal_jax.information import Posterior, repeated_gram, segments_of, unit_system, whiten
+from gradcal_jax.model import UnitModel
 
 EVALUATIONS, QUICK_EVALUATIONS = 4000, 400
 # By how much worse a plan may be that is still taken at the beginning, of the logarithm: less, from a good plan.
@@ -94,7 +95,7 @@ def optimise_unit(
     tables["plan"]["cycle"]["moves"] = value.moves_in_words(state.best)
     found = unit_spec_of(tables)
     fine = tuple(quantity_of(value.built, r) for r in spec.requirement)
-    before, after = (_statistics(value.prior + _gram_of(assemble_unit(s)), fine) for s in (spec, found))
+    before, after = (_statistics(value.known[0] + _gram_of(assemble_unit(s)), fine) for s in (spec, found))
     rows = tuple(
         (r.name, UNIT_OF_QUANTITY[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
     )
@@ -122,7 +123,8 @@ class CycleValue:
         own = tuple(q for q in self.quantities if q.requirement.name == design.minimise)
         self.minimised = self.quantities if design.minimise in (ALL, WORST) else own
         rows = self.built.model.prior_rows()
-        self.prior = rows.T @ rows
+        # In each scenario, before the plan begins: by the priors and by what was done.
+        self.known = [rows.T @ rows + self._past(model) for model in self.models]
         # Whether cycles differ in temperature alone, which runs straight; see `information.repeated`.
         self.repeats = (
             len(spec.schedule.stretches) == 1
@@ -132,6 +134,11 @@ class CycleValue:
             and not any(np.any(c.model.processes.rate_gain) for c in self.built.model.channels)
             and self.built.model.shifts(np.zeros(1)) is not None
         )
+
+    def _past(self, model: UnitModel) -> np.ndarray:
+        built = self.built._replace(model=model)
+        nothing = np.zeros((model.size, model.size))
+        return sum((_gram_of(built._replace(motion=motion)) for motion in built.past), nothing)
 
     def __call__(self, cycle: PoseCycle) -> float:
         together = max if self.worst else fmean
@@ -153,9 +160,9 @@ class CycleValue:
         return [
             [
                 math.log(v / limit) if v else math.inf
-                for v, limit in zip(_statistics(self.prior + gram, quantities), limits, strict=True)
+                for v, limit in zip(_statistics(known + gram, quantities), limits, strict=True)
             ]
-            for gram in self._grams(plan)
+            for known, gram in zip(self.known, self._grams(plan), strict=True)
         ]
 
     def _grams(self, plan: UnitSchedule) -> list[np.ndarray]:

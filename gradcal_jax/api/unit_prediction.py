@@ -1,5 +1,7 @@
 """The contract gradcal-prediction/1 for a whole unit."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
@@ -9,6 +11,7 @@ from gradcal_jax.files.contracts import ParameterRow, Prediction, RequirementRow
 from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, posterior, unit_information
+from gradcal_jax.trajectory import TableMotion, body_nodes
 
 
 def predict_unit(spec: UnitSpec) -> Prediction:
@@ -37,8 +40,13 @@ def predict_unit(spec: UnitSpec) -> Prediction:
 
 
 def posterior_of_unit(built: AssembledUnit) -> Posterior:
-    """What is known of a unit after its plan."""
-    return posterior(unit_information(built.motion, built.model, built.body_nodes()))
+    """What is known of a unit after its plan, and what was done before."""
+    return known_of_motions(built, (*built.past, built.motion))
+
+
+def known_of_motions(built: AssembledUnit, motions: Sequence[TableMotion]) -> Posterior:
+    """What is known of a unit after several motions, each with drifts of its own."""
+    return posterior(unit_information([(m, body_nodes(m, built.points)) for m in motions], built.model))
 
 
 def requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> RequirementRow:

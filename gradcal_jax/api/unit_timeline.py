@@ -9,6 +9,7 @@ from gradcal_jax.api.contract_rows import basis_row, map_row, shape_row
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow, ProcessRow
 from gradcal_jax.files.sensor import Bias, ScaleFactor
+from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_plan import UnitStep
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -32,7 +33,11 @@ _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_
 
 
 def unit_timeline(spec: UnitSpec) -> UnitTimeline:
-    """Every segment of a unit's plan with attitudes, what each channel is made of, and all priors. Errors: none."""
+    """Every segment of a unit's plan with attitudes, what each channel is made of, and all priors. Errors: `ValueError`
+    where it goes on with what was done before.
+    """
+    if spec.done:
+        raise goes_on("a timeline")
     built = assemble_unit(spec)
     geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
     return UnitTimeline(

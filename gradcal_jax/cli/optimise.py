@@ -17,6 +17,7 @@ from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
     from gradcal_jax.api.optimise import Optimised, Step
+    from gradcal_jax.api.unit_optimise import UnitOptimum
     from gradcal_jax.files.unit_spec import UnitSpec
 
 
@@ -188,10 +189,44 @@ def _of_unit(
     spec: "UnitSpec", output: Path, *, json: bool, plot: Path | None, plans: int | None, quick: bool, until_met: bool
 ) -> int:
     """Search a unit's cycle and write the spec with the best one."""
+    from gradcal_jax.files import write_toml
+
+    best, interrupted = search_unit(spec, plans=plans, quick=quick, until_met=until_met)
+    write_toml(best.spec, output, header="Made by gradcal optimise, from the poses and moves of a unit's plan.")
+    if json:
+        print(as_json(record_of_unit(best) | {"spec": str(output)}))
+    else:
+        print(f"{text_of_unit(best)}\nwrote {output}; see it with: gradcal check {output}")
+    if plot is not None:
+        from gradcal_jax.plots import draw_unit
+
+        save_figure(draw_unit(best.spec), plot, quiet=json)
+    if interrupted:
+        complain("interrupted: the best so far was written")
+        return INTERRUPTED
+    return DONE
+
+
+def record_of_unit(best: "UnitOptimum") -> dict[str, object]:
+    """What --json keeps of a search of a whole unit."""
+    rows = [dict(zip(("name", "unit", "before", "now"), row, strict=True)) for row in best.rows]
+    return {"requirements": rows, "gain": best.gain, "evaluations": best.evaluations}
+
+
+def text_of_unit(best: "UnitOptimum") -> str:
+    """An optimised plan of a whole unit as people read it."""
+    shown = [(name, amount(before, unit), amount(now, unit)) for name, unit, before, now in best.rows]
+    table = columns([("requirement", "before", "now"), *shown], indent="")
+    return f"{table}\n{best.gain:.2f} times better in the geometric mean, after {best.evaluations} plans"
+
+
+def search_unit(
+    spec: "UnitSpec", *, plans: int | None = None, quick: bool = False, until_met: bool = False
+) -> tuple["UnitOptimum", bool]:
+    """The best cycle of a whole unit, with a line of progress; and whether Ctrl-C ended the search."""
     import time
 
     from gradcal_jax.api.unit_optimise import EVALUATIONS, QUICK_EVALUATIONS, TOGETHER, UnitOptimum, optimise_unit
-    from gradcal_jax.files import write_toml
     from gradcal_jax.jobs.pool import LocalPool, cores
 
     best: UnitOptimum | None = None
@@ -213,20 +248,4 @@ def _of_unit(
             gain = math.exp(first - event.value)
             line.show(f"{event.share:4.0%}  {gain:.2f} times better  ({len(event.best)} moves, {left:.0f} s left)")
     assert best is not None
-    write_toml(best.spec, output, header="Made by gradcal optimise, from the poses and moves of a unit's plan.")
-    if json:
-        rows = [dict(zip(("name", "unit", "before", "now"), row, strict=True)) for row in best.rows]
-        print(as_json({"requirements": rows, "gain": best.gain, "evaluations": best.evaluations, "spec": str(output)}))
-    else:
-        shown = [(name, amount(before, unit), amount(now, unit)) for name, unit, before, now in best.rows]
-        print(columns([("requirement", "before", "now"), *shown], indent=""))
-        print(f"{best.gain:.2f} times better in the geometric mean, after {best.evaluations} plans")
-        print(f"wrote {output}; see it with: gradcal check {output}")
-    if plot is not None:
-        from gradcal_jax.plots import draw_unit
-
-        save_figure(draw_unit(best.spec), plot, quiet=json)
-    if interrupt.asked:
-        complain("interrupted: the best so far was written")
-        return INTERRUPTED
-    return DONE
+    return best, interrupt.asked

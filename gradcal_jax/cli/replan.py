@@ -7,7 +7,7 @@ from cyclopts import App
 
 from gradcal_jax.cli.output import Flag, Json, Output, as_json, writable
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 
 
 def register(app: App) -> None:
@@ -30,8 +30,8 @@ def replan(
 
     What the journal proves was done stays as it is and counts in every prediction; the rest is searched anew, on a ramp
     from where the chamber's course was broken off. The unit must not have been switched off meanwhile: the run is one
-    run, with one turn-on bias. Go on by it with: gradcal run NEW --resume RUN. The exit status is 1 where the search
-    did not converge.
+    run, with one turn-on bias. Of a whole unit, whole cycles count, and its poses and moves are searched anew. Go on by
+    it with: gradcal run NEW --resume RUN. The exit status is 1 where the search did not converge.
 
     Parameters
     ----------
@@ -42,17 +42,18 @@ def replan(
     time
         How long the rest may take, waiting not counted, such as "40 min"; absent: what the recipe had left.
     pause
-        How long it will be from where the run was broken off to where it goes on.
+        How long it will be from where the run was broken off to where it goes on; a whole unit's drifts begin anew.
     quick
-        Few starts: a plan within some per cent of the best, in seconds.
+        Few starts, or plans: within some per cent of the best, in seconds.
     force
         Overwrite an existing file.
     json
         Print the result for other programs.
     """
-    from gradcal_jax.cli.optimise import progress_of, text
+    from gradcal_jax.cli.optimise import progress_of, record_of_unit, search_unit, text, text_of_unit
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import write_toml
+    from gradcal_jax.files.unit_spec import UnitSpec
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
     from gradcal_jax.hardware.stretches import stretches_of
     from gradcal_jax.units import parse, time_text
@@ -67,24 +68,27 @@ def replan(
     from gradcal_jax import api
     from gradcal_jax.api.optimise import record_of
     from gradcal_jax.api.replan import replan as search
+    from gradcal_jax.api.replan import rest_of
 
-    spans = [(part.start_s, part.end_s) for part in done]
-    with MovingLine(sys.stderr) as line:
-        best = search(
-            recipe.axis_spec,
-            spans,
-            left_s=left_s,
-            pause_s=pause_s,
-            quick=quick,
-            watch=lambda step: line.show(progress_of(step), step.share),
-        )
+    spans, status, code = [(part.start_s, part.end_s) for part in done], "", DONE
+    if isinstance(recipe.spec, UnitSpec):
+        found, interrupted = search_unit(rest_of(recipe.spec, spans, left_s=left_s), quick=quick)
+        plan, record, table = found.spec, record_of_unit(found), text_of_unit(found)
+        status = "interrupted, the best so far: " * interrupted + table.rsplit("\n", 1)[-1]
+        code = INTERRUPTED if interrupted else DONE
+    else:
+        with MovingLine(sys.stderr) as line:
+            watch = lambda step: line.show(progress_of(step), step.share)  # noqa: E731
+            plan = search(recipe.spec, spans, left_s=left_s, pause_s=pause_s, quick=quick, watch=watch)
+        record, table, code = record_of(plan), text(plan), DONE if plan.converged else NOT_AS_WISHED
     seconds = sum(end - begin for begin, end in spans)
     said = f"after {time_text(float(round(seconds)))} with data were done; its prediction counts them"
-    made = api.recipe(best, stability=recipe.stability, notes=(f"the rest of a run, {said}",))
+    notes = (f"the rest of a run, {said}",)
+    made = api.recipe(plan, stability=recipe.stability, status=status, notes=notes)
     write_toml(made, output, header="Made by gradcal replan; `gradcal show` prints it as a table.")
     if json:
-        print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
+        print(as_json(record | {"done": spans, "recipe": str(output)}))
     else:
-        print(text(best))
+        print(table)
         print(f"wrote {output}, {said}; go on with: gradcal run {output} --resume {run}")
-    return DONE if best.converged else NOT_AS_WISHED
+    return code

@@ -72,7 +72,7 @@ def _known(run: Path) -> list[dict[str, Any]]:
     from gradcal_jax.hardware.stretches import goes_on_at, stretches_of
 
     folder = RunFolder(run)
-    spec, spans = folder.recipe().axis_spec, [(part.start_s, part.end_s) for part in stretches_of(folder)]
+    spec, spans = folder.recipe().spec, [(part.start_s, part.end_s) for part in stretches_of(folder)]
     use_float64()
     from gradcal_jax.api.replan import known_so_far
 

@@ -115,7 +115,12 @@ def expect_spec(value: object) -> Spec:
 def expect_whole(spec: Spec, what: str) -> None:
     """Errors: `ValueError` where a plan goes on with what was done before, which `what` does not know."""
     if expect_spec(spec).done:
-        raise ValueError(f"{what} is of a plan that begins a run, and this one goes on with what was done: [[done]]")
+        raise goes_on(what)
+
+
+def goes_on(what: str) -> ValueError:
+    """What is said where a plan goes on with what was done before, which `what` does not know."""
+    return ValueError(f"{what} is of a plan that begins a run, and this one goes on with what was done: [[done]]")
 
 
 def read_spec(path: str | Path) -> Spec:

@@ -4,19 +4,19 @@ import math
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from gradcal_jax.files.checks import course_within
 from gradcal_jax.files.document import format_problem, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
-from gradcal_jax.files.quantity import Text
+from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec import FORMAT
 from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
-from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, unit_schedule
+from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, cycles_between, unit_schedule
 from gradcal_jax.files.unit_requirement import (
     GyroScaleFactorRequirement,
     MisalignmentRequirement,
@@ -28,6 +28,18 @@ from gradcal_jax.files.unit_requirement import (
 )
 from gradcal_jax.files.unit_rig import UnitRig
 from gradcal_jax.files.unit_sensor import UnitSensor
+
+
+class CyclesDone(Section):
+    """What a run did of a unit's plan before it was broken off; `[[done]]`, which `gradcal replan` writes. Whole cycles
+    count."""
+
+    plan: UnitPlan
+    """The plan that was executed then, of one stretch of used data."""
+    start: SizeOfTime
+    """From when on, on that plan's clock."""
+    end: Time
+    """Until when."""
 
 
 class UnitSpec(Section):
@@ -49,6 +61,8 @@ class UnitSpec(Section):
     """What the calibration must serve."""
     plan: UnitPlan
     """What chamber and table do."""
+    done: Annotated[tuple[CyclesDone, ...], Field(max_length=1000)] = ()
+    """What was done before the plan begins, in the same run; every prediction counts it, its drifts apart."""
     design: UnitDesign | None = None
     """What `optimise` may change; no other command reads it."""
 
@@ -63,6 +77,16 @@ class UnitSpec(Section):
         except SpecError as error:
             return [p.under("plan") for p in error.problems]
         problems = [p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments)]
+        for number, part in enumerate(self.done):
+            try:
+                several = len(unit_schedule(part.plan, self.rig).stretches) > 1
+            except SpecError as error:
+                problems += [p.under("done", number, "plan") for p in error.problems]
+                continue
+            if several:
+                problems.append(Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting"))
+            if part.end <= part.start:
+                problems.append(Problem(("done", number, "end"), "expected a time after its start", part.end.text))
         names = [r.name for r in self.requirement]
         for i, requirement in enumerate(self.requirement):
             if requirement.name in names[:i]:
@@ -127,6 +151,12 @@ class UnitSpec(Section):
     def schedule(self) -> UnitSchedule:
         """The plan in SI."""
         return unit_schedule(self.plan, self.rig)
+
+    @property
+    def past(self) -> tuple[UnitSchedule, ...]:
+        """What was done before the plan begins: its whole cycles."""
+        parts = (cycles_between(unit_schedule(p.plan, self.rig), float(p.start), float(p.end)) for p in self.done)
+        return tuple(part for part in parts if part is not None)
 
 
 def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:

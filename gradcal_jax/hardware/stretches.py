@@ -8,7 +8,6 @@ import json
 from dataclasses import dataclass, replace
 
 from ..files.recipe import Recipe
-from ..files.unit_spec import UnitSpec
 from ..files.writing import write_toml, write_whole
 from .binding import track_of
 from .journal import Event, JournalContents
@@ -106,7 +105,7 @@ def adopt(folder: RunFolder, recipe: Recipe) -> None:
     prepare_resume(folder)
     before = folder.recipe()
     stands = stretches_of(folder)
-    parts = () if isinstance(recipe.spec, UnitSpec) else recipe.spec.done[-len(stands) :] if stands else ()
+    parts = recipe.spec.done[-len(stands) :] if stands else ()
     apart = [abs(float(part.end) - one.end_s) for part, one in zip(parts, stands, strict=False)]
     if len(parts) != len(stands) or max(apart, default=0.0) > _PLANNED_S or recipe.spec.sensor != before.spec.sensor:
         raise RunFolderError(

@@ -19,6 +19,7 @@ standstill, a third state), and a row of gyro i has `ā_li (e_now − e_before)`
 axis that stands, both errors turn the attitude by half.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -83,10 +84,11 @@ def _fastest(motion: TableMotion, first: np.ndarray, model: UnitModel) -> np.nda
     return np.maximum.reduceat(fastest, first)
 
 
-def unit_information(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> SquareRootInformation:
-    """Everything that the rows and the priors say of the unit's and the installation's parameters."""
-    steps, columns = unit_system(motion, model, nodes)
-    return square_root(np.concatenate([whiten(steps, columns), model.prior_rows()]))
+def unit_information(motions: Sequence[tuple[TableMotion, BodyNodes]], model: UnitModel) -> SquareRootInformation:
+    """Everything that the rows of one motion or several, each with its nodes and drifts of its own, and the priors say
+    of the unit's and the installation's parameters."""
+    rows = [whiten(*unit_system(motion, model, nodes)) for motion, nodes in motions]
+    return square_root(np.concatenate([*rows, model.prior_rows()]))
 
 
 def unit_system(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> tuple[NoiseSteps, Float[AnyArray, "R p"]]:

@@ -247,7 +247,7 @@ def unit(channels, installation=(), noise: EncoderNoise | None = None, axes: int
 
 def known(motion: TableMotion, of: UnitModel) -> Posterior:
     """The program's posterior."""
-    return posterior(unit_information(motion, of, trajectory.body_nodes(motion, POINTS)))
+    return posterior(unit_information([(motion, trajectory.body_nodes(motion, POINTS))], of))
 
 
 def sigmas(motion: TableMotion, of: UnitModel) -> dict[str, float]:

@@ -189,7 +189,7 @@ def test_both_array_libraries_compute_the_same_unit():
     for name, ours, theirs in zip(steps._fields, steps, their_steps, strict=True):
         ours, theirs = np.asarray(ours, float), np.asarray(theirs, float)
         np.testing.assert_allclose(theirs, ours, rtol=1e-11, atol=1e-12 * np.max(np.abs(ours)), err_msg=name)
-    info = unit_information(moving, of, nodes)
+    info = unit_information([(moving, nodes)], of)
     factor = SquareRootInformation(*whitened_factor(their_steps, their_columns, jnp.asarray(of.prior_rows())))
     wanted = info.deviations(of.to_reported)
     np.testing.assert_allclose(factor.deviations(jnp.asarray(of.to_reported)), wanted, rtol=1e-9)

@@ -21,7 +21,7 @@ from gradcal_jax.information.unit_rows import unit_information, unit_system
 
 def by_the_program(scene: Scene) -> dict[str, float]:
     moving, of = motion(scene), unit_of(scene)
-    found = unit_information(moving, of, nodes_of(scene, moving)).deviations(of.to_reported)
+    found = unit_information([(moving, nodes_of(scene, moving))], of).deviations(of.to_reported)
     return dict(zip(of.names(), found, strict=True))
 
 

@@ -1,0 +1,156 @@
+"""A whole unit's run that was broken off: what is known by what was done, and the plan of the rest."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from unit_bench import estimated, made, short
+
+from gradcal_jax import api
+from gradcal_jax.api.replan import known_so_far, rest_of, with_done
+from gradcal_jax.api.unit_build import assemble_unit, motion_of
+from gradcal_jax.api.unit_limit import unit_limits
+from gradcal_jax.api.unit_optimise import UnitOptimum, optimise_unit
+from gradcal_jax.api.unit_prediction import posterior_of_unit
+from gradcal_jax.api.unit_timeline import unit_timeline
+from gradcal_jax.decoding import run_log
+from gradcal_jax.files import SpecError, changed, presets
+from gradcal_jax.files.unit_plan import cycles_between
+from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
+from gradcal_jax.hardware import execute
+from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.hardware.runner import Progress, Runner
+from gradcal_jax.hardware.stretches import adopt, stretches_of
+from gradcal_jax.information import unit_system, whiten
+from gradcal_jax.trajectory import TableMotion, body_nodes
+
+
+@pytest.fixture(scope="module")
+def spec() -> UnitSpec:
+    return short(4)
+
+
+def gram(spec: UnitSpec, motion: TableMotion) -> np.ndarray:
+    built = assemble_unit(spec)
+    rows = np.asarray(whiten(*unit_system(motion, built.model, body_nodes(motion, built.points))))
+    return rows.T @ rows
+
+
+def test_cycles_that_were_done_are_a_plan_of_their_own(spec: UnitSpec) -> None:
+    plan = spec.schedule
+    stretch, period = plan.stretches[0], plan.period
+    assert stretch.cycles == 4
+    begins = stretch.start + period
+    part = cycles_between(plan, begins - 1e-4 * period, begins + 2.7 * period)
+    assert part is not None
+    assert (part.stretches[0].cycles, part.period) == (2, period)
+    assert part.duration == pytest.approx(2.0 * period)
+    (segment,) = part.segments
+    ramp = next(s for s in plan.segments if s.used)
+    assert segment.temperature_start == pytest.approx(ramp.temperature_start + ramp.slope * period)
+    assert segment.slope == pytest.approx(ramp.slope)
+    # A turn and a half of tilt, by every cycle.
+    net = sum(s.move.angle for s in plan.steps if s.axis == 0)
+    assert part.start[0] == pytest.approx(plan.start[0] + net)
+    assert cycles_between(plan, begins, begins + 0.9 * period) is None
+
+
+def test_a_prediction_counts_what_was_done(spec: UnitSpec) -> None:
+    """The information of the parts and of the priors adds up."""
+    plan = spec.schedule
+    half = plan.stretches[0].start + 2.0 * plan.period
+    both = rest_of(spec, [(0.0, half)])
+    ramp = next(s for s in plan.segments if s.used)
+    begins = ramp.temperature_start + ramp.slope * 2.0 * plan.period
+    assert both.schedule.segments[0].temperature_start == pytest.approx(begins, abs=0.1)
+    assert both.schedule.segments[-1].temperature_end == pytest.approx(ramp.temperature_end, abs=0.11)
+    done = cycles_between(plan, 0.0, half)
+    assert done is not None
+    rows = assemble_unit(spec).model.prior_rows()
+    built = assemble_unit(both)
+    total = rows.T @ rows + gram(spec, motion_of(done, spec)) + gram(both, built.motion)
+    size = np.sqrt(np.diag(total))
+    known = posterior_of_unit(built)
+    assert not known.hidden.size
+    alike = (known.spread @ known.spread.T) * np.outer(size, size)
+    np.testing.assert_allclose(alike @ (total / np.outer(size, size)), np.eye(len(total)), atol=1e-6)
+    # It is nearly what the plan would have left, whose drifts go on.
+    (now, whole) = (api.predict(one).requirements for one in (both, spec))
+    for a, b in zip(now, whole, strict=True):
+        assert a.decisive is not None
+        assert b.decisive is not None
+        assert a.decisive == pytest.approx(b.decisive, rel=0.1), a.name
+
+
+def test_what_is_known_by_now_and_at_the_end(spec: UnitSpec) -> None:
+    plan = spec.schedule
+    starts, whole = plan.stretches[0].start, api.predict(spec).requirements
+    # Nothing was done, a cycle is under way, three are done and the fourth is made again.
+    found = [
+        known_so_far(spec, *at)
+        for at in (
+            ([], 0.0),
+            ([(0.0, starts + 1.4 * plan.period)], starts + 1.4 * plan.period),
+            ([(0.0, starts + 3.5 * plan.period)], starts + 3.0 * plan.period),
+        )
+    ]
+    for first, second, third, row in zip(*found, whole, strict=True):
+        assert first.at_end == pytest.approx(row.decisive, rel=1e-6)
+        assert second.at_end == pytest.approx(row.decisive, rel=1e-6)
+        assert row.decisive is not None
+        assert second.now is not None
+        assert third.now is not None
+        assert second.now > third.now > row.decisive
+        assert third.at_end == pytest.approx(row.decisive, rel=0.1)
+        assert first.now is None or first.now > second.now
+
+
+def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
+    with pytest.raises(ValueError, match="nothing of the ramp is left"):
+        rest_of(spec, [(0.0, spec.schedule.duration)])
+    several = parse_unit_spec(presets.text("one-axis-table"))
+    with pytest.raises(ValueError, match="several stretches of used data is not planned anew: go on with the run"):
+        rest_of(several, [(0.0, 600.0)])
+    with pytest.raises(SpecError, match="expected a time after its start"):
+        with_done(spec, [(60.0, 30.0)])
+    rest = with_done(spec, [(0.0, spec.schedule.duration)])
+    with pytest.raises(ValueError, match="a limit is of a plan that begins a run"):
+        unit_limits(rest)
+    with pytest.raises(ValueError, match="a timeline is of a plan that begins a run"):
+        unit_timeline(rest)
+
+
+def test_a_run_goes_on_by_the_plan_of_its_rest(tmp_path: Path) -> None:
+    """Stopped in its second cycle of three, the rest searched anew: the estimate of both parts is in its band."""
+    recipe = made(short(3))
+    runners: list[Runner] = []
+
+    def look(progress: Progress) -> None:
+        if progress.steps_done == 1 and progress.step_left_s is not None and progress.step_left_s < 25.0:
+            runners[0].request("stop", "enough")
+
+    run = tmp_path / "run"
+    first = execute.run(recipe, run, simulate=True, seed=8, on_progress=look, with_runner=runners.append)
+    assert (first.exit_status, first.steps_done) == ("stopped", 1)
+    folder = RunFolder(run)
+    done = [(part.start_s, part.end_s) for part in stretches_of(folder)]
+    *_, found = optimise_unit(rest_of(recipe.spec, done), evaluations=30)
+    assert isinstance(found, UnitOptimum)
+    assert found.gain >= 1.0
+    # Fewer moves or longer rests: whatever it is, it is another cycle, and what was done stands beside it.
+    assert found.spec.plan.cycle != recipe.spec.plan.cycle
+    again = api.recipe(found.spec)
+    assert len(again.spec.done) == len(done) == 1
+    other = api.recipe(changed(found.spec, {"done": None}))
+    with pytest.raises(Exception, match="does not go on from where the run"):
+        adopt(folder, other)
+    adopt(folder, again)
+    assert execute.resume(run).exit_status == "success"
+    log = run_log.log(run)
+    assert len(log.stretch_starts) == 2
+    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
+    squares, degrees, nees, count = estimated(log, again.spec, hidden["units"]["unit1"] | hidden["installation"])
+    assert chi2.ppf(1e-4, degrees) < squares < chi2.ppf(1.0 - 1e-4, degrees)
+    assert chi2.ppf(1e-4, count) < nees < chi2.ppf(1.0 - 1e-4, count)

@@ -157,6 +157,8 @@ SMALL = {
 """A ramp of minutes, for which searches and runs are short."""
 ELSEWHERE = {
     "run --resume run1": "tests/cli/test_run_cli.py",
+    "replan run1 -o rest.toml": "tests/hardware/test_unit_replanned.py",
+    "run rest.toml --resume run1": "tests/hardware/test_unit_replanned.py",
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
     "optimise unit.toml -o better.toml": "tests/api/test_unit_optimise.py",

@@ -9,18 +9,20 @@ from scipy.stats import chi2
 from unit_bench import estimated, made, short
 
 from gradcal_jax import api
+from gradcal_jax.api import unit_optimise
 from gradcal_jax.api.replan import known_so_far, rest_of, with_done
 from gradcal_jax.api.unit_build import assemble_unit, motion_of
 from gradcal_jax.api.unit_limit import unit_limits
-from gradcal_jax.api.unit_optimise import UnitOptimum, optimise_unit
 from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_timeline import unit_timeline
+from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import SpecError, changed, presets
+from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.unit_plan import cycles_between
 from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
 from gradcal_jax.hardware import execute
-from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError
 from gradcal_jax.hardware.runner import Progress, Runner
 from gradcal_jax.hardware.stretches import adopt, stretches_of
 from gradcal_jax.information import unit_system, whiten
@@ -122,7 +124,9 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
         unit_timeline(rest)
 
 
-def test_a_run_goes_on_by_the_plan_of_its_rest(tmp_path: Path) -> None:
+def test_a_run_goes_on_by_the_plan_of_its_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Stopped in its second cycle of three, the rest searched anew: the estimate of both parts is in its band."""
     recipe = made(short(3))
     runners: list[Runner] = []
@@ -136,18 +140,25 @@ def test_a_run_goes_on_by_the_plan_of_its_rest(tmp_path: Path) -> None:
     assert (first.exit_status, first.steps_done) == ("stopped", 1)
     folder = RunFolder(run)
     done = [(part.start_s, part.end_s) for part in stretches_of(folder)]
-    *_, found = optimise_unit(rest_of(recipe.spec, done), evaluations=30)
-    assert isinstance(found, UnitOptimum)
-    assert found.gain >= 1.0
-    # Fewer moves or longer rests: whatever it is, it is another cycle, and what was done stands beside it.
-    assert found.spec.plan.cycle != recipe.spec.plan.cycle
-    again = api.recipe(found.spec)
-    assert len(again.spec.done) == len(done) == 1
-    other = api.recipe(changed(found.spec, {"done": None}))
-    with pytest.raises(Exception, match="does not go on from where the run"):
-        adopt(folder, other)
-    adopt(folder, again)
-    assert execute.resume(run).exit_status == "success"
+    monkeypatch.setattr(unit_optimise, "QUICK_EVALUATIONS", 30)
+    assert main(["watch", str(run), "--known", "--json"]) == 0
+    known = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
+    assert main(["replan", str(run), "-o", str(tmp_path / "rest.toml"), "--quick", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["gain"] >= 1.0
+    again = read_recipe(tmp_path / "rest.toml")
+    assert isinstance(again.spec, UnitSpec)
+    assert "times better in the geometric mean" in again.status
+    for row in said["requirements"]:
+        # Before: the same cycle, on a ramp of the time that is left.
+        assert row["before"] == pytest.approx(known[row["name"]]["at_end"], rel=0.3), row["name"]
+    # Whatever it is, it is another cycle, and what was done stands beside it.
+    assert again.spec.plan.cycle != recipe.spec.plan.cycle
+    spans = [(float(part.start), float(part.end)) for part in again.spec.done]
+    np.testing.assert_allclose(spans, done, atol=1e-6)
+    with pytest.raises(RunFolderError, match="does not go on from where the run"):
+        adopt(folder, api.recipe(changed(again.spec, {"done": None})))
+    assert main(["run", str(tmp_path / "rest.toml"), "--resume", str(run), "--json"]) == 0
     log = run_log.log(run)
     assert len(log.stretch_starts) == 2
     hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))

@@ -51,6 +51,18 @@ def test_a_run_does_not_go_on_with_another_rig(ended: Path) -> None:
         (ended / "rig.toml").write_text(text)
 
 
+def test_a_run_does_not_go_on_with_another_recipe(ended: Path) -> None:
+    text = (ended / "recipe.toml").read_text()
+    changed = text.replace('for_at_least = "', 'for_at_least = "1', 1)
+    assert changed != text
+    try:
+        (ended / "recipe.toml").write_text(changed)
+        with pytest.raises(RunFolderError, match="is not the one that the run began with"):
+            resume(ended)
+    finally:
+        (ended / "recipe.toml").write_text(text)
+
+
 def test_a_log_is_decoded_as_the_run_was_configured(ended: Path) -> None:
     before, text = log(ended), (ended / "rig.toml").read_text()
     rig = RunFolder(ended).rig()

@@ -84,6 +84,24 @@ def test_a_lock_folder_that_is_a_link_is_refused_and_left_alone(
     assert list(mine.iterdir()) == []
 
 
+def test_a_lock_that_is_a_link_is_refused_and_what_it_leads_to_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("not a lock")
+    precious.chmod(0o600)
+    with SimulatedPort(Mute(), RealClock()) as port:
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+        Transport(port.url, clock=RealClock()).close()
+        (lock,) = (tmp_path / "gradcal-ports").iterdir()
+        lock.unlink()
+        lock.symlink_to(precious)
+        with pytest.raises(PortRefused, match="cannot be locked"):
+            Transport(port.url, clock=RealClock())
+    assert precious.read_text() == "not a lock"
+    assert precious.stat().st_mode & 0o777 == 0o600
+
+
 def record(payload: bytes, kind: int = 1, time_s: float = 1.0) -> bytes:
     """A record whose check sum fits."""
     body = struct.pack("<BBId", kind, 0, len(payload), time_s) + payload

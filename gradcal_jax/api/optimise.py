@@ -45,7 +45,7 @@ BY_HAND: Final = (
 _AT_LIMIT: Final = 1e-3
 _FIRST: Final = 300
 _POLISH: Final = 1000
-_POLISHES: Final = 5
+_POLISHES: Final = 3
 _BRIEF_POLISH: Final = 40
 # What leaving out vanished turns may cost.
 _NO_WORSE: Final = 1e-3
@@ -351,9 +351,13 @@ def polished(
         # Turns that vanish meanwhile leave valleys without end: without them it converges.
         fewer, point = _pruned(of, coordinates, found.point)
         again = polish(of.compiled(fewer), point, steps=_POLISH, rounds=1, names=of.limits)
-        if not again.held or again.value > found.value * (1.0 + _NO_WORSE):
+        allowed = found.value * (1.0 + _NO_WORSE) if fewer.size < coordinates.size else found.value
+        if not again.held or again.value > allowed:
             break
+        gained = again.value < found.value or fewer.size < coordinates.size
         coordinates, found = fewer, again
+        if not gained:
+            break
     return coordinates, found
 
 

@@ -4,6 +4,7 @@ What was done stands in the spec as `[[done]]`, so that every prediction of the 
 and the same noise as of a plan, without the pieces that were not executed. It is one run: the drifts go on through the
 pause, the turn-on bias stays what it was (the unit is not switched off), and the angle's origin is read anew. What
 follows is searched as any plan is, on a ramp from where the chamber's course was broken off to where it was to end.
+Of a whole unit the whole cycles count, and drifts begin anew: they are forgotten in a pause of half an hour.
 """
 
 import math
@@ -80,7 +81,7 @@ def known_so_far(spec: Spec | UnitSpec, done: Sequence[Span], goes_on_s: float) 
 
 
 def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
-    _one_stretch(spec)
+    _one_stretch(spec, "what is known by now is not worked out yet")
     built, plan = assemble_unit(spec), spec.schedule
     rest = [*done, (goes_on_s, plan.duration)]
     if done and abs(goes_on_s - done[-1][1]) < _BRIEF_S:
@@ -94,9 +95,9 @@ def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> li
     return [KnownRow(now.name, now.axis, now.unit, now.decisive, end.decisive) for now, end in zip(*rows, strict=True)]
 
 
-def _one_stretch(spec: UnitSpec) -> None:
+def _one_stretch(spec: UnitSpec, what: str) -> None:
     if len(spec.schedule.stretches) > 1:
-        raise ValueError(f"a plan of several stretches of used data is not planned anew: {_GO_ON}")
+        raise ValueError(f"of a plan of several stretches of used data {what}")
 
 
 def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> AnySpec:
@@ -107,7 +108,7 @@ def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None,
     Errors: `ValueError` for a standard plan, where nothing is left, and where what is left is not one ramp.
     """
     if isinstance(spec, UnitSpec):
-        _one_stretch(spec)
+        _one_stretch(spec, f"the rest is not planned anew: {_GO_ON}")
         schedule, cycle = spec.schedule, spec.plan.cycle
     else:
         schedule = spec.gradient_schedule

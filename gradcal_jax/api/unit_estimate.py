@@ -144,7 +144,7 @@ def _report(
         "first against second half": (of_segment < half)[at.row_segment][used],
     }
     few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
-    tests = estimation.consistency(found.estimate, found.white, 0, few, model.to_reported)
+    tests = estimation.consistency(found.estimate, found.white, 0, few, model.to_reported, found.taken)
     channels: dict[str, tuple[Test, Test]] = {}
     for i, c in enumerate(model.channels):
         own = at.row_channel[used] == i

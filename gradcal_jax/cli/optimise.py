@@ -216,8 +216,12 @@ def record_of_unit(best: "UnitOptimum") -> dict[str, object]:
 def text_of_unit(best: "UnitOptimum") -> str:
     """An optimised plan of a whole unit as people read it."""
     shown = [(name, amount(before, unit), amount(now, unit)) for name, unit, before, now in best.rows]
-    table = columns([("requirement", "before", "now"), *shown], indent="")
-    return f"{table}\n{best.gain:.2f} times better in the geometric mean, after {best.evaluations} plans"
+    return columns([("requirement", "before", "now"), *shown], indent="") + "\n" + gain_of_unit(best)
+
+
+def gain_of_unit(best: "UnitOptimum") -> str:
+    """What a search of a whole unit gained, in a sentence."""
+    return f"{best.gain:.2f} times better in the geometric mean, after {best.evaluations} plans"
 
 
 def search_unit(

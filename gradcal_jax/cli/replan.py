@@ -50,7 +50,14 @@ def replan(
     json
         Print the result for other programs.
     """
-    from gradcal_jax.cli.optimise import progress_of, record_of_unit, search_unit, text, text_of_unit
+    from gradcal_jax.cli.optimise import (
+        gain_of_unit,
+        progress_of,
+        record_of_unit,
+        search_unit,
+        text,
+        text_of_unit,
+    )
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import write_toml
     from gradcal_jax.files.unit_spec import UnitSpec
@@ -74,7 +81,7 @@ def replan(
     if isinstance(recipe.spec, UnitSpec):
         found, interrupted = search_unit(rest_of(recipe.spec, spans, left_s=left_s), quick=quick)
         plan, record, table = found.spec, record_of_unit(found), text_of_unit(found)
-        status = "interrupted, the best so far: " * interrupted + table.rsplit("\n", 1)[-1]
+        status = "interrupted, the best so far: " * interrupted + gain_of_unit(found)
         code = INTERRUPTED if interrupted else DONE
     else:
         with MovingLine(sys.stderr) as line:

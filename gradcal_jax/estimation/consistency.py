@@ -70,9 +70,15 @@ def chi_squared_test(statistic: float, degrees: int) -> Test:
 
 
 def consistency(
-    found: Estimate, white: Whitened, unit: int, subsets: dict[str, np.ndarray], to_reported: np.ndarray
+    found: Estimate,
+    white: Whitened,
+    unit: int,
+    subsets: dict[str, np.ndarray],
+    to_reported: np.ndarray,
+    taken: np.ndarray | None = None,
 ) -> Consistency:
-    """All tests of one unit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`."""
+    """All tests of one unit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`; `taken`:
+    `taken_up`, where it is known."""
     residual = found.residuals[unit]
     degrees = int(found.degrees[unit])
     fit = chi_squared_test(float(found.chi_squared[unit]), degrees)
@@ -81,7 +87,7 @@ def consistency(
     return Consistency(
         fit,
         float(np.sqrt(found.chi_squared[unit] / degrees)) if degrees > 0 else float("nan"),
-        whiteness(residual, taken_up(single)),
+        whiteness(residual, taken_up(single) if taken is None else taken),
         float(np.mean(np.abs(residual) > 3.0)) if len(residual) else 0.0,
         float(np.max(np.abs(residual), initial=0.0)),
         tuple(s for s in splits if s is not None),
@@ -107,9 +113,15 @@ def whiteness(residual: np.ndarray, taken: np.ndarray | None = None, lags: int =
     inner = np.stack([0.5 * (one + one.T) for k in shifts for one in [taken[k:].T @ taken[:-k]]])
     mean = -np.trace(inner, axis1=1, axis2=2) / free
     product = np.diag(0.5 * (count - np.array(shifts))) + np.einsum("kij,lij->kl", inner, inner)
-    for column in taken.T:
-        moved = np.stack([0.5 * (np.pad(column[k:], (0, k)) + np.pad(column[:-k], (k, 0))) for k in shifts])
-        product -= 2.0 * moved @ moved.T
+    # Twice tr(takenᵀ A_k A_l taken), A_k the half sum of the shifts by k either way: sums of the basis' own products,
+    # less what leaves the series at its ends.
+    dots = [np.einsum("ij,ij->i", taken[m:], taken[: count - m]) for m in range(2 * lags + 1)]
+    sums = [float(np.sum(d)) for d in dots]
+    for k in shifts:
+        for m in range(1, k + 1):
+            ends = float(np.sum(dots[k - m][count - k :]) + np.sum(dots[k - m][:m]))
+            product[k - 1, m - 1] -= sums[k + m] + sums[k - m] - 0.5 * ends
+            product[m - 1, k - 1] = product[k - 1, m - 1]
     covariance = 2.0 * (product / free - np.outer(mean, mean)) / (free + 2.0)
     apart = found - mean
     return chi_squared_test(float(apart @ np.linalg.solve(covariance, apart)), lags)
@@ -119,8 +131,9 @@ def taken_up(white: Whitened) -> np.ndarray:
     """`(n, q)`: the readings' rows of an orthonormal basis of what one unit's parameters can explain."""
     design = np.concatenate([white.rows[0], white.prior])
     norm = np.linalg.norm(design, axis=0)
-    basis, spread, _ = np.linalg.svd(design / np.where(norm > 0.0, norm, 1.0), full_matrices=False)
-    return basis[: white.rows.shape[1], spread > OBSERVABLE * spread[0]]
+    orthogonal, triangle = np.linalg.qr(design / np.where(norm > 0.0, norm, 1.0))
+    left, spread, _ = np.linalg.svd(triangle)
+    return orthogonal[: white.rows.shape[1]] @ left[:, spread > OBSERVABLE * spread[0]]
 
 
 def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarray) -> Split | None:

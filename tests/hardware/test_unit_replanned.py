@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from unit_bench import estimated, made, short
+from unit_bench import estimated, made, short, stopped_in_its_second_cycle
 
 from gradcal_jax import api
 from gradcal_jax.api import unit_optimise
@@ -21,9 +21,7 @@ from gradcal_jax.files import SpecError, changed, presets
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.unit_plan import cycles_between
 from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
-from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError
-from gradcal_jax.hardware.runner import Progress, Runner
 from gradcal_jax.hardware.stretches import adopt, stretches_of
 from gradcal_jax.information import unit_system, whiten
 from gradcal_jax.trajectory import TableMotion, body_nodes
@@ -113,8 +111,10 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
     with pytest.raises(ValueError, match="nothing of the ramp is left"):
         rest_of(spec, [(0.0, spec.schedule.duration)])
     several = parse_unit_spec(presets.text("one-axis-table"))
-    with pytest.raises(ValueError, match="several stretches of used data is not planned anew: go on with the run"):
+    with pytest.raises(ValueError, match="several stretches of used data the rest is not planned anew: go on with"):
         rest_of(several, [(0.0, 600.0)])
+    with pytest.raises(ValueError, match="what is known by now is not worked out yet"):
+        known_so_far(several, [(0.0, 600.0)], 600.0)
     with pytest.raises(SpecError, match="expected a time after its start"):
         with_done(spec, [(60.0, 30.0)])
     rest = with_done(spec, [(0.0, spec.schedule.duration)])
@@ -128,16 +128,8 @@ def test_a_run_goes_on_by_the_plan_of_its_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Stopped in its second cycle of three, the rest searched anew: the estimate of both parts is in its band."""
-    recipe = made(short(3))
-    runners: list[Runner] = []
-
-    def look(progress: Progress) -> None:
-        if progress.steps_done == 1 and progress.step_left_s is not None and progress.step_left_s < 25.0:
-            runners[0].request("stop", "enough")
-
-    run = tmp_path / "run"
-    first = execute.run(recipe, run, simulate=True, seed=8, on_progress=look, with_runner=runners.append)
-    assert (first.exit_status, first.steps_done) == ("stopped", 1)
+    recipe, run = made(short(3)), tmp_path / "run"
+    stopped_in_its_second_cycle(recipe, run)
     folder = RunFolder(run)
     done = [(part.start_s, part.end_s) for part in stretches_of(folder)]
     monkeypatch.setattr(unit_optimise, "QUICK_EVALUATIONS", 30)

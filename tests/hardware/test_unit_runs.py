@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hardware_evidence import record
 from scipy.stats import chi2
-from unit_bench import estimated, hand, made, short
+from unit_bench import estimated, hand, made, short, stopped_in_its_second_cycle
 
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import changed, presets
@@ -221,16 +221,8 @@ def test_three_units_on_a_two_axis_table(tmp_path: Path) -> None:
 def test_a_run_that_was_interrupted_goes_on(tmp_path: Path) -> None:
     """Stopped in the middle of the second of three cycles and gone on with: the cycle is made again, and the estimate
     from both parts is as sure as it says."""
-    recipe = made(short(3))
-    runners: list[Runner] = []
-
-    def look(progress: Progress) -> None:
-        if progress.steps_done == 1 and progress.step_left_s is not None and progress.step_left_s < 25.0:
-            runners[0].request("stop", "enough")
-
-    run = tmp_path / "run"
-    first = execute.run(recipe, run, simulate=True, seed=8, on_progress=look, with_runner=runners.append)
-    assert (first.exit_status, first.steps_done) == ("stopped", 1)
+    recipe, run = made(short(3)), tmp_path / "run"
+    stopped_in_its_second_cycle(recipe, run)
     assert execute.resume(run).exit_status == "success"
     log = run_log.log(run)
     assert log.provenance["seams"] == "1"

@@ -13,6 +13,8 @@ from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec, read_unit_spec
+from gradcal_jax.hardware import execute
+from gradcal_jax.hardware.runner import Progress, Runner
 from gradcal_jax.information import segments_of, unit_system, whiten
 
 HAND = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
@@ -68,6 +70,18 @@ def short(cycles: int = 1) -> UnitSpec:
 def made(spec: UnitSpec) -> Recipe:
     """Its recipe, without a prediction."""
     return unpredicted(spec)
+
+
+def stopped_in_its_second_cycle(recipe: Recipe, folder: Path) -> None:
+    """A simulated run that somebody stops in the middle of the second cycle."""
+    runners: list[Runner] = []
+
+    def look(progress: Progress) -> None:
+        if progress.steps_done == 1 and progress.step_left_s is not None and progress.step_left_s < 25.0:
+            runners[0].request("stop", "enough")
+
+    result = execute.run(recipe, folder, simulate=True, seed=8, on_progress=look, with_runner=runners.append)
+    assert (result.exit_status, result.steps_done) == ("stopped", 1)
 
 
 def estimated(log: Log, spec: UnitSpec, truth: dict[str, float]) -> tuple[float, int, float, int]:

@@ -160,7 +160,15 @@ def test_the_factor_of_the_rows_too(in_blocks):
     close(found, in_blocks(all_of_it, floats(steps), columns, below))
 
 
-def test_forwards_backwards_and_twice(in_blocks):
+@pytest.mark.parametrize(
+    ("outer", "inner"),
+    [
+        (jax.grad, jax.jacfwd),
+        *(pytest.param(outer, jax.grad, marks=pytest.mark.evidence) for outer in (jax.jacfwd, jax.grad)),
+        pytest.param(jax.jacfwd, jax.jacfwd, marks=pytest.mark.evidence),
+    ],
+)
+def test_forwards_backwards_and_twice(in_blocks, outer, inner):
     """Every mode of differentiation agrees with the blocks', whose second derivatives are JAX's own."""
     steps, columns = system(1, 2, 12)
 
@@ -172,7 +180,7 @@ def test_forwards_backwards_and_twice(in_blocks):
     twice = in_blocks(lambda: jax.grad(jax.grad(along))(zero))
     found = compiled(lambda: (jax.jacfwd(along)(zero), jax.grad(along)(zero)))
     close(found, (slope, slope))
-    close(compiled(jax.grad(jax.jacfwd(along)), zero), twice)
+    close(compiled(outer(inner(along)), zero), twice)
 
 
 def test_many_problems_side_by_side():

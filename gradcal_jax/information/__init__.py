@@ -6,63 +6,16 @@ from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
 from gradcal_jax.information.noticing import gains, kept, missed, noticed_from, power, quantiles, seen, where_hidden
 from gradcal_jax.information.observability import unobservable_combinations
 from gradcal_jax.information.posterior import (
-    LeastSquares,
     Posterior,
     SquareRootInformation,
     information,
     least_squares,
-    noise_of_sums,
     posterior,
     square_root,
     unweighted,
 )
 from gradcal_jax.information.regressors import at_readings, since_origin
 from gradcal_jax.information.repeated import repeated_gram
-from gradcal_jax.information.residual import STATISTICS, contrasts, map_of, residual, statistic
-from gradcal_jax.information.unit_rows import Segments, segments_of, unit_information, unit_system
+from gradcal_jax.information.residual import STATISTICS, contrasts, residual, statistic
+from gradcal_jax.information.unit_rows import segments_of, unit_information, unit_system
 from gradcal_jax.information.whitening import FilterState, whiten, whiten_from
-
-__all__ = [
-    "STATISTICS",
-    "FilterState",
-    "LeastSquares",
-    "NoiseSteps",
-    "Posterior",
-    "Segments",
-    "SquareRootInformation",
-    "Twin",
-    "WishartTest",
-    "at_readings",
-    "contrasts",
-    "gains",
-    "gram",
-    "information",
-    "kept",
-    "least_squares",
-    "map_of",
-    "missed",
-    "monte_carlo_errors",
-    "noise_of_sums",
-    "noise_steps",
-    "noticed_from",
-    "posterior",
-    "power",
-    "quantiles",
-    "repeated_gram",
-    "residual",
-    "seen",
-    "segments_of",
-    "simulate_noise",
-    "since_origin",
-    "square_root",
-    "statistic",
-    "unit_information",
-    "unit_system",
-    "unobservable_combinations",
-    "unweighted",
-    "where_hidden",
-    "whiten",
-    "whiten_from",
-    "whitened_factor",
-    "wishart_test",
-]

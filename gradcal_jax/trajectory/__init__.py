@@ -1,38 +1,9 @@
 """From moves and temperature programmes to a schedule, its trajectory, and the nodes on which a model is integrated."""
 
 from gradcal_jax.trajectory.gauss import Rule, gauss_nodes, rule_of
-from gradcal_jax.trajectory.geometry import EARTH_RATE, Frames, Geometry, frames, rotation
+from gradcal_jax.trajectory.geometry import EARTH_RATE, Geometry, frames, rotation
 from gradcal_jax.trajectory.motion import Move, rest, turn
 from gradcal_jax.trajectory.programme import Programme, programme
 from gradcal_jax.trajectory.schedule import Schedule, channels_of, gradient_plan, standard_plan
 from gradcal_jax.trajectory.table_motion import TableMotion, body_group, body_nodes, lagrange, table_motion
 from gradcal_jax.trajectory.trajectory import Past, Trajectory, held, quadrature
-
-__all__ = [
-    "EARTH_RATE",
-    "Frames",
-    "Geometry",
-    "Move",
-    "Past",
-    "Programme",
-    "Rule",
-    "Schedule",
-    "TableMotion",
-    "Trajectory",
-    "body_group",
-    "body_nodes",
-    "channels_of",
-    "frames",
-    "gauss_nodes",
-    "gradient_plan",
-    "held",
-    "lagrange",
-    "programme",
-    "quadrature",
-    "rest",
-    "rotation",
-    "rule_of",
-    "standard_plan",
-    "table_motion",
-    "turn",
-]

@@ -59,9 +59,9 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
             f"{found_points.unplanned} points that the plan does not have are in the log, at held rates and stable "
             "temperatures: they are used"
         )
-    done = estimation.Executed(found_points.line, found_points.rows, found_points.broken)
+    done = found_points.done
     counts = count_rows(log, unit, integrated_rows(done, len(log.time_s)))
-    return _of_points(built, axis, log.units[unit], rows, table_rate, found_points, options, counts, messages)
+    return _of_points(built, axis, log.units[unit], rows, table_rate, done, options, counts, messages)
 
 
 def point_channel(built: Assembled, points: RatePoints, options: Options) -> UnitChannel:
@@ -88,7 +88,7 @@ def point_channel(built: Assembled, points: RatePoints, options: Options) -> Uni
         time[:-1], np.diff(time), points.reference_rad_per_s, points.temperature_c, points.temperature_c, read=every,
         at_rest=none, moving=every, gap=none, rates=True, points="independent",
     )  # fmt: skip
-    where = estimation.Plateaus(line, np.arange(count + 1), none, (), 0)
+    done = estimation.Executed(line, np.arange(count + 1), none)
     said = [
         "the points' order and times are not known: each has the spec's noise anew, and what they have in common (the "
         "clock, the turn-on bias) is not in the covariance"
@@ -96,7 +96,7 @@ def point_channel(built: Assembled, points: RatePoints, options: Options) -> Uni
     if points.sigma_rad_per_s is not None:
         said = ["the points' own sigma counts, in the place of the spec's noise; what they have in common is not in it"]
     return _of_points(
-        built, points.axis, points.unit, rows, reference, where, options, {"used": count}, said, points.sigma_rad_per_s
+        built, points.axis, points.unit, rows, reference, done, options, {"used": count}, said, points.sigma_rad_per_s
     )
 
 
@@ -106,14 +106,13 @@ def _of_points(
     unit: str,
     rows: Rows,
     table_rate: np.ndarray,
-    found_points: estimation.Plateaus,
+    done: estimation.Executed,
     options: Options,
     counts: dict[str, int],
     messages: list[str],
     sigma: np.ndarray | None = None,
 ) -> UnitChannel:
-    model, line = built.model, found_points.line
-    edges, broken = found_points.rows, found_points.broken
+    model, (line, edges, broken) = built.model, done
     lag = 0.0 if options.lag == "fit" else float(options.lag)
     temperature_of_maps = followed(rows, lag)
     if options.lag == "fit":
@@ -137,7 +136,6 @@ def _of_points(
             )
         )
     white = estimation.whitened(observations, model)
-    done = estimation.Executed(line, edges, broken)
     hidden = [
         (term, level, whitened_columns(observations._replace(columns=term.columns(nodes)))[0])
         for term, level in hidden_maps(built.spec, model)

@@ -180,7 +180,7 @@ def _signal_map(section, signals: tuple[str, ...], name: str, symbol: str, unit:
         signals=signals,
         name=name,
         symbol=symbol,
-        si_unit=unit,
+        unit=unit,
         has_prior=bool(np.isfinite(std)),
     )
 

@@ -154,25 +154,3 @@ def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarra
     seen = np.isfinite(variance) & (variance > 0.0)
     differences = np.where(seen, apart / np.sqrt(np.where(seen, variance, 1.0)), np.nan)
     return Split(name, (int(subset.sum()), int((~subset).sum())), agreement, held_out, differences)
-
-
-def nees_band(runs: int, parameters: int, confidence: float = 0.99) -> tuple[float, float]:
-    """Within which the mean of `runs` squared normalised errors, divided by the number of parameters, must lie."""
-    tail = (1.0 - confidence) / 2.0
-    degrees = runs * parameters
-    return float(special.chdtri(degrees, 1.0 - tail) / degrees), float(special.chdtri(degrees, tail) / degrees)
-
-
-def normalised_errors(found: Estimate, truth: np.ndarray) -> np.ndarray:
-    """`(U,)`: squared errors of each unit's parameters, normalised by its covariance (NEES); truth `(U, p)` or `(p,)`.
-
-    With s Sᵀ the covariance's root, `|S⁺(β̂ − β)|²`. Errors: `ValueError` where something is unobservable.
-    """
-    result = np.empty(len(found.parameters))
-    for unit, known in enumerate(found.known):
-        if known.hidden.shape[1]:
-            raise ValueError("some parameters are not observable, so no error of theirs can be normalised")
-        error = found.parameters[unit] - (truth if truth.ndim == 1 else truth[unit])
-        white = np.linalg.lstsq(known.spread, error, rcond=None)[0]
-        result[unit] = float(white @ white)
-    return result

@@ -471,8 +471,6 @@ def _beyond(
 
     level = 0.5 * float(np.log(np.median(np.diag(covariance)[added > 0.0])))
     low, high = level - 12.0, level + 25.0
-    return (
-        0.0
-        if excess(low) <= 0.0 or excess(high) >= 0.0
-        else float(np.exp(cast(float, brentq(excess, low, high, xtol=1e-6))))
-    )
+    if excess(low) <= 0.0 or excess(high) >= 0.0:
+        return 0.0
+    return float(np.exp(cast(float, brentq(excess, low, high, xtol=1e-6))))

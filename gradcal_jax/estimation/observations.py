@@ -9,9 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.information import NoiseSteps, at_readings, noise_steps
-from gradcal_jax.model import SensorModel
-from gradcal_jax.trajectory import Trajectory
+from gradcal_jax.information import NoiseSteps
 
 
 class Observations(NamedTuple):
@@ -41,16 +39,3 @@ class Observations(NamedTuple):
     def used(self) -> np.ndarray:
         """`(N,)`: the steps that have a reading."""
         return self.steps.used
-
-
-def on_trajectory(line: Trajectory, model: SensorModel, readings: np.ndarray) -> Observations:
-    """Readings `(N, U)` taken on a plan's own trajectory: the regressors and steps are those of its prediction."""
-    turned = line.turned()
-    return Observations(
-        noise_steps(line, model),
-        at_readings(line, model),
-        readings,
-        line.start + line.duration,
-        line.temperature(np.full((line.piece_count, 1), 0.5))[:, 0],
-        np.divide(turned, line.duration, out=np.zeros_like(turned), where=line.duration > 0),
-    )

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
+from gradcal_jax.estimation.executed import Executed
 from gradcal_jax.formulas import runs
-from gradcal_jax.trajectory import Trajectory, held
+from gradcal_jax.trajectory import held
 from gradcal_jax.trajectory.schedule import Points
 
 # A table at a set point is within this of it: relative, and rad/s.
@@ -26,13 +27,9 @@ _HELD_OVER_S, _STABLE_K = 1.0, 1.0
 
 
 class Plateaus(NamedTuple):
-    """`line` of `P` pieces, points and what lies between them; `rows` `(P + 1,)` and `broken` `(P,)`, true of what lies
-    between, as in `executed`.
-    """
+    """What was done: points, and what lies between them, which is `broken`."""
 
-    line: Trajectory
-    rows: np.ndarray
-    broken: np.ndarray
+    done: Executed
     missing: tuple[tuple[float, float], ...]
     """Planned points (°C, rad/s) that the log does not hold."""
     unplanned: int
@@ -104,7 +101,7 @@ def plateaus(
         time_s[at[:-1]], np.diff(time_s[at]), np.where(between, 0.0, mean(table_rate_rad_per_s)), temperature,
         temperature, read=~between, at_rest=between, moving=~between, gap=between, rates=True, points=points,
     )  # fmt: skip
-    return Plateaus(line, at, between, missing, int(np.count_nonzero(others[last] >= 0)))
+    return Plateaus(Executed(line, at, between), missing, int(np.count_nonzero(others[last] >= 0)))
 
 
 def _held_elsewhere(time: np.ndarray, rate: np.ndarray, free: np.ndarray) -> np.ndarray:

@@ -50,47 +50,25 @@ def estimate_robustly(
     weights = np.ones((observations.unit_count, int(used.sum())))
     for unit in range(observations.unit_count):
         single = plain.of_unit(unit)
-        one = _unit(first, unit)
+        one = Estimate(*(of_all[unit : unit + 1] for of_all in first))
         if np.max(np.abs(one.residuals), initial=0.0) > threshold:
             alone = observations._replace(
                 columns=observations.columns_of(unit), readings=observations.readings[:, unit : unit + 1]
             )
-            single, one, weights[unit] = _reweighted(alone, model, single, one, threshold, rounds)
+
+            def again(steps: NoiseSteps, _, alone=alone) -> tuple[Whitened, Estimate]:
+                white = whitened(alone, model, steps)
+                return white, solve(white)
+
+            residuals = lambda both: both[1].residuals[0]  # noqa: E731
+            (single, one), weights[unit] = reweighted(
+                alone.steps, used, (single, one), residuals, again, threshold, rounds
+            )
         estimates.append(one)
         whites.append(single)
-    joined = Estimate(
-        np.concatenate([e.parameters for e in estimates]),
-        tuple(e.known[0] for e in estimates),
-        np.concatenate([e.residuals for e in estimates]),
-        np.concatenate([e.chi_squared for e in estimates]),
-        np.concatenate([e.degrees for e in estimates]),
-    )
+    parameters, known, *others = zip(*estimates, strict=True)
+    joined = Estimate(np.concatenate(parameters), sum(known, ()), *map(np.concatenate, others))
     return RobustEstimate(joined, tuple(whites), weights)
-
-
-def _unit(found: Estimate, unit: int) -> Estimate:
-    part = slice(unit, unit + 1)
-    return Estimate(
-        found.parameters[part],
-        found.known[part],
-        found.residuals[part],
-        found.chi_squared[part],
-        found.degrees[part],
-    )
-
-
-def _reweighted(
-    observations: Observations, model: SensorModel, white: Whitened, found: Estimate, threshold: float, rounds: int
-) -> tuple[Whitened, Estimate, np.ndarray]:
-    def again(steps: NoiseSteps, _) -> tuple[Whitened, Estimate]:
-        white = whitened(observations, model, steps)
-        return white, solve(white)
-
-    residuals = lambda both: both[1].residuals[0]  # noqa: E731
-    both, weights = reweighted(
-        observations.steps, observations.used, (white, found), residuals, again, threshold, rounds
-    )
-    return *both, weights
 
 
 def reweighted(

@@ -66,19 +66,13 @@ def integrated_error(
 ) -> np.ndarray:
     """`(P,)`: the sensor's integrated rate less the table's angle, and less a rate that is known (the Earth's), rad."""
     inside = slice(int(rows[0]) + 1, int(rows[-1]) + 1)
-    starts = _starts(rows)
+    # Where each piece's rows begin, counted from the first row after the origin; empty pieces repeat a place.
+    starts = np.minimum(rows[:-1] - rows[0], max(int(rows[-1] - rows[0]) - 1, 0))
     not_empty = np.diff(rows) > 0
     sums = np.where(not_empty, np.add.reduceat((rate_rad_per_s[inside] - known_rate) * step_s[inside], starts), 0.0)
     if angle_rad is not None:
         sums = sums - np.diff(angle_rad[rows])
-    sums = np.where(broken, 0.0, sums)
-    return since_origin(sums, gap)
-
-
-def _starts(rows: np.ndarray) -> np.ndarray:
-    """Where each piece's rows begin, counted from the first row after the origin; empty pieces repeat a place."""
-    last = int(rows[-1] - rows[0]) - 1
-    return np.minimum(rows[:-1] - rows[0], max(last, 0))
+    return since_origin(np.where(broken, 0.0, sums), gap)
 
 
 def true_rate(

@@ -59,11 +59,12 @@ def choose_smoothness(white: Whitened, model: SensorModel, unit: int = 0) -> Smo
     data = orthogonal.T @ white.data[unit]
     start = np.log([value for value in now if value is not None])
 
+    def strengths(log_std: np.ndarray) -> list[float | None]:
+        values = dict(zip(free, np.exp(log_std).tolist(), strict=True))
+        return [values.get(0), values.get(1)]
+
     def minus_twice(log_std: np.ndarray) -> float:
-        values: list[float | None] = [None, None]
-        for k, value in zip(free, log_std, strict=True):
-            values[k] = float(np.exp(value))
-        prior = np.asarray(with_smoothness(model, *values).prior_rows())
+        prior = np.asarray(with_smoothness(model, *strengths(log_std)).prior_rows())
         return _minus_twice_log(triangle, data, prior)
 
     reach = _DECADES * np.log(10.0)
@@ -73,22 +74,12 @@ def choose_smoothness(white: Whitened, model: SensorModel, unit: int = 0) -> Smo
         for k in range(len(free)):
             trials = [np.where(np.arange(len(free)) == k, start[k] + o, best) for o in offsets]
             best = trials[int(np.argmin([minus_twice(t) for t in trials]))]
-    found = optimize.minimize(
-        minus_twice,
-        best,
-        method="Nelder-Mead",
-        bounds=[(s - reach, s + reach) for s in start],
-        options={"xatol": 1e-3, "fatol": 1e-4, "initial_simplex": _simplex(best, 0.5 * (offsets[1] - offsets[0]))},
-    )
-    chosen: list[float | None] = [None, None]
-    for k, value in zip(free, found.x, strict=True):
-        chosen[k] = float(np.exp(value))
+    simplex = np.concatenate([best[None], best[None] + 0.5 * (offsets[1] - offsets[0]) * np.eye(len(best))])
+    options = {"xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
+    bounds = [(s - reach, s + reach) for s in start]
+    found = optimize.minimize(minus_twice, best, method="Nelder-Mead", bounds=bounds, options=options)
     at_edge = bool(np.any(np.abs(np.abs(found.x - start) - reach) < 0.01 * reach))
-    return Smoothness(chosen[0], chosen[1], at_edge)
-
-
-def _simplex(at: np.ndarray, size: float) -> np.ndarray:
-    return np.concatenate([at[None], at[None] + size * np.eye(len(at))])
+    return Smoothness(*strengths(found.x), at_edge)
 
 
 def _minus_twice_log(triangle: np.ndarray, data: np.ndarray, prior: np.ndarray) -> float:

@@ -125,8 +125,3 @@ def _factor(design: np.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarra
         rows, data = np.pad(rows, ((0, missing), (0, 0))), np.pad(data, ((0, missing), (0, 0)))
     orthogonal, factor = np.linalg.qr(rows)
     return factor, orthogonal.T @ data, scale
-
-
-def estimate(observations: Observations, model: SensorModel) -> Estimate:
-    """Parameters of every unit with their covariance, from readings. Errors: `ValueError` for readings not finite."""
-    return solve(whitened(observations, model))

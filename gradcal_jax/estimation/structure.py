@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import optimize, special
 
-from gradcal_jax.estimation.consistency import Test
+from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.solve import Whitened
 from gradcal_jax.information import seen
 from gradcal_jax.information.posterior import OBSERVABLE
@@ -67,7 +67,8 @@ def components(white: Whitened, extra: np.ndarray, keep: np.ndarray | None = Non
     """
     n, rows = len(extra), white.rows[0]
     keep = np.ones(extra.shape[1], bool) if keep is None else keep
-    beside = np.concatenate([np.concatenate([rows, extra[:, ~keep]], axis=1), _padded(white.prior, int((~keep).sum()))])
+    white_prior = np.pad(white.prior, ((0, 0), (0, int((~keep).sum()))))
+    beside = np.concatenate([np.concatenate([rows, extra[:, ~keep]], axis=1), white_prior])
     both = np.concatenate([extra[:, keep], white.data.T], axis=1)
     both = np.concatenate([both, np.zeros((len(beside) - n, both.shape[1]))])
     length = np.linalg.norm(beside, axis=0)
@@ -82,14 +83,9 @@ def components(white: Whitened, extra: np.ndarray, keep: np.ndarray | None = Non
     return Components(directions[:, used].T @ data, sizes[used] ** 2)
 
 
-def _padded(prior: np.ndarray, count: int) -> np.ndarray:
-    return np.concatenate([prior, np.zeros((len(prior), count))], axis=1)
-
-
 def chi_squared(of: Components, unit: int = 0) -> Test:
     """The test of one unit."""
-    statistic, degrees = float(np.sum(of.y[:, unit] ** 2)), len(of.gains)
-    return Test(statistic, degrees, float(special.chdtrc(degrees, statistic)) if degrees else 1.0)
+    return chi_squared_test(float(np.sum(of.y[:, unit] ** 2)), len(of.gains))
 
 
 def size_of(every: list[Components]) -> Size | None:

@@ -73,7 +73,13 @@ def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
     if len(spans) < 2:
         raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
     known = np.atleast_1d(np.isfinite(log.angles).all(axis=1))
-    means = [_mean_angles(log, known, first, last) for first, last in spans]
+    rows = [np.arange(first, last + 1)[known[first : last + 1]] for first, last in spans]
+    for (first, _), read in zip(spans, rows, strict=True):
+        if not len(read):
+            raise ValueError(
+                f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log"
+            )
+    means = [np.mean(log.angles[read], axis=0) for read in rows]
     legs = _legs(log, geometry, spans, means)
     angles = _own_angles(log, known, spans, legs)
     return _pieces(log, geometry, spans, legs, angles)
@@ -95,13 +101,6 @@ def _inner(time: np.ndarray, first: int, last: int) -> tuple[int, int]:
     rows = last - first
     guard = min(max(1, int(np.searchsorted(time[first : last + 1] - time[first], _GUARD_S))), rows // 10)
     return first + guard, last - guard
-
-
-def _mean_angles(log: UnitRows, known: np.ndarray, first: int, last: int) -> np.ndarray:
-    here = slice(first, last + 1)
-    if not known[here].any():
-        raise ValueError(f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log")
-    return np.mean(log.angles[here][known[here]], axis=0)
 
 
 def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means: list[np.ndarray]) -> list[_Leg]:
@@ -221,10 +220,6 @@ class _Builder:
         self.moved[axis] += 1
         return float(self.angles[axis][self.moved[axis]] - self.at[axis])
 
-    def passed(self, axis: int, angle: float) -> None:
-        """An axis stands so much further on."""
-        self.at[axis] += angle
-
 
 def _pieces(
     log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], legs: list[_Leg], angles: list[np.ndarray]
@@ -244,14 +239,14 @@ def _pieces(
             if leg.axis >= 0:
                 angle = made.next_angle(leg.axis)
                 made.add(leg.end, leg.axis, _way(log, geometry, made.at, leg, angle))
-                made.passed(leg.axis, angle)
+                made.at[leg.axis] += angle
                 continue
             # Several axes, or none: nothing of it is read; every axis is where it stands next.
             ends = np.linspace(leg.begin, leg.end, axes + 1).round().astype(int).tolist()[1:]
             for l, row in enumerate(ends):
                 angle = made.next_angle(l)
                 made.add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
-                made.passed(l, angle)
+                made.at[l] += angle
     return ExecutedUnit(_motion(log, geometry, made, start), np.array(made.rows), tuple(made.travelled))
 
 
@@ -342,16 +337,8 @@ def nodes_of_rows(
         for n in np.unique(sizes)
     )
     begin, end = temperature_c[done.rows[:-1]], temperature_c[done.rows[1:]]
-    return BodyNodes(
-        groups,
-        motion.kind,
-        end - begin,
-        seen_before,
-        seen_after,
-        frames(geometry, seen_before, motion.mounting).axes,
-        motion.axis,
-        motion.mounting,
-    )
+    axes = frames(geometry, seen_before, motion.mounting).axes
+    return BodyNodes(groups, motion.kind, end - begin, seen_before, seen_after, axes, motion.axis, motion.mounting)
 
 
 def _errors(error_of, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -43,6 +43,10 @@ from scipy import optimize, special
 
 from gradcal_jax import formulas
 
+Times, Steps, Squares = Float[np.ndarray, " times"], Int[np.ndarray, " times"], Float[np.ndarray, " 4"]
+# (length, how many) of the unbroken stretches.
+Runs = tuple[tuple[int, int], ...]
+
 TERMS = ("quantisation", "angle_random_walk", "bias_instability", "rate_random_walk")
 _FLICKER = 2.0 * np.log(2.0) / np.pi
 # Second differences are summed in pieces that stay in the cache.
@@ -64,11 +68,11 @@ _FLICKER_REACH = 6
 class AllanDeviation:
     """Overlapping Allan deviation of one channel; see `overlapping_allan`."""
 
-    averaging_time_s: Float[np.ndarray, " times"]
+    averaging_time_s: Times
     """τ, whole samples, s."""
-    deviation: Float[np.ndarray, " times"]
+    deviation: Times
     """√V, in the unit of the rates (rad/s in this package)."""
-    difference_count: Int[np.ndarray, " times"]
+    difference_count: Steps
     """How many second differences were averaged."""
     sample_interval_s: float
     stretch_lengths: tuple[int, ...]
@@ -98,13 +102,13 @@ class AllanFit:
     """B, rad/s; the floor of the curve is 0.664 B."""
     rate_random_walk: Coefficient
     """K, rad/s/√s."""
-    averaging_time_s: Float[np.ndarray, " times"]
-    model_deviation: Float[np.ndarray, " times"]
+    averaging_time_s: Times
+    model_deviation: Times
     """The fitted model's Allan deviation."""
-    degrees_of_freedom: Float[np.ndarray, " times"]
+    degrees_of_freedom: Times
     """Equivalent degrees of freedom of V(τ) under the fitted model."""
-    lower: Float[np.ndarray, " times"]
-    upper: Float[np.ndarray, " times"]
+    lower: Times
+    upper: Times
     """Confidence limits of the true deviation, from the measured one and χ² with those degrees of freedom."""
     confidence: float
     fitted_time_s: Float[np.ndarray, " fitted"]
@@ -120,7 +124,7 @@ class AllanFit:
     """The time at which the model is least like the record."""
 
 
-def averaging_times(samples: int, sample_interval_s: float, *, per_decade: int = 10) -> Float[np.ndarray, " times"]:
+def averaging_times(samples: int, sample_interval_s: float, *, per_decade: int = 10) -> Times:
     """Whole multiples of the sample interval, evenly spread on a logarithmic scale, up to a third of the record, s."""
     if samples < 3:
         raise ValueError(f"an Allan deviation needs at least 3 samples, not {samples}")
@@ -132,7 +136,7 @@ def averaging_times(samples: int, sample_interval_s: float, *, per_decade: int =
 def overlapping_allan(
     rate: Float[np.ndarray, " samples"],
     sample_interval_s: float,
-    averaging_times_s: Float[np.ndarray, " times"] | None = None,
+    averaging_times_s: Times | None = None,
     *,
     valid: Bool[np.ndarray, " samples"] | None = None,
 ) -> AllanDeviation:
@@ -181,56 +185,6 @@ def overlapping_allan(
     )
 
 
-def overlapping_allan_of_angle(
-    angle: Float[np.ndarray, " instants"],
-    sample_interval_s: float,
-    averaging_times_s: Float[np.ndarray, " times"] | None = None,
-) -> AllanDeviation:
-    """Overlapping Allan deviation of a running angle (rad), where NaN marks an instant that was not read.
-
-    Unlike rates, angles bridge a gap: any three angles give a difference, however many between them are missing. The
-    degrees of freedom of a gapped record are those of an unbroken one with as many angles: a little too many.
-    """
-    read = np.isfinite(angle)
-    instants = int(np.count_nonzero(read))
-    if instants < 3:
-        raise ValueError("an Allan deviation needs at least three angles that were read")
-    centred = angle - angle[read].mean()
-    if averaging_times_s is None:
-        averaging_times_s = averaging_times(max(len(angle) - 1, 3), sample_interval_s)
-    steps, deviation, counts = [], [], []
-    for m in _whole_samples(averaging_times_s, sample_interval_s).tolist():
-        if 2 * m >= len(angle):
-            continue
-        difference = centred[2 * m :] - 2 * centred[m:-m] + centred[: -2 * m]
-        known = np.isfinite(difference)
-        if known.any():
-            steps.append(m)
-            counts.append(int(np.count_nonzero(known)))
-            deviation.append(np.sqrt(np.sum(difference[known] ** 2) / (2 * counts[-1])) / (m * sample_interval_s))
-    if not steps:
-        raise ValueError("no three angles that were read stand at any of the averaging times")
-    return AllanDeviation(
-        np.array(steps) * sample_interval_s,
-        np.array(deviation),
-        np.array(counts),
-        sample_interval_s,
-        (instants - 1,),
-    )
-
-
-def model_variance(
-    averaging_time_s: Float[np.ndarray, " times"],
-    quantisation: float,
-    angle_random_walk: float,
-    bias_instability: float,
-    rate_random_walk: float,
-) -> Float[np.ndarray, " times"]:
-    """`3Q²/τ² + N²/τ + (2 ln 2/π) B² + K²τ/3`, (rad/s)²; IEEE Std 952, annex C."""
-    squares = np.array([quantisation, angle_random_walk, bias_instability, rate_random_walk]) ** 2
-    return _design(averaging_time_s) @ squares
-
-
 def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence: float = 0.683) -> AllanFit:
     """The coefficients whose model fits an Allan deviation best, with standard errors, and its confidence limits.
 
@@ -252,7 +206,8 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     if not np.all(variance > 0):
         raise ValueError("the rate does not change: there is no noise to fit")
     steps = np.rint(tau / interval).astype(np.int64)
-    runs = _alike(allan.stretch_lengths)
+    lengths, counts = np.unique(np.array(allan.stretch_lengths), return_counts=True)
+    runs = tuple(zip(lengths.tolist(), counts.tolist(), strict=True))
 
     rows = _octaves(steps, at_least=int(chosen.sum()) + 1)
     end = _end_of_low_pass(steps[rows], variance[rows], runs, interval)
@@ -275,8 +230,9 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         if inside.chance >= MISFIT:
             fit, rows = inside, band
             break
-    freedom = _degrees_of_freedom(steps, runs, interval, fit.squares, fit.rounding)
     expected = _design(tau) @ fit.squares
+    pairs = tuple((m, m) for m in steps.tolist())
+    freedom = 2 * expected**2 / _covariances(pairs, runs, interval, fit.squares, fit.rounding)
     expected[rows] = fit.expected
     tail = (1 - confidence) / 2
     coefficients = [
@@ -308,11 +264,11 @@ def _coefficient(square: float, error: float, chosen: bool) -> Coefficient:
     return Coefficient(value, one_sigma, bool(square > _SHOWS * error))
 
 
-def _design(tau: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times 4"]:
+def _design(tau: Times) -> Float[np.ndarray, "times 4"]:
     return np.stack([3 / tau**2, 1 / tau, np.full_like(tau, _FLICKER), tau / 3], axis=1)
 
 
-def _octaves(steps: Int[np.ndarray, " times"], *, at_least: int) -> Int[np.ndarray, " rows"]:
+def _octaves(steps: Steps, *, at_least: int) -> Int[np.ndarray, " rows"]:
     """Rows of averaging times about an octave apart; all, where those would be too few."""
     rows = [0]
     for row in range(1, len(steps)):
@@ -321,12 +277,7 @@ def _octaves(steps: Int[np.ndarray, " times"], *, at_least: int) -> Int[np.ndarr
     return np.array(rows) if len(rows) >= at_least else np.arange(len(steps))
 
 
-def _end_of_low_pass(
-    steps: Int[np.ndarray, " times"],
-    variance: Float[np.ndarray, " times"],
-    runs: tuple[tuple[int, int], ...],
-    interval: float,
-) -> int:
+def _end_of_low_pass(steps: Steps, variance: Times, runs: Runs, interval: float) -> int:
     """The samples from which on a low-pass leaves but its term in 1/τ²; 0 where there is none to be seen."""
     if len(steps) < 3:
         return 0
@@ -351,9 +302,9 @@ def _end_of_low_pass(
 
 @dataclass(frozen=True)
 class _Fit:
-    squares: Float[np.ndarray, " 4"]
-    errors: Float[np.ndarray, " 4"]
-    expected: Float[np.ndarray, " times"]
+    squares: Squares
+    errors: Squares
+    expected: Times
     rounding: float
     chi_squared: float
     degrees: int
@@ -362,12 +313,7 @@ class _Fit:
 
 
 def _least_squares(
-    steps: Int[np.ndarray, " times"],
-    variance: Float[np.ndarray, " times"],
-    runs: tuple[tuple[int, int], ...],
-    interval: float,
-    chosen: Bool[np.ndarray, " 4"],
-    low_passed: bool,
+    steps: Steps, variance: Times, runs: Runs, interval: float, chosen: Bool[np.ndarray, " 4"], low_passed: bool
 ) -> _Fit:
     """Generalised least squares on V, weights and coefficients in turn until they agree."""
     tau = steps * interval
@@ -414,27 +360,15 @@ def _least_squares(
     return _Fit(solution[:4], errors, expected, rounding, chi_squared, degrees, chance, int(np.argmax(away)))
 
 
-def _gaussian(
-    variance: Float[np.ndarray, " times"], expected: Float[np.ndarray, " times"], spread: Float[np.ndarray, " times"]
-) -> Float[np.ndarray, " times"]:
+def _gaussian(variance: Times, expected: Times, spread: Times) -> Times:
     """V - E V with the skewness of χ² taken out: as its cube root is away from the mean of that, and as uncertain."""
     half = expected**2 / spread
     mean, square = (special.poch(half, power) / half**power for power in (1 / 3, 2 / 3))
     return np.sqrt(spread / (square - mean**2)) * (np.cbrt(variance / expected) - mean)
 
 
-def _alike(stretch_lengths: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    """(length, how many) of the unbroken stretches."""
-    lengths, counts = np.unique(np.array(stretch_lengths), return_counts=True)
-    return tuple(zip(lengths.tolist(), counts.tolist(), strict=True))
-
-
 def _covariance(
-    steps: Int[np.ndarray, " times"],
-    runs: tuple[tuple[int, int], ...],
-    interval: float,
-    squares: Float[np.ndarray, " 4"],
-    rounding: float = 0.0,
+    steps: Steps, runs: Runs, interval: float, squares: Squares, rounding: float = 0.0
 ) -> Float[np.ndarray, "times times"]:
     """Covariance of the Allan variances under a mixture."""
     row, column = np.triu_indices(len(steps))
@@ -444,25 +378,8 @@ def _covariance(
     return matrix
 
 
-def _degrees_of_freedom(
-    steps: Int[np.ndarray, " times"],
-    runs: tuple[tuple[int, int], ...],
-    interval: float,
-    squares: Float[np.ndarray, " 4"],
-    rounding: float,
-) -> Float[np.ndarray, " times"]:
-    """2 E² / var of each V under a mixture."""
-    pairs = tuple((m, m) for m in steps.tolist())
-    expected = _design(steps * interval) @ squares
-    return 2 * expected**2 / _covariances(pairs, runs, interval, squares, rounding)
-
-
 def _covariances(
-    pairs: tuple[tuple[int, int], ...],
-    runs: tuple[tuple[int, int], ...],
-    interval: float,
-    squares: Float[np.ndarray, " 4"],
-    rounding: float,
+    pairs: Runs, runs: Runs, interval: float, squares: Squares, rounding: float
 ) -> Float[np.ndarray, " pairs"]:
     # The scale of each generalised autocovariance follows from E u² = 2τ²·(its Allan variance) at any one m.
     each = squares * np.array([1.0, interval / 2, interval**2 / (2 * np.pi), interval**3 / 12])
@@ -470,9 +387,7 @@ def _covariances(
 
 
 @lru_cache(maxsize=16)
-def _products(
-    pairs: tuple[tuple[int, int], ...], runs: tuple[tuple[int, int], ...], rounding: float
-) -> Float[np.ndarray, "pairs 4 4"]:
+def _products(pairs: Runs, runs: Runs, rounding: float) -> Float[np.ndarray, "pairs 4 4"]:
     """2 Σ cov[u_i, u'_i']² / (n n' 4 m² m'²) of pairs of averaging times, as a form in the strengths of the noises.
 
     The forms belong to the lengths of the record alone: one record's serve every mixture tried on it, and every record
@@ -515,9 +430,7 @@ def _smooth(lags: Int[np.ndarray, " lags"], short: int, long: int, rounding: flo
     return total
 
 
-def _pairs(
-    lags: Int[np.ndarray, " lags"], short: int, long: int, runs: tuple[tuple[int, int], ...]
-) -> Float[np.ndarray, " lags"]:
+def _pairs(lags: Int[np.ndarray, " lags"], short: int, long: int, runs: Runs) -> Float[np.ndarray, " lags"]:
     """How many pairs (i, i') of differences within one stretch have i - i' = lag."""
     total = np.zeros(len(lags))
     for length, times in runs:
@@ -541,7 +454,7 @@ def _sum_of_squares(angle: Float[np.ndarray, " instants"], m: int) -> float:
     return total
 
 
-def _whole_samples(times_s: Float[np.ndarray, " times"], sample_interval_s: float) -> Int[np.ndarray, " distinct"]:
+def _whole_samples(times_s: Times, sample_interval_s: float) -> Int[np.ndarray, " distinct"]:
     if not 0 < sample_interval_s < np.inf:
         raise ValueError(f"the sample interval must be positive, not {sample_interval_s} s")
     if len(times_s) == 0 or not (np.all(times_s > 0) and np.all(np.isfinite(times_s))):

@@ -40,13 +40,14 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from scipy import optimize, special
 
-from gradcal_jax.identify.largest_drift import LargestDrift, drifts, largest_drift, longest_integration_time
+from gradcal_jax.identify.largest_drift import LargestDrift, largest_drift, longest_integration_time
 from gradcal_jax.identify.limiting_function import (
     drift_shape_of_mean,
     limiting_function_of_mean,
     random_walk_variance_of_mean,
 )
 
+Times, Taus = Float[np.ndarray, " times"], Float[np.ndarray, " taus"]
 # How often a record of pure random walk may be said to show a drift.
 _CHANCE_OF_FALSE_DRIFT = 0.05
 
@@ -65,19 +66,19 @@ class DirectBound:
     """k: the data stay within k standard deviations."""
     averaging_time_s: float
     """Δ."""
-    integration_time_s: Float[np.ndarray, " times"]
-    largest_drift: Float[np.ndarray, " times"]
+    integration_time_s: Times
+    largest_drift: Times
     """D_θ*(t)."""
-    limiting_function: Float[np.ndarray, " times"]
+    limiting_function: Times
     """D_L(t) of the chosen pair, one standard deviation."""
-    limit: Float[np.ndarray, " times"]
+    limit: Times
     """√(κ² N² (1/t + 1/Δ) + k² σ² g), k D_L where κ = k: nowhere below `largest_drift`."""
-    random_walk_limit: Float[np.ndarray, " times"]
+    random_walk_limit: Times
     """κ N √(1/t + 1/Δ): what random walk alone stays within."""
-    boundary_correlation_time_s: Float[np.ndarray, " taus"]
-    boundary_drift_std: Float[np.ndarray, " taus"]
+    boundary_correlation_time_s: Taus
+    boundary_drift_std: Taus
     """The feasible boundary σ(τ): anything on or above it bounds."""
-    boundary_excess: Float[np.ndarray, " taus"]
+    boundary_excess: Taus
     """Mean over ln t of ln(limit / D_θ*): how far above the data each pair of the boundary lies on average."""
     deciding_time_s: float
     """The t at which the chosen pair touches the data."""
@@ -116,13 +117,13 @@ def smallest_bounding_variance(
 
 
 def largest_of_random_walk(
-    integration_time_s: Float[np.ndarray, " times"],
+    integration_time_s: Times,
     averaging_time_s: float,
     start_count: Int[np.ndarray, " times"],
     sample_interval_s: float,
     *,
     exceeded_with_probability: float,
-) -> Float[np.ndarray, " times"]:
+) -> Times:
     """The level, in standard deviations, that the largest drift of pure random walk exceeds with a given probability.
 
     The formula stands at the module's head; it is asymptotic: good to a few per cent of the level for probabilities up
@@ -157,7 +158,7 @@ def fit_direct_bound(
     channel: int = 0,
     margin: float = 2.5,
     raise_margin: bool = True,
-    correlation_times_s: Sequence[float] | Float[np.ndarray, " taus"] | None = None,
+    correlation_times_s: Sequence[float] | Taus | None = None,
     rate_in_words: Callable[[float], str] = "{:.3g} in the unit of the rates".format,
 ) -> DirectBound:
     """The feasible boundary of one channel and the pair on it that bounds most tightly.
@@ -197,7 +198,7 @@ def fit_direct_bound(
     walk_limit = walk_margin * np.sqrt(np.asarray(random_walk_variance_of_mean(t, delta, angle_random_walk)))
     weight = _log_weights(t)
 
-    def boundary(taus: Float[np.ndarray, " taus"]) -> tuple[Float[np.ndarray, " taus"], Float[np.ndarray, " taus"]]:
+    def boundary(taus: Taus) -> tuple[Taus, Taus]:
         variance, excess = _boundary(t, largest, delta, angle_random_walk, taus, margin, walk_margin, weight)
         return np.sqrt(np.asarray(variance)), np.asarray(excess)
 
@@ -307,36 +308,7 @@ def scatter_of_bound(
     return float(np.std(stds, ddof=1)), float(np.std(times, ddof=1))
 
 
-def share_beyond(
-    bound: DirectBound,
-    rate: Float[np.ndarray, " samples"],
-    sample_interval_s: float,
-    *,
-    valid: np.ndarray | None = None,
-) -> Float[np.ndarray, " times"]:
-    """The share of all starts of another record whose drift is beyond k D_L(t), for each t of the bound.
-
-    A process that bounds with the margin k leaves at most `2 Φ(-k)` beyond: 1.24 % for k = 2.5. Where the record holds
-    no start for a t, that t's share is an error: `ValueError`.
-    """
-    shares = np.empty(len(bound.integration_time_s))
-    limits = bound.margin * bound.limiting_function
-    for row, (time, limit) in enumerate(zip(bound.integration_time_s, limits, strict=True)):
-        values = drifts(rate, sample_interval_s, float(time), bound.averaging_time_s, valid=valid)
-        if len(values) == 0:
-            raise ValueError(f"no unbroken stretch of this record is long enough to integrate for {time:g} s")
-        shares[row] = np.count_nonzero(np.abs(values) > limit) / len(values)
-    return shares
-
-
-def _hidden_drift(
-    t: Float[np.ndarray, " times"],
-    largest: Float[np.ndarray, " times"],
-    level: Float[np.ndarray, " times"],
-    delta: float,
-    angle_random_walk: float,
-    tau: float,
-) -> float:
+def _hidden_drift(t: Times, largest: Times, level: Times, delta: float, angle_random_walk: float, tau: float) -> float:
     """The largest σ that may leave D_θ* as small as these by chance; `level` is what nearly every record exceeds."""
     telling = level > 0  # a record too short to say anything at some t allows any drift there
     if not telling.any():
@@ -385,7 +357,7 @@ def _boundary(
 
 
 def _averaging_time_that_shows(
-    t: Float[np.ndarray, " times"], delta: float, std: float, tau: float, angle_random_walk: float
+    t: Times, delta: float, std: float, tau: float, angle_random_walk: float
 ) -> float | None:
     """The shortest Δ beyond the present one for which, at some t, drift gives as much variance as the random walk."""
     if std <= 0:
@@ -397,7 +369,7 @@ def _averaging_time_that_shows(
     return float(candidates[np.argmax(shows)]) if shows.any() else None
 
 
-def _log_weights(t: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+def _log_weights(t: Times) -> Times:
     """Trapezoid weights in ln t, sum one, so that the choice does not depend on how the times were spread."""
     if len(t) == 1:
         return np.ones(1)

@@ -25,6 +25,7 @@ from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
 
+Blocks = Float[np.ndarray, " blocks"]
 _BLOCK = 64
 _BLOCKS_AT_ONCE = 1024
 
@@ -130,39 +131,18 @@ def largest_drift(
     )
 
 
-def drifts(
-    rate: Float[np.ndarray, " samples"],
-    sample_interval_s: float,
-    integration_time_s: float,
-    averaging_time_s: float,
-    *,
-    valid: Bool[np.ndarray, " samples"] | None = None,
-) -> Float[np.ndarray, " starts"]:
-    """D(t) of every start of one channel, by the plain formula: for plots, and the share of starts beyond a bound."""
-    before = _whole_samples(averaging_time_s, sample_interval_s)
-    length = _whole_samples(integration_time_s, sample_interval_s)
-    found = [np.zeros(0)]
-    for start, stop in formulas.runs(np.ones(len(rate), bool) if valid is None else valid).tolist():
-        if stop - start >= before + length:
-            angle = _running_angle(rate[start:stop], first_sample=start)
-            anchor = angle[before : len(angle) - length]
-            ahead = (angle[before + length :] - anchor) / length
-            found.append(ahead - (anchor - angle[: len(anchor)]) / before)
-    return np.concatenate(found)
-
-
 @dataclass(frozen=True)
 class _Stretch:
     """One unbroken stretch: θ and q from the first whole average on, and their extremes block by block."""
 
     angle: Float[np.ndarray, " starts"]
     before: Float[np.ndarray, " starts"]
-    angle_low: Float[np.ndarray, " blocks"]
-    angle_high: Float[np.ndarray, " blocks"]
-    before_low: Float[np.ndarray, " blocks"]
-    before_high: Float[np.ndarray, " blocks"]
-    pair_low: Float[np.ndarray, " blocks"]
-    pair_high: Float[np.ndarray, " blocks"]
+    angle_low: Blocks
+    angle_high: Blocks
+    before_low: Blocks
+    before_high: Blocks
+    pair_low: Blocks
+    pair_high: Blocks
     rounding: float
     """Bound on the rounding error of θ + k q, for k = 1; grows with k."""
 

@@ -30,6 +30,7 @@ from math import factorial
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+Values = Float[Array, "..."]
 # Where the closed forms lose digits their Taylor series take over, with terms enough to be exact to rounding.
 _SERIES_BELOW = 1.0
 _DECAY_LOSS_SERIES = tuple((-1.0) ** k / factorial(k + 2) for k in range(20))
@@ -44,11 +45,11 @@ def limiting_function(
     alignment_time_s: ArrayLike = 0.0,
     *,
     correction: str = "carried",
-) -> Float[Array, "..."]:
+) -> Values:
     """Standard deviation of the angle error after a Kalman alignment, divided by the integration time.
 
     The filter starts from its prior σ² and sees the noisy rate for Δ seconds; what remains of the drift's variance is
-    `kalman_alignment_variance`, P. Afterwards
+    `alignment_variances`' P. Afterwards
 
     * `"carried"`: the filter goes on without measurements and takes off what it expects of the drift, which decays
       as exp(-s/τ):  `D_L² = P a² + σ² r + N²/t`. This is the filter's own covariance and the least any linear
@@ -71,30 +72,11 @@ def limiting_function(
         integration_time_s, drift_std, correlation_time_s, angle_random_walk, alignment_time_s
     )
     u = t / tau
-    remaining, learnt = _alignment_variances(delta, sigma, tau, walk)
-    variance = remaining * _mean_decay(u) ** 2 + sigma**2 * _conditional_variance(u) + walk**2 / t
+    remaining, learnt = alignment_variances(delta, sigma, tau, walk)
+    variance = remaining * (1.0 - _decay_loss(u)) ** 2 + sigma**2 * _conditional_variance(u) + walk**2 / t
     if correction == "held":
         variance = variance + learnt * _decay_loss(u) ** 2
     return _safe_sqrt(variance)
-
-
-def kalman_alignment_variance(
-    alignment_time_s: ArrayLike, drift_std: ArrayLike, correlation_time_s: ArrayLike, angle_random_walk: ArrayLike
-) -> Float[Array, "..."]:
-    """Variance P of the drift's estimate at the end of a Kalman alignment of Δ seconds, (rad/s)².
-
-    The Riccati equation `dP/ds = -2P/τ + 2σ²/τ - P²/N²`, `P(0) = σ²`, is solved by the matrix exponential of its
-    Hamiltonian, whose square is a multiple of the identity. With `S = √(N² + 2σ²τ)` and `h = tanh(Δ S/(τ N))`
-
-        P = σ² (N S + N² h) / (N S + (N² + σ²τ) h)
-
-    a ratio of positive terms: nothing cancels, for a drift far below the random walk either. P falls from σ² at Δ = 0
-    to the steady state of the filter; for τ → ∞ it tends to the constant bias's `σ²N²/(N² + σ²Δ)`.
-
-    Arguments and units as in `limiting_function`.
-    """
-    delta, sigma, tau, walk = _floating(alignment_time_s, drift_std, correlation_time_s, angle_random_walk)
-    return _alignment_variances(delta, sigma, tau, walk)[0]
 
 
 def limiting_function_of_mean(
@@ -103,7 +85,7 @@ def limiting_function_of_mean(
     correlation_time_s: ArrayLike,
     angle_random_walk: ArrayLike,
     averaging_time_s: ArrayLike,
-) -> Float[Array, "..."]:
+) -> Values:
     """Standard deviation of [mean rate over the next t] - [mean rate over the last Δ]: the paper's eqs. 6-7.
 
     `D_L² = σ² g(t, Δ, τ) + N² (1/t + 1/Δ)`; g is `drift_shape_of_mean`. `integration_time_s`, `drift_std`,
@@ -118,7 +100,7 @@ def limiting_function_of_mean(
 
 def drift_shape_of_mean(
     integration_time_s: ArrayLike, averaging_time_s: ArrayLike, correlation_time_s: ArrayLike
-) -> Float[Array, "..."]:
+) -> Values:
     """g(t, Δ, τ): variance of the difference of two adjacent means of a drift of unit variance; dimensionless, ≥ 0.
 
     With u = t/τ and v = Δ/τ
@@ -135,16 +117,23 @@ def drift_shape_of_mean(
 
 def random_walk_variance_of_mean(
     integration_time_s: ArrayLike, averaging_time_s: ArrayLike, angle_random_walk: ArrayLike
-) -> Float[Array, "..."]:
+) -> Values:
     """`N² (1/t + 1/Δ)`: what white rate noise alone gives to the difference of two adjacent means, (rad/s)²."""
     t, delta, walk = _floating(integration_time_s, averaging_time_s, angle_random_walk)
     return walk**2 * (1.0 / t + 1.0 / delta)
 
 
-def _alignment_variances(
-    delta: Float[Array, "..."], sigma: Float[Array, "..."], tau: Float[Array, "..."], walk: Float[Array, "..."]
-) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """(P, σ² - P) of a Kalman alignment, each as a ratio of positive terms; see `kalman_alignment_variance`."""
+def alignment_variances(delta: Values, sigma: Values, tau: Values, walk: Values) -> tuple[Values, Values]:
+    """Variance P of the drift's estimate at the end of a Kalman alignment of Δ seconds, and σ² - P, (rad/s)².
+
+    The Riccati equation `dP/ds = -2P/τ + 2σ²/τ - P²/N²`, `P(0) = σ²`, is solved by the matrix exponential of its
+    Hamiltonian, whose square is a multiple of the identity. With `S = √(N² + 2σ²τ)` and `h = tanh(Δ S/(τ N))`
+
+        P = σ² (N S + N² h) / (N S + (N² + σ²τ) h)
+
+    a ratio of positive terms: nothing cancels, for a drift far below the random walk either. P falls from σ² at Δ = 0
+    to the steady state of the filter; for τ → ∞ it tends to the constant bias's `σ²N²/(N² + σ²Δ)`.
+    """
     root = jnp.sqrt(jnp.where((walk > 0) | (sigma > 0), walk**2 + 2.0 * sigma**2 * tau, 1.0))
     noisy = walk > 0
     # Without random walk one instant of data tells the drift: tanh(∞) = 1, but for an alignment that does not happen.
@@ -157,18 +146,13 @@ def _alignment_variances(
     return remaining, learnt
 
 
-def _mean_decay(u: Float[Array, "..."]) -> Float[Array, "..."]:
-    """a(u) = (1 - e⁻ᵘ)/u, a(0) = 1."""
-    return 1.0 - _decay_loss(u)
-
-
-def _decay_loss(u: Float[Array, "..."]) -> Float[Array, "..."]:
+def _decay_loss(u: Values) -> Values:
     """b(u) = (u - 1 + e⁻ᵘ)/u = 1 - a(u), b(u) → u/2."""
     small, large = _split(u)
     return jnp.where(u < _SERIES_BELOW, small * _horner(_DECAY_LOSS_SERIES, small), (large + jnp.expm1(-large)) / large)
 
 
-def _conditional_variance(u: Float[Array, "..."]) -> Float[Array, "..."]:
+def _conditional_variance(u: Values) -> Values:
     """r(u) = [2u - 3 + 4e⁻ᵘ - e⁻²ᵘ]/u², r(u) → ⅔u."""
     small, large = _split(u)
     decayed = jnp.exp(-large)
@@ -176,27 +160,27 @@ def _conditional_variance(u: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.where(u < _SERIES_BELOW, small * _horner(_CONDITIONAL_VARIANCE_SERIES, small), closed)
 
 
-def _split(u: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+def _split(u: Values) -> tuple[Values, Values]:
     """The argument for either branch of a `where`, harmless in the branch not taken so that gradients stay finite."""
     short = u < _SERIES_BELOW
     # Not minimum and maximum: at a tie those pass half of the gradient each.
     return jnp.where(short, u, _SERIES_BELOW), jnp.where(short, _SERIES_BELOW, u)
 
 
-def _horner(coefficients: tuple[float, ...], u: Float[Array, "..."]) -> Float[Array, "..."]:
+def _horner(coefficients: tuple[float, ...], u: Values) -> Values:
     total = jnp.full_like(u, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         total = total * u + coefficient
     return total
 
 
-def _safe_sqrt(variance: Float[Array, "..."]) -> Float[Array, "..."]:
+def _safe_sqrt(variance: Values) -> Values:
     """√, with a derivative of zero instead of infinity for a sensor without any error at all."""
     positive = variance > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, variance, 1.0)), 0.0)
 
 
-def _floating(*values: ArrayLike) -> tuple[Float[Array, "..."], ...]:
+def _floating(*values: ArrayLike) -> tuple[Values, ...]:
     """JAX arrays of one floating type; whole numbers are taken for the real numbers they are."""
     arrays = [jnp.asarray(value) for value in values]
     dtype = jnp.result_type(float, *(a for a in arrays if jnp.issubdtype(a.dtype, jnp.floating)))

@@ -45,11 +45,6 @@ class Channel(PytreeModule):
         return f"{self.kind}_{AXIS_NAMES[self.axis]}"
 
     @property
-    def read_on_moves(self) -> bool:
-        """Whether it is read on any."""
-        return self.kind == "gyro" or self.read_below > 0.0
-
-    @property
     def index(self) -> int:
         """Its place among three gyros and three accelerometers."""
         return self.axis + 3 * KINDS.index(self.kind)
@@ -140,7 +135,7 @@ class UnitModel(PytreeModule):
         parts: list[tuple] = []
         alike: list[dict[Basis, list[tuple[np.ndarray, AnyArray]]]] = [{} for _ in nodes.groups]
         for c in self.channels:
-            view, moves = nodes.channel(c.kind, c.axis), c.read_on_moves
+            view, moves = nodes.channel(c.kind, c.axis), c.kind == "gyro" or c.read_below > 0.0
             for term in c.model.terms:
                 end = begin + term.size
                 if isinstance(term, Map | SignalMap):

@@ -25,9 +25,9 @@ class InstallationTerm(PytreeModule):
         return self.stds.shape[0]
 
     @property
-    @abstractmethod
     def unit(self) -> str:
         """SI unit of its parameters."""
+        return "rad"
 
     @abstractmethod
     def names(self) -> list[str]:
@@ -50,10 +50,6 @@ class BaseTilt(InstallationTerm):
 
     stds: Float[AnyArray, " 3"]
 
-    @property
-    def unit(self) -> str:
-        return "rad"
-
     def names(self) -> list[str]:
         return ["tilt_east", "tilt_north", "azimuth"]
 
@@ -69,10 +65,6 @@ class NonOrthogonality(InstallationTerm):
 
     stds: Float[AnyArray, " J"]
     axis_names: tuple[str, ...] = eqx.field(static=True)
-
-    @property
-    def unit(self) -> str:
-        return "rad"
 
     def names(self) -> list[str]:
         return [f"orthogonality_{a}_{b}" for a, b in zip(self.axis_names, self.axis_names[1:], strict=False)]
@@ -92,10 +84,6 @@ class AxisHarmonics(InstallationTerm):
     orders: tuple[int, ...] = eqx.field(static=True)
     axis: int = eqx.field(static=True)
     axis_name: str = eqx.field(static=True)
-
-    @property
-    def unit(self) -> str:
-        return "rad"
 
     def names(self) -> list[str]:
         return [f"angle_{self.axis_name}_{wave}{order}" for order in self.orders for wave in ("cos", "sin")]
@@ -125,10 +113,6 @@ class MountingError(InstallationTerm):
     """
 
     stds: Float[AnyArray, " m"]
-
-    @property
-    def unit(self) -> str:
-        return "rad"
 
     def names(self) -> list[str]:
         return [f"mounting{k + 1}_{axis}" for k in range(self.size // 3) for axis in AXIS_NAMES]

@@ -18,6 +18,7 @@ The rate random walk is thus the limit of the first row, not another code path.
 """
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -38,11 +39,7 @@ class Processes(PytreeModule):
         return self.decay.shape[0]
 
     def __add__(self, other: "Processes") -> "Processes":
-        joined = (
-            np.concatenate([getattr(self, name), getattr(other, name)])
-            for name in ("initial_std", "decay", "diffusion", "bias_gain", "rate_gain")
-        )
-        return Processes(*joined)
+        return jax.tree.map(lambda *both: np.concatenate(both), self, other)
 
 
 def _process(initial_std, decay, diffusion, bias_gain, rate_gain) -> Processes:

@@ -30,11 +30,8 @@ class Term(PytreeModule):
     """A source of error that is linear in `size` parameters; `name` is what a model finds it by."""
 
     name: eqx.AbstractVar[str]
-
-    @property
-    @abstractmethod
-    def unit(self) -> str:
-        """SI unit of its parameters."""
+    unit: eqx.AbstractVar[str]
+    """SI, of its parameters."""
 
     @property
     @abstractmethod
@@ -236,20 +233,14 @@ class Map(Term):
         return both[:, : self.size], both[:, self.size :]
 
     def drive(self, group: NodeGroup) -> AnyArray:
-        """What multiplies the functions of temperature at the nodes."""
-        if self.rate is None:
-            return namespace(group.rate).ones((*group.rate.shape, 1))
-        return self._driven(group)
-
-    def _driven(self, group: NodeGroup):
-        """`χ(ω)·ω` at the nodes.
+        """What multiplies the functions of temperature at the nodes: 1 for B, `χ(ω)·ω` for M.
 
         A sampled rate has noise (errors in variables): the mean of `g(ω̃)` exceeds `g(ω)` by ½σ²g''(ω) + …, and that of
         ½[g(ω̃+σ) + g(ω̃−σ)] exceeds `g(ω̃)` by the same, so `2g(ω̃) − ½[g(ω̃+σ) + g(ω̃−σ)]` has no error to that order
         (none at all for maps up to the square of the rate).
         """
-        basis = self.rate
-        assert basis is not None
+        if (basis := self.rate) is None:
+            return namespace(group.rate).ones((*group.rate.shape, 1))
 
         def driven(rate):
             return basis(rate) * rate[..., None]
@@ -286,12 +277,8 @@ class SignalMap(Term):
     signals: tuple[str, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     symbol: str = eqx.field(static=True)
-    si_unit: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
     has_prior: bool = eqx.field(static=True, default=True)
-
-    @property
-    def unit(self) -> str:
-        return self.si_unit
 
     @property
     def size(self) -> int:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from expected_errors import nees_band, on_trajectory
 from logs_zoo import GRADIENT, STANDARD, spec_of
 from simulated_log import simulate_log
 
@@ -15,7 +16,6 @@ from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.gradient_estimate import _fitted_lag
 from gradcal_jax.api.log_rows import Rows, followed, host_time
-from gradcal_jax.estimation import nees_band
 from gradcal_jax.files import parse_spec
 from gradcal_jax.files.correction import bias, scale_factor
 from gradcal_jax.files.log import Log, LogError, Reason
@@ -74,7 +74,7 @@ def test_the_covariance_is_the_prediction_of_the_executed_timeline(many):
         log.standstill >= 0,
         np.arange(len(log.time_s)) > 0,
     )
-    observations = room.on_trajectory(done.line, model, np.zeros((done.line.piece_count, 1)))
+    observations = on_trajectory(done.line, model, np.zeros((done.line.piece_count, 1)))
     ours = room.estimate(observations, model).known[0]
     theirs = posterior_of(information(done.line, model))
     rows = model.to_reported

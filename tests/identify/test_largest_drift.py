@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_drifts import drifts
 
-from gradcal_jax.identify.largest_drift import drifts, integration_times, largest_drift, longest_integration_time
+from gradcal_jax.identify.largest_drift import integration_times, largest_drift, longest_integration_time
 
 
 def plain_largest(rate, before, length, valid):

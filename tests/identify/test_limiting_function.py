@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
 from gradcal_jax.identify.limiting_function import (
+    _floating,
+    alignment_variances,
     drift_shape_of_mean,
-    kalman_alignment_variance,
     limiting_function,
     limiting_function_of_mean,
     random_walk_variance_of_mean,
@@ -56,15 +57,17 @@ def test_alignment_variance_solves_the_riccati_equation(delta, sigma, tau, walk)
         return -2 * p / tau + 2 * sigma**2 / tau - p**2 / walk**2
 
     solution = solve_ivp(slope, (0, delta), [sigma**2], method="DOP853", rtol=1e-12, atol=1e-18 * sigma**2)
-    assert float(kalman_alignment_variance(delta, sigma, tau, walk)) == pytest.approx(solution.y[0, -1], rel=1e-9)
+    assert float(alignment_variances(*_floating(delta, sigma, tau, walk))[0]) == pytest.approx(
+        solution.y[0, -1], rel=1e-9
+    )
 
 
 def test_alignment_variance_of_a_constant_bias_and_of_a_noiseless_sensor():
-    assert float(kalman_alignment_variance(30.0, 2.0, 1e9, 5.0)) == pytest.approx(
+    assert float(alignment_variances(*_floating(30.0, 2.0, 1e9, 5.0))[0]) == pytest.approx(
         4.0 * 25.0 / (25.0 + 4.0 * 30.0), rel=1e-6
     )
-    assert float(kalman_alignment_variance(30.0, 2.0, 100.0, 0.0)) == 0.0
-    assert float(kalman_alignment_variance(0.0, 2.0, 100.0, 0.0)) == 4.0
+    assert float(alignment_variances(*_floating(30.0, 2.0, 100.0, 0.0))[0]) == 0.0
+    assert float(alignment_variances(*_floating(0.0, 2.0, 100.0, 0.0))[0]) == 4.0
     assert float(limiting_function(30.0, 0.0, 100.0, 0.0, 10.0)) == 0.0
 
 

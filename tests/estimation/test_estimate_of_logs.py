@@ -75,7 +75,7 @@ def test_the_covariance_is_the_prediction_of_the_executed_timeline(many):
         np.arange(len(log.time_s)) > 0,
     )
     observations = on_trajectory(done.line, model, np.zeros((done.line.piece_count, 1)))
-    ours = room.estimate(observations, model).known[0]
+    ours = room.solve(room.whitened(observations, model)).known[0]
     theirs = posterior_of(information(done.line, model))
     rows = model.to_reported
     np.testing.assert_allclose(ours.deviations(rows), theirs.deviations(rows), rtol=1e-9)

@@ -12,6 +12,8 @@ from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule, gradient_schedule
 from gradcal_jax.files.sensor import Bias, ScaleFactor, Sensor
 from gradcal_jax.files.spec import expect_spec
+from gradcal_jax.files.unit_plan import UnitSchedule
+from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.model import Map, Processes, SensorModel
 from gradcal_jax.trajectory import Move, Past, Schedule
 
@@ -74,25 +76,14 @@ def _past(spec: Spec, lag: float | None) -> dict[Axis, Past]:
 
 def _processes(sensor: Sensor) -> tuple[Processes, dict[str, tuple[int, ...]]]:
     """All noise processes of a sensor, and which of them belong to which source."""
-    parts: list[tuple[str, Processes]] = [
-        ("bias instability", model.gauss_markov(float(d.standard_deviation), float(d.correlation_time)))
-        for d in sensor.drift
-    ]
-    if sensor.rate_random_walk:
-        parts.append(("rate random walk", model.rate_random_walk(float(sensor.rate_random_walk))))
-    for d in sensor.scale_factor_instability:
-        process = model.gauss_markov(
-            float(d.standard_deviation), float(d.correlation_time), bias_gain=0.0, rate_gain=1.0
-        )
-        parts.append(("scale-factor instability", process))
+    parts = slow_processes(sensor)
     if (error := sensor.temperature_error) is not None:
         gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
         deviation = float(error.standard_deviation)
-        if error.correlation_time is None:
-            parts.append(("temperature measurement", model.constant(deviation, **gains)))
-        else:
+        process = model.constant(deviation, **gains)
+        if error.correlation_time is not None:
             process = model.gauss_markov(deviation, float(error.correlation_time), **gains)
-            parts.append(("temperature measurement", process))
+        parts.append(("temperature measurement", process))
     if sensor.sample_clock_error:
         parts.append(("sample clock", model.constant(float(sensor.sample_clock_error), rate_gain=1.0)))
     if sensor.turn_on_bias and sensor.bias is None:
@@ -103,6 +94,20 @@ def _processes(sensor: Sensor) -> tuple[Processes, dict[str, tuple[int, ...]]]:
         sources[name] = (*sources.get(name, ()), total.count)
         total = total + part
     return total, sources
+
+
+def slow_processes(sensor: Sensor | GyroTriad | AccelerometerTriad) -> list[tuple[str, Processes]]:
+    """Drifts, a rate random walk and instabilities of the scale factor, as far as the sensor has them."""
+    figures = lambda d: (float(d.standard_deviation), float(d.correlation_time))  # noqa: E731
+    parts = [("bias instability", model.gauss_markov(*figures(d))) for d in sensor.drift]
+    if isinstance(sensor, AccelerometerTriad):
+        return parts
+    if sensor.rate_random_walk:
+        parts.append(("rate random walk", model.rate_random_walk(float(sensor.rate_random_walk))))
+    for d in sensor.scale_factor_instability:
+        process = model.gauss_markov(*figures(d), bias_gain=0.0, rate_gain=1.0)
+        parts.append(("scale-factor instability", process))
+    return parts
 
 
 def _model(spec: Spec, processes: Processes) -> SensorModel:
@@ -171,11 +176,7 @@ def _schedules(
     if isinstance(schedule, StandardSchedule):
         points = (schedule.temperatures, schedule.soak_each, schedule.integration, schedule.rates)
         return {"x": trajectory.standard_plan(*points, points=schedule.shared)}, ()
-    segments = schedule.segments
-    programme = trajectory.programme(segments[0].temperature_start, [(s.duration, s.slope) for s in segments])
-    ends = np.array([segment.start for segment in segments] + [schedule.duration])
-    nearest = lambda time: int(np.argmin(np.abs(ends - time)))  # noqa: E731
-    used = tuple((nearest(s.start), nearest(s.start + s.duration)) for s in schedule.stretches)
+    programme, used = programme_of(schedule)
     cycle = schedule.cycle
     if cycle is None:
         return {"x": trajectory.gradient_plan(programme, used=used, read_every=schedule.read_every)}, ()
@@ -193,6 +194,15 @@ def _schedules(
         for channel in trajectory.channels_of(moves)
     }
     return plans, (*moves, *after)
+
+
+def programme_of(plan: GradientSchedule | UnitSchedule) -> tuple[trajectory.Programme, tuple[tuple[int, int], ...]]:
+    """The chamber's programme, and from which of its knots to which data are used."""
+    segments = plan.segments
+    ends = np.array([segment.start for segment in segments] + [plan.duration])
+    nearest = lambda time: int(np.argmin(np.abs(ends - time)))  # noqa: E731
+    used = tuple((nearest(s.start), nearest(s.start + s.duration)) for s in plan.stretches)
+    return trajectory.programme(segments[0].temperature_start, [(s.duration, s.slope) for s in segments]), used
 
 
 def shortest_correlation_time(sensor: Sensor) -> float:

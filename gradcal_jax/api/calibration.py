@@ -45,7 +45,7 @@ from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.information import STATISTICS, unobservable_combinations
+from gradcal_jax.information import unobservable_combinations
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
 # A scale-factor error beyond this is of no sensor.
@@ -385,8 +385,7 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
         valid_temperature=(_shown(low, 1.0, "degC"), _shown(high, 1.0, "degC")),
         valid_rate=(_shown(slow, DEG_PER_S, "deg/s"), _shown(fast, DEG_PER_S, "deg/s")),
         covariance=Covariance(
-            names=tuple(names[k] for k in seen),
-            matrix=tuple(tuple(float(covariance[i, j]) for j in seen) for i in seen),
+            names=tuple(names[k] for k in seen), matrix=tuple(map(tuple, covariance[np.ix_(seen, seen)].tolist()))
         ),
         **given,
     )
@@ -430,7 +429,7 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
     names = model.names()
     known = channel.found.known[0]
     values, deviations = reported @ channel.found.parameters[0], known.deviations(reported)
-    covariance = known.covariance(reported)
+    covariance, seen = known.covariance(reported), np.isfinite(deviations)
     tests = channel.consistency
     return {
         "axis": channel.axis,
@@ -440,13 +439,7 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
             {"name": n, "value": float(v), "std": _finite(s), "unit": u}
             for n, v, s, u in zip(names, values, deviations, model.units(), strict=True)
         ],
-        "covariance": [
-            [
-                float(covariance[i, j]) if np.isfinite(deviations[i]) and np.isfinite(deviations[j]) else None
-                for j in range(len(names))
-            ]
-            for i in range(len(names))
-        ],
+        "covariance": np.where(np.outer(seen, seen), covariance, None).tolist(),
         "valid_temperature_c": list(channel.valid_temperature_c),
         "valid_rate_dps": [r * DEG_PER_S for r in channel.valid_rate_rad_per_s],
         "lag_s": channel.lag_s,
@@ -466,7 +459,7 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
         "structure": [
             {
                 "quantity": t.quantity,
-                "test": _test_row(t.test),
+                "test": t.test._asdict(),
                 "false_alarm": t.false_alarm,
                 "noticed": t.noticed,
                 "degrees_asked": None if t.asked is None else list(t.asked),
@@ -475,17 +468,17 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
         ],
         "down_weighted": int(np.count_nonzero(channel.weights < 1.0)),
         "consistency": {
-            "chi_squared": _test_row(tests.fit),
+            "chi_squared": tests.fit._asdict(),
             "noise_scale": _finite(tests.noise_scale),
-            "whiteness": _test_row(tests.whiteness),
+            "whiteness": tests.whiteness._asdict(),
             "share_beyond_three_sigma": tests.beyond_three,
             "largest_residual_sigma": tests.largest,
             "splits": [
                 {
                     "name": s.name,
                     "readings": list(s.counts),
-                    "agreement": _test_row(s.agreement),
-                    "held_out": _test_row(s.held_out),
+                    "agreement": s.agreement._asdict(),
+                    "held_out": s.held_out._asdict(),
                     "differences_sigma": {n: _finite(d) for n, d in zip(names, s.differences, strict=True)},
                 }
                 for s in tests.splits
@@ -494,28 +487,12 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
     }
 
 
-def _test_row(test) -> dict[str, Any]:
-    return {"statistic": test.statistic, "degrees": test.degrees, "probability": test.probability}
-
-
 def _verdict_row(row: Verdict) -> dict[str, Any]:
-    return {
-        "name": row.requirement.name,
-        "axis": row.axis,
-        "quantity": row.requirement.quantity,
-        "statistic": row.requirement.statistic,
-        "value": row.value,
-        "worst": row.worst,
-        "unit": row.unit,
-        "target": row.target,
-        "verdict": row.verdict,
-        "coverage": row.coverage,
-        "rule": row.rule,
-    }
+    asked = {name: getattr(row.requirement, name) for name in ("name", "quantity", "statistic")}
+    # In the order in which people look for them.
+    order = ("name", "axis", "quantity", "statistic", "value", "worst", "unit", "target", "verdict", "coverage", "rule")
+    return {name: (asked | row._asdict())[name] for name in order}
 
 
 def _finite(value: float | None) -> float | None:
     return float(value) if value is not None and np.isfinite(value) else None
-
-
-__all__ = ["STATISTICS", "EstimateReport", "Verdict", "consistent", "estimate_calibration", "estimate_rows", "words"]

@@ -1,7 +1,10 @@
 """Parts that the contracts of a single axis and of a whole unit share: maps, bases, shapes of moves."""
 
+from collections.abc import Iterable
+from math import sqrt
 from typing import Any, Literal
 
+from gradcal_jax.estimation import Test
 from gradcal_jax.files.bases import (
     RateBasis,
     RatePolynomial,
@@ -10,9 +13,12 @@ from gradcal_jax.files.bases import (
     TemperaturePolynomial,
     TemperatureSpline,
 )
-from gradcal_jax.files.contracts import BasisRow, DiscrepancyRow, Functions, MapRow
+from gradcal_jax.files.calibration import FitTest
+from gradcal_jax.files.contracts import BasisRow, DiscrepancyRow, Functions, MapRow, ProcessRow
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.sensor import Bias, ScaleFactor, ScaleFactorDiscrepancy
+from gradcal_jax.files.unit_calibration import UnitCalibration
+from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.trajectory import Move
 
 
@@ -37,8 +43,8 @@ def map_row(section: Bias | ScaleFactor) -> MapRow:
     return MapRow(
         temperature=basis_row(section.temperature, smooth),
         rate=basis_row(section.rate, smooth) if by_rate else None,
-        prior=_plain(section.prior),
-        smoothness=_plain(section.smoothness),
+        prior=plain(section.prior),
+        smoothness=plain(section.smoothness),
         smoothness_along=_along(section) if smooth else (),
         discrepancy=None
         if beyond is None
@@ -79,5 +85,37 @@ def basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:
     return BasisRow(edges=tuple(float(e) for e in section.edges), **alike)
 
 
-def _plain(value: float | None) -> float | None:
+def plain(value: float | None) -> float | None:
+    """A quantity as a plain number."""
     return None if value is None else float(value)
+
+
+def process_rows(sections: Iterable[Any]) -> tuple[ProcessRow, ...]:
+    """Drifts, or instabilities of the scale factor."""
+    return tuple(ProcessRow(sigma=float(r.standard_deviation), tau=float(r.correlation_time)) for r in sections)
+
+
+def section_of(triad: GyroTriad | AccelerometerTriad, term: str) -> str:
+    """The table of [sensor.gyro] or [sensor.accelerometer] that a term is from."""
+    return next(key for key in type(triad).model_fields if term.startswith(key) or key == "cross_coupling")
+
+
+def coefficient_rows(calibration: UnitCalibration) -> list[dict[str, Any]]:
+    """Every coefficient of a unit's calibration with its standard deviation, where the file has one, and its unit."""
+    deviations = {}
+    if (known := calibration.covariance) is not None:
+        deviations = {name: sqrt(known.matrix[k][k]) for k, name in enumerate(known.names)}
+    return [
+        {"name": name, "value": value, "std": deviations.get(name), "unit": term.unit}
+        for channel in calibration.channel
+        for term in channel.term
+        for name, value in ((f"{channel.name}.{n}", v) for n, v in term.coefficients.items())
+    ]
+
+
+def fit_rows(tests: Iterable[tuple[str, Test]]) -> tuple[FitTest, ...]:
+    """Tests of a fit, by name, as calibrations have them."""
+    return tuple(
+        FitTest(name=name, statistic=test.statistic, degrees=test.degrees, chance=test.probability)
+        for name, test in tests
+    )

@@ -51,8 +51,7 @@ def error_budget(built: Assembled, channel: Axis, known: Posterior) -> dict[str,
             found = unweighted_shares(least_squares(line, model), slope.of_covariance, parts)
         else:
             found = noise_shares(steps, columns, slope.of_gram, parts)
-            for name, weight in _of_priors(model, slope).items():
-                found[name] = weight
+            found |= _of_priors(model, slope)
         found = {name: value / total for name, value in found.items()}
         rest = 1.0 - sum(found.values())
         if abs(rest) > 5e-3:
@@ -75,11 +74,17 @@ def _of_priors(model: SensorModel, slope: Sensitivity) -> dict[str, float]:
 
 
 def active_sources(built: Assembled) -> list[str]:
-    """Names of the sources of noise that are not zero."""
-    line = built.trajectory()
-    meaningless = ("reading noise", "standstill offset", "timing error") if line.rates else ("rate accuracy",)
-    figures = [n for n, of in FIGURES.items() if n not in meaningless and float(np.asarray(of(built.model))) > 0.0]
-    return [n for n in figures if n != "timing error" or len(line.moving_pieces)] + list(built.sources)
+    """Names of the sources of noise that are not zero, and that the plan meets."""
+    moves = len(built.trajectory().moving_pieces)
+    return [name for name in known_sources(built) if name != "timing error" or moves]
+
+
+def known_sources(built: Assembled) -> list[str]:
+    """Names of the sources of noise that are not zero, of those that its readings may have."""
+    rates = built.trajectory().rates
+    unread = ("reading noise", "standstill offset", "timing error") if rates else ("rate accuracy",)
+    figures = [n for n, of in FIGURES.items() if n not in unread and float(np.asarray(of(built.model))) > 0.0]
+    return figures + list(built.sources)
 
 
 def only(built: Assembled, name: str) -> SensorModel:

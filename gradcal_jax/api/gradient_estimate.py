@@ -10,14 +10,7 @@ from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, count_rows, followed
 from gradcal_jax.api.tested_maps import hidden_maps
-from gradcal_jax.api.unit_channel import (
-    LONGEST_LAG_S,
-    UnitChannel,
-    finished,
-    integrated_rows,
-    whitened_columns,
-    within,
-)
+from gradcal_jax.api.unit_channel import LONGEST_LAG_S, UnitChannel, finished, integrated_rows, whitened_columns, within
 from gradcal_jax.estimation import Estimate, Observations, Whitened
 from gradcal_jax.files.log import Log
 from gradcal_jax.information import noise_steps, since_origin
@@ -60,9 +53,14 @@ def gradient_channels(
         )
     line = done.line
     steps = noise_steps(line, model)
-    readings = np.stack([_integrated(rows[u], done, options.earth_rate) for u in members], axis=1)
+    of_unit = lambda one: estimation.integrated_error(  # noqa: E731
+        one.rate, one.step, one.angle, done.rows, done.broken, line.gap, options.earth_rate
+    )
+    readings = np.stack([of_unit(rows[u]) for u in members], axis=1)
     moving = line.moving
-    temperature, mean_rate = _means(first, done)
+    # Of each piece, for reports.
+    ends, mean_rate = first.temperature[done.rows], line.terms[:, 0]
+    temperature = 0.5 * (ends[1:] + ends[:-1])
     time = first.time[done.rows[1:]]
     turning = within(done.rows, moving & ~done.broken, len(first.time))
 
@@ -77,7 +75,7 @@ def gradient_channels(
                     model, parameters[k], rates[turning], temperature_of_maps[turning]
                 )
             turned = line.turned() if one.angle is None else np.diff(one.angle[done.rows])
-            noise = _rate_noise(model, one.step)
+            noise = float(model.angle_random_walk) / np.sqrt(float(np.median(one.step[1:])))
             nodes = estimation.sample_nodes(
                 rates, temperature_of_maps, one.step, done.rows, moving, done.broken, turned, rate_noise=noise
             )
@@ -116,20 +114,10 @@ def gradient_channels(
     for k, unit in enumerate(members):
         own = observations._replace(columns=observations.columns_of(k), readings=observations.readings[:, k : k + 1])
         single = white.of_unit(k)
+        counts, beyond = count_rows(log, unit, used), [(term, level, columns[k]) for term, level, columns in hidden]
+        read = rows[unit], done
         result[unit] = finished(
-            axis,
-            log.units[unit],
-            model,
-            own,
-            single,
-            options,
-            rows=rows[unit],
-            done=done,
-            lag=lag,
-            lag_std=lag_std,
-            counts=count_rows(log, unit, used),
-            messages=messages,
-            hidden=[(term, level, columns[k]) for term, level, columns in hidden],
+            axis, log.units[unit], model, own, single, options, read, (lag, lag_std), counts, messages, beyond
         )
     return result
 
@@ -146,24 +134,6 @@ def _longest_piece(model: SensorModel) -> float:
     if not driven.any():
         return np.inf
     return _CORRELATION_TIMES_A_PIECE / float(np.max(model.processes.decay[driven]))
-
-
-def _rate_noise(model: SensorModel, step: np.ndarray) -> float:
-    usual = float(np.median(step[1:]))
-    return float(model.angle_random_walk) / np.sqrt(usual)
-
-
-def _integrated(rows: Rows, done: estimation.Executed, earth_rate: float) -> np.ndarray:
-    return estimation.integrated_error(
-        rows.rate, rows.step, rows.angle, done.rows, done.broken, done.line.gap, earth_rate
-    )
-
-
-def _means(rows: Rows, done: estimation.Executed) -> tuple[np.ndarray, np.ndarray]:
-    """Temperature and rate of each piece, for reports."""
-    ends = rows.temperature[done.rows]
-    terms = done.line.terms[:, 0]
-    return 0.5 * (ends[1:] + ends[:-1]), terms
 
 
 def _moved(found: Estimate, before: np.ndarray, model: SensorModel) -> float:

@@ -7,11 +7,12 @@ import numpy as np
 
 import gradcal_jax
 from gradcal_jax import estimation
+from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, host_time
 from gradcal_jax.estimation import Test
 from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
-from gradcal_jax.files.calibration import FORMAT, LOG_HASH, Covariance, FitTest
+from gradcal_jax.files.calibration import FORMAT, LOG_HASH, Covariance
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.unit_calibration import (
@@ -102,6 +103,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     held, force_fit, rate_fit = found.positions, found.accelerometer, found.gyro
+    density = lambda noise, gain, unit: Quantity.of(float(np.sqrt(np.mean(noise))) / gain, unit)  # noqa: E731
     between = slice(int(held.rows[0, 0]), int(held.rows[-1, 1]) + 1)
     fastest = np.degrees(np.nanmax(np.abs((rates[between] - rate_fit.centre) / rate_fit.gain)))
     fastest = float(np.radians(np.ceil(fastest)))
@@ -115,6 +117,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     names, matrix = _covariance(found)
     hidden = np.concatenate([force_fit.hidden, rate_fit.hidden])
     low, high = float(temperature[between].min()), float(temperature[between].max())
+    ends = float(np.floor(low * 10.0) / 10.0), float(np.ceil(high * 10.0) / 10.0)
     calibration = UnitCalibration(
         format=FORMAT,
         title=f"calibration of {name} by hand",
@@ -123,21 +126,18 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         simulated=log.simulated,
         frame=_FRAME,
         order=UNIT_ORDER,
-        valid_temperature=(_degrees_c(np.floor(low * 10.0) / 10.0), _degrees_c(np.ceil(high * 10.0) / 10.0)),
+        valid_temperature=(Quantity.of(ends[0], "degC"), Quantity.of(ends[1], "degC")),
         valid_rate=(Quantity.of(-fastest, "rad/s"), Quantity.of(fastest, "rad/s")),
         channel=channels,
         covariance=Covariance(
             names=tuple(n for n, out in zip(names, hidden, strict=True) if not out),
-            matrix=tuple(tuple(float(v) for v in row) for row in matrix[np.ix_(~hidden, ~hidden)]),
+            matrix=tuple(map(tuple, matrix[np.ix_(~hidden, ~hidden)].tolist())),
         ),
-        fit=tuple(
-            FitTest(name=key, statistic=t.statistic, degrees=t.degrees, chance=t.probability)
-            for key, t in tests.items()
-        ),
+        fit=fit_rows(tests.items()),
         unobservable=tuple(n for n, out in zip(names, hidden, strict=True) if out),
         noise=UnitNoise(
-            angle_random_walk=_density(held.rate_noise, rate_fit.gain, "rad/s/sqrt(Hz)"),
-            velocity_random_walk=_density(held.force_noise, force_fit.gain, "m/s^2/sqrt(Hz)"),
+            angle_random_walk=density(held.rate_noise, rate_fit.gain, "rad/s/sqrt(Hz)"),
+            velocity_random_walk=density(held.force_noise, force_fit.gain, "m/s^2/sqrt(Hz)"),
             sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
         ),
         provenance={
@@ -151,14 +151,6 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     left = [float(np.sqrt(np.mean(fit.left**2))) for fit in (force_fit, rate_fit)]
     messages += _words(found, tests, calibration.unobservable, gravity, options.earth_rate)
     return HandReport(name, found, calibration, tests, left[0], left[1], tuple(messages))
-
-
-def _degrees_c(value: float) -> Quantity:
-    return Quantity.of(float(value), "degC")
-
-
-def _density(noise: np.ndarray, gain: float, unit: str) -> Quantity:
-    return Quantity.of(float(np.sqrt(np.mean(noise))) / gain, unit)
 
 
 def _channels(found: ByHand) -> Iterator[CalibratedChannel]:
@@ -258,19 +250,10 @@ def _words(
 def hand_estimate_rows(report: HandReport) -> dict[str, Any]:
     """All numbers of an estimate for another program, SI."""
     found = report.calibration
-    covariance = found.covariance
-    assert covariance is not None
-    deviations = {name: float(np.sqrt(covariance.matrix[k][k])) for k, name in enumerate(covariance.names)}
-    parameters = [
-        {"name": f"{channel.name}.{n}", "value": v, "std": deviations.get(f"{channel.name}.{n}"), "unit": term.unit}
-        for channel in found.channel
-        for term in channel.term
-        for n, v in term.coefficients.items()
-    ]
     return {
         "unit": report.unit,
         "simulated": found.simulated,
-        "parameters": parameters,
+        "parameters": coefficient_rows(found),
         "positions": len(report.found.positions.duration),
         "turns": report.found.turns,
         "gravity_rms_m_per_s2": report.gravity_left,

@@ -130,8 +130,8 @@ def at_rest(
     elif bias_degree > 0:
         assert temperature is not None
         thermal, at_once = _thermal(even, valid, temperature, bias_degree, lag)
-        filled = _bridged(temperature)
-        rate = rate - thermal.bias(filled, even.sample_interval_s)
+        rows, where = np.arange(len(temperature)), np.isfinite(temperature)
+        rate = rate - thermal.bias(np.interp(rows, rows[where], temperature[where]), even.sample_interval_s)
         if thermal.lag_time_s > 0.0 and lag == "auto":
             messages.append(
                 f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: that leaves "
@@ -143,17 +143,8 @@ def at_rest(
                 "drift may be passing for it"
             )
     rate[~valid] = 0.0
-    return Rest(
-        log.axes[log.axis_index(axis)],
-        log.units[log.unit_index(unit)],
-        rate,
-        valid,
-        even.sample_interval_s,
-        time,
-        temperature,
-        thermal,
-        tuple(messages),
-    )
+    named = log.axes[log.axis_index(axis)], log.units[log.unit_index(unit)]
+    return Rest(*named, rate, valid, even.sample_interval_s, time, temperature, thermal, tuple(messages))
 
 
 def _thermal(
@@ -182,12 +173,6 @@ def _thermal(
     late = fit(None)
     keep = lag == "fit" or late.residual_rms < _LAG_PAYS * at_once.residual_rms
     return (late if keep else at_once), at_once
-
-
-def _bridged(temperature: np.ndarray) -> np.ndarray:
-    rows = np.arange(len(temperature))
-    known = np.isfinite(temperature)
-    return np.interp(rows, rows[known], temperature[known])
 
 
 def instability(

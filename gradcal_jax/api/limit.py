@@ -1,6 +1,7 @@
 """The proven limit on any plan that does what a spec's plan is allowed to, and how near that plan comes."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -61,6 +62,15 @@ class PlanLimit(NamedTuple):
     kept: tuple[str, ...] = ()
 
 
+def plan_limit(
+    requirement, of: tuple[str, float], found: tuple[float, float], value: float | None, *words
+) -> PlanLimit:
+    """From what is `found` in SI, certified and reached; `of`: the unit, and how many of it are one in SI."""
+    certified, reached = (figure * of[1] for figure in found)
+    efficiency = None if value is None else certified / value
+    return PlanLimit(requirement.name, requirement.statistic, of[0], certified, reached, value, efficiency, *words)
+
+
 def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     """The limit of every requirement on the scale factor, on heading and on north, of a gradient plan with motion.
 
@@ -113,20 +123,7 @@ class _Window(NamedTuple):
             found, relaxed = self._of_functionals(asked)
         if asked.alone is not None:
             relaxed = (*relaxed, "what the data say of the discrepancy is part of the calibration")
-        unit, factor = UNIT_OF[requirement.quantity]
-        left, certified = row.decisive, found.certified * factor
-        efficiency = None if left is None else certified / left
-        return PlanLimit(
-            requirement.name,
-            requirement.statistic,
-            unit,
-            certified,
-            found.reached * factor,
-            left,
-            efficiency,
-            relaxed,
-            self.kept,
-        )
+        return plan_limit(requirement, UNIT_OF[requirement.quantity], found, row.decisive, relaxed, self.kept)
 
     def _of_scale_factor(self, asked: Criterion, sure: np.ndarray) -> Limit:
         """The limit of what is asked of the scale factor, the bias known; `sure`: a variance that no plan removes."""
@@ -164,7 +161,7 @@ class _Window(NamedTuple):
                 relaxed = ("the time is spread over the temperatures as is best", "of the noise only the random walk")
             value = statistic(asked.statistic, np.sqrt(floor).reshape(asked.shape))
             relaxed += ("the scale factor is known",) if model.scale is not None else ()
-            found.append((Limit(value, value, self.density), relaxed))
+            found.append((Limit(value, value), relaxed))
         return max(found, key=lambda pair: pair[0].certified)
 
 
@@ -175,7 +172,9 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     assert cycle is not None
     # A cycle that fills the ramp, as a recipe's does, is made for that ramp alone.
     as_is = motion is None and (design is None or design.minimise in TIMES or 2.0 * cycle.duration > schedule.motion)
-    one_ramp = _ends_of_one_ramp(spec)
+    one_ramp: tuple[float, float] | None = None
+    with suppress(ValueError):  # of any other programme
+        one_ramp = ramp_ends(spec)
     if as_is or one_ramp is None:
         # What the plan does: its stretches, soaks that are used and every slope among them.
         free -= {"gradient", "cycle"} if one_ramp is None else set()
@@ -229,14 +228,6 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     return _Window(
         spec, built, total, every, temperatures, fixed, density, windows, used, followed, tuple(relaxed), tuple(kept)
     )
-
-
-def _ends_of_one_ramp(spec: Spec) -> tuple[float, float] | None:
-    """Where the ramp of a plan with just one begins and ends (°C); None for any other programme."""
-    try:
-        return ramp_ends(spec)
-    except ValueError:
-        return None
 
 
 def _spacing(built: Assembled, cycle: ResolvedCycle) -> tuple[float, float]:

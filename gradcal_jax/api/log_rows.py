@@ -67,18 +67,8 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
             messages.append(f"{count} rows of rest without a table angle are no reference, and are not read")
             standing = standing & known
         angle = angle if known.all() else np.interp(time, time[known], angle[known])
-    return Rows(
-        time,
-        np.diff(time, prepend=time[0]),
-        rate,
-        temperature,
-        angle,
-        table_rate,
-        standing,
-        usable,
-        log.stretch_starts,
-        tuple(messages),
-    )
+    step, said = np.diff(time, prepend=time[0]), tuple(messages)
+    return Rows(time, step, rate, temperature, angle, table_rate, standing, usable, log.stretch_starts, said)
 
 
 def host_time(log: Log) -> tuple[np.ndarray, str]:

@@ -80,17 +80,11 @@ def mission_table(built: Assembled, requirement: HeadingRequirement, left: np.nd
     """Every mission with what the calibration leaves of it, `left` (deg), and its own noise."""
     own = own_noise_of(built, requirement)
     assert own is not None
+    rows = zip(requirement.mission, flights_of(requirement), left.ravel(), own.missions, strict=True)
+    known = lambda value: float(value) if np.isfinite(value) else None  # noqa: E731
     return tuple(
-        MissionRow(
-            file=mission.file,
-            weight=mission.weight,
-            after_s=time,
-            left=float(value) if np.isfinite(value) else None,
-            own=noise,
-        )
-        for mission, (_, time), value, noise in zip(
-            requirement.mission, flights_of(requirement), left.ravel(), own.missions, strict=True
-        )
+        MissionRow(file=mission.file, weight=mission.weight, after_s=time, left=known(value), own=noise)
+        for mission, (_, time), value, noise in rows
     )
 
 

@@ -7,9 +7,7 @@ import numpy as np
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, contrasts_of, residual_map, statistic_of, unweighted_estimator
 from gradcal_jax.files import Spec
-from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.information import Twin, WishartTest, monte_carlo_errors, wishart_test
-from gradcal_jax.model import SensorModel
+from gradcal_jax.information import WishartTest, monte_carlo_errors, wishart_test
 
 
 class TwinRow(NamedTuple):
@@ -41,14 +39,11 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
         for requirement in spec.requirement:
             predicted = residual_map(built, result.predicted, requirement)[2]
             unit, factor = UNIT_OF[requirement.quantity]
-            simulated = _simulated_map(built.model, result, requirement, predicted.shape) * factor
+            # Root mean square error of the simulated maps at each point.
+            places = contrasts_of(built.model, requirement, "max").rows
+            mean_square = result.left.T @ result.left / len(result.left)
+            squares = np.einsum("gi,ij,gj->g", places, mean_square, places)
+            simulated = np.sqrt(squares).reshape(predicted.shape) * factor
             values = (statistic_of(requirement, of) for of in (predicted, simulated))
             rows.append(TwinRow(requirement.name, channel, unit, *values))
     return rows, tests
-
-
-def _simulated_map(model: SensorModel, result: Twin, requirement: Requirement, shape: tuple[int, ...]) -> np.ndarray:
-    """Root mean square error of the simulated maps at each point."""
-    rows = contrasts_of(model, requirement, "max").rows
-    mean_square = result.left.T @ result.left / len(result.left)
-    return np.sqrt(np.einsum("gi,ij,gj->g", rows, mean_square, rows)).reshape(shape)

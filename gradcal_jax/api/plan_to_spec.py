@@ -301,11 +301,8 @@ def _programme(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> dict[str, 
             "plan.gradient": f"{rate * 60.0:.12g} K/min",
             "plan.soak": {"duration": _s(soak.duration), "used": False} if soak.kind == "soak" else None,
         }
-    items: list[dict[str, object]] = []
-    if soak.kind == "soak":
-        items.append({"soak": _s(soak.duration), "at": _c(start), "used": False})
-    else:
-        items.append({"soak": "1 s", "at": _c(start), "used": False})
+    soaked = _s(soak.duration) if soak.kind == "soak" else "1 s"
+    items: list[dict[str, object]] = [{"soak": soaked, "at": _c(start), "used": False}]
     rig = spec.rig.chamber
     coldest, warmest = (float(t) for t in rig.range)
     chamber = _Chamber(coldest, warmest, float(rig.max_heating), float(rig.max_cooling))

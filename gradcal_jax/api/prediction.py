@@ -22,11 +22,11 @@ from gradcal_jax.api.posterior_of_plan import (
 )
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.tested_maps import noticing
-from gradcal_jax.api.unit_prediction import predict_unit
+from gradcal_jax.api.unit_prediction import of_plan, predict_unit
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.absent import absent_terms, with_typical
-from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
+from gradcal_jax.files.contracts import AbsentRow, CheckRow, RequirementRow
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.requirement import HeadingRequirement, Requirement
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -74,19 +74,12 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
             row.model_copy(update={"with_typical": other.decisive})
             for row, other in zip(requirements, there, strict=True)
         ]
-    schedule = spec.schedule
-    parameters, covariance = _parameters(built, known)
     return Prediction(
-        title=spec.title,
-        duration_s=schedule.duration,
-        soak_s=schedule.soak,
-        motion_s=schedule.motion,
         requirements=tuple(requirements),
-        parameters=parameters,
-        covariance=covariance,
         notices=noticing(built) if notices else (),
         warnings=tuple(warnings(built, known)),
         counted_as_zero=tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent),
+        **of_plan(spec, built.model, known),
     )
 
 
@@ -158,22 +151,3 @@ def _risks(built: Assembled, known: Posterior, requirement: Requirement, row: Re
     return {"check": check} | (
         {} if chances is None else dict(zip(("chance", "chance_everywhere"), chances, strict=True))
     )
-
-
-def _parameters(built: Assembled, known: dict[Axis, Posterior]):
-    """Rows of the reported parameters and their covariance, axes one after the other (they are independent)."""
-    model = built.model
-    count = model.calibrated
-    names, reported, unit = model.names()[:count], model.to_reported[:count], model.units()
-    rows, size = [], len(known) * count
-    covariance: list[list[float | None]] = [[0.0] * size for _ in range(size)]
-    for k, (channel, posterior_) in enumerate(known.items()):
-        deviations = posterior_.deviations(reported)
-        block = posterior_.covariance(reported)
-        for i, deviation in enumerate(deviations):
-            std = float(deviation) if np.isfinite(deviation) else None
-            rows.append(ParameterRow(name=names[i], axis=channel, std=std, unit=unit[i]))
-            for j, other in enumerate(deviations):
-                seen = np.isfinite(deviation) and np.isfinite(other)
-                covariance[k * count + i][k * count + j] = float(block[i, j]) if seen else None
-    return tuple(rows), tuple(tuple(row) for row in covariance)

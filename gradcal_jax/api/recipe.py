@@ -59,7 +59,8 @@ def recipe(
         "rounded": made.changes or None,
         "made": Made(by=f"gradcal {gradcal_jax.__version__}", versions=versions_of(_VERSIONS), **_given(seed=seed)),
         "resolution": ControllerSteps(**{name: getattr(steps, name) for name in type(steps).model_fields}),
-        "stability": _written_out(stability or Stability()),
+        # Defaults too: they may be others in another version.
+        "stability": Stability(**{n: getattr(stability or Stability(), n) for n in Stability.model_fields}),
         "chamber": chamber,
         "motion": motion,
         "prediction": rows,
@@ -67,11 +68,6 @@ def recipe(
         "spec": made.spec,
     }
     return Recipe(**_given(**said))
-
-
-def _written_out(stability: Stability) -> Stability:
-    """Defaults too: they may be others in another version."""
-    return Stability(**{name: getattr(stability, name) for name in Stability.model_fields})
 
 
 def _given(**values: Any) -> dict[str, Any]:

@@ -11,10 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.error_budget import FIGURES, scaled
+from gradcal_jax.api.error_budget import known_sources, scaled
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of
-from gradcal_jax.api.sensitivity_rows import Elasticity, Sensitivities
-from gradcal_jax.api.unit_sensitivity import unit_sensitivities
+from gradcal_jax.api.unit_sensitivity import Elasticity, Sensitivities, unit_sensitivities
 from gradcal_jax.design import Criterion
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
@@ -104,9 +103,7 @@ def _compiled(given: _Figures, names: tuple[str, ...], factors):
 def _names(built: Assembled) -> list[str]:
     """Figures that the spec has, by the names that people use."""
     model, line = built.model, built.trajectory()
-    unread = ("reading noise", "standstill offset", "timing error") if line.rates else ("rate accuracy",)
-    found = [n for n, of in FIGURES.items() if n not in unread and float(np.asarray(of(model))) > 0.0]
-    found += list(built.sources)
+    found = known_sources(built)
     if model.harmonics is not None:
         found.append(_ENCODER)
     if any(isinstance(term, Discrepancy) for term in model.terms):
@@ -127,14 +124,6 @@ def _stretched(plan: Schedule, by: dict) -> Schedule:
         longer = programme.durations + (jnp.sum(held) - jnp.sum(plan.duration)) * (programme.durations > 0.0)
         return eqx.tree_at(lambda p: (p.duration, p.programme.durations), plan, (held, longer))
     time, rate = by[_TIME], by.get(_RATES, 1.0)
-    return eqx.tree_at(
-        lambda p: (p.duration, p.ramp, p.peak_rate, p.programme.durations, p.programme.slopes),
-        plan,
-        (
-            plan.duration * time,
-            plan.ramp * time,
-            plan.peak_rate * rate,
-            programme.durations * time,
-            programme.slopes / time,
-        ),
-    )
+    of = lambda p: (p.duration, p.ramp, p.peak_rate, p.programme.durations, p.programme.slopes)  # noqa: E731
+    numbers = plan.duration * time, plan.ramp * time, plan.peak_rate * rate
+    return eqx.tree_at(of, plan, (*numbers, programme.durations * time, programme.slopes / time))

@@ -141,19 +141,7 @@ def _of_points(
         for term, level in hidden_maps(built.spec, model)
     ]
     channel = finished(
-        axis,
-        unit,
-        model,
-        observations,
-        white,
-        options,
-        rows=rows,
-        done=done,
-        lag=lag,
-        lag_std=None,
-        counts=counts,
-        messages=messages,
-        hidden=hidden,
+        axis, unit, model, observations, white, options, (rows, done), (lag, None), counts, messages, hidden
     )
     section = built.spec.plan
     if sigma is None and isinstance(section, StandardPlanSection) and section.estimator == "least squares":

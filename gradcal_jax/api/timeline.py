@@ -1,17 +1,16 @@
 """The contract gradcal-timeline/2, filled from a spec: segments, readings and the sensor's model."""
 
-from typing import cast, overload
+from typing import Any, cast, overload
 
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.contract_rows import map_row, shape_row
+from gradcal_jax.api.contract_rows import map_row, plain, process_rows, shape_row
 from gradcal_jax.api.unit_timeline import unit_timeline
 from gradcal_jax.files import Spec, Timeline
 from gradcal_jax.files.contracts import (
     GradientSensitivityRow,
     HarmonicRow,
-    ProcessRow,
     ReadingRow,
     SegmentRow,
     SensorRow,
@@ -97,22 +96,15 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
             timing_std=0.0 if stands else timing,
         )
 
+    def add(begin: float, finish: float, **own: Any) -> None:
+        row = {"shape": "rest", "start": begin, "duration": finish - begin} | own
+        segments.append(SegmentRow(axis=channel, **row, **between(begin, finish)))
+
     segments: list[SegmentRow] = []
     readings = [reading(float(start[0]), 0, origin=True)]
     standstill = 0
     if start[0] > 0.0:
-        segments.append(
-            SegmentRow(
-                axis=channel,
-                start=0.0,
-                duration=float(start[0]),
-                shape="rest",
-                standstill_id=0,
-                read=True,
-                used=False,
-                **between(0.0, float(start[0])),
-            )
-        )
+        add(0.0, float(start[0]), standstill_id=0, read=True, used=False)
     for pieces in np.split(np.arange(line.piece_count), np.flatnonzero(np.diff(line.segment)) + 1):
         first, last = pieces[0], pieces[-1]
         index = int(schedule.pieces.move[first])
@@ -127,18 +119,14 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
         unused = bool(line.gap[last])
         if unused:
             readings.append(reading(float(end[last]), standstill, origin=True))
-        segments.append(
-            SegmentRow(
-                axis=channel,
-                table_axis=None if move is None or move.shape == "rest" else cast("Axis", move.axis),
-                start=float(start[first]),
-                duration=float(end[last] - start[first]),
-                standstill_id=None if line.moving[first] else standstill,
-                read=unused or bool(np.any(line.read[pieces])),
-                used=not unused,
-                **({"shape": "rest"} | own),
-                **between(float(start[first]), float(end[last])),
-            )
+        add(
+            float(start[first]),
+            float(end[last]),
+            table_axis=None if move is None or move.shape == "rest" else cast("Axis", move.axis),
+            standstill_id=None if line.moving[first] else standstill,
+            read=unused or bool(np.any(line.read[pieces])),
+            used=not unused,
+            **own,
         )
     return segments, readings
 
@@ -154,33 +142,13 @@ def _standard_rows(built: Assembled, plan: StandardSchedule) -> tuple[list[Segme
         segments.append(SegmentRow(axis="x", start=clock, duration=soak, shape="rest", read=False, used=False, **at))
         clock += soak
         for rate in plan.rates:
-            segments.append(
-                SegmentRow(
-                    axis="x",
-                    table_axis="x" if rate else None,
-                    read=True,
-                    start=clock,
-                    duration=integration,
-                    shape="constant" if rate else "rest",
-                    peak_rate=float(rate),
-                    angle=float(rate) * integration,
-                    standstill_id=point,
-                    **at,
-                )
-            )
+            both: dict = {"axis": "x", "standstill_id": point, "duration": integration}
+            turned = {"peak_rate": float(rate), "angle": float(rate) * integration, "table_axis": "x" if rate else None}
+            shape = "constant" if rate else "rest"
+            segments.append(SegmentRow(read=True, start=clock, shape=shape, **both, **turned, **at))
             clock += integration
-            readings.append(
-                ReadingRow(
-                    time=clock,
-                    kind="rate",
-                    axis="x",
-                    white_std=0.0,
-                    standstill_id=point,
-                    offset_std=accuracy * abs(float(rate)),
-                    duration=integration,
-                    rate=float(rate),
-                )
-            )
+            error = {"white_std": 0.0, "offset_std": accuracy * abs(float(rate))}
+            readings.append(ReadingRow(time=clock, kind="rate", rate=float(rate), **both, **error))
             point += 1
     return segments, readings
 
@@ -188,27 +156,24 @@ def _standard_rows(built: Assembled, plan: StandardSchedule) -> tuple[list[Segme
 def _sensor_row(spec: Spec) -> SensorRow:
     sensor = spec.sensor
     error, gradient = sensor.temperature_error, sensor.bias_temperature_gradient
-    processes = lambda rows: tuple(  # noqa: E731
-        ProcessRow(sigma=float(r.standard_deviation), tau=float(r.correlation_time)) for r in rows
-    )
     return SensorRow(
         arw=float(sensor.angle_random_walk),
         rate_random_walk=float(sensor.rate_random_walk or 0.0),
-        turn_on_bias=_plain(sensor.turn_on_bias),
-        drift=processes(sensor.drift),
-        scale_factor_instability=processes(sensor.scale_factor_instability),
-        thermal_lag=_plain(sensor.thermal_lag),
-        sample_clock_error=_plain(sensor.sample_clock_error),
+        turn_on_bias=plain(sensor.turn_on_bias),
+        drift=process_rows(sensor.drift),
+        scale_factor_instability=process_rows(sensor.scale_factor_instability),
+        thermal_lag=plain(sensor.thermal_lag),
+        sample_clock_error=plain(sensor.sample_clock_error),
         starts=_starts_row(spec.sensor),
         temperature_error=None
         if error is None
         else TemperatureErrorRow(
             sigma=float(error.standard_deviation),
-            tau=_plain(error.correlation_time),
-            bias_slope=_plain(error.bias_slope),
-            scale_factor_slope=_plain(error.scale_factor_slope),
+            tau=plain(error.correlation_time),
+            bias_slope=plain(error.bias_slope),
+            scale_factor_slope=plain(error.scale_factor_slope),
         ),
-        bias_temperature_gradient=None if gradient is None else GradientSensitivityRow(prior=_plain(gradient.prior)),
+        bias_temperature_gradient=None if gradient is None else GradientSensitivityRow(prior=plain(gradient.prior)),
         bias=None if sensor.bias is None else map_row(sensor.bias),
         scale_factor=None if sensor.scale_factor is None else map_row(sensor.scale_factor),
     )
@@ -224,7 +189,3 @@ def _starts_row(sensor: Sensor) -> StartsRow:
         sample_clock_error="constant" if sensor.sample_clock_error else None,
         turn_on_bias=None if not sensor.turn_on_bias else "constant" if sensor.bias is None else "prior",
     )
-
-
-def _plain(value: float | None) -> float | None:
-    return None if value is None else float(value)

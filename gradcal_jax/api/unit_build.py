@@ -1,11 +1,13 @@
 """A unit's spec in the core's terms: its channels, its installation, and the motion of the table."""
 
+from collections.abc import Callable, Iterable
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.api.build import basis, bias_map, or_infinite, scale_factor_map
+from gradcal_jax.api.build import basis, bias_map, or_infinite, programme_of, scale_factor_map, slow_processes
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
 from gradcal_jax.files.unit_rig import UnitRig
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
@@ -55,10 +57,12 @@ def unit_model(spec: UnitSpec) -> UnitModel:
     """The channels of a unit, what is uncertain of its installation, and the encoders' noise."""
     sensor, channels = spec.sensor, []
     if (gyro := sensor.gyro) is not None:
-        channels += [Channel(_gyro(gyro, axis), "gyro", AXIS_NAMES.index(axis)) for axis in gyro.axes]
+        channels += [Channel(_sensor_model(gyro, axis), "gyro", AXIS_NAMES.index(axis)) for axis in gyro.axes]
     if (force := sensor.accelerometer) is not None:
         slow = 0.0 if force.read_on_moves_below is None else float(force.read_on_moves_below) * (1.0 + _SLACK)
-        channels += [Channel(_accelerometer(force, a), "accelerometer", AXIS_NAMES.index(a), slow) for a in force.axes]
+        channels += [
+            Channel(_sensor_model(force, axis), "accelerometer", AXIS_NAMES.index(axis), slow) for axis in force.axes
+        ]
     angles = [axis.angle for axis in spec.rig.table.axis]
     encoder = model.EncoderNoise(
         np.array([float(a.standstill_offset) for a in angles]),
@@ -96,93 +100,59 @@ def _installation(spec: UnitSpec) -> tuple[model.InstallationTerm, ...]:
 _EXACT = 1e-12
 
 
-def _gyro(triad: GyroTriad, axis: str) -> model.SensorModel:
-    own = bias_map(triad.bias)
-    scale = None if triad.scale_factor is None else scale_factor_map(triad.scale_factor)
-    maps = [m for m in (own, scale) if m is not None]
+# Over what a section's terms go: nothing, the other axes, all of them, pairs of them.
+_OVER: dict[str, Callable[[str], Iterable[tuple[str, ...]]]] = {
+    "itself": lambda _: [()],
+    "others": lambda axis: [(b,) for b in AXIS_NAMES if b != axis],
+    "all": lambda _: [(b,) for b in AXIS_NAMES],
+    "pairs": lambda _: combinations(AXIS_NAMES, 2),
+}
+# Section, over what, signals ({own}: the channel's axis), name, symbol, SI unit.
+_OF_GYRO = (
+    ("misalignment", "others", ("rate {}",), MISALIGNMENT, "m_{}", "rad"),
+    ("g_sensitivity", "all", ("force {}",), G_SENSITIVITY, "g_{}", "rad/s/(m/s^2)"),
+    ("g_squared", "all", ("force {}",) * 2, "g_squared_{}", "gg_{}", "rad/s/(m/s^2)^2"),
+)
+_OF_ACCELEROMETER = (
+    ("bias", "itself", (), SPECIFIC_FORCE_BIAS, "a", "m/s^2"),
+    ("scale_factor", "itself", ("force {own}",), model.SCALE_FACTOR, "s", "1"),
+    ("misalignment", "others", ("force {}",), MISALIGNMENT, "m_{}", "rad"),
+    ("second_order", "itself", ("force {own}",) * 2, SECOND_ORDER, "k2", "1/(m/s^2)"),
+    ("third_order", "itself", ("force {own}",) * 3, "third_order", "k3", "1/(m/s^2)^2"),
+    ("asymmetry", "itself", ("|force {own}|",), "asymmetry", "asymmetry", "1"),
+    ("cross_coupling", "pairs", ("force {}", "force {1}"), "cross_{}{}", "k_{}{}", "1/(m/s^2)"),
+    ("lever_arm", "all", ("size {own}{}",), "lever_arm_{}", "r_{}", "m"),
+)
+
+
+def _sensor_model(triad: GyroTriad | AccelerometerTriad, axis: str) -> model.SensorModel:
+    """A channel: a gyro's maps, the terms of its signals, and what its maps' structure leaves out."""
+    maps: list[Map] = []
+    if isinstance(triad, AccelerometerTriad):
+        rows, white = _OF_ACCELEROMETER, triad.velocity_random_walk
+    else:
+        rows, white = _OF_GYRO, triad.angle_random_walk
+        maps = [bias_map(triad.bias)] + ([] if triad.scale_factor is None else [scale_factor_map(triad.scale_factor)])
     terms: list[Term] = list(maps)
-    if (section := triad.misalignment) is not None:
-        terms += [
-            _signal_map(section, (f"rate {other}",), MISALIGNMENT.format(other), f"m_{other}", "rad")
-            for other in _others(axis)
-        ]
-    if (section := triad.g_sensitivity) is not None:
-        terms += [
-            _signal_map(section, (f"force {other}",), G_SENSITIVITY.format(other), f"g_{other}", "rad/s/(m/s^2)")
-            for other in AXIS_NAMES
-        ]
-    if (section := triad.g_squared) is not None:
-        terms += [
-            _signal_map(section, (f"force {o}",) * 2, f"g_squared_{o}", f"gg_{o}", "rad/s/(m/s^2)^2")
-            for o in AXIS_NAMES
-        ]
+    for key, over, signals, name, symbol, unit in rows:
+        if (section := getattr(triad, key)) is not None:
+            terms += [
+                _signal_map(
+                    section, tuple(s.format(*of, own=axis) for s in signals), name.format(*of), symbol.format(*of), unit
+                )
+                for of in _OVER[over](axis)
+            ]
     terms += [m.beyond for m in maps if m.beyond is not None]
-    processes = model.no_processes()
-    for drift in triad.drift:
-        processes += model.gauss_markov(float(drift.standard_deviation), float(drift.correlation_time))
-    if triad.rate_random_walk:
-        processes += model.rate_random_walk(float(triad.rate_random_walk))
-    for drift in triad.scale_factor_instability:
-        processes += model.gauss_markov(
-            float(drift.standard_deviation), float(drift.correlation_time), bias_gain=0.0, rate_gain=1.0
-        )
-    return model.SensorModel(
-        tuple(terms), np.asarray(float(triad.angle_random_walk)), processes, model.angle_reference()
-    )
-
-
-def _accelerometer(triad: AccelerometerTriad, axis: str) -> model.SensorModel:
-    own, others = f"force {axis}", _others(axis)
-    terms: list[Term] = [_signal_map(triad.bias, (), SPECIFIC_FORCE_BIAS, "a", "m/s^2")]
-    if (section := triad.scale_factor) is not None:
-        terms.append(_signal_map(section, (own,), model.SCALE_FACTOR, "s", "1"))
-    if (section := triad.misalignment) is not None:
-        terms += [
-            _signal_map(section, (f"force {other}",), MISALIGNMENT.format(other), f"m_{other}", "rad")
-            for other in others
-        ]
-    if (section := triad.second_order) is not None:
-        terms.append(_signal_map(section, (own, own), SECOND_ORDER, "k2", "1/(m/s^2)"))
-    if (section := triad.third_order) is not None:
-        terms.append(_signal_map(section, (own, own, own), "third_order", "k3", "1/(m/s^2)^2"))
-    if (section := triad.asymmetry) is not None:
-        terms.append(_signal_map(section, (f"|{own}|",), "asymmetry", "asymmetry", "1"))
-    if (section := triad.cross_coupling) is not None:
-        pairs = [(a, b) for i, a in enumerate(AXIS_NAMES) for b in AXIS_NAMES[i + 1 :]]
-        terms += [
-            _signal_map(section, (f"force {a}", f"force {b}"), f"cross_{a}{b}", f"k_{a}{b}", "1/(m/s^2)")
-            for a, b in pairs
-        ]
-    if (section := triad.lever_arm) is not None:
-        terms += [
-            _signal_map(section, (f"size {axis}{other}",), f"lever_arm_{other}", f"r_{other}", "m")
-            for other in AXIS_NAMES
-        ]
-    processes = model.no_processes()
-    for drift in triad.drift:
-        processes += model.gauss_markov(float(drift.standard_deviation), float(drift.correlation_time))
-    return model.SensorModel(
-        tuple(terms), np.asarray(float(triad.velocity_random_walk)), processes, model.angle_reference()
-    )
-
-
-def _others(axis: str) -> tuple[str, ...]:
-    return tuple(name for name in AXIS_NAMES if name != axis)
+    processes = sum((part for _, part in slow_processes(triad)), model.no_processes())
+    return model.SensorModel(tuple(terms), np.asarray(float(white)), processes, model.angle_reference())
 
 
 def _signal_map(section, signals: tuple[str, ...], name: str, symbol: str, unit: str) -> SignalMap:
     over = getattr(section, "temperature", None)
     of_temperature: Basis = _CONSTANT if over is None else basis(over)
     std = or_infinite(section.prior)
-    return SignalMap(
-        temperature=of_temperature,
-        std=np.asarray(std),
-        signals=signals,
-        name=name,
-        symbol=symbol,
-        unit=unit,
-        has_prior=bool(np.isfinite(std)),
-    )
+    said = {"signals": signals, "name": name, "symbol": symbol, "si_unit": unit, "has_prior": bool(np.isfinite(std))}
+    return SignalMap(temperature=of_temperature, std=np.asarray(std), **said)
 
 
 def geometry(rig: UnitRig) -> Geometry:
@@ -235,11 +205,7 @@ def _move(step: UnitStep, read_every: float | None) -> Move:
 
 def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
     """The motion of a plan on a spec's rig."""
-    segments = plan.segments
-    course = trajectory.programme(segments[0].temperature_start, [(s.duration, s.slope) for s in segments])
-    ends = np.array([s.start for s in segments] + [plan.duration])
-    nearest = lambda time: int(np.argmin(np.abs(ends - time)))  # noqa: E731
-    used = tuple((nearest(s.start), nearest(s.start + s.duration)) for s in plan.stretches)
+    course, used = programme_of(plan)
     steps = [step for step in plan.steps for _ in range(step.move.repeat)]
     table = spec.rig.table
     every = float(table.axis[0].angle.read_every) if table.standing == "read" else None

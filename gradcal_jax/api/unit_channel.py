@@ -49,20 +49,19 @@ def finished(
     observations: Observations,
     white: Whitened,
     options: Options,
-    *,
-    rows: Rows,
-    done: estimation.Executed,
-    lag: float,
-    lag_std: float | None,
+    read: tuple[Rows, estimation.Executed],
+    found_lag: tuple[float, float | None],
     counts: dict[str, int],
     messages: Sequence[str],
     hidden: Sequence[tuple[Discrepancy, float, np.ndarray]] = (),
 ) -> UnitChannel:
     """One unit: smoothness, robustness and the tests, on columns that have settled.
 
+    `read`: its rows, and what they show was done; `found_lag` s, with its standard deviation where it was fitted.
     `hidden`: functions beyond a map's structure that are tested for, the level of false alarms, and the functions'
     whitened columns `(n, k)`.
     """
+    (rows, done), (lag, lag_std) = read, found_lag
     messages, smoothness = list(messages), None
     if options.smoothness == "auto":
         smoothness = estimation.choose_smoothness(white, model)
@@ -91,25 +90,12 @@ def finished(
     if options.neighbours_k is not None:
         groups, said = _neighbours(model, observations, found, rows, done, options.neighbours_k)
         messages += said
+    ranges = covered_temperatures(inside), _fastest(model, found, rows, lag, integrated)
+    said, asked = tuple(dict.fromkeys(messages)), tuple(test for test in structure if test is not None)
     return UnitChannel(
-        axis,
-        unit,
-        model,
-        observations,
-        found,
-        white,
-        tests,
-        weights,
-        lag,
-        lag_std,
-        smoothness,
-        covered_temperatures(inside),
-        _fastest(model, found, rows, lag, integrated),
-        counts,
-        tuple(dict.fromkeys(messages)),
-        groups,
-        tuple(test for test in structure if test is not None),
-    )
+        axis, unit, model, observations, found, white, tests, weights, lag, lag_std, smoothness, *ranges, counts, said,
+        groups, asked,
+    )  # fmt: skip
 
 
 def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str] = ()) -> list[str]:

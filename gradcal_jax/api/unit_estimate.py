@@ -11,6 +11,7 @@ import numpy as np
 import gradcal_jax
 from gradcal_jax import estimation
 from gradcal_jax.api.calibration import excess_of
+from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, section_of
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, host_time, of_host_clock
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
@@ -155,19 +156,8 @@ def _report(
     requirements = tuple(requirement_row(built, known, r) for r in built.spec.requirement)
     covered = _covered(done, rows, temperature)
     calibration = _calibration(built, logs, name, found, tests, channels, requirements, covered, options, sources)
-    report = UnitReport(
-        name,
-        built,
-        done,
-        found,
-        calibration,
-        requirements,
-        tests,
-        channels,
-        tuple(_internal(built, found, covered[0])),
-        _gravity(readings, calibration, temperature),
-        (),
-    )
+    seen = tuple(_internal(built, found, covered[0])), _gravity(readings, calibration, temperature)
+    report = UnitReport(name, built, done, found, calibration, requirements, tests, channels, *seen, ())
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
     lesser = counting_less(found.weights, of_segment[at.row_segment][used], names)
     return report._replace(messages=(*messages, *lesser, *_words(report, found)))
@@ -425,7 +415,7 @@ def _calibration(
         "valid_rate": tuple(f"{np.degrees(r):.1f} deg/s" for r in covered[1]),
         "channel": tuple(held),
         "covariance": Covariance(
-            names=tuple(names[k] for k in covariant), matrix=tuple(tuple(float(v) for v in row) for row in matrix)
+            names=tuple(names[k] for k in covariant), matrix=tuple(map(tuple, matrix.tolist()))
         ),
         "table": tuple(
             TableError(
@@ -434,7 +424,7 @@ def _calibration(
             )
             for k in range(model.calibrated, model.size)
         ),
-        "fit": tuple(_fit_tests(tests, channels)),
+        "fit": _fit_tests(tests, channels),
         "unobservable": tuple(names[k] for k in unseen if names[k] in kept),
         "noise": _noise(spec, log),
         "result": tuple(_result(row) for row in requirements),
@@ -467,7 +457,7 @@ def _channel(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Calibrated
             continue
         own = values[channel.model.where(term.name)]
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}
-        section = getattr(triad, _section_of(term.name))
+        section = getattr(triad, section_of(triad, term.name))
         assert isinstance(term, Map | SignalMap)
         signals = term.signals if isinstance(term, SignalMap) else () if term.rate is None else (f"rate {axis}",)
         bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
@@ -475,24 +465,11 @@ def _channel(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Calibrated
     return CalibratedChannel(kind=channel.kind, axis=axis, term=tuple(terms))
 
 
-def _section_of(term: str) -> str:
-    """The table of [sensor.gyro] or [sensor.accelerometer] that a term is from."""
-    for prefix, section in (("cross_", "cross_coupling"), ("misalignment_", "misalignment")):
-        if term.startswith(prefix):
-            return section
-    for section in ("g_squared", "g_sensitivity"):
-        if term.startswith(section):
-            return section
-    return term
-
-
-def _fit_tests(tests: Consistency, channels: dict[str, tuple[Test, Test]]):
+def _fit_tests(tests: Consistency, channels: dict[str, tuple[Test, Test]]) -> tuple[FitTest, ...]:
     rows = [("chi-squared of the fit", tests.fit)]
     for name, (size, white) in channels.items():
         rows += [(f"{name}: chi-squared", size), (f"{name}: whiteness", white)]
-    rows += [(split.name, split.agreement) for split in tests.splits]
-    for name, test in rows:
-        yield FitTest(name=name, statistic=test.statistic, degrees=test.degrees, chance=test.probability)
+    return fit_rows([*rows, *((split.name, split.agreement) for split in tests.splits)])
 
 
 def _noise(spec: UnitSpec, log: Log) -> UnitNoise:
@@ -524,20 +501,10 @@ def _result(row: RequirementRow) -> UnitResult:
 def unit_estimate_rows(report: UnitReport) -> dict[str, Any]:
     """All numbers of an estimate for another program, SI unless a unit stands beside them."""
     found = report.calibration
-    deviations = {}
-    if (covariance := found.covariance) is not None:
-        diagonal = [covariance.matrix[k][k] for k in range(len(covariance.names))]
-        deviations = {name: float(np.sqrt(v)) for name, v in zip(covariance.names, diagonal, strict=True)}
-    parameters = [
-        {"name": name, "value": value, "std": deviations.get(name), "unit": term.unit}
-        for channel in found.channel
-        for term in channel.term
-        for name, value in ((f"{channel.name}.{n}", v) for n, v in term.coefficients.items())
-    ]
     return {
         "unit": report.unit,
         "simulated": found.simulated,
-        "parameters": parameters,
+        "parameters": coefficient_rows(found),
         "table": [row.model_dump(mode="json") for row in found.table],
         "requirements": [row.model_dump(mode="json", exclude_none=True) for row in report.requirements],
         "internal_misalignment": [row._asdict() for row in report.internal],

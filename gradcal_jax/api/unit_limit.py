@@ -16,10 +16,11 @@ the time, in white noise.
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.api.limit import PlanLimit
+from gradcal_jax.api.limit import PlanLimit, plan_limit
 from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_prediction import posterior_of_unit, requirement_row
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY
@@ -73,12 +74,9 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
         )
     after = posterior_of_unit(built)
     rows = []
-    for requirement, (certified, reached) in proven:
+    for requirement, found in proven:
         value = requirement_row(built, after, requirement).decisive
-        unit, factor = UNIT_OF_QUANTITY[requirement.quantity]
-        bound, name = certified * factor, requirement.statistic
-        efficiency = None if value is None else bound / value
-        rows.append(PlanLimit(requirement.name, name, unit, bound, reached * factor, value, efficiency, _RELAXED))
+        rows.append(plan_limit(requirement, UNIT_OF_QUANTITY[requirement.quantity], found, value, _RELAXED))
     return rows
 
 
@@ -135,7 +133,10 @@ def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: n
     bias = model.make_map(term.temperature, prior_std=float(prior) if term.has_prior else np.inf)
     if isinstance(term, Map):
         bias = term
-    alone = model.gyro_model(bias, None, float(channel.model.angle_random_walk), _of_rest(channel.model.processes))
+    # The processes that a bias meets at any rate.
+    processes = channel.model.processes
+    at_rest = jax.tree.map(lambda of: of[np.asarray(processes.rate_gain) == 0.0], processes)
+    alone = model.gyro_model(bias, None, float(channel.model.angle_random_walk), at_rest)
     decays = alone.processes.decay
     shortest = 1.0 / np.max(decays, initial=1e-12)
     step = min(_LONGEST_S, _SHARE_OF_CORRELATION * shortest)
@@ -152,13 +153,6 @@ def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: n
     # Integrals over steps know less than the instants do: what a step half as long adds, all others add at most again.
     coarse, fine = variance(step), variance(0.5 * step)
     return np.sqrt(np.maximum(fine - np.abs(coarse - fine), 0.0))
-
-
-def _of_rest(processes: model.Processes) -> model.Processes:
-    """Those that a bias meets at any rate."""
-    keep = np.asarray(processes.rate_gain) == 0.0
-    names = ("initial_std", "decay", "diffusion", "bias_gain", "rate_gain")
-    return model.Processes(*(np.asarray(getattr(processes, name))[keep] for name in names))
 
 
 def _of_signal(built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
@@ -219,10 +213,5 @@ def _look(built: AssembledUnit, longest: float) -> _Look:
     edges = np.stack([number, number + 1], axis=1) / parts[piece][:, None]
     temperature = line.temperature(edges, piece)
     duration = line.duration[piece] / parts[piece]
-    return _Look(
-        line.start[piece] + edges[:, 0] * line.duration[piece],
-        duration,
-        temperature[:, 0],
-        temperature[:, 1],
-        ~np.asarray(line.gap)[piece],
-    )
+    start, used = line.start[piece] + edges[:, 0] * line.duration[piece], ~np.asarray(line.gap)[piece]
+    return _Look(start, duration, temperature[:, 0], temperature[:, 1], used)

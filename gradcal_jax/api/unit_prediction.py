@@ -1,16 +1,19 @@
 """The contract gradcal-prediction/1 for a whole unit."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, summed_up, unit_residual, worst_axis
 from gradcal_jax.api.unit_sentences import unit_warnings
+from gradcal_jax.files import Spec
 from gradcal_jax.files.contracts import ParameterRow, Prediction, RequirementRow
 from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, posterior, unit_information
+from gradcal_jax.model import SensorModel, UnitModel
 from gradcal_jax.trajectory import TableMotion, body_nodes
 
 
@@ -18,25 +21,37 @@ def predict_unit(spec: UnitSpec) -> Prediction:
     """What a unit's plan leaves of every requirement, with every parameter's standard deviation (1σ). Errors: none."""
     built = assemble_unit(spec)
     known = posterior_of_unit(built)
-    schedule, reported = spec.schedule, built.model.to_reported[: built.model.calibrated]
-    deviations, block = known.deviations(reported), known.covariance(reported)
-    seen = np.isfinite(deviations)
-    names, units = built.model.names(), built.model.units()
     return Prediction(
-        title=spec.title,
-        duration_s=schedule.duration,
-        soak_s=schedule.soak,
-        motion_s=schedule.motion,
         requirements=tuple(requirement_row(built, known, requirement) for requirement in spec.requirement),
-        parameters=tuple(
-            ParameterRow(name=names[i], axis="unit", std=float(d) if seen[i] else None, unit=units[i])
-            for i, d in enumerate(deviations)
-        ),
-        covariance=tuple(
-            tuple(float(v) if seen[i] and seen[j] else None for j, v in enumerate(row)) for i, row in enumerate(block)
-        ),
         warnings=tuple(unit_warnings(built, known)),
+        **of_plan(spec, built.model, {"unit": known}),
     )
+
+
+def of_plan(spec: Spec | UnitSpec, model: SensorModel | UnitModel, known: Mapping[Any, Posterior]) -> dict[str, Any]:
+    """What a prediction says of any plan: its title, its times, rows of the reported parameters, and their covariance;
+    axes one after the other, which are independent.
+    """
+    count = model.calibrated
+    names, units, reported = model.names(), model.units(), model.to_reported[:count]
+    rows, size = [], len(known) * count
+    covariance: list[list[float | None]] = [[0.0] * size for _ in range(size)]
+    for k, (axis, of) in enumerate(known.items()):
+        deviations, here = of.deviations(reported), slice(k * count, (k + 1) * count)
+        stds = [float(std) if np.isfinite(std) else None for std in deviations]
+        rows += [
+            ParameterRow(name=n, axis=axis, std=std, unit=u) for n, std, u in zip(names, stds, units, strict=False)
+        ]
+        seen = np.isfinite(deviations)
+        block = np.where(np.outer(seen, seen), of.covariance(reported), None)
+        for row, values in zip(covariance[here], block.tolist(), strict=True):
+            row[here] = values
+    return {
+        "title": spec.title,
+        **{f"{name}_s": getattr(spec.schedule, name) for name in ("duration", "soak", "motion")},
+        "parameters": tuple(rows),
+        "covariance": tuple(map(tuple, covariance)),
+    }
 
 
 def posterior_of_unit(built: AssembledUnit) -> Posterior:

@@ -139,6 +139,11 @@ def summary_statistic(requirement: UnitRequirement, found: UnitResidual, name: S
     return float(value) if np.isfinite(value) else None
 
 
+def decisive_value(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> float | None:
+    """The requirement's own statistic."""
+    return summary_statistic(requirement, unit_residual(built, known, requirement), requirement.statistic)
+
+
 def worst_axis(requirement: UnitRequirement, found: UnitResidual) -> str | None:
     """Which element decides, where one does."""
     if requirement.axis == "all" or len(found.labels) < 2:

@@ -6,15 +6,14 @@ as many readings as before: whole numbers have no slope.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from gradcal_jax.api.sensitivity_rows import Elasticity, Sensitivities
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_prediction import posterior_of_unit
-from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, summed_up, unit_residual
+from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, decisive_value
 from gradcal_jax.files.changes import changed, tables_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.units import dimension_of, format_quantity, parse, unit_of
@@ -45,6 +44,21 @@ _POWERS = {"time": 1, "angular rate": -1, "temperature slope": -1, "angular acce
 _RIG = r"rig\.(table\.axis\[\d+\]\.max_(rate|acceleration)|chamber\.max_(heating|cooling))"
 _PLAN = r"plan\.(gradient|soak\.duration|programme\[\d+\]\.(soak|rate))"
 _MOVES = r"plan\.cycle\.moves\[\d+\]\.(rest|duration|peak_rate|period|ramp)"
+
+
+class Elasticity(NamedTuple):
+    """`percent`: by how much the requirement's residual changes for one per cent more of `figure`."""
+
+    requirement: str
+    figure: str
+    percent: float
+
+
+class Sensitivities(NamedTuple):
+    """Elasticities, and the residual of each requirement in its unit."""
+
+    rows: tuple[Elasticity, ...]
+    residuals: dict[str, tuple[float, str]]
 
 
 def unit_sensitivities(spec: UnitSpec) -> Sensitivities:
@@ -102,21 +116,20 @@ def _number(text: str) -> float:
     return parse(text, dimension_of(unit_of(text)))
 
 
-def _scaled(text: str, factor: float) -> str:
-    return format_quantity(_number(text) * factor, unit_of(text))
-
-
 def _elasticity(spec: UnitSpec, powers: Mapping[str, int], nominal: np.ndarray) -> np.ndarray | None:
     """d ln(residuals)/d ln(figure), central where both sides have the plan's cycles."""
-    texts, cycles = dict(_texts(tables_of(spec), "")), _cycles(spec)
+    texts, cycles = dict(_texts(tables_of(spec), "")), [stretch.cycles for stretch in spec.schedule.stretches]
     for k, axis in enumerate(spec.rig.table.axis):
         texts.setdefault(f"rig.table.axis[{k}].angle.read_every", str(axis.angle.read_every))
     logs: list[np.ndarray] = []
     places: list[float] = []
     for step in (-_STEP, _STEP):
-        scaled = {key: _scaled(texts[key], (1.0 + step) ** power) for key, power in powers.items()}
+        scaled = {
+            key: format_quantity(_number(texts[key]) * (1.0 + step) ** power, unit_of(texts[key]))
+            for key, power in powers.items()
+        }
         other = changed(spec, scaled)
-        if _cycles(other) == cycles:
+        if [stretch.cycles for stretch in other.schedule.stretches] == cycles:
             logs.append(np.log(_residuals(other)))
             places.append(np.log1p(step))
     if not logs:
@@ -126,13 +139,9 @@ def _elasticity(spec: UnitSpec, powers: Mapping[str, int], nominal: np.ndarray) 
     return (logs[1] - logs[0]) / (places[1] - places[0])
 
 
-def _cycles(spec: UnitSpec) -> Sequence[int]:
-    return [stretch.cycles for stretch in spec.schedule.stretches]
-
-
 def _residuals(spec: UnitSpec) -> np.ndarray:
     """Of every requirement its decisive value; infinite where it is not observed."""
     built = assemble_unit(spec)
     known = posterior_of_unit(built)
-    values = [summed_up(r, unit_residual(built, known, r))[r.statistic] for r in spec.requirement]
+    values = [decisive_value(built, known, r) for r in spec.requirement]
     return np.array([np.inf if value is None else value for value in values])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
-from gradcal_jax.api.unit_residual import summed_up, unit_residual
+from gradcal_jax.api.unit_residual import decisive_value
 from gradcal_jax.information import Posterior, posterior, square_root
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.trajectory import frames
@@ -50,31 +50,29 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     temperatures the structure is trusted.
     """
     names = [name for name, _ in unobserved_parameters(built, known)]
-    said = _cures(built, set(names))
+    motion = built.motion
+    axes = frames(motion.geometry, motion.angles()[0], motion.mounting).axes
+    said = _cures(built, axes, set(names))
     if any(".m_" in name for name in names) or _orthogonality_is_hidden(built, known):
-        said += _reversals(built)
+        said += _reversals(built, axes)
     groups: dict[str, list[str]] = {}
     for name in names:
         channel, _, symbol = name.partition(".")
         groups.setdefault(channel, []).append(symbol)
     said += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
     said += _limited_by_priors(built, known) + _as_before(built, known)
-    return said + _saturated(built) + _beyond(built)
+    return said + _saturated(built, axes) + _beyond(built)
 
 
 # Of an installation's parameter: what it is, in which unit its prior is said, and what tells more of it than any plan.
+_HANG = "hang the unit in several ways, or count misalignments from the table's axes"
 _FREEDOMS = {
     "sample_clock": ("the sample clock", "ppm", 1e6, "compare the clock with a better one"),
     "gravity": ("gravity", "ug", 1e6 / G, "have it measured at the site"),
     "azimuth": ("the azimuth of the base", "mrad", 1e3, "survey it"),
     "tilt_east": ("the tilt of the base", "urad", 1e6, "level it"),
     "tilt_north": ("the tilt of the base", "urad", 1e6, "level it"),
-    "mounting": (
-        "the mounting",
-        "urad",
-        1e6,
-        "hang the unit in several ways, or count misalignments from the table's axes",
-    ),
+    "mounting": ("the mounting", "urad", 1e6, _HANG),
 }
 _FAMILIES = {
     ("gyro", "a"): "bias",
@@ -124,9 +122,7 @@ def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
     before = posterior(square_root(built.model.prior_rows()))
     said = []
     for requirement in built.spec.requirement:
-        then, now = (
-            summed_up(requirement, unit_residual(built, k, requirement))[requirement.statistic] for k in (before, known)
-        )
+        then, now = (decisive_value(built, k, requirement) for k in (before, known))
         if then is not None and now is not None and now > NOT_OBSERVED * then:
             said.append(
                 f"requirement '{requirement.name}' is left as it was known beforehand: the plan says nothing of it"
@@ -134,17 +130,15 @@ def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
     return said
 
 
-def _saturated(built: AssembledUnit) -> list[str]:
+def _saturated(built: AssembledUnit, axes: np.ndarray) -> list[str]:
     """Gyros that a turn takes beyond their full scale, less its margin: what they deliver then is no reading."""
     gyro, motion = built.spec.sensor.gyro, built.motion
     if gyro is None or gyro.usable_rate is None:
         return []
-    before, _ = motion.angles()
     moves = np.flatnonzero(motion.axis >= 0)
-    axes = frames(motion.geometry, before, motion.mounting).axes[moves, motion.axis[moves]]
     halves = np.broadcast_to([0.0, 0.5, 1.0], (len(moves), 3))
     fastest = np.max(np.abs(motion.line.rate(halves, moves)), axis=1, initial=0.0)
-    seen = np.max(np.abs(axes) * fastest[:, None], axis=0, initial=0.0)
+    seen = np.max(np.abs(axes[moves, motion.axis[moves]]) * fastest[:, None], axis=0, initial=0.0)
     return [
         f"gyro {name} sees up to {np.degrees(rate):.4g} deg/s, beyond its full scale less the margin, "
         f"{np.degrees(gyro.usable_rate):.4g} deg/s: turn more slowly"
@@ -169,13 +163,11 @@ def _beyond(built: AssembledUnit) -> list[str]:
     ]
 
 
-def _cures(built: AssembledUnit, names: set[str]) -> list[str]:
+def _cures(built: AssembledUnit, axes: np.ndarray, names: set[str]) -> list[str]:
     """What a look at the plan's poses explains of what cannot be observed."""
     if not names:
         return []
     motion = built.motion
-    before, _ = motion.angles()
-    axes = frames(motion.geometry, before, motion.mounting).axes
     moves = np.flatnonzero(motion.axis >= 0)
     up = rest_poses(built).up
     said: list[str] = []
@@ -209,13 +201,11 @@ def _orthogonality_is_hidden(built: AssembledUnit, known: Posterior) -> bool:
     return bool(np.any(after > NOT_OBSERVED * before))
 
 
-def _reversals(built: AssembledUnit) -> list[str]:
+def _reversals(built: AssembledUnit, axes: np.ndarray) -> list[str]:
     """Turns of an outer axis of which no two are seen from opposite sides: the misalignment towards the inner axis
     hides behind the non-orthogonality of the two.
     """
     motion, table = built.motion, built.spec.rig.table
-    before, _ = motion.angles()
-    axes = frames(motion.geometry, before, motion.mounting).axes
     said: list[str] = []
     for k in range(len(table.axis) - 1):
         turning = np.unique(np.round(axes[motion.axis == k][:, k], 6), axis=0)

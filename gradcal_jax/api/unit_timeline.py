@@ -5,9 +5,9 @@ from typing import Any, cast
 import numpy as np
 
 from gradcal_jax import model
-from gradcal_jax.api.contract_rows import basis_row, map_row, shape_row
+from gradcal_jax.api.contract_rows import basis_row, map_row, plain, process_rows, section_of, shape_row
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
-from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow, ProcessRow
+from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow
 from gradcal_jax.files.sensor import Bias, ScaleFactor
 from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_plan import UnitStep
@@ -64,7 +64,7 @@ def unit_timeline(spec: UnitSpec) -> UnitTimeline:
             MountingRow(name=m.name, rotation=_matrix(rotation))
             for m, rotation in zip(table.mounting, np.asarray(geometry.mountings), strict=True)
         ),
-        thermal_lag=None if sensor.thermal_lag is None else float(sensor.thermal_lag),
+        thermal_lag=plain(sensor.thermal_lag),
         channels=tuple(
             _channel(c, sensor.gyro if c.kind == "gyro" else sensor.accelerometer) for c in built.model.channels
         ),
@@ -83,21 +83,17 @@ def _matrix(values) -> Matrix3:
 
 def _channel(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> ChannelRow:
     assert triad is not None
-    processes: Any = lambda rows: tuple(  # noqa: E731
-        ProcessRow(sigma=float(r.standard_deviation), tau=float(r.correlation_time)) for r in rows
-    )
-    own: dict[str, Any] = {"white": float(channel.model.angle_random_walk), "drift": processes(triad.drift)}
+    own: dict[str, Any] = {"white": float(channel.model.angle_random_walk), "drift": process_rows(triad.drift)}
     if isinstance(triad, GyroTriad):
         own["rate_random_walk"] = float(triad.rate_random_walk or 0.0)
-        own["scale_factor_instability"] = processes(triad.scale_factor_instability)
+        own["scale_factor_instability"] = process_rows(triad.scale_factor_instability)
     terms = [_term(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
     axis = AXIS_NAMES[channel.axis]
     return ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
 
 
 def _term(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> UnitTermRow:
-    key = next(k for k in type(triad).model_fields if term.name.startswith(k) or k == "cross_coupling")
-    section = getattr(triad, key)
+    section = getattr(triad, section_of(triad, term.name))
     if isinstance(section, Bias | ScaleFactor):
         row = map_row(section)
         signals = () if isinstance(section, Bias) else (f"rate {AXIS_NAMES[channel.axis]}",)
@@ -105,10 +101,7 @@ def _term(channel: Channel, term: Map | SignalMap, triad: GyroTriad | Accelerome
         assert isinstance(term, SignalMap)
         of = getattr(section, "temperature", None)
         over = _CONSTANT if of is None else basis_row(of, smooth=False)
-        row, signals = (
-            MapRow(temperature=over, prior=None if section.prior is None else float(section.prior)),
-            term.signals,
-        )
+        row, signals = MapRow(temperature=over, prior=plain(section.prior)), term.signals
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     fields = {name: getattr(row, name) for name in MapRow.model_fields}
     return UnitTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)

@@ -89,9 +89,8 @@ def validate(
     corrected = correction.apply(calibration, log, unit)
     result: list[AxisValidation] = []
     for name in log.axes:
-        if name in corrected.left_alone:
-            continue
-        result.append(_axis(calibration, log, corrected.log, number, name, temperature_parts, earth_rate, table_axis))
+        if name not in corrected.left_alone:
+            result.append(_axis(log, corrected.log, number, name, temperature_parts, earth_rate, table_axis))
     if not any(one.moves or one.rests for one in result):
         raise LogError("the log holds neither a move with a table angle nor a rest: there is nothing to compare with")
     return result
@@ -110,8 +109,7 @@ def acceptances(calibration: Calibration, found: list[AxisValidation]) -> list[A
         cells = [c for c in by_axis[result.axis].cells if c.unit == result.unit and c.how_many > 1]
         judged = [_judged(result, cell) for cell in cells]
         if judged:
-            worst = max(judged, key=lambda row: (row.verdict == "missed", row.specific_risk, abs(row.error)))
-            rows.append(worst)
+            rows.append(max(judged, key=lambda row: (row.verdict == "missed", row.specific_risk, abs(row.error))))
     return rows
 
 
@@ -131,14 +129,7 @@ def _judged(result: Result, cell: Cell) -> Acceptance:
 
 
 def _axis(
-    calibration: Calibration,
-    log: Log,
-    corrected: Log,
-    unit: int,
-    axis: str,
-    parts: int,
-    earth_rate: float,
-    table_axis: str | None,
+    log: Log, corrected: Log, unit: int, axis: str, parts: int, earth_rate: float, table_axis: str | None
 ) -> AxisValidation:
     messages: list[str] = []
     column = log.axis_index(axis)
@@ -151,9 +142,8 @@ def _axis(
     if log.standstill is not None:
         standing = log.standstill >= 0
     else:
-        standing = (
-            estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit)) >= 0
-        )
+        number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
+        standing = number >= 0
         messages.append("the log marks no standstills: they were found where the rates are quiet")
     temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(raw), np.nan)
     done = estimation.executed(
@@ -178,7 +168,8 @@ def _axis(
     moves = rests = 0
     scale = bias = None
     if angle is not None:
-        groups = _moves(moving & ~done.broken)
+        # First and last piece of every move.
+        groups = [(first, end - 1) for first, end in formulas.runs(moving & ~done.broken).tolist()]
         truth = np.array([angle[done.rows[b + 1]] - angle[done.rows[a]] for a, b in groups])
         turned = np.abs(truth) > np.radians(1.0)
         if turned.any():
@@ -201,11 +192,6 @@ def _axis(
     return AxisValidation(axis, moves, rests, scale, bias, tuple(cells), rows, tuple(messages))
 
 
-def _moves(moving: np.ndarray) -> list[tuple[int, int]]:
-    """First and last piece of every move."""
-    return [(first, end - 1) for first, end in formulas.runs(moving).tolist()]
-
-
 def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:
     return float(np.sqrt(np.average(values**2, weights=weights)))
 
@@ -217,7 +203,7 @@ def _cells(temperature, speed, before, after, parts: int, unit: str) -> list[Cel
     low, high = float(values.min()), float(values.max())
     edges = np.linspace(low, high, parts + 1) if high - low > 1.0 else np.array([low, high])
     warm = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-    fast = np.zeros(len(before), int) if speed is None else _clusters(speed)
+    fast = np.zeros(len(before), int) if speed is None else estimation.like_rates(speed, 0.2)
     rows: list[Cell] = []
     for i in range(len(edges) - 1):
         for j in np.unique(fast):
@@ -225,28 +211,10 @@ def _cells(temperature, speed, before, after, parts: int, unit: str) -> list[Cel
             if not inside.any():
                 continue
             rates = None if speed is None else (float(speed[inside].min()), float(speed[inside].max()))
-            rows.append(
-                Cell(
-                    (float(edges[i]), float(edges[i + 1])) if known.any() else None,
-                    rates,
-                    int(inside.sum()),
-                    float(np.mean(before[inside])),
-                    float(np.mean(after[inside])),
-                    float(np.std(after[inside])),
-                    unit,
-                )
-            )
+            warmth = (float(edges[i]), float(edges[i + 1])) if known.any() else None
+            was, left = float(np.mean(before[inside])), float(np.mean(after[inside]))
+            rows.append(Cell(warmth, rates, int(inside.sum()), was, left, float(np.std(after[inside])), unit))
     return rows
-
-
-def _clusters(speed: np.ndarray) -> np.ndarray:
-    """Numbers of groups of mean rates that lie within a fifth of one another."""
-    order = np.argsort(speed)
-    ordered = speed[order]
-    apart = np.diff(ordered) > 0.2 * np.maximum(np.abs(ordered[1:]), np.abs(ordered[:-1]))
-    result = np.empty(len(speed), int)
-    result[order] = np.concatenate([[0], np.cumsum(apart)])
-    return result
 
 
 def validation_rows(found: list[AxisValidation]) -> list[dict[str, Any]]:

@@ -93,10 +93,7 @@ def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: d
             "result": tuple(row for c in calibrations for row in c.result),
             "noise": noise,
             "frame": f"the axes {named} of the log, not orthogonalised",
-            "provenance": {
-                **first.provenance,
-                "readings": ", ".join(c.provenance["readings"] for c in calibrations),
-            },
+            "provenance": {**first.provenance, "readings": ", ".join(c.provenance["readings"] for c in calibrations)},
         }
     )
     return EstimateReport(
@@ -149,14 +146,8 @@ def _crossings(time: np.ndarray, temperature: np.ndarray) -> tuple[np.ndarray, n
     ends: list[float] = []
     for near, far, row in ((0, 1, 0), (-1, -2, -1)):
         slope = (value[near] - value[far]) / (when[near] - when[far]) if len(when) > 1 else 0.0
-        half = abs(temperature[row] - value[near])
-        ends.append(
-            float(
-                np.clip(
-                    value[near] + slope * (time[row] - when[near]), temperature[row] - half, temperature[row] + half
-                )
-            )
-        )
+        half, straight = abs(temperature[row] - value[near]), value[near] + slope * (time[row] - when[near])
+        ends.append(float(np.clip(straight, temperature[row] - half, temperature[row] + half)))
     return np.concatenate([time[:1], when, time[-1:]]), np.array([ends[0], *value, ends[1]])
 
 

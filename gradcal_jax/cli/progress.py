@@ -8,7 +8,7 @@ from gradcal_jax.cli.console import is_plain
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.jobs.progress import Progress
+    from gradcal_jax.jobs.pool import Progress
 
 # Before that, what is left is anybody's guess.
 _SOON_S: Final = 3.0

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import xarray
 
     from gradcal_jax.files.sweep import Sweep
-    from gradcal_jax.jobs.sweep import Estimate
+    from gradcal_jax.jobs.sweep import SweepEstimate
 
 _VERDICTS = ("met", "missed", "unobservable")
 
@@ -105,7 +105,7 @@ def sweep(
     return NOT_AS_WISHED if summary["failed"] else DONE
 
 
-def _estimate(found: "Estimate") -> dict[str, Any]:
+def _estimate(found: "SweepEstimate") -> dict[str, Any]:
     return {
         "points": found.points,
         "failing_in_first_chunk": found.failing,
@@ -118,7 +118,7 @@ def _estimate(found: "Estimate") -> dict[str, Any]:
     }
 
 
-def _estimated(found: "Estimate", job: "Sweep") -> str:
+def _estimated(found: "SweepEstimate", job: "Sweep") -> str:
     lines = [
         strong(job.file.title or "the sweep"),
         f"{found.points} points in {found.chunks} chunks on {found.workers} workers",

@@ -64,10 +64,6 @@ class Alignment:
     def recorded_s(self, host_s: Floats) -> Floats:
         return self.middle_s + (host_s - self.offset_s) / self.rate
 
-    def std_s(self, recorded_s: float) -> float:
-        """One sigma of the run's time at a time of the recording."""
-        return math.hypot(self.offset_std_s, self.rate_std * (recorded_s - self.middle_s))
-
 
 @dataclass(frozen=True)
 class Track:
@@ -316,16 +312,9 @@ def _exactly(pairs: list[tuple[_Unit, Track]], middle_s: float, place: _Place) -
     own, cross, slope = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
     # The middle at which offset and rate do not depend on each other.
     shift_s = -cross / slope
-    return Alignment(
-        middle_s + shift_s,
-        offset_s + (1.0 + excess) * shift_s,
-        1.0 + excess,
-        math.sqrt(max(own - cross**2 / slope, 0.0)),
-        math.sqrt(slope),
-        bursts,
-        count,
-        place.misfit,
-    )
+    line = middle_s + shift_s, offset_s + (1.0 + excess) * shift_s, 1.0 + excess
+    stds = math.sqrt(max(own - cross**2 / slope, 0.0)), math.sqrt(slope)
+    return Alignment(*line, *stds, bursts, count, place.misfit)
 
 
 def _projected(burst: _Burst, noise_deg: float, jitter_s: float) -> tuple[Floats, Floats]:

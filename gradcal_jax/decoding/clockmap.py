@@ -91,15 +91,8 @@ def fit_clock(
     lever = float(np.sqrt(np.sum((centred[kept] - centred[kept].mean()) ** 2)))
     # An error anywhere within a step of the grid, at either end: √2 · resolution / √12.
     grid = resolution_s / math.sqrt(6.0) / float(np.ptp(centred[kept]))
-    return ClockMap(
-        offset_s=offset - rate * middle,
-        rate=rate,
-        rate_std=max(math.hypot(rms / lever, grid), unknown),
-        residual_rms_s=rms,
-        residual_max_s=float(np.max(np.abs(used))),
-        used=int(kept.sum()),
-        late=int((~kept).sum()),
-    )
+    rate_std, largest = max(math.hypot(rms / lever, grid), unknown), float(np.max(np.abs(used)))
+    return ClockMap(offset - rate * middle, rate, rate_std, rms, largest, int(kept.sum()), int((~kept).sum()))
 
 
 def _not_above(residual: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -76,7 +76,11 @@ def rounds_resolved(samples: ImuBatch, round_samples: int, sample_s: float) -> t
     gaps = samples.gap_before % round_samples
     gaps[0] = samples.gap_before[0]
     since = np.concatenate(([0], np.cumsum(gaps[1:] + 1)))
-    arrivals = _arrivals(samples.host_time_s, since * sample_s)
+    last = np.flatnonzero(np.append(np.diff(samples.host_time_s) > 0.0, True))
+    host = samples.host_time_s[last]
+    late = host - (since * sample_s)[last]
+    follow = np.searchsorted(host, host + WINDOW_S, side="right") - np.arange(last.size)
+    arrivals = _Arrivals(last, host, late, _minima(late, follow), follow)
     traces = np.flatnonzero((gaps > 0) | samples.disturbed)
     lost, doubts = _lost(arrivals, traces[traces > 0], round_samples * sample_s)
     for row, rounds in lost.items():
@@ -84,14 +88,6 @@ def rounds_resolved(samples: ImuBatch, round_samples: int, sample_s: float) -> t
     since = np.concatenate(([0], np.cumsum(gaps[1:] + 1)))
     device = samples.device_time_s[0] + since * sample_s
     return replace(samples, device_time_s=device, gap_before=gaps), doubts
-
-
-def _arrivals(host_s: Floats, device_s: Floats) -> _Arrivals:
-    last = np.flatnonzero(np.append(np.diff(host_s) > 0.0, True))
-    host = host_s[last]
-    late = host - device_s[last]
-    follow = np.searchsorted(host, host + WINDOW_S, side="right") - np.arange(last.size)
-    return _Arrivals(last, host, late, _minima(late, follow), follow)
 
 
 def _minima(values: Floats, counts: Whole) -> Floats:

@@ -399,10 +399,8 @@ def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
         found.append((open_since, latest))
     merged: list[tuple[float, float]] = []
     for start, end in found:
-        if merged and start - merged[-1][1] < 1e-3:
-            merged[-1] = (merged[-1][0], end)
-        else:
-            merged.append((start, end))
+        joins = bool(merged) and start - merged[-1][1] < 1e-3
+        merged.append((merged.pop()[0], end) if joins else (start, end))
     return merged
 
 
@@ -587,29 +585,22 @@ def _on_one_clock(parts: Sequence[_Part]) -> list[Floats]:
 
 
 def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
-    found: list[Finding] = []
     missing = sum(part.missing for part in parts)
-    if missing:
-        gaps = sum(int(np.count_nonzero(part.samples.gap_before[1:])) for part in parts)
-        found.append(Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places"))
-    found += _findings_of_rounds(parts)
+    gaps = sum(int(np.count_nonzero(part.samples.gap_before[1:])) for part in parts)
     unsure = max(part.clock.residual_max_s for part in parts)
-    if unsure > _SETTLED_S:
-        message = f"the computer was so busy that its stamps are sure to {unsure:.2g} s only: so much more is left away"
-        found.append(Finding("late stamps", "mask", 0, f"{message} at both ends of every standstill"))
     anew = sum(part.restarted for part in parts)
-    if anew:
-        message = (
-            f"the unit began anew {anew} time{'s' * (anew > 1)} in the run; what it would have sent is not counted"
-        )
-        found.append(Finding("unit restarted", "split", anew, message))
-    bad = sum(part.bad_bytes for part in parts)
-    if bad:
-        found.append(Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram"))
-    twice = sum(part.repeated for part in parts)
-    if twice:
-        found.append(Finding("repeated datagram", "keep", 0, f"{twice} datagrams came twice and count once"))
-    return tuple(found)
+    bad, twice = (sum(getattr(part, name) for part in parts) for name in ("bad_bytes", "repeated"))
+    lateness = f"the computer was so busy that its stamps are sure to {unsure:.2g} s only: so much more is left away"
+    times = f"{anew} time{'s' * (anew > 1)} in the run; what it would have sent is not counted"
+    others = [
+        (unsure > _SETTLED_S, "late stamps", "mask", 0, f"{lateness} at both ends of every standstill"),
+        (anew, "unit restarted", "split", anew, f"the unit began anew {times}"),
+        (bad, "unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram"),
+        (twice, "repeated datagram", "keep", 0, f"{twice} datagrams came twice and count once"),
+    ]
+    found = [Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places")] if missing else []
+    found += _findings_of_rounds(parts)
+    return (*found, *(Finding(*of) for there, *of in others if there))
 
 
 def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:

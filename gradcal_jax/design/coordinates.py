@@ -95,6 +95,7 @@ class Frame(NamedTuple):
 
 
 SHAPES = ("rest", *STEEPNESS)
+_FREE = ("duration", "peak_rate", "ramp", "gradient")
 
 
 class Coordinates(eqx.Module):
@@ -129,13 +130,9 @@ class Coordinates(eqx.Module):
 
     @property
     def _sizes(self) -> tuple[int, int, int, int]:
-        count = lambda values, name: values.shape[0] if name in self.free else 0  # noqa: E731
-        return (
-            count(self.least, "duration"),
-            count(self.turns, "peak_rate"),
-            count(self.ramped, "ramp"),
-            count(self.nominal.steps, "gradient"),
-        )
+        numbers = zip(_FREE, (self.least, self.turns, self.ramped, self.nominal.steps), strict=True)
+        durations, rates, ramps, steps = (of.shape[0] if name in self.free else 0 for name, of in numbers)
+        return durations, rates, ramps, steps
 
     @property
     def size(self) -> int:
@@ -165,16 +162,11 @@ class Coordinates(eqx.Module):
         slopes = cycle.steps / xp.where(lasting > 0.0, lasting, 1.0)
         programme = Programme(xp.asarray(frame.temperature_start), lasting, slopes, xp.zeros(lasting.shape))
         joined = lambda first, values: xp.concatenate([first, values])  # noqa: E731
+        times = joined(before, cycle.durations), *(joined(xp.zeros(2), of) for of in (cycle.peak_rates, cycle.ramps))
         return eqx.tree_at(
             lambda s: (s.duration, s.peak_rate, s.ramp, s.spacing, s.programme),
             self.template,
-            (
-                joined(before, cycle.durations),
-                joined(xp.zeros(2), cycle.peak_rates),
-                joined(xp.zeros(2), cycle.ramps),
-                xp.asarray(frame.read_every),
-                programme,
-            ),
+            (*times, xp.asarray(frame.read_every), programme),
         )
 
     def _durations(self, z):
@@ -358,17 +350,9 @@ class Coordinates(eqx.Module):
 
     def with_elements(self, elements: tuple[Element, ...], nominal: Cycle) -> "Coordinates":
         """Other moves in the same frame."""
-        return _coordinates(
-            elements,
-            self.limits,
-            self.frame,
-            nominal,
-            cycles=int(self.visits) // self.groups,
-            others_read=self.others_read,
-            free=self.free,
-            parts=self.parts,
-            tail=bool(len(self.template.fill_move)),
-        )
+        cycles, tail = int(self.visits) // self.groups, bool(len(self.template.fill_move))
+        structure = _Structure(cycles, self.others_read, self.free, self.parts, tail)
+        return _coordinates(elements, self.limits, self.frame, nominal, structure)
 
     def padded(self) -> "Coordinates":
         """Sizes filled up to few classes, for one compiled program to serve many structures."""
@@ -417,15 +401,10 @@ EASED = 5
 _STEEP = np.array([0.0, *STEEPNESS.values()])
 _HAS_RAMPS = np.array([shape in RAMPED_SHAPES for shape in SHAPES])
 # Of unit peak rate: angle = first·duration + second·ramp, from `formulas.turned_angle`, which is linear in both.
+_TURNED = formulas.turned_angle
 _ANGLE = np.array(
     [(0.0, 0.0)]
-    + [
-        (
-            formulas.turned_angle(s, 1.0, 1.0, 0.0),
-            formulas.turned_angle(s, 1.0, 0.0, 1.0) if s in RAMPED_SHAPES else 0.0,
-        )
-        for s in STEEPNESS
-    ]
+    + [(_TURNED(s, 1.0, 1.0, 0.0), _TURNED(s, 1.0, 0.0, 1.0) if s in RAMPED_SHAPES else 0.0) for s in STEEPNESS]
 ).T
 
 
@@ -476,22 +455,23 @@ def make_coordinates(
         nominal = Cycle(np.array(share), zeros, zeros, np.zeros(cycles * groups))
     parts = max(1, int(np.ceil(float(frame.own_time) / longest_piece)))
     tail = bool(frame.motion_time - used > 1e-6)
-    settings = {"cycles": cycles, "others_read": others_read, "free": free, "parts": parts, "tail": tail}
-    return _coordinates(elements, limits, frame, nominal, **settings)
+    return _coordinates(elements, limits, frame, nominal, _Structure(cycles, others_read, free, parts, tail))
+
+
+class _Structure(NamedTuple):
+    """See `make_coordinates`, and `Coordinates` for `parts`; `tail`: time is left at the end of the ramp."""
+
+    cycles: int
+    others_read: bool
+    free: frozenset[str]
+    parts: int
+    tail: bool
 
 
 def _coordinates(
-    elements: tuple[Element, ...],
-    limits: Limits,
-    frame: Frame,
-    nominal: Cycle,
-    *,
-    cycles: int,
-    others_read: bool,
-    free: frozenset[str],
-    parts: int,
-    tail: bool,
+    elements: tuple[Element, ...], limits: Limits, frame: Frame, nominal: Cycle, structure: _Structure
 ) -> Coordinates:
+    cycles, others_read, free, parts, tail = structure
     groups, count = elements[-1].group + 1, len(elements)
     visits = cycles * groups
     kinds = [e.shape for e in elements]
@@ -512,24 +492,14 @@ def _coordinates(
     template = make_schedule(
         programme, [(0.0, 0.0, 0.0)] * (2 + count), placed, first_knot=0, fillers=fillers, spacing=1.0
     )
-    return Coordinates(
-        as_arrays(limits),
-        as_arrays(frame),
-        as_arrays(nominal),
-        template,
-        np.array([SHAPES.index(kind) for kind in kinds]),
-        np.array([e.least for e in elements], dtype=float),
-        np.array([e.group for e in elements]),
-        np.array([i for i, kind in enumerate(kinds) if kind != "rest"], dtype=int),
-        np.array([i for i, kind in enumerate(kinds) if kind in RAMPED_SHAPES], dtype=int),
-        np.asarray(float(visits)),
-        groups,
-        free,
-        bool(np.isfinite(limits.travel)),
-        cycles > 1,
-        others_read,
-        parts,
-    )
+    shape, least = np.array([SHAPES.index(kind) for kind in kinds]), np.array([e.least for e in elements], dtype=float)
+    turns = [i for i, kind in enumerate(kinds) if kind != "rest"]
+    ramped = [i for i, kind in enumerate(kinds) if kind in RAMPED_SHAPES]
+    lists = np.array(turns, dtype=int), np.array(ramped, dtype=int), np.asarray(float(visits))
+    numbers = as_arrays(limits), as_arrays(frame), as_arrays(nominal)
+    moves = shape, least, np.array([e.group for e in elements])
+    flags = bool(np.isfinite(limits.travel)), cycles > 1, others_read
+    return Coordinates(*numbers, template, *moves, *lists, groups, free, *flags, parts)
 
 
 def _turn(shape: str, parts: int) -> PieceTable:

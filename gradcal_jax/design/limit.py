@@ -52,13 +52,11 @@ _TEMPERATURES = 26
 
 class Limit(NamedTuple):
     """`certified`: no plan does better; `reached`: the relaxed problem's best value; both in the criterion's SI unit.
-
-    `noise_density`: the rad²/s that stood for N². The truth of the relaxed problem lies between the two.
+    The truth of the relaxed problem lies between the two.
     """
 
     certified: float
     reached: float
-    noise_density: float
 
 
 def limit(
@@ -98,11 +96,11 @@ def limit(
     grid = max_rate * np.cos(np.pi * np.arange(_RATES) / (_RATES - 1))
     rates = np.tile(np.concatenate([grid, np.zeros(2 * len(_SHARPNESS))]), (len(temperatures), 1))
     logs = np.where(np.arange(rates.shape[1]) < _RATES, 0.0, _EMPTY) + np.zeros_like(rates)
-    best = Limit(0.0, np.inf, noise_density)
+    best = Limit(0.0, np.inf)
     for stage, sharpness in enumerate(_SHARPNESS):
         logs = problem.solve(rates, logs, sharpness)
         certified, peaks = problem.certify(rates, logs, sharpness, max_rate)
-        best = Limit(max(best.certified, float(certified)), min(best.reached, whole.value(rates, logs)), noise_density)
+        best = Limit(max(best.certified, float(certified)), min(best.reached, whole.value(rates, logs)))
         if best.reached <= best.certified * (1.0 + tolerance):
             break
         # Most requirements do not tell left from right, so that the mirrored rate would be next.
@@ -115,15 +113,7 @@ def limit(
 class _Problem:
     """The relaxed problem in columns of about unit size."""
 
-    def __init__(
-        self,
-        criterion,
-        model: SensorModel,
-        gain: float,
-        prior_share: float,
-        temperatures: np.ndarray,
-        fixed_programme: bool,
-    ):
+    def __init__(self, criterion, model: SensorModel, gain: float, prior_share: float, temperatures, fixed_programme):
         self.criterion, self.model, self.gain = criterion, model, gain
         self.temperatures, self.fixed_programme = temperatures, fixed_programme
         assert model.scale is not None
@@ -148,13 +138,8 @@ class _Problem:
         arrays = [jnp.asarray(a) for a in (self._points(rates), self.prior, self.rows, self.beyond, sharpness)]
 
         def both(z):
-            found, gradient = _value(
-                jnp.asarray(z.reshape(logs.shape)),
-                *arrays,
-                self.fixed_programme,
-                _statistic(self.criterion),
-                self._shape,
-            )
+            how = self.fixed_programme, _statistic(self.criterion), self._shape
+            found, gradient = _value(jnp.asarray(z.reshape(logs.shape)), *arrays, *how)
             return float(found), np.asarray(gradient).ravel()
 
         options = {"maxiter": 500, "maxfun": 700, "maxcor": 30, "ftol": 1e-14, "gtol": 1e-11}

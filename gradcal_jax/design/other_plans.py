@@ -49,6 +49,11 @@ class _Programmes(eqx.Module):
     stretches: int = eqx.field(static=True)
     soak_used: bool = eqx.field(static=True)
 
+    @property
+    def size(self) -> int:
+        """How many free numbers there are."""
+        return 2 * self.stretches + 1
+
     @abstractmethod
     def programme(self, z: Float[AnyArray, " size"]) -> Programme:
         """The programme of a vector, without its soak."""
@@ -69,20 +74,12 @@ class _Programmes(eqx.Module):
             blank, [(0.0, 0.0, 0.0)] * len(stays), [(k, pieces) for k in range(len(stays))], first_knot=first,
             spacing=1.0,
         )  # fmt: skip
-        return eqx.tree_at(
-            lambda s: (s.duration, s.spacing, s.programme),
-            template,
-            (durations[first:], xp.asarray(self.read_every), whole),
-        )
+        numbers = durations[first:], xp.asarray(self.read_every), whole
+        return eqx.tree_at(lambda s: (s.duration, s.spacing, s.programme), template, numbers)
 
 
 class ProgrammeCoordinates(_Programmes):
     """Any vector is a programme: the search's coordinates."""
-
-    @property
-    def size(self) -> int:
-        """How many free numbers there are."""
-        return 2 * self.stretches + 1
 
     def programme(self, z: Float[AnyArray, " size"]) -> Programme:
         """The programme without its soak."""
@@ -114,11 +111,6 @@ class ProgrammeKnots(_Programmes):
 
     Only vectors within `limits` are programmes that the chamber follows.
     """
-
-    @property
-    def size(self) -> int:
-        """How many free numbers there are."""
-        return 2 * self.stretches + 1
 
     def programme(self, z: Float[AnyArray, " size"]) -> Programme:
         """The programme of a vector, without its soak."""
@@ -188,15 +180,9 @@ class StandardCoordinates(eqx.Module):
         jumps = xp.concatenate([zeros[:1], xp.diff(temperatures)])
         programme = Programme(xp.asarray(temperatures[0]), zeros + stay, zeros, jumps)
         first = lambda v: xp.reshape(xp.asarray(v), (1,))  # noqa: E731
-        return eqx.tree_at(
-            lambda s: (s.duration, s.peak_rate, s.programme),
-            template,
-            (
-                xp.concatenate([first(self.soak), xp.zeros(count) + integration]),
-                xp.concatenate([first(0.0), rates]),
-                programme,
-            ),
-        )
+        duration = xp.concatenate([first(self.soak), xp.zeros(count) + integration])
+        numbers = duration, xp.concatenate([first(0.0), rates]), programme
+        return eqx.tree_at(lambda s: (s.duration, s.peak_rate, s.programme), template, numbers)
 
     def plan_of(self, z: Float[np.ndarray, " size"]) -> tuple[np.ndarray, np.ndarray, float]:
         """Temperatures (°C), rates (rad/s) and the integration time (s) of a vector."""

@@ -62,15 +62,11 @@ def executed(
     if not spans or not any(last > first for first, last in spans):
         raise ValueError("the log never stands still for two rows, so nothing can be read from it")
     at = [_readings(time_s, first, last, read_every, reading_rows) for first, last in spans]
-    rows, read, rest, gap, moving, broken = [at[0][0]], [], [], [], [], []
+    rows, flags = [at[0][0]], list[tuple[bool, ...]]()
 
     def add(row: int, *, reads: bool, stands: bool, is_gap: bool = False, moves: bool = False, lost: bool = False):
         rows.append(row)
-        read.append(reads)
-        rest.append(stands)
-        gap.append(is_gap)
-        moving.append(moves)
-        broken.append(lost)
+        flags.append((reads, stands, is_gap, moves, lost))
 
     bad = np.flatnonzero(~usable)
 
@@ -91,10 +87,9 @@ def executed(
         for row in others:
             unbroken = whole(rows[-1], row)
             add(row, reads=unbroken, stands=True, is_gap=not unbroken, lost=not unbroken)
-    where = np.array(rows)
-    lost = np.array(broken)
+    where, (read, rest, gap, moving, broken) = np.array(rows), np.array(flags, bool).reshape(-1, 5).T
     line = _line(time_s, temperature_c, rate_rad_per_s, angle_rad, where, read, rest, gap, moving)
-    return Executed(line, where, lost)
+    return Executed(line, where, broken)
 
 
 def momentary_stops(
@@ -123,8 +118,7 @@ def momentary_stops(
     return result
 
 
-def _line(time, temperature, rate, angle, at, read, rest, gap, moving) -> Trajectory:
-    moves = np.array(moving, bool)
+def _line(time, temperature, rate, angle, at, read, rest, gap, moves) -> Trajectory:
     duration = np.diff(time[at])
     mean = np.zeros(len(moves))
     if moves.any():
@@ -133,9 +127,8 @@ def _line(time, temperature, rate, angle, at, read, rest, gap, moving) -> Trajec
         if angle is not None:
             turned = _as_the_table(turned, angle[at], moves)
         mean = np.where(moves, turned / np.where(duration > 0, duration, 1.0), 0.0)
-    reads, rests, gaps = (np.array(v, bool) for v in (read, rest, gap))
     cold = temperature[at]
-    return held(time[at[:-1]], duration, mean, cold[:-1], cold[1:], read=reads, at_rest=rests, moving=moves, gap=gaps)
+    return held(time[at[:-1]], duration, mean, cold[:-1], cold[1:], read=read, at_rest=rest, moving=moves, gap=gap)
 
 
 def _as_the_table(turned: np.ndarray, angle: np.ndarray, moves: np.ndarray) -> np.ndarray:

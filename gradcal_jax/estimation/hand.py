@@ -147,7 +147,9 @@ def solve_by_hand(rows: HandRows, gravity: float, earth_up: float = 0.0) -> ByHa
     """
     held = positions(rows)
     accelerometer = _accelerometers(held, gravity)
-    f, df, noise = _forces(held, accelerometer)
+    # Corrected means (K, 3), their derivatives by the coefficients (K, 3, 9), their noise's covariance (K, 3, 3).
+    f, df, inverse = _true_force(accelerometer.parameters, (held.force - accelerometer.centre) / accelerometer.gain)
+    noise = (inverse * (held.force_noise / accelerometer.gain**2)) @ inverse.T / held.duration[:, None, None]
     moves = _moves(rows, held, accelerometer)
     return _gyros(held, accelerometer, f, df, noise, moves, gravity, earth_up)
 
@@ -192,13 +194,6 @@ def _true_force(p: np.ndarray, said: np.ndarray) -> tuple[np.ndarray, np.ndarray
     df = [np.broadcast_to(-inverse[:, j], f.shape) for j in range(3)]
     df += [-np.outer(f[:, l], inverse[:, j]) for j, l in LOWER]
     return f, np.stack(df, axis=2), inverse
-
-
-def _forces(held: Positions, found: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corrected means (K, 3), their derivatives by the coefficients (K, 3, 9), their noise's covariance (K, 3, 3)."""
-    f, df, inverse = _true_force(found.parameters, (held.force - found.centre) / found.gain)
-    noise = (inverse * (held.force_noise / found.gain**2)) @ inverse.T
-    return f, df, noise / held.duration[:, None, None]
 
 
 # --- gyros ------------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ _ALIKE = 0.1
 _LEAST_ANGLE = np.radians(1.0)
 
 
-class Move(NamedTuple):
+class MovesBetweenRests(NamedTuple):
     """Moves between rests, arrays `(m,)`: mean temperature (°C), mean rate (rad/s), angle (rad), the scale factor that
     it shows, and the fitted map's mean over it."""
 
@@ -48,7 +48,7 @@ def moves_between_rests(
     temperature_c: np.ndarray,
     moving: np.ndarray,
     broken: np.ndarray,
-) -> Move:
+) -> MovesBetweenRests:
     """Every unbroken move that has a rest on both sides. All arrays `(P,)` of a timeline's pieces.
 
     `error_rad`: integrated error of the sensor at the end of each piece; `map_error_rad`: what the fitted scale factor
@@ -71,7 +71,7 @@ def moves_between_rests(
         off = error_rad[last] - before[first] - drift * lasting
         warm = float(np.average(temperature_c[first : last + 1], weights=duration_s[first : last + 1]))
         rows.append((warm, angle / lasting, angle, off / angle, float(by_map[first : last + 1].sum()) / angle))
-    return Move(*np.array(rows).reshape(len(rows), 5).T)
+    return MovesBetweenRests(*np.array(rows).reshape(len(rows), 5).T)
 
 
 def _rests(run: tuple[int, int], moving: np.ndarray, broken: np.ndarray) -> bool:
@@ -86,7 +86,7 @@ def _runs(moving: np.ndarray, broken: np.ndarray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(begins, ends, strict=True)]
 
 
-def closest_neighbours(moves: Move, width_k: float) -> tuple[Group, ...]:
+def closest_neighbours(moves: MovesBetweenRests, width_k: float) -> tuple[Group, ...]:
     """Moves of like rate, in ranges of temperature `width_k` wide, averaged; by rate, then by temperature.
 
     Errors: `ValueError` for a width that is not positive.
@@ -95,11 +95,7 @@ def closest_neighbours(moves: Move, width_k: float) -> tuple[Group, ...]:
         raise ValueError(f"neighbours must be allowed to be some kelvins apart, not {width_k}")
     if not len(moves.angle_rad):
         return ()
-    order = np.argsort(moves.rate_rad_per_s)
-    ordered = moves.rate_rad_per_s[order]
-    apart = np.diff(ordered) > _ALIKE * np.maximum(np.abs(ordered[1:]), np.abs(ordered[:-1]))
-    like = np.empty(len(order), int)
-    like[order] = np.concatenate([[0], np.cumsum(apart)])
+    like = like_rates(moves.rate_rad_per_s, _ALIKE)
     warm = np.floor((moves.temperature_c - moves.temperature_c.min()) / width_k).astype(int)
     # Less what the map says, so that its own slope within a group is no scatter.
     apart_from_map = moves.scale_factor - moves.of_map
@@ -112,14 +108,17 @@ def closest_neighbours(moves: Move, width_k: float) -> tuple[Group, ...]:
         scatter = np.sqrt(max(squares, 0.0) / freedom) if freedom else None
         for inside in parts:
             count = int(inside.sum())
-            groups.append(
-                Group(
-                    float(moves.temperature_c[inside].mean()),
-                    float(moves.rate_rad_per_s[inside].mean()),
-                    count,
-                    float(moves.scale_factor[inside].mean()),
-                    None if scatter is None else float(scatter / np.sqrt(count)),
-                    float(moves.of_map[inside].mean()),
-                )
-            )
+            warm_c, rate, _, scale, of_map = (float(of[inside].mean()) for of in moves)
+            error = None if scatter is None else float(scatter / np.sqrt(count))
+            groups.append(Group(warm_c, rate, count, scale, error, of_map))
     return tuple(groups)
+
+
+def like_rates(rates: np.ndarray, share: float) -> np.ndarray:
+    """`(n,)`: numbers of the groups of `rates` `(n,)` whose neighbours lie within that share of one another."""
+    order = np.argsort(rates)
+    ordered = rates[order]
+    apart = np.diff(ordered) > share * np.maximum(np.abs(ordered[1:]), np.abs(ordered[:-1]))
+    like = np.empty(len(order), int)
+    like[order] = np.concatenate([[0], np.cumsum(apart)])
+    return like

@@ -50,7 +50,7 @@ def estimate_robustly(
     weights = np.ones((observations.unit_count, int(used.sum())))
     for unit in range(observations.unit_count):
         single = plain.of_unit(unit)
-        one = Estimate(*(of_all[unit : unit + 1] for of_all in first))
+        one = Estimate._make(of_all[unit : unit + 1] for of_all in first)
         if np.max(np.abs(one.residuals), initial=0.0) > threshold:
             alone = observations._replace(
                 columns=observations.columns_of(unit), readings=observations.readings[:, unit : unit + 1]

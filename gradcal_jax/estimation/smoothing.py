@@ -79,7 +79,8 @@ def choose_smoothness(white: Whitened, model: SensorModel, unit: int = 0) -> Smo
     bounds = [(s - reach, s + reach) for s in start]
     found = optimize.minimize(minus_twice, best, method="Nelder-Mead", bounds=bounds, options=options)
     at_edge = bool(np.any(np.abs(np.abs(found.x - start) - reach) < 0.01 * reach))
-    return Smoothness(*strengths(found.x), at_edge)
+    bias, scale_factor = strengths(found.x)
+    return Smoothness(bias, scale_factor, at_edge)
 
 
 def _minus_twice_log(triangle: np.ndarray, data: np.ndarray, prior: np.ndarray) -> float:

@@ -43,7 +43,9 @@ from scipy import optimize, special
 
 from gradcal_jax import formulas
 
-Times, Steps, Squares = Float[np.ndarray, " times"], Int[np.ndarray, " times"], Float[np.ndarray, " 4"]
+Times = Float[np.ndarray, " times"]
+Steps = Int[np.ndarray, " times"]
+Squares = Float[np.ndarray, " 4"]
 # (length, how many) of the unbroken stretches.
 Runs = tuple[tuple[int, int], ...]
 

@@ -47,7 +47,8 @@ from gradcal_jax.identify.limiting_function import (
     random_walk_variance_of_mean,
 )
 
-Times, Taus = Float[np.ndarray, " times"], Float[np.ndarray, " taus"]
+Times = Float[np.ndarray, " times"]
+Taus = Float[np.ndarray, " taus"]
 # How often a record of pure random walk may be said to show a drift.
 _CHANCE_OF_FALSE_DRIFT = 0.05
 

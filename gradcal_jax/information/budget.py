@@ -38,11 +38,7 @@ class Sensitivity:
     """The derivative of one statistic of a residual map: in `G`, and in what no plan can touch."""
 
     def __init__(
-        self,
-        known: Posterior,
-        places: Contrasts,
-        statistic: Statistic,
-        values: Float[np.ndarray, "n_T n_w"],
+        self, known: Posterior, places: Contrasts, statistic: Statistic, values: Float[np.ndarray, "n_T n_w"]
     ) -> None:
         weights = weights_of(statistic, values).ravel()
         counts = weights > 0.0
@@ -58,17 +54,13 @@ def noise_shares(
     steps: NoiseSteps, columns: Float[np.ndarray, "N p"], of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
 ) -> dict[str, float]:
     """`∂r/∂ln σ` of each source, whose own part of the noise `sources` has."""
-    transition, covariance, observation, variance, initial = _cotangents(steps, columns, of_gram)
-    del transition, observation
-    return {
-        name: 2.0
-        * float(
-            np.sum(covariance * part.covariance)
-            + np.sum(variance * part.reading_variance)
-            + np.sum(initial * part.initial)
-        )
-        for name, part in sources.items()
-    }
+    _, covariance, _, variance, initial = _cotangents(steps, columns, of_gram)
+
+    def of(part: NoiseSteps) -> float:
+        pairs = (covariance, part.covariance), (variance, part.reading_variance), (initial, part.initial)
+        return 2.0 * float(sum(np.sum(a * b) for a, b in pairs))
+
+    return {name: of(part) for name, part in sources.items()}
 
 
 def _cotangents(steps: NoiseSteps, columns: np.ndarray, of_gram: np.ndarray) -> list[np.ndarray]:

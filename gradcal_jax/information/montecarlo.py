@@ -55,14 +55,12 @@ def monte_carlo_errors(
         readings = simulate_noise(steps, size, rng) + columns @ truth
         if plain is not None:
             estimate = plain.back @ (plain.weights.T @ readings)
-            errors.append((estimate - truth).T)
-            left.append((carried[:, None] * estimate - truth).T)
-            continue
-        both = whiten(steps, np.concatenate([columns, readings], axis=1))
-        design = np.concatenate([both[:, :p], rows])
-        data = np.concatenate([both[:, p:], np.zeros((len(rows), size))])
-        scale = np.linalg.norm(design, axis=0)
-        estimate = np.linalg.lstsq(design / scale, data, rcond=None)[0] / scale[:, None]
+        else:
+            both = whiten(steps, np.concatenate([columns, readings], axis=1))
+            design = np.concatenate([both[:, :p], rows])
+            data = np.concatenate([both[:, p:], np.zeros((len(rows), size))])
+            scale = np.linalg.norm(design, axis=0)
+            estimate = np.linalg.lstsq(design / scale, data, rcond=None)[0] / scale[:, None]
         errors.append((estimate - truth).T)
         left.append((carried[:, None] * estimate - truth).T)
     return Twin(np.concatenate(errors), known, np.concatenate(left))

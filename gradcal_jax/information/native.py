@@ -62,7 +62,7 @@ class Native(NamedTuple):
         steps: NoiseSteps,
         columns: Float[Array, "N p"],
     ) -> list[Array]:
-        """Whitened rows `(N, p)`, and state `(n, p)` and covariance `(n, n)` after the last reading."""
+        """Whitened rows `(N, p)`, and state and covariance after the last reading."""
         shapes = (columns.shape, mean.shape, covariance.shape)
         return _call(self.filter, shapes, (*steps[:5], mean, covariance, columns))
 

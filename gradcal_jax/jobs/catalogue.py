@@ -11,8 +11,7 @@ from typing import Any, Final
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.catalogue import Case, Catalogue
 from gradcal_jax.files.writing import write_whole
-from gradcal_jax.jobs.pool import LocalPool, Runner, Task
-from gradcal_jax.jobs.progress import Progress, Report, unwatched
+from gradcal_jax.jobs.pool import Progress, Report, Runner, Task, borrowed, unwatched
 from gradcal_jax.jobs.sweep import versions
 
 _COLUMNS: Final[tuple[str, ...]] = (
@@ -34,13 +33,7 @@ class Table:
         return sum(not row["recipe"] for row in self.rows)
 
 
-def recipes(
-    job: Catalogue,
-    folder: str | Path,
-    *,
-    runner: Runner | None = None,
-    progress: Report = unwatched,
-) -> Table:
+def recipes(job: Catalogue, folder: str | Path, *, runner: Runner | None = None, progress: Report = unwatched) -> Table:
     """Write `<case>.toml` for every case, `summary.csv` and `summary.md` (ppm, deg/h; 1σ) into `folder`.
 
     What is finished is kept in `folder/.finished`, and is not done again while the case and the versions are the same.
@@ -68,10 +61,8 @@ def recipes(
         for number, case in enumerate(job.cases)
         if number not in rows and case.spec is not None
     ]
-    own = runner is None
-    runner = runner or LocalPool()
-    try:
-        for number, found in runner.run(tasks):
+    with borrowed(runner) as workers:
+        for number, found in workers.run(tasks):
             case = job.cases[number]
             if isinstance(found, Exception):
                 row = _failed(case, str(found))
@@ -83,9 +74,6 @@ def recipes(
             rows[number] = row
             said = row["remark"] if not row["recipe"] else f"{row['now']:.4g} {row['unit']}"
             progress(Progress("optimise", len(rows), len(job.cases), kept, f"{', '.join(case.names)}: {said}"))
-    finally:
-        if own:
-            runner.close()
     table = Table(_ordered([rows[number] for number in range(len(job.cases))]), kept)
     write_whole(folder / "summary.csv", as_csv(table))
     write_whole(folder / "summary.md", as_markdown(table, job.file.title))
@@ -119,18 +107,12 @@ def _failed(case: Case, reason: str) -> dict[str, Any]:
 def _ordered(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
     """By requirement and sensor, then the best first; cases without a recipe last."""
     place = {name: k for k, name in enumerate(dict.fromkeys((r["requirement"], r["sensor"]) for r in rows))}
-    return tuple(
-        sorted(
-            rows,
-            key=lambda r: (
-                place[r["requirement"], r["sensor"]],
-                r["now"] is None,
-                r["now"] or 0.0,
-                r["rig"],
-                r["plan"],
-            ),
-        )
-    )
+
+    def rank(row: dict[str, Any]) -> tuple:
+        left = row["now"] is None, row["now"] or 0.0
+        return place[row["requirement"], row["sensor"]], *left, row["rig"], row["plan"]
+
+    return tuple(sorted(rows, key=rank))
 
 
 def as_csv(table: Table) -> str:

@@ -9,11 +9,11 @@ import threading
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from gradcal_jax.jobs.pool import Task, tried
+from gradcal_jax.jobs.pool import Runner, Task, tried
 from gradcal_jax.jobs.worker import Worker
 
 
-class Cluster:
+class Cluster(Runner):
     """A `pool.Runner` on a Dask cluster. Errors: `ValueError` without the extra, or where no scheduler answers."""
 
     def __init__(self, address: str, *, timeout_s: float = 20.0):
@@ -45,12 +45,6 @@ class Cluster:
 
     def close(self) -> None:
         self._client.close()
-
-    def __enter__(self) -> "Cluster":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 _HERE = threading.local()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from gradcal_jax.files import to_toml
-from gradcal_jax.files.netcdf import NetcdfError, load_netcdf, save_netcdf
+from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.results import OVER_RATE, STATISTICS, UNIT_OF, Result
@@ -51,7 +51,8 @@ def dataset_of(job: Sweep, points: Points, results: tuple[Result, ...], identity
         coordinates[name] = ((name,) if grid else ("point",), column, attributes)
 
     def add(name: str, column: list[Any], attributes: dict[str, str], extra: tuple[str, ...] = ()) -> None:
-        array = np.array(column, dtype=object if isinstance(column[0], str) else float)
+        words = isinstance(np.array(column, dtype=object).flat[0], str)
+        array = np.array(column, dtype=object if words else float)
         if array.ndim > 1 and not extra:
             array = array[:, 0]
         variables[name] = ((*dims, *extra), array.reshape(*shape, *array.shape[1:]), attributes)
@@ -85,9 +86,7 @@ def dataset_of(job: Sweep, points: Points, results: tuple[Result, ...], identity
             add(f"{name}_{slug(statistic)}", column, attributes, extra)
         verdicts = [[row.verdict if (row := t.get((i, c))) else "" for c in channels] for t in tables]
         what = f"{requirement.name}: against its target, if it has one"
-        array = np.array(verdicts, dtype=object)
-        array = array if extra else array[:, 0]
-        variables[f"{name}_verdict"] = ((*dims, *extra), array.reshape(*shape, *array.shape[1:]), {"long_name": what})
+        add(f"{name}_verdict", verdicts, {"long_name": what}, extra)
     for name, (field, what) in _TIMES.items():
         column = [np.nan if r.failure else getattr(r, field) for r in results]
         add(name, column, {"units": "s", "long_name": what})
@@ -119,11 +118,6 @@ def slug(text: str) -> str:
     """A name that programs can use: letters, digits and underscores."""
     plain = re.sub(r"\W+", "_", text.strip()).strip("_")
     return plain if plain and not plain[0].isdigit() else f"v_{plain}"
-
-
-def write_dataset(data: "xarray.Dataset", output: Path) -> None:
-    """Write the file as a whole or not at all; the same data give the same bytes."""
-    save_netcdf(data, output)
 
 
 def read_dataset(path: str | Path) -> "xarray.Dataset":

@@ -16,13 +16,14 @@ from gradcal_jax.api.posterior_of_plan import posterior_of_plan, residual_map, s
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_prediction import posterior_of_unit, requirement_row
 from gradcal_jax.design.pose_search import PoseCycle
-from gradcal_jax.files import Spec, changed, to_toml
+from gradcal_jax.files import Spec, changed, spec_of, to_toml
 from gradcal_jax.files.changes import any_spec_of
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.information import STATISTICS
 from gradcal_jax.jobs.results import OVER_RATE, Residual, Result, one_line
 
+_HEADER = "Made by gradcal recipes; `gradcal show` prints it as a table."
 Changes = Mapping[str, object]
 
 
@@ -48,6 +49,7 @@ def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> lis
 
 
 def _predicted(index: int, spec: Spec | UnitSpec) -> Result:
+    times = spec.schedule.duration, spec.schedule.soak, spec.schedule.motion
     if isinstance(spec, UnitSpec):
         unit = assemble_unit(spec)
         known_unit = posterior_of_unit(unit)
@@ -57,8 +59,7 @@ def _predicted(index: int, spec: Spec | UnitSpec) -> Result:
             Residual(i, "x", (row.mean_of_max, row.max, row.mean, row.rms), row.verdict or "")
             for i, row in enumerate(of_unit)
         )
-        times = spec.schedule
-        return Result(index, "", times.duration, times.soak, times.motion, found)
+        return Result(index, "", *times, found)
     built = assemble(spec)
     known = {channel: posterior_of_plan(built, channel) for channel in built.channels}
     rows = tuple(
@@ -66,8 +67,7 @@ def _predicted(index: int, spec: Spec | UnitSpec) -> Result:
         for i, requirement in enumerate(spec.requirement)
         for channel, posterior in known.items()
     )
-    schedule = spec.schedule
-    return Result(index, "", schedule.duration, schedule.soak, schedule.motion, rows)
+    return Result(index, "", *times, rows)
 
 
 def _optimised(index: int, spec: Spec) -> Result:
@@ -89,10 +89,40 @@ def _row(i: int, channel: str, requirement: Requirement, values: np.ndarray) -> 
 
 
 def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """One case of a catalogue: see `gradcal_jax.jobs.recommend`."""
-    from gradcal_jax.jobs import recommend as cases
+    """The optimised recipe of a spec as TOML text, and its row of the summary. Errors: `ValueError` as `optimise`'s."""
+    from gradcal_jax.api.flow import optimise
+    from gradcal_jax.api.recipe import recipe
 
-    return cases.recommend(tables)
+    spec = spec_of(tables)
+    best = optimise(spec)
+    made = recipe(best)
+    wanted = None if spec.design is None else spec.design.minimise
+    decisive = next((row for row in made.prediction.requirements if row.name == wanted), None)
+    limit = limit_of(spec)
+    return {
+        "toml": to_toml(made, header=_HEADER),
+        "objective": best.name,
+        "unit": best.unit,
+        "before": best.before,
+        "now": best.now,
+        "limit": limit,
+        "efficiency": None if limit is None or best.now <= 0.0 else limit / best.now,
+        "hours": made.duration_s / 3600.0,
+        "verdict": (decisive.verdict if decisive is not None else None) or "",
+        "limited_by": (decisive.limited_by if decisive is not None else None) or "",
+        "converged": best.converged,
+        "sentence": best.sentence,
+    }
+
+
+def limit_of(spec: Spec) -> float | None:
+    """What no plan on this rig in this time can beat, in the objective's unit; None where there is no such proof."""
+    from gradcal_jax.api.limit import limits
+
+    try:
+        return next((row.certified for row in limits(spec) if spec.design and row.name == spec.design.minimise), None)
+    except ValueError:
+        return None
 
 
 def cycle_value(spec: str, cycle: PoseCycle) -> float:
@@ -107,10 +137,5 @@ def _cycle_value(spec: str) -> Callable[[PoseCycle], float]:
     return CycleValue(unit_spec_of(json.loads(spec)))
 
 
-TASKS: Final = {
-    "predict": predict_points,
-    "optimise": optimise_points,
-    "recommend": recommend,
-    "cycle": cycle_value,
-}
+TASKS: Final = {"predict": predict_points, "optimise": optimise_points, "recommend": recommend, "cycle": cycle_value}
 """What a worker can be asked to do."""

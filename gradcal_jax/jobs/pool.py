@@ -3,8 +3,10 @@
 import os
 import queue
 import threading
-from collections.abc import Iterable, Iterator
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, Final, NamedTuple, Self
 
 from gradcal_jax.jobs.worker import TaskFailed, Worker, WorkerEnded
 
@@ -19,18 +21,50 @@ class Task(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-@runtime_checkable
-class Runner(Protocol):
+class Runner(ABC):
     """Does tasks, and yields (key, result), or (key, exception) for one that could not be done, in any order."""
 
     workers: int
 
+    @abstractmethod
     def run(self, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]: ...
 
+    @abstractmethod
     def close(self) -> None: ...
 
+    def __enter__(self) -> Self:
+        return self
 
-class LocalPool:
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Progress(NamedTuple):
+    """`done` of `total` points or cases in a `stage`: "reading", "predict", "optimise".
+
+    `kept` of them are from an earlier run; `newest` says of the last one what came out, where that is known.
+    """
+
+    stage: str
+    done: int
+    total: int
+    kept: int = 0
+    newest: str = ""
+
+
+Report = Callable[[Progress], None]
+
+
+def unwatched(_: Progress) -> None:
+    """Nobody watches."""
+
+
+def borrowed(runner: Runner | None) -> AbstractContextManager[Runner]:
+    """The caller's runner, or processes of one's own, which end with the block."""
+    return LocalPool() if runner is None else nullcontext(runner)
+
+
+class LocalPool(Runner):
     """Worker processes on this machine, one for each core unless told otherwise."""
 
     def __init__(self, workers: int | None = None, compiled: str | None = None):
@@ -68,12 +102,6 @@ class LocalPool:
     def close(self) -> None:
         for worker in self._all:
             worker.close()
-
-    def __enter__(self) -> "LocalPool":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def tried(worker: Worker, task: Task) -> Any:

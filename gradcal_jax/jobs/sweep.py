@@ -17,8 +17,7 @@ from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.sweep import Sweep, tables_of_sweep
 from gradcal_jax.jobs.points import Points
-from gradcal_jax.jobs.pool import LocalPool, Runner, Task
-from gradcal_jax.jobs.progress import Progress, Report, unwatched
+from gradcal_jax.jobs.pool import Progress, Report, Runner, Task, borrowed, unwatched
 from gradcal_jax.jobs.results import Result
 from gradcal_jax.jobs.store import Store
 
@@ -28,7 +27,7 @@ _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix")
 
 
 @dataclass(frozen=True)
-class Estimate:
+class SweepEstimate:
     """What `dry_run` found: seconds of one chunk the first time and the second, all in all; of the first chunk's points
     `failing` have no result.
     """
@@ -61,13 +60,7 @@ class SweepIncomplete(RuntimeError):
     """Workers were lost, again and again, before all was done; what is finished is kept."""
 
 
-def sweep(
-    job: Sweep,
-    output: str | Path,
-    *,
-    runner: Runner | None = None,
-    progress: Report = unwatched,
-) -> Swept:
+def sweep(job: Sweep, output: str | Path, *, runner: Runner | None = None, progress: Report = unwatched) -> Swept:
     """Do a sweep and write its results (netCDF, each variable with its unit) to `output`, for `read_dataset`.
 
     Begun again after a kill it goes on where it was.
@@ -76,7 +69,8 @@ def sweep(
     exists already, where every point fails, and for the folder of another sweep; `SweepIncomplete` where
     workers are lost.
     """
-    from gradcal_jax.jobs.dataset import dataset_of, write_dataset
+    from gradcal_jax.files.netcdf import save_netcdf
+    from gradcal_jax.jobs.dataset import dataset_of
 
     begun, output = time.monotonic(), Path(output)
     identity = identity_of(job)
@@ -87,9 +81,7 @@ def sweep(
     if not output.parent.is_dir():
         raise ValueError(f"there is no directory {output.parent}; make it first")
     points = Points(job)
-    own = runner is None
-    runner = runner or LocalPool()
-    try:
+    with borrowed(runner) as workers:
         chunks = chunks_of(len(points), CHUNK[job.file.do])
         store = Store(output, identity)
         results: dict[int, Result] = {}
@@ -105,16 +97,13 @@ def sweep(
         progress(Progress(job.file.do, len(results), len(points), kept))
         tasks = [Task(n, job.file.do, (base, [(i, points.changes(i)) for i in chunks[n]])) for n in left]
         lost, reason = 0, ""
-        for number, found in runner.run(tasks):
+        for number, found in workers.run(tasks):
             if isinstance(found, Exception):
                 lost, reason = lost + len(chunks[number]), str(found)
                 continue
             store.write(number, found)
             results |= {r.point: r for r in found}
             progress(Progress(job.file.do, len(results), len(points), kept))
-    finally:
-        if own:
-            runner.close()
     if lost:
         raise SweepIncomplete(
             f"{lost} of {len(points)} points could not be computed ({reason}); the others are kept in {store.folder}, "
@@ -124,7 +113,7 @@ def sweep(
     if all(result.failure for result in ordered):
         store.remove()
         raise ValueError(f"not one of the {len(points)} points has a result; the first says: {ordered[0].failure}")
-    write_dataset(dataset_of(job, points, ordered, identity), output)
+    save_netcdf(dataset_of(job, points, ordered, identity), output)
     store.remove()
     return Swept(ordered, time.monotonic() - begun, kept)
 
@@ -136,32 +125,24 @@ def finished(job: Sweep, output: Path) -> bool:
     return output.is_file() and identity_in(output) == identity_of(job)
 
 
-def dry_run(job: Sweep, *, runner: Runner | None = None, progress: Report = unwatched) -> Estimate:
+def dry_run(job: Sweep, *, runner: Runner | None = None, progress: Report = unwatched) -> SweepEstimate:
     """How large a sweep is and how long it will take, by its first chunk, done twice. Nothing is written."""
     points = Points(job)
-    own = runner is None
-    runner = runner or LocalPool()
     chunks = chunks_of(len(points), CHUNK[job.file.do])
     share = (tables_of(job.base), [(i, points.changes(i)) for i in chunks[0]])
     times, results = [0.0, 0.0], []
-    try:
+    with borrowed(runner) as workers:
         progress(Progress(job.file.do, 0, len(points)))
         for k in range(1 if job.file.do == "optimise" else 2):
             begun = time.monotonic()
-            ((_, results),) = runner.run([Task(0, job.file.do, share)])
+            ((_, results),) = workers.run([Task(0, job.file.do, share)])
             if isinstance(results, Exception):
                 raise ValueError(f"the first chunk cannot be done: {results}")
             times[k:] = [time.monotonic() - begun] * (2 - k)
-    finally:
-        if own:
-            runner.close()
     failing = [found.failure for found in results if found.failure]
-    rounds = -(-len(chunks) // runner.workers)
-    seconds = times[0] + times[1] * (rounds - 1)
-    reason = failing[0] if failing else ""
-    return Estimate(
-        len(points), len(failing), len(chunks), runner.workers, times[0], times[1], seconds, first_failure=reason
-    )
+    rounds = -(-len(chunks) // workers.workers)
+    sizes, seconds = (len(points), len(failing), len(chunks), workers.workers), times[0] + times[1] * (rounds - 1)
+    return SweepEstimate(*sizes, times[0], times[1], seconds, failing[0] if failing else "")
 
 
 def chunks_of(count: int, size: int) -> list[range]:
@@ -183,16 +164,3 @@ def identity_of(job: Sweep) -> dict[str, Any]:
 def versions() -> dict[str, str]:
     """Versions of what the numbers come from."""
     return {"gradcal_jax": gradcal_jax.__version__, **versions_of(_VERSIONS)}
-
-
-__all__ = [
-    "CHUNK",
-    "Estimate",
-    "SweepIncomplete",
-    "Swept",
-    "chunks_of",
-    "dry_run",
-    "finished",
-    "identity_of",
-    "sweep",
-]

@@ -22,7 +22,7 @@ from gradcal_jax.model.bases import Basis, Polynomial
 from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes
 from gradcal_jax.model.sensor import SensorModel
-from gradcal_jax.model.terms import BiasTemperatureGradient, Map, SignalMap
+from gradcal_jax.model.terms import BiasTemperatureGradient, Map, SignalMap, block_diagonal
 
 ChannelKind = Literal["gyro", "accelerometer"]
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
@@ -112,12 +112,8 @@ class UnitModel(PytreeModule):
     @property
     def to_reported(self) -> np.ndarray:
         """`(p, p)`: the engine's parameters to the reported ones."""
-        matrix, begin = np.eye(self.size), 0
-        for c in self.channels:
-            end = begin + c.model.size
-            matrix[begin:end, begin:end] = c.model.to_reported
-            begin = end
-        return matrix
+        blocks = [c.model.to_reported for c in self.channels]
+        return block_diagonal([*blocks, np.eye(self.size - self.calibrated)])
 
     def columns(self, nodes: BodyNodes) -> tuple[list[AnyArray], Float[AnyArray, "K 6 i"]]:
         """What each parameter's unit adds, rad or m/s: of each channel `(P, own)` over every piece (zero over moves for
@@ -179,13 +175,5 @@ class UnitModel(PytreeModule):
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
         """Whitened rows of everything known beforehand."""
-        xp, rows, begin, whole = namespace(self), [], 0, self.size
         blocks = [c.model.prior_rows() for c in self.channels]
-        blocks += [xp.diag(1.0 / term.stds) for term in self.installation]
-        sizes = [c.model.size for c in self.channels] + [term.size for term in self.installation]
-        for block, size in zip(blocks, sizes, strict=True):
-            after = whole - begin - size
-            zeros = xp.zeros((block.shape[0], begin)), xp.zeros((block.shape[0], after))
-            rows.append(xp.concatenate([zeros[0], xp.asarray(block), zeros[1]], axis=1))
-            begin += size
-        return xp.concatenate(rows)
+        return block_diagonal(blocks + [namespace(self).diag(1.0 / term.stds) for term in self.installation])

@@ -12,7 +12,16 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 from gradcal_jax.model.nodes import Nodes
 from gradcal_jax.model.noise import Processes, Reference, angle_reference, no_processes
-from gradcal_jax.model.terms import BIAS, SCALE_FACTOR, BiasTemperatureGradient, EncoderHarmonics, Map, SignalMap, Term
+from gradcal_jax.model.terms import (
+    BIAS,
+    SCALE_FACTOR,
+    BiasTemperatureGradient,
+    EncoderHarmonics,
+    Map,
+    SignalMap,
+    Term,
+    block_diagonal,
+)
 
 
 class SensorModel(PytreeModule):
@@ -81,13 +90,7 @@ class SensorModel(PytreeModule):
     @property
     def to_reported(self) -> np.ndarray:
         """`(p, p)`: the engine's parameters to the reported ones."""
-        matrix, begin = np.zeros((self.size, self.size)), 0
-        for term in self.terms:
-            block = term.to_reported
-            end = begin + len(block)
-            matrix[begin:end, begin:end] = block
-            begin = end
-        return matrix
+        return block_diagonal([term.to_reported for term in self.terms])
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P p"]:
         """What each parameter's unit adds to the integrated error over each piece, rad."""
@@ -102,13 +105,7 @@ class SensorModel(PytreeModule):
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
         """Whitened rows of everything known beforehand: stacked over the data's rows they make the posterior."""
-        xp, size, begin, parts = namespace(self.terms), self.size, 0, []
-        for term in self.terms:
-            rows = xp.asarray(term.prior_rows())
-            after = size - begin - rows.shape[1]
-            parts.append(xp.concatenate([xp.zeros((len(rows), begin)), rows, xp.zeros((len(rows), after))], axis=1))
-            begin += rows.shape[1]
-        return xp.concatenate(parts)
+        return block_diagonal([term.prior_rows() for term in self.terms])
 
 
 def gyro_model(

@@ -6,6 +6,7 @@ meet the same term. A new source of error is one more class here.
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Final
 
 import equinox as eqx
@@ -30,8 +31,11 @@ class Term(PytreeModule):
     """A source of error that is linear in `size` parameters; `name` is what a model finds it by."""
 
     name: eqx.AbstractVar[str]
-    unit: eqx.AbstractVar[str]
-    """SI, of its parameters."""
+
+    @property
+    @abstractmethod
+    def unit(self) -> str:
+        """SI unit of its parameters."""
 
     @property
     @abstractmethod
@@ -250,6 +254,17 @@ class Map(Term):
         return 2.0 * driven(group.rate) - 0.5 * (driven(group.rate + group.noise) + driven(group.rate - group.noise))
 
 
+def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
+    """Blocks `(q_i, p_i)` along the diagonal of `(Σq, Σp)`, which is zero elsewhere."""
+    xp, begin, rows, width = namespace(blocks), 0, [], sum(block.shape[1] for block in blocks)
+    for block in blocks:
+        end = begin + block.shape[1]
+        zeros = xp.zeros((block.shape[0], begin)), xp.zeros((block.shape[0], width - end))
+        rows.append(xp.concatenate([zeros[0], block, zeros[1]], axis=1))
+        begin = end
+    return xp.concatenate(rows)
+
+
 def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:
     """Whether higher polynomials go on where a map's own, in the engine's form, end."""
     if own is None or higher is None:
@@ -277,8 +292,12 @@ class SignalMap(Term):
     signals: tuple[str, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     symbol: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True)
     has_prior: bool = eqx.field(static=True, default=True)
+
+    @property
+    def unit(self) -> str:
+        return self.si_unit
 
     @property
     def size(self) -> int:
@@ -399,12 +418,8 @@ def make_map(
             HigherPolynomials(b.degree + 1, degree, b.centre, b.scale)
             for b, degree in zip(polynomials, degrees, strict=False)
         ]
-        beyond = Discrepancy(
-            temperature=bases[0],
-            rate=bases[1] if rate is not None else None,
-            std=scalar(std),
-            name=DISCREPANCY.format(name),
-        )
+        of_rate = None if rate is None else bases[1]
+        beyond = Discrepancy(temperature=bases[0], rate=of_rate, std=scalar(std), name=DISCREPANCY.format(name))
         if beyond.size == 0:
             raise ValueError("the discrepancy's degrees must exceed the model's, otherwise it describes nothing new")
     return Map(

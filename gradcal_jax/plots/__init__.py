@@ -3,12 +3,11 @@
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
 from gradcal_jax.plots.found import draw_found_scale_factor
 from gradcal_jax.plots.identification import draw_drift
-from gradcal_jax.plots.mission import draw_heading
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
-from gradcal_jax.plots.spec import draw_comparison, draw_prediction
+from gradcal_jax.plots.spec import draw_comparison, draw_heading, draw_prediction
 from gradcal_jax.plots.style import save, style_of
 from gradcal_jax.plots.sweep import draw_sweep
-from gradcal_jax.plots.timeline import draw_temperature
+from gradcal_jax.plots.tracks import draw_temperature
 from gradcal_jax.plots.unit import draw_poses, draw_unit, draw_unit_residual
 
 __all__ = [

@@ -10,7 +10,7 @@ from gradcal_jax.api.calibration import EstimateReport
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
 from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.information import contrasts
-from gradcal_jax.plots.style import PALETTE, new_axes, style_of
+from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, new_panels
 
 _MOST_PANELS = 12
 
@@ -24,10 +24,7 @@ def draw_scale_factor(channel: UnitChannel, *, ax: Axes | None = None) -> tuple[
     lines: list[Line2D] = []
     for index, temperature in enumerate(dict.fromkeys((low, 0.5 * (low + high), high))):
         value, std = _map(channel, "scale_factor", np.full_like(rates, temperature), rates)
-        lines += ax.plot(rates * DEG_PER_S, value * PPM, label=f"{temperature:.4g} °C", **style_of(index))
-        ax.fill_between(
-            rates * DEG_PER_S, (value - std) * PPM, (value + std) * PPM, alpha=0.2, color=PALETTE[index % len(PALETTE)]
-        )
+        lines.append(draw_band(ax, rates * DEG_PER_S, value * PPM, std * PPM, index, f"{temperature:.4g} °C"))
     ax.set(xlabel="rate, deg/s", ylabel="scale-factor error M ± 1σ, ppm", title=_name(channel))
     ax.legend()
     return ax, lines
@@ -38,13 +35,12 @@ def draw_bias(channel: UnitChannel, *, ax: Axes | None = None) -> tuple[Axes, Li
     ax = new_axes(ax)
     temperature = np.linspace(*channel.valid_temperature_c, 121)
     value, std = _map(channel, "bias", temperature, np.zeros_like(temperature))
-    (line,) = ax.plot(temperature, value * DEG_PER_H, **style_of(0))
-    ax.fill_between(temperature, (value - std) * DEG_PER_H, (value + std) * DEG_PER_H, alpha=0.2, color=PALETTE[0])
+    line = draw_band(ax, temperature, value * DEG_PER_H, std * DEG_PER_H, 0)
     ax.set(xlabel="temperature, °C", ylabel="bias B ± 1σ, deg/h", title=_name(channel))
     return ax, line
 
 
-def draw_residuals(channel: UnitChannel, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
+def draw_innovations(channel: UnitChannel, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
     """Normalised innovations over time; those that count for less are marked."""
     ax = new_axes(ax)
     used = channel.observations.used
@@ -65,14 +61,14 @@ def draw_estimate(report: EstimateReport) -> Figure:
     """A row for each channel: its maps and its residuals (the first channels, where there are very many)."""
     shown = report.channels[:_MOST_PANELS]
     width = 1 + max((c.model.bias is not None) + (c.model.scale is not None) for c in shown)
-    figure = Figure(figsize=(5.2 * width, 3.8 * len(shown)), layout="constrained")
-    for axes, channel in zip(figure.subplots(len(shown), width, squeeze=False), shown, strict=True):
+    figure, panels = new_panels(len(shown), width, (5.2, 3.8))
+    for axes, channel in zip(panels, shown, strict=True):
         places = list(axes)
         if channel.model.bias is not None:
             draw_bias(channel, ax=places.pop(0))
         if channel.model.scale is not None:
             draw_scale_factor(channel, ax=places.pop(0))
-        draw_residuals(channel, ax=places.pop(0))
+        draw_innovations(channel, ax=places.pop(0))
         for left in places:
             left.remove()
     return figure

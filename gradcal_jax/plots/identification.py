@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from gradcal_jax.api.instability import Instability, Rest
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.identify import AllanDeviation, AllanFit
-from gradcal_jax.plots.style import PALETTE, new_axes, style_of
+from gradcal_jax.plots.style import PALETTE, new_axes, new_panels, style_of
 
 
 def draw_drift(found: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
@@ -48,8 +48,8 @@ def draw_boundary(found: Instability, *, ax: Axes | None = None) -> tuple[Axes, 
 
 def draw_instability(found: Sequence[Instability]) -> Figure:
     """For each channel the drifts with their bound, and the feasible boundary."""
-    figure = Figure(figsize=(10.4, 4.0 * len(found)), layout="constrained")
-    for (left, right), one in zip(figure.subplots(len(found), 2, squeeze=False), found, strict=True):
+    figure, all_axes = new_panels(len(found), 2, (5.2, 4.0))
+    for (left, right), one in zip(all_axes, found, strict=True):
         draw_drift(one, ax=left)
         draw_boundary(one, ax=right)
     return figure
@@ -72,8 +72,8 @@ def draw_allan_and_bound(
     drawn: Sequence[tuple[Rest, AllanDeviation, AllanFit]], bounds: Sequence[Instability | None]
 ) -> Figure:
     """For each channel the Allan deviation and, on the same axes, the Direct Bound's one-sigma limiting function."""
-    figure = Figure(figsize=(6.8, 4.4 * len(drawn)), layout="constrained")
-    for ax, one, found in zip(figure.subplots(len(drawn), squeeze=False)[:, 0], drawn, bounds, strict=True):
+    figure, all_axes = new_panels(len(drawn), 1, (6.8, 4.4))
+    for ax, one, found in zip(all_axes[:, 0], drawn, bounds, strict=True):
         draw_allan(*one, ax=ax)
         if found is not None:
             t = found.bound.integration_time_s

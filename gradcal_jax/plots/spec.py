@@ -2,13 +2,41 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from gradcal_jax.api import UNIT_OF, assemble, posterior_of_plan, residual_map
-from gradcal_jax.api.missions import error_curves
+from gradcal_jax.api.missions import ErrorCurve, error_curves
 from gradcal_jax.files import Spec
-from gradcal_jax.plots.mission import draw_heading
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
+from gradcal_jax.plots.style import from_zero, new_axes, new_panels, style_of
+
+
+def draw_heading(
+    curves: Sequence[tuple[str, ErrorCurve]], *, own: bool = True, first: int = 0, ax: Axes | None = None
+) -> tuple[Axes, list[Line2D]]:
+    """What calibrations leave of the heading over time (deg, 1σ), each with a label; with `own`, the unit's own noise,
+    too, and both together. `first`: the number of the first curve's style."""
+    ax = new_axes(ax)
+    drawn: list[Line2D] = []
+
+    def line(curve: ErrorCurve, values: np.ndarray, label: str) -> None:
+        shown = np.where(np.isfinite(values), values, np.nan)
+        drawn.extend(ax.plot(curve.time / 60.0, shown, label=label, **style_of(first + len(drawn))))
+
+    for label, curve in curves:
+        line(curve, curve.left, label)
+    for curve in {c.file: c for _, c in curves}.values() if own else ():
+        of = f", {curve.file}" if len({c.file for _, c in curves}) > 1 else ""
+        line(curve, curve.own, f"own noise{of}")
+        if len(curves) == 1:
+            line(curve, np.hypot(curve.left, curve.own), "together")
+    ax.set(xlabel="time in the mission, min", ylabel="error of the heading (1σ), deg")
+    from_zero(ax)
+    ax.legend()
+    return ax, drawn
 
 
 def draw_prediction(spec: Spec) -> Figure:
@@ -21,8 +49,8 @@ def draw_prediction(spec: Spec) -> Figure:
     panels = [(r, c) for r in spec.requirement for c in built.channels]
     if not panels:
         raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add one")
-    figure = Figure(figsize=(6.4, 4.2 * len(panels)), layout="constrained")
-    for axes, (requirement, channel) in zip(figure.subplots(len(panels), squeeze=False)[:, 0], panels, strict=True):
+    figure, all_axes = new_panels(len(panels), 1, (6.4, 4.2))
+    for axes, (requirement, channel) in zip(all_axes[:, 0], panels, strict=True):
         name = requirement.name if len(built.channels) == 1 else f"{requirement.name}, axis {channel}"
         if requirement.quantity == "heading":
             curves = error_curves(built, known[channel], requirement)
@@ -46,9 +74,8 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
     names = list(dict.fromkeys((r.name, r.quantity) for _, spec in specs for r in spec.requirement))
     if not names:
         raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add one")
-    figure = Figure(figsize=(6.8, 4.0 * len(names)), layout="constrained")
-    all_axes = figure.subplots(len(names), squeeze=False)[:, 0]
-    for axes, (name, quantity) in zip(all_axes, names, strict=True):
+    figure, all_axes = new_panels(len(names), 1, (6.8, 4.0))
+    for axes, (name, quantity) in zip(all_axes[:, 0], names, strict=True):
         for index, (label, spec) in enumerate(specs):
             built = assemble(spec)
             known = posterior_of_plan(built, built.channels[0])

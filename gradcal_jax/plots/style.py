@@ -3,9 +3,11 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from gradcal_jax.files.writing import whole
 
@@ -23,6 +25,21 @@ def style_of(index: int) -> dict[str, Any]:
 def new_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 4.2)) -> Axes:
     """The axes given, or those of a new figure that no window system knows."""
     return ax if ax is not None else Figure(figsize=size, layout="constrained").add_subplot()
+
+
+def draw_band(
+    ax: Axes, x: np.ndarray, value: np.ndarray, std: np.ndarray, index: int, label: str | None = None
+) -> Line2D:
+    """The index-th curve, with a band of one standard deviation."""
+    (line,) = ax.plot(x, value, label=label, **style_of(index))
+    ax.fill_between(x, value - std, value + std, alpha=0.2, color=PALETTE[index % len(PALETTE)])
+    return line
+
+
+def new_panels(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
+    """A figure of `(rows, columns)` axes that no window system knows; `size` of each, in."""
+    figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def from_zero(ax: Axes) -> None:

@@ -46,9 +46,7 @@ def draw_unit_residual(requirement: UnitRequirement, found: UnitResidual, *, ax:
         ax.annotate("target", (0.01, target), xycoords=("axes fraction", "data"), va="bottom", fontsize=8)
     what = "largest over temperature, " if by_rate else ""
     ax.set(
-        xlabel="rate, deg/s" if by_rate else "temperature, °C",
-        ylabel=f"{what}1σ, {found.unit}",
-        title=requirement.name,
+        xlabel="rate, deg/s" if by_rate else "temperature, °C", ylabel=f"{what}1σ, {found.unit}", title=requirement.name
     )
     from_zero(ax)
     ax.set_ylim(top=1.08 * ax.get_ylim()[1])

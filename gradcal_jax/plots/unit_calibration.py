@@ -12,7 +12,7 @@ from gradcal_jax.files.unit_calibration import CalibratedTerm, UnitCalibration
 from gradcal_jax.files.unit_correction import term_values
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES
-from gradcal_jax.plots.style import PALETTE, new_axes, style_of
+from gradcal_jax.plots.style import PALETTE, draw_band, new_axes
 
 _POINTS = 81
 # What is drawn, in this order, where the calibration has it.
@@ -49,8 +49,7 @@ def draw_unit_term(
         value = term_values(term, temperature, np.zeros(_POINTS)) * factor
         std = _deviation(calibration, channel.name, term, temperature) * factor
         index = AXIS_NAMES.index(axis)
-        lines += ax.plot(temperature, value, label=axis, **style_of(index))
-        ax.fill_between(temperature, value - std, value + std, alpha=0.2, color=PALETTE[index])
+        lines.append(draw_band(ax, temperature, value, std, index, axis))
     ax.set(xlabel="temperature, °C", ylabel=f"value ± 1σ, {unit}", title=title or f"{kind} {name}".replace("_", " "))
     ax.legend(title="axis")
     return ax, lines

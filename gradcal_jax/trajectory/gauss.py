@@ -13,16 +13,7 @@ from jaxtyping import Float
 
 from gradcal_jax import formulas
 from gradcal_jax.arrays import AnyArray, fixed, namespace, repeated, running_sum
-from gradcal_jax.model import (
-    BSpline,
-    Discrepancy,
-    GaussNodes,
-    HigherPolynomials,
-    Map,
-    Nodes,
-    Polynomial,
-    SensorModel,
-)
+from gradcal_jax.model import BSpline, Discrepancy, GaussNodes, HigherPolynomials, Map, Nodes, Polynomial, SensorModel
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 
 # A raised cosine to the fourth power, the steepest of a cubic M(T, ω), is resolved to 1e-12 by 16 points; a higher
@@ -151,10 +142,19 @@ def _smooth_panels(line: Trajectory, pieces, rule: Rule, rate_breaks: tuple[floa
     def rate(v):
         return line.rate(v, pieces) + _hair(rate_breaks)
 
+    def temperature_slope(v):
+        duration, slope, excess = (f[pieces][:, None] for f in (line.duration, line.slope, line.excess))
+        return duration * (slope - line.lag_rate * excess * xp.exp(-line.lag_rate * duration * v))
+
+    def rate_slope(v):
+        u_start, u_end = line.u_start[pieces][:, None], line.u_end[pieces][:, None]
+        family = formulas.motion_acceleration(u_start + (u_end - u_start) * v)
+        return (family @ line.terms[pieces][:, :, None])[..., 0] * (u_end - u_start)
+
     bounds = [a, b]
     for variable, slope, breaks in (
-        (temperature, lambda v: _temperature_slope(line, v, pieces), rule.temperature_breaks),
-        (rate, lambda v: _rate_slope(line, v, pieces), rate_breaks),
+        (temperature, temperature_slope, rule.temperature_breaks),
+        (rate, rate_slope, rate_breaks),
     ):
         if not breaks:
             continue
@@ -165,20 +165,6 @@ def _smooth_panels(line: Trajectory, pieces, rule: Rule, rate_breaks: tuple[floa
     ordered = xp.sort(xp.stack(bounds, axis=-1), axis=-1)
     flat = lambda values: xp.reshape(values, (count, -1))  # noqa: E731
     return flat(ordered[..., :-1]), flat(ordered[..., 1:])
-
-
-def _temperature_slope(line: Trajectory, v, pieces):
-    """dT/dv."""
-    xp = namespace(line)
-    duration, slope, excess = (f[pieces][:, None] for f in (line.duration, line.slope, line.excess))
-    return duration * (slope - line.lag_rate * excess * xp.exp(-line.lag_rate * duration * v))
-
-
-def _rate_slope(line: Trajectory, v, pieces):
-    """dω/dv."""
-    u_start, u_end = line.u_start[pieces][:, None], line.u_end[pieces][:, None]
-    family = formulas.motion_acceleration(u_start + (u_end - u_start) * v)
-    return (family @ line.terms[pieces][:, :, None])[..., 0] * (u_end - u_start)
 
 
 def _root(variable, level: float, a, b):

@@ -67,11 +67,8 @@ def frames(geometry: Geometry, angles: Float[AnyArray, "*s L"], mounting: AnyArr
             crosses.append(_seen(inner, cross(geometry.axes[k + 1], direction)))
         inner = rotation(direction, angles[..., k]) @ inner
     none = xp.zeros((*angles.shape[:-1], 0, 3))
-    return Frames(
-        geometry.base @ inner,
-        xp.stack(axes[::-1], axis=-2),
-        xp.stack(crosses[::-1], axis=-2) if crosses else none,
-    )
+    outside_in = xp.stack(axes[::-1], axis=-2), xp.stack(crosses[::-1], axis=-2) if crosses else none
+    return Frames(geometry.base @ inner, *outside_in)
 
 
 def _seen(inner: AnyArray, direction: AnyArray) -> AnyArray:
@@ -83,13 +80,8 @@ def rotation(axis: Float[AnyArray, " 3"], angle: Float[AnyArray, "*s"]) -> Float
     """Rotation by `angle` (rad) about a unit vector (Rodrigues)."""
     xp = namespace(axis, angle)
     zero = xp.zeros(())
-    cross = xp.stack(
-        [
-            xp.stack([zero, -axis[2], axis[1]]),
-            xp.stack([axis[2], zero, -axis[0]]),
-            xp.stack([-axis[1], axis[0], zero]),
-        ]
-    )
+    x, y, z = axis
+    cross = xp.stack([xp.stack(row) for row in ([zero, -z, y], [z, zero, -x], [-y, x, zero])])
     lead = (1,) * np.ndim(angle)
     cross, outer, one = (xp.reshape(m, (*lead, 3, 3)) for m in (cross, axis[:, None] * axis[None, :], np.eye(3)))
     c, s = xp.cos(angle)[..., None, None], xp.sin(angle)[..., None, None]

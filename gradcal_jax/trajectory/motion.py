@@ -93,18 +93,9 @@ def turning(
         by_duration, by_ramp = {"ramp": (0.0, 1.0), "flat": (1.0, -2.0)}.get(what, (share, 0.0))
         ends_move = np.arange(count) == (count - 1 if i == len(parts) - 1 else count)
         yes = np.ones(count, bool)
+        lasting, rates = (np.full(count, by_duration), np.full(count, by_ramp)), np.tile(coefficients, (count, 1))
         blocks.append(
-            PieceTable(
-                np.full(count, by_duration),
-                np.full(count, by_ramp),
-                at[:-1],
-                at[1:],
-                np.tile(coefficients, (count, 1)),
-                np.array(read),
-                ends_move,
-                yes,
-                yes & (what != "flat"),
-            )
+            PieceTable(*lasting, at[:-1], at[1:], rates, np.array(read), ends_move, yes, yes & (what != "flat"))
         )
     return joined(blocks)
 

@@ -36,10 +36,6 @@ class Programme(PytreeModule):
         if not self.durations.shape == self.slopes.shape == self.jumps.shape:
             raise ValueError("a temperature programme needs one slope for each duration")
 
-    @property
-    def total(self) -> Float[AnyArray, ""]:
-        return self.times()[-1:].reshape(())
-
     def times(self) -> Float[AnyArray, " knots"]:
         """Times (s) at which stretches begin and the last one ends."""
         xp = namespace(self.durations)

@@ -199,32 +199,20 @@ def make_schedule(
     segment = np.repeat(np.arange(len(placed)), sizes)
     count = len(segment)
     whole = np.full(count, _NO_KNOT)
-    fields = {name: np.asarray(value) for name, value in table._asdict().items()}
-    pieces = Pieces(
-        move=np.repeat(np.array([move for move, _ in placed]), sizes),
-        **fields,
-        relaxed=~table.moving & (spacing is not None),
-        gap=np.isin(segment, np.array(gaps, int)),
-        segment=segment,
-        low=whole,
-        high=whole,
-    )
+    move, relaxed = np.repeat(np.array([move for move, _ in placed]), sizes), ~table.moving & (spacing is not None)
+    gap = np.isin(segment, np.array(gaps, int))
+    pieces = Pieces(move, *map(np.asarray, table), relaxed, gap, segment, whole, whole)
     duration, peak, ramp = (np.array(column, dtype=float) for column in zip(*moves, strict=True))
     fillers = fillers or []
     fill_move, fill_from, fill_to = (np.array([f[i] for f in fillers], int) for i in range(3))
     counts = np.array([f[3] for f in fillers], float).reshape(len(fillers), len(moves))
-    moving, varying = _places(pieces)
+    moving, varying = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
     made = Schedule(
         duration, peak, ramp, np.asarray(1.0 if spacing is None else float(spacing)), programme, pieces, moving,
         varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(gaps), bool(inner_knots), rates,
         points,
     )  # fmt: skip
     return _cut_at_knots(made, inner_knots) if inner_knots else made
-
-
-def _places(pieces: Pieces) -> tuple[np.ndarray, np.ndarray]:
-    """Which pieces move, and which of them vary."""
-    return np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
 
 
 def _cut_at_knots(schedule: Schedule, knots: tuple[int, ...]) -> Schedule:
@@ -246,7 +234,8 @@ def _cut_at_knots(schedule: Schedule, knots: tuple[int, ...]) -> Schedule:
     at = np.array(source)
     fields = {name: getattr(schedule.pieces, name)[at] for name in schedule.pieces.__dataclass_fields__}
     pieces = Pieces(**(fields | {"low": np.array(low), "high": np.array(high)}))
-    return eqx.tree_at(lambda s: (s.pieces, s.moving_pieces, s.varying_pieces), schedule, (pieces, *_places(pieces)))
+    places = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
+    return eqx.tree_at(lambda s: (s.pieces, s.moving_pieces, s.varying_pieces), schedule, (pieces, *places))
 
 
 def gradient_plan(
@@ -324,12 +313,8 @@ def standard_plan(
     temperatures, rates = (np.asarray(v, dtype=float) for v in (temperatures, rates))
     counts = len(temperatures), len(rates)
     stay = float(soak) + counts[1] * float(integration)
-    programme = Programme(
-        np.asarray(temperatures[0]),
-        np.full(counts[0], stay),
-        np.zeros(counts[0]),
-        np.diff(temperatures, prepend=temperatures[0]),
-    )
+    level, jumps = np.zeros(counts[0]), np.diff(temperatures, prepend=temperatures[0])
+    programme = Programme(np.asarray(temperatures[0]), np.full(counts[0], stay), level, jumps)
     soaking = (0, standing(((0.0, 1.0), (False,))))
     placed = [p for _ in temperatures for p in (soaking, *((1 + k, _HELD) for k in range(counts[1])))]
     numbers = [(float(soak), 0.0, 0.0), *((float(integration), float(rate), 0.0) for rate in rates)]

@@ -91,16 +91,9 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     groups = tuple(
         _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, before) for n in np.unique(motion.nodes)
     )
-    return BodyNodes(
-        groups,
-        motion.kind,
-        end - begin,
-        before,
-        after,
-        frames(motion.geometry, before, motion.mounting[example]).axes,
-        motion.axis[example],
-        motion.mounting[example],
-    )
+    axis, mounting = motion.axis[example], motion.mounting[example]
+    axes = frames(motion.geometry, before, mounting).axes
+    return BodyNodes(groups, motion.kind, end - begin, before, after, axes, axis, mounting)
 
 
 def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before) -> BodyGroup:
@@ -142,22 +135,9 @@ def body_group(
     earth, up = (geometry.earth_rate()[None, :] @ stages.attitude)[..., 0, :], stages.attitude[..., 2, :]
     turning = joint[..., None] * stages.axes
     below = xp.cumsum(turning, axis=-2)
-    return BodyGroup(
-        *pieces,
-        temperature,
-        share,
-        weight,
-        earth + below[..., -1, :],
-        geometry.gravity * up,
-        earth,
-        up,
-        stages.attitude,
-        stages.axes,
-        stages.crosses,
-        earth[..., None, :] + below - turning,
-        joint,
-        angle,
-    )
+    rate, outer = earth + below[..., -1, :], earth[..., None, :] + below - turning
+    seen = rate, geometry.gravity * up, earth, up, stages.attitude, stages.axes, stages.crosses
+    return BodyGroup(*pieces, temperature, share, weight, *seen, outer, joint, angle)
 
 
 def lagrange(points: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -176,7 +176,7 @@ def _schedules(
     if isinstance(schedule, StandardSchedule):
         points = (schedule.temperatures, schedule.soak_each, schedule.integration, schedule.rates)
         return {"x": trajectory.standard_plan(*points, points=schedule.shared)}, ()
-    programme, used = programme_of(schedule)
+    programme, used = chamber_programme(schedule)
     cycle = schedule.cycle
     if cycle is None:
         return {"x": trajectory.gradient_plan(programme, used=used, read_every=schedule.read_every)}, ()
@@ -196,7 +196,9 @@ def _schedules(
     return plans, (*moves, *after)
 
 
-def programme_of(plan: GradientSchedule | UnitSchedule) -> tuple[trajectory.Programme, tuple[tuple[int, int], ...]]:
+def chamber_programme(
+    plan: GradientSchedule | UnitSchedule,
+) -> tuple[trajectory.Programme, tuple[tuple[int, int], ...]]:
     """The chamber's programme, and from which of its knots to which data are used."""
     segments = plan.segments
     ends = np.array([segment.start for segment in segments] + [plan.duration])

@@ -43,8 +43,8 @@ def map_row(section: Bias | ScaleFactor) -> MapRow:
     return MapRow(
         temperature=basis_row(section.temperature, smooth),
         rate=basis_row(section.rate, smooth) if by_rate else None,
-        prior=plain(section.prior),
-        smoothness=plain(section.smoothness),
+        prior=as_number(section.prior),
+        smoothness=as_number(section.smoothness),
         smoothness_along=_along(section) if smooth else (),
         discrepancy=None
         if beyond is None
@@ -85,7 +85,7 @@ def basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:
     return BasisRow(edges=tuple(float(e) for e in section.edges), **alike)
 
 
-def plain(value: float | None) -> float | None:
+def as_number(value: float | None) -> float | None:
     """A quantity as a plain number."""
     return None if value is None else float(value)
 

@@ -102,10 +102,10 @@ def limit(spec: Spec | UnitSpec) -> list[PlanLimit]:
     return unit_limits(spec) if isinstance(spec, UnitSpec) else limits(expect_spec(spec))
 
 
-def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS) -> list[frontiers.Point]:
+def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS) -> list[frontiers.FrontierPoint]:
     """The best residual for each of several durations of the ramp, `motion_s` in s, soaks not counted.
 
-    Each `api.frontier.Point` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.
+    Each `api.frontier.FrontierPoint` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.
 
     Errors: as `optimise`, where no duration has a plan and only one was asked for.
     """

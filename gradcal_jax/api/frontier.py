@@ -13,7 +13,7 @@ _BLIND: Final = (
 )
 
 
-class Point(NamedTuple):
+class FrontierPoint(NamedTuple):
     """`motion` s, without soaks, and the best plan found for it; or why there is none."""
 
     motion: float
@@ -23,22 +23,26 @@ class Point(NamedTuple):
 
 def frontier(
     spec: Spec, times: list[float], *, steps: int = STEPS, watch: Callable[[float, Step], None] = lambda _, __: None
-) -> Iterator[Point]:
+) -> Iterator[FrontierPoint]:
     """Optimise for each of `times` (s, without soaks). `watch` is told every step. Errors: as `optimise` for all."""
     for time in times:
         try:
             for event in optimise(spec, steps=steps, motion=time):
                 if isinstance(event, Optimised):
-                    yield Point(time, event, event.sentence) if np.isfinite(event.now) else Point(time, None, _BLIND)
+                    yield (
+                        FrontierPoint(time, event, event.sentence)
+                        if np.isfinite(event.now)
+                        else FrontierPoint(time, None, _BLIND)
+                    )
                 else:
                     watch(time, event)
         except ValueError as error:
             if len(times) == 1:
                 raise
-            yield Point(time, None, str(error))
+            yield FrontierPoint(time, None, str(error))
 
 
-def shortest(points: list[Point], target: float) -> float | None:
+def shortest(points: list[FrontierPoint], target: float) -> float | None:
     """The motion time (s) at which the frontier crosses `target`, between its points; None where it does not.
 
     Between points the logarithm of the residual is taken as linear in that of the time.

@@ -10,7 +10,14 @@ from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, count_rows, followed
 from gradcal_jax.api.tested_maps import hidden_maps
-from gradcal_jax.api.unit_channel import LONGEST_LAG_S, UnitChannel, finished, integrated_rows, whitened_columns, within
+from gradcal_jax.api.unit_channel import (
+    LONGEST_LAG_S,
+    UnitChannel,
+    finished_channel,
+    integrated_rows,
+    whitened_columns,
+    within,
+)
 from gradcal_jax.estimation import Estimate, Observations, Whitened
 from gradcal_jax.files.log import Log
 from gradcal_jax.information import noise_steps, since_origin
@@ -116,7 +123,7 @@ def gradient_channels(
         single = white.of_unit(k)
         counts, beyond = count_rows(log, unit, used), [(term, level, columns[k]) for term, level, columns in hidden]
         read = rows[unit], done
-        result[unit] = finished(
+        result[unit] = finished_channel(
             axis, log.units[unit], model, own, single, options, read, (lag, lag_std), counts, messages, beyond
         )
     return result

@@ -23,7 +23,7 @@ _ROOM = 25.0
 _TEMPERATURES, _RATES = 101, 121
 
 
-class Term(NamedTuple):
+class IeeeTerm(NamedTuple):
     """A figure in the standards' words. `std`: one sigma, None where the data do not tell; `computed`: from what."""
 
     name: str
@@ -91,12 +91,12 @@ def prior_map(spec: Spec, requirement: Requirement) -> Box | None:
     return Box(temperatures, rates * DEG_PER_S, values, unit)
 
 
-def standard_terms(axis: AxisCalibration) -> list[Term]:
+def standard_terms(axis: AxisCalibration) -> list[IeeeTerm]:
     """The calibration of an axis in the vocabulary of IEEE 952, 1431 and 1780."""
     cold, warm = (float(end) for end in axis.valid_temperature)
     at = _ROOM if cold <= _ROOM <= warm else 0.5 * (cold + warm)
     temperatures = np.linspace(cold, warm, _TEMPERATURES)
-    terms: list[Term] = []
+    terms: list[IeeeTerm] = []
     if axis.bias is not None:
         here = _rows(axis, "bias", np.array([at]), np.zeros(1))
         terms.append(_term(axis, "bias", *here, DEG_PER_H, "deg/h", f"B at {at:g} °C"))
@@ -115,7 +115,7 @@ def standard_terms(axis: AxisCalibration) -> list[Term]:
     return terms
 
 
-def _scale_factor_terms(axis: AxisCalibration, at: float, temperatures: Floats) -> list[Term]:
+def _scale_factor_terms(axis: AxisCalibration, at: float, temperatures: Floats) -> list[IeeeTerm]:
     slow, fast = (float(end) for end in axis.valid_rate)
     rates = np.linspace(slow, fast, _RATES)
     names, rows = _rows(axis, "scale_factor", np.full_like(rates, at), rates)
@@ -152,11 +152,11 @@ def _slope(x: Floats) -> Floats:
     return centred / (centred @ centred)
 
 
-def _term(axis: AxisCalibration, name: str, names, rows: Floats, factor: float, unit: str, computed: str) -> Term:
+def _term(axis: AxisCalibration, name: str, names, rows: Floats, factor: float, unit: str, computed: str) -> IeeeTerm:
     known = axis.values()
     value = float((rows @ np.array([known[n] for n in names]))[0]) * factor
     std = float(_deviations(axis, names, rows)[0]) * factor
-    return Term(name, value, std if np.isfinite(std) else None, unit, computed)
+    return IeeeTerm(name, value, std if np.isfinite(std) else None, unit, computed)
 
 
 def _rows(axis: AxisCalibration, quantity: str, temperature_c: Floats, rate: Floats) -> tuple[list[str], Floats]:

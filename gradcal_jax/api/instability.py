@@ -25,7 +25,7 @@ _QUIETEST = 0.006 / DEG_PER_SQRT_H
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestRecord:
     """One channel of a log at rest on an even grid, with B(T) taken off where asked.
 
     `rate` `(samples,)` rad/s, `valid` `(samples,)`: what may be used, `temperature_c` `(samples,)` °C.
@@ -47,7 +47,7 @@ class Rest:
 class Instability:
     """What `instability` found of a channel."""
 
-    rest: Rest
+    rest: RestRecord
     allan: identify.AllanDeviation
     allan_fit: identify.AllanFit
     bound: identify.DirectBound
@@ -93,7 +93,7 @@ def at_rest(
     bias_degree: int | None = None,
     lag: float | str = "auto",
     without: Sequence[tuple[float, float]] = (),
-) -> Rest:
+) -> RestRecord:
     """One channel, masked where the table moves, less its bias over temperature.
 
     `without`: spans of the record's time (s) to leave out.
@@ -144,7 +144,7 @@ def at_rest(
             )
     rate[~valid] = 0.0
     named = log.axes[log.axis_index(axis)], log.units[log.unit_index(unit)]
-    return Rest(*named, rate, valid, even.sample_interval_s, time, temperature, thermal, tuple(messages))
+    return RestRecord(*named, rate, valid, even.sample_interval_s, time, temperature, thermal, tuple(messages))
 
 
 def _thermal(
@@ -176,7 +176,7 @@ def _thermal(
 
 
 def instability(
-    rest: Rest,
+    rest: RestRecord,
     *,
     averaging_time_s: float = 10.0,
     shortest_s: float = 1.0,
@@ -226,7 +226,7 @@ def instability(
     return Instability(rest, allan, fit, bound, temperature_c, scatter)
 
 
-def temperature_ranges(rest: Rest, parts: int) -> list[tuple[float, float]]:
+def temperature_ranges(rest: RestRecord, parts: int) -> list[tuple[float, float]]:
     """The record's span of temperature in equal parts. **Raises:** `LogError` without temperatures."""
     if rest.temperature_c is None or not np.isfinite(rest.temperature_c[rest.valid]).any():
         raise LogError("the log has no temperature, so there are no ranges of it")
@@ -274,7 +274,7 @@ def instability_row(found: Instability) -> dict[str, Any]:
     }
 
 
-def allan_row(rest: Rest, allan: identify.AllanDeviation, fit: identify.AllanFit) -> dict[str, Any]:
+def allan_row(rest: RestRecord, allan: identify.AllanDeviation, fit: identify.AllanFit) -> dict[str, Any]:
     """Plain numbers for `--json`: the curve with its confidence, and the coefficients with standard errors."""
     scale = {
         "quantisation_arcsec": (fit.quantisation, ARCSEC),

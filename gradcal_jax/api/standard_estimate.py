@@ -11,7 +11,7 @@ from gradcal_jax.api.unit_channel import (
     UnitChannel,
     covered_rates,
     covered_temperatures,
-    finished,
+    finished_channel,
     integrated_rows,
     whitened_columns,
 )
@@ -140,7 +140,7 @@ def _of_points(
         (term, level, whitened_columns(observations._replace(columns=term.columns(nodes)))[0])
         for term, level in hidden_maps(built.spec, model)
     ]
-    channel = finished(
+    channel = finished_channel(
         axis, unit, model, observations, white, options, (rows, done), (lag, None), counts, messages, hidden
     )
     section = built.spec.plan

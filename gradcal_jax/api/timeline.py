@@ -5,7 +5,7 @@ from typing import Any, cast, overload
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.contract_rows import map_row, plain, process_rows, shape_row
+from gradcal_jax.api.contract_rows import as_number, map_row, process_rows, shape_row
 from gradcal_jax.api.unit_timeline import unit_timeline
 from gradcal_jax.files import Spec, Timeline
 from gradcal_jax.files.contracts import (
@@ -159,21 +159,21 @@ def _sensor_row(spec: Spec) -> SensorRow:
     return SensorRow(
         arw=float(sensor.angle_random_walk),
         rate_random_walk=float(sensor.rate_random_walk or 0.0),
-        turn_on_bias=plain(sensor.turn_on_bias),
+        turn_on_bias=as_number(sensor.turn_on_bias),
         drift=process_rows(sensor.drift),
         scale_factor_instability=process_rows(sensor.scale_factor_instability),
-        thermal_lag=plain(sensor.thermal_lag),
-        sample_clock_error=plain(sensor.sample_clock_error),
+        thermal_lag=as_number(sensor.thermal_lag),
+        sample_clock_error=as_number(sensor.sample_clock_error),
         starts=_starts_row(spec.sensor),
         temperature_error=None
         if error is None
         else TemperatureErrorRow(
             sigma=float(error.standard_deviation),
-            tau=plain(error.correlation_time),
-            bias_slope=plain(error.bias_slope),
-            scale_factor_slope=plain(error.scale_factor_slope),
+            tau=as_number(error.correlation_time),
+            bias_slope=as_number(error.bias_slope),
+            scale_factor_slope=as_number(error.scale_factor_slope),
         ),
-        bias_temperature_gradient=None if gradient is None else GradientSensitivityRow(prior=plain(gradient.prior)),
+        bias_temperature_gradient=None if gradient is None else GradientSensitivityRow(prior=as_number(gradient.prior)),
         bias=None if sensor.bias is None else map_row(sensor.bias),
         scale_factor=None if sensor.scale_factor is None else map_row(sensor.scale_factor),
     )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.api.build import basis, bias_map, or_infinite, programme_of, scale_factor_map, slow_processes
+from gradcal_jax.api.build import basis, bias_map, chamber_programme, or_infinite, scale_factor_map, slow_processes
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
 from gradcal_jax.files.unit_rig import UnitRig
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
@@ -205,7 +205,7 @@ def _move(step: UnitStep, read_every: float | None) -> Move:
 
 def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
     """The motion of a plan on a spec's rig."""
-    course, used = programme_of(plan)
+    course, used = chamber_programme(plan)
     steps = [step for step in plan.steps for _ in range(step.move.repeat)]
     table = spec.rig.table
     every = float(table.axis[0].angle.read_every) if table.standing == "read" else None

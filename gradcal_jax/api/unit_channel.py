@@ -42,7 +42,7 @@ class UnitChannel(NamedTuple):
     """Of every map that is a polynomial."""
 
 
-def finished(
+def finished_channel(
     axis: str,
     unit: str,
     model: SensorModel,

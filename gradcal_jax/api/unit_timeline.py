@@ -5,7 +5,7 @@ from typing import Any, cast
 import numpy as np
 
 from gradcal_jax import model
-from gradcal_jax.api.contract_rows import basis_row, map_row, plain, process_rows, section_of, shape_row
+from gradcal_jax.api.contract_rows import as_number, basis_row, map_row, process_rows, section_of, shape_row
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow
 from gradcal_jax.files.sensor import Bias, ScaleFactor
@@ -64,7 +64,7 @@ def unit_timeline(spec: UnitSpec) -> UnitTimeline:
             MountingRow(name=m.name, rotation=_matrix(rotation))
             for m, rotation in zip(table.mounting, np.asarray(geometry.mountings), strict=True)
         ),
-        thermal_lag=plain(sensor.thermal_lag),
+        thermal_lag=as_number(sensor.thermal_lag),
         channels=tuple(
             _channel(c, sensor.gyro if c.kind == "gyro" else sensor.accelerometer) for c in built.model.channels
         ),
@@ -101,7 +101,7 @@ def _term(channel: Channel, term: Map | SignalMap, triad: GyroTriad | Accelerome
         assert isinstance(term, SignalMap)
         of = getattr(section, "temperature", None)
         over = _CONSTANT if of is None else basis_row(of, smooth=False)
-        row, signals = MapRow(temperature=over, prior=plain(section.prior)), term.signals
+        row, signals = MapRow(temperature=over, prior=as_number(section.prior)), term.signals
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     fields = {name: getattr(row, name) for name in MapRow.model_fields}
     return UnitTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)

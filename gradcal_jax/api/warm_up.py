@@ -15,7 +15,7 @@ import numpy as np
 from gradcal_jax import estimation, identify
 from gradcal_jax.api.calibration import EstimateReport, estimate_calibration
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.instability import Rest, at_rest, number, plausible, too_noisy
+from gradcal_jax.api.instability import RestRecord, at_rest, number, plausible, too_noisy
 from gradcal_jax.files import Spec, parse_spec
 from gradcal_jax.files.calibration import Noise
 from gradcal_jax.files.log import Log, LogError
@@ -211,7 +211,7 @@ read_every  = "1 s"
     return parse_spec(text), words
 
 
-def _slow_noise(rest: Rest, walk: float, centre: float, scale: float) -> identify.SlowNoise:
+def _slow_noise(rest: RestRecord, walk: float, centre: float, scale: float) -> identify.SlowNoise:
     """From means over some hundred stretches of the record, as far as they hold data for half their length."""
     assert rest.temperature_c is not None
     assert rest.thermal is not None

@@ -14,7 +14,7 @@ from gradcal_jax.pages.plain_text import amount, columns
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.frontier import Point
+    from gradcal_jax.api.frontier import FrontierPoint
     from gradcal_jax.api.optimise import Step
 
 
@@ -66,7 +66,7 @@ def frontier(
 
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-    reached: list[Point] = []
+    reached: list[FrontierPoint] = []
     with MovingLine(sys.stderr) as line:
         for point in room.frontier(found, times, steps=steps, watch=lambda *told: line.show(_progress(*told))):
             reached.append(point)
@@ -128,7 +128,7 @@ def durations(text: str, points: int) -> list[float]:
     return sorted(one(part) for part in text.split(","))
 
 
-def _row(point: "Point") -> tuple[str, str, str]:
+def _row(point: "FrontierPoint") -> tuple[str, str, str]:
     residual = "none" if point.plan is None else amount(point.plan.now, point.plan.unit)
     return time_text(point.motion), residual, point.reason
 

@@ -8,7 +8,7 @@ from gradcal_jax.cli.console import is_plain
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.jobs.pool import Progress
+    from gradcal_jax.jobs.pool import JobProgress
 
 # Before that, what is left is anybody's guess.
 _SOON_S: Final = 3.0
@@ -72,7 +72,7 @@ class Bars:
             self._bars.start()
         return self
 
-    def show(self, now: "Progress") -> None:
+    def show(self, now: "JobProgress") -> None:
         """For whoever reports progress."""
         if self._bars is None:
             if now.newest:

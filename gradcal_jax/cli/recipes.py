@@ -13,7 +13,7 @@ from gradcal_jax.cli.workers import check_workers, runner_for
 from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
-    from gradcal_jax.jobs.catalogue import Table
+    from gradcal_jax.jobs.catalogue import RecipeTable
 
 
 def register(app: App) -> None:
@@ -71,7 +71,7 @@ def recipes(
     return DONE if fine else NOT_AS_WISHED
 
 
-def text(table: "Table", title: str) -> str:
+def text(table: "RecipeTable", title: str) -> str:
     """The table as people read it."""
     rows: list[tuple[str, ...]] = [("sensor", "rig", "requirement", "plan", "as written", "optimised", "verdict")]
     remarks: list[str] = []

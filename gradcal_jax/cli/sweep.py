@@ -75,7 +75,7 @@ def sweep(
         print(as_json(_estimate(found)) if json else _estimated(found, job))
         return DONE
     assert output is not None
-    if jobs.finished(job, output):
+    if jobs.already_finished(job, output):
         if not json:
             print(f"{output} is finished: it holds the results of just this sweep")
     else:

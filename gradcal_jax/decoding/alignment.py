@@ -66,7 +66,7 @@ class Alignment:
 
 
 @dataclass(frozen=True)
-class Track:
+class AngleTrack:
     """Readings of one table axis: times that increase, s, and angles, deg."""
 
     time_s: Floats
@@ -94,7 +94,7 @@ class _Unit:
         return angle, np.interp(times_s, self.time_s, self.rate_dps), np.where(inside, self.part[before], -1)
 
 
-def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, Track]) -> Alignment:
+def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, AngleTrack]) -> Alignment:
     """Lay a recording on the run's clock.
 
     time_s      (n,)  of the recording, by its own clock
@@ -156,7 +156,7 @@ def _on_grid(time_s: Floats, angle_deg: Floats, begins_s: float, count: int) -> 
     return np.diff(np.interp(edges, time_s, angle_deg)) / _GRID_S
 
 
-def _places(pairs: list[tuple[_Unit, Track]]) -> list[tuple[float, float]]:
+def _places(pairs: list[tuple[_Unit, AngleTrack]]) -> list[tuple[float, float]]:
     """Where the tracks' rates agree best: host time less recorded time, and the share of what turns outside."""
     begins_t = min(float(track.time_s[0]) for _, track in pairs)
     begins_u = min(float(unit.time_s[0]) for unit, _ in pairs)
@@ -194,7 +194,7 @@ def _places(pairs: list[tuple[_Unit, Track]]) -> list[tuple[float, float]]:
     return found
 
 
-def _refined(pairs: list[tuple[_Unit, Track]], middle_s: float, offset_s: float, outside: float) -> _Place:
+def _refined(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: float, outside: float) -> _Place:
     """Gauss and Newton on the turns between consecutive readings, with one scale and one bias an axis."""
     excess, misfit, scale = 0.0, 1.0, 1.0
     for _ in range(20):
@@ -237,7 +237,7 @@ class _Burst:
     design: Floats
 
 
-def _bursts(pairs: list[tuple[_Unit, Track]], middle_s: float, offset_s: float, excess: float) -> list[_Burst]:
+def _bursts(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: float, excess: float) -> list[_Burst]:
     found: list[_Burst] = []
     for unit, track in pairs:
         u = middle_s + (track.time_s - offset_s) / (1.0 + excess)
@@ -293,7 +293,7 @@ def _fit(bursts: list[_Burst], noise_deg: float, jitter_s: float) -> _Fit:
     return _Fit(bursts, weighted, normal, np.asarray(np.linalg.solve(normal, slopes.T @ left), np.float64))
 
 
-def _exactly(pairs: list[tuple[_Unit, Track]], middle_s: float, place: _Place) -> Alignment:
+def _exactly(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, place: _Place) -> Alignment:
     offset_s, excess = place.offset_s, place.excess
     noise_deg, jitter_s = 1e-3, 1e-3
     for _ in range(6):

@@ -35,7 +35,7 @@ from ..hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from ..hardware.setup import config_of, driver_of
 from ..hardware.stretches import breaks_off
 from ..hardware.track import Move
-from .alignment import Alignment, Track, align
+from .alignment import Alignment, AngleTrack, align
 from .clockmap import ClockMap, fit_clock
 from .rounds import Doubt, rounds_resolved
 
@@ -156,7 +156,7 @@ def log_of_recording(contents: JournalContents, recipe: Recipe, rig: RigFile, re
     return replace(log, findings=(*log.findings, Finding("clock found by the motion", "keep", 0, message)))
 
 
-def _track(events: Sequence[Event], axis: str) -> Track:
+def _track(events: Sequence[Event], axis: str) -> AngleTrack:
     """Everything that was read of an axis's angle, in order."""
     rows = [
         (float(e.data["time_s"]), float(e.data["position_deg"]))
@@ -166,7 +166,7 @@ def _track(events: Sequence[Event], axis: str) -> Track:
     times, angles = np.array(sorted(rows)).reshape(-1, 2).T
     # What stands twice in the journal was read once; homing, which may count anew, is before all data.
     first = np.append(True, np.diff(times) > 0.0)[: len(times)]
-    return Track(times[first], angles[first])
+    return AngleTrack(times[first], angles[first])
 
 
 def _as_samples(

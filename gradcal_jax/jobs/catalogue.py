@@ -11,7 +11,7 @@ from typing import Any, Final
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.catalogue import Case, Catalogue
 from gradcal_jax.files.writing import write_whole
-from gradcal_jax.jobs.pool import Progress, Report, Runner, Task, borrowed, unwatched
+from gradcal_jax.jobs.pool import JobProgress, Report, Task, TaskRunner, borrowed, unwatched
 from gradcal_jax.jobs.sweep import versions
 
 _COLUMNS: Final[tuple[str, ...]] = (
@@ -21,7 +21,7 @@ _COLUMNS: Final[tuple[str, ...]] = (
 
 
 @dataclass(frozen=True)
-class Table:
+class RecipeTable:
     """The rows of a summary, by sensor, rig, requirement and what is left; `failed` have no recipe."""
 
     rows: tuple[dict[str, Any], ...]
@@ -33,7 +33,9 @@ class Table:
         return sum(not row["recipe"] for row in self.rows)
 
 
-def recipes(job: Catalogue, folder: str | Path, *, runner: Runner | None = None, progress: Report = unwatched) -> Table:
+def recipes(
+    job: Catalogue, folder: str | Path, *, runner: TaskRunner | None = None, progress: Report = unwatched
+) -> RecipeTable:
     """Write `<case>.toml` for every case, `summary.csv` and `summary.md` (ppm, deg/h; 1σ) into `folder`.
 
     What is finished is kept in `folder/.finished`, and is not done again while the case and the versions are the same.
@@ -55,7 +57,7 @@ def recipes(job: Catalogue, folder: str | Path, *, runner: Runner | None = None,
         if row is not None and (not row["recipe"] or (folder / row["recipe"]).is_file()):
             rows[number] = row
     kept = len(rows)
-    progress(Progress("optimise", kept, len(job.cases), kept))
+    progress(JobProgress("optimise", kept, len(job.cases), kept))
     tasks = [
         Task(number, "recommend", (tables_of(case.spec),))
         for number, case in enumerate(job.cases)
@@ -73,8 +75,8 @@ def recipes(job: Catalogue, folder: str | Path, *, runner: Runner | None = None,
             write_whole(kept_in / f"{case.slug}.json", json.dumps([identities[number], row], indent=1))
             rows[number] = row
             said = row["remark"] if not row["recipe"] else f"{row['now']:.4g} {row['unit']}"
-            progress(Progress("optimise", len(rows), len(job.cases), kept, f"{', '.join(case.names)}: {said}"))
-    table = Table(_ordered([rows[number] for number in range(len(job.cases))]), kept)
+            progress(JobProgress("optimise", len(rows), len(job.cases), kept, f"{', '.join(case.names)}: {said}"))
+    table = RecipeTable(_ordered([rows[number] for number in range(len(job.cases))]), kept)
     write_whole(folder / "summary.csv", as_csv(table))
     write_whole(folder / "summary.md", as_markdown(table, job.file.title))
     return table
@@ -115,7 +117,7 @@ def _ordered(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
     return tuple(sorted(rows, key=rank))
 
 
-def as_csv(table: Table) -> str:
+def as_csv(table: RecipeTable) -> str:
     """The rows for other programs: numbers in full."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -125,7 +127,7 @@ def as_csv(table: Table) -> str:
     return stream.getvalue()
 
 
-def as_markdown(table: Table, title: str | None) -> str:
+def as_markdown(table: RecipeTable, title: str | None) -> str:
     """The rows for people: four digits."""
     several = len({row["plan"] for row in table.rows}) > 1
     head = ["sensor", "rig", "requirement", *(["plan"] if several else []), "as written", "optimised", "hours"]

@@ -9,12 +9,12 @@ import threading
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from gradcal_jax.jobs.pool import Runner, Task, tried
+from gradcal_jax.jobs.pool import Task, TaskRunner, tried
 from gradcal_jax.jobs.worker import Worker
 
 
-class Cluster(Runner):
-    """A `pool.Runner` on a Dask cluster. Errors: `ValueError` without the extra, or where no scheduler answers."""
+class Cluster(TaskRunner):
+    """A `pool.TaskRunner` on a Dask cluster. Errors: `ValueError` without the extra, or where no scheduler answers."""
 
     def __init__(self, address: str, *, timeout_s: float = 20.0):
         try:

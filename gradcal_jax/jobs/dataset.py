@@ -11,7 +11,7 @@ from gradcal_jax.files import to_toml
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.jobs.points import Points
-from gradcal_jax.jobs.results import OVER_RATE, STATISTICS, UNIT_OF, Result
+from gradcal_jax.jobs.results import OVER_RATE, STATISTICS, UNIT_OF, PointResult
 
 if TYPE_CHECKING:
     import xarray
@@ -24,7 +24,9 @@ _TIMES: Final = {
 _CHANNELS: Final = ("x", "y", "z")
 
 
-def dataset_of(job: Sweep, points: Points, results: tuple[Result, ...], identity: dict[str, Any]) -> "xarray.Dataset":
+def dataset_of(
+    job: Sweep, points: Points, results: tuple[PointResult, ...], identity: dict[str, Any]
+) -> "xarray.Dataset":
     """The results: dimensions are the axes of a grid, or `point` for drawn points; every variable has its unit.
 
     Requirements give `<name>_<statistic>` (1σ; NaN where there is no result or nothing can be observed) and

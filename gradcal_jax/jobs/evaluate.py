@@ -21,34 +21,34 @@ from gradcal_jax.files.changes import any_spec_of
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.information import STATISTICS
-from gradcal_jax.jobs.results import OVER_RATE, Residual, Result, one_line
+from gradcal_jax.jobs.results import OVER_RATE, PointResult, Residual, one_line
 
 _HEADER = "Made by gradcal recipes; `gradcal show` prints it as a table."
 Changes = Mapping[str, object]
 
 
-def predict_points(base: Mapping[str, Any], points: list[tuple[int, Changes]]) -> list[Result]:
+def predict_points(base: Mapping[str, Any], points: list[tuple[int, Changes]]) -> list[PointResult]:
     """Predict the points of a chunk; one that cannot be says why, and takes no other along."""
     return _each(base, points, _predicted)
 
 
-def optimise_points(base: Mapping[str, Any], points: list[tuple[int, Changes]]) -> list[Result]:
+def optimise_points(base: Mapping[str, Any], points: list[tuple[int, Changes]]) -> list[PointResult]:
     """Optimise the plan of each point and predict what it leaves."""
     return _each(base, points, _optimised)
 
 
-def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> list[Result]:
+def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> list[PointResult]:
     spec = any_spec_of(base)
-    results: list[Result] = []
+    results: list[PointResult] = []
     for index, changes in points:
         try:
             results.append(do(index, changed(spec, changes)))
         except Exception as error:
-            results.append(Result(index, one_line(error)))
+            results.append(PointResult(index, one_line(error)))
     return results
 
 
-def _predicted(index: int, spec: Spec | UnitSpec) -> Result:
+def _predicted(index: int, spec: Spec | UnitSpec) -> PointResult:
     times = spec.schedule.duration, spec.schedule.soak, spec.schedule.motion
     if isinstance(spec, UnitSpec):
         unit = assemble_unit(spec)
@@ -59,7 +59,7 @@ def _predicted(index: int, spec: Spec | UnitSpec) -> Result:
             Residual(i, "x", (row.mean_of_max, row.max, row.mean, row.rms), row.verdict or "")
             for i, row in enumerate(of_unit)
         )
-        return Result(index, "", *times, found)
+        return PointResult(index, "", *times, found)
     built = assemble(spec)
     known = {channel: posterior_of_plan(built, channel) for channel in built.channels}
     rows = tuple(
@@ -67,10 +67,10 @@ def _predicted(index: int, spec: Spec | UnitSpec) -> Result:
         for i, requirement in enumerate(spec.requirement)
         for channel, posterior in known.items()
     )
-    return Result(index, "", *times, rows)
+    return PointResult(index, "", *times, rows)
 
 
-def _optimised(index: int, spec: Spec) -> Result:
+def _optimised(index: int, spec: Spec) -> PointResult:
     from gradcal_jax.api.flow import optimise
 
     found = optimise(spec)

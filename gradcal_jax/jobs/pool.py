@@ -21,7 +21,7 @@ class Task(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-class Runner(ABC):
+class TaskRunner(ABC):
     """Does tasks, and yields (key, result), or (key, exception) for one that could not be done, in any order."""
 
     workers: int
@@ -39,7 +39,7 @@ class Runner(ABC):
         self.close()
 
 
-class Progress(NamedTuple):
+class JobProgress(NamedTuple):
     """`done` of `total` points or cases in a `stage`: "reading", "predict", "optimise".
 
     `kept` of them are from an earlier run; `newest` says of the last one what came out, where that is known.
@@ -52,19 +52,19 @@ class Progress(NamedTuple):
     newest: str = ""
 
 
-Report = Callable[[Progress], None]
+Report = Callable[[JobProgress], None]
 
 
-def unwatched(_: Progress) -> None:
+def unwatched(_: JobProgress) -> None:
     """Nobody watches."""
 
 
-def borrowed(runner: Runner | None) -> AbstractContextManager[Runner]:
+def borrowed(runner: TaskRunner | None) -> AbstractContextManager[TaskRunner]:
     """The caller's runner, or processes of one's own, which end with the block."""
     return LocalPool() if runner is None else nullcontext(runner)
 
 
-class LocalPool(Runner):
+class LocalPool(TaskRunner):
     """Worker processes on this machine, one for each core unless told otherwise."""
 
     def __init__(self, workers: int | None = None, compiled: str | None = None):

@@ -37,7 +37,7 @@ class Residual(NamedTuple):
     verdict: str
 
 
-class Result(NamedTuple):
+class PointResult(NamedTuple):
     """A point. `failure` is a sentence where there is no result; `note` and `spec` are an optimised point's."""
 
     point: int
@@ -51,18 +51,18 @@ class Result(NamedTuple):
     spec: str = ""
 
 
-def as_json(results: list[Result]) -> str:
+def results_as_json(results: list[PointResult]) -> str:
     """Results as text that reads back exactly."""
     return json.dumps([[*r[:5], [list(row) for row in r.residuals], *r[6:]] for r in results], allow_nan=False)
 
 
-def from_json(text: str) -> list[Result]:
-    """What `as_json` wrote."""
+def results_from_json(text: str) -> list[PointResult]:
+    """What `results_as_json` wrote."""
     rows = json.loads(text)
-    found: list[Result] = []
+    found: list[PointResult] = []
     for point, failure, duration, soak, motion, residuals, before, note, spec in rows:
         of_requirements = tuple(Residual(a, b, tuple(c), d) for a, b, c, d in residuals)
-        found.append(Result(point, failure, duration, soak, motion, of_requirements, before, note, spec))
+        found.append(PointResult(point, failure, duration, soak, motion, of_requirements, before, note, spec))
     return found
 
 

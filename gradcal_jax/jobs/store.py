@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gradcal_jax.files.writing import write_whole
-from gradcal_jax.jobs.results import Result, as_json, from_json
+from gradcal_jax.jobs.results import PointResult, results_as_json, results_from_json
 
 
 class Store:
@@ -34,18 +34,18 @@ class Store:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_whole(mark, json.dumps(identity, indent=1))
 
-    def read(self, chunk: int) -> list[Result] | None:
+    def read(self, chunk: int) -> list[PointResult] | None:
         """A finished chunk; None where it is not there, or not whole."""
         path = self._path(chunk)
         try:
             digest, _, body = path.read_text(encoding="utf-8").partition("\n")
-            return from_json(body) if digest == _digest(body) else None
+            return results_from_json(body) if digest == _digest(body) else None
         except (OSError, ValueError, TypeError):
             return None
 
-    def write(self, chunk: int, results: list[Result]) -> None:
+    def write(self, chunk: int, results: list[PointResult]) -> None:
         """Keep a finished chunk: wholly or not at all."""
-        body = as_json(results)
+        body = results_as_json(results)
         write_whole(self._path(chunk), f"{_digest(body)}\n{body}")
 
     def remove(self) -> None:

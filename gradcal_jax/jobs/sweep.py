@@ -17,8 +17,8 @@ from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.sweep import Sweep, tables_of_sweep
 from gradcal_jax.jobs.points import Points
-from gradcal_jax.jobs.pool import Progress, Report, Runner, Task, borrowed, unwatched
-from gradcal_jax.jobs.results import Result
+from gradcal_jax.jobs.pool import JobProgress, Report, Task, TaskRunner, borrowed, unwatched
+from gradcal_jax.jobs.results import PointResult
 from gradcal_jax.jobs.store import Store
 
 CHUNK: Final = {"predict": 64, "optimise": 1}
@@ -46,7 +46,7 @@ class SweepEstimate:
 class Swept:
     """All results, in the order of the points; `failed` of them have no numbers, `seconds` the time it took now."""
 
-    results: tuple[Result, ...]
+    results: tuple[PointResult, ...]
     seconds: float
     kept: int
 
@@ -60,7 +60,7 @@ class SweepIncomplete(RuntimeError):
     """Workers were lost, again and again, before all was done; what is finished is kept."""
 
 
-def sweep(job: Sweep, output: str | Path, *, runner: Runner | None = None, progress: Report = unwatched) -> Swept:
+def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, progress: Report = unwatched) -> Swept:
     """Do a sweep and write its results (netCDF, each variable with its unit) to `output`, for `read_dataset`.
 
     Begun again after a kill it goes on where it was.
@@ -74,7 +74,7 @@ def sweep(job: Sweep, output: str | Path, *, runner: Runner | None = None, progr
 
     begun, output = time.monotonic(), Path(output)
     identity = identity_of(job)
-    if finished(job, output):
+    if already_finished(job, output):
         raise ValueError(f"{output} holds the finished results of just this sweep; nothing is left to do")
     if output.exists():
         raise ValueError(f"{output} exists and is not of this sweep; choose another output, or delete it")
@@ -84,7 +84,7 @@ def sweep(job: Sweep, output: str | Path, *, runner: Runner | None = None, progr
     with borrowed(runner) as workers:
         chunks = chunks_of(len(points), CHUNK[job.file.do])
         store = Store(output, identity)
-        results: dict[int, Result] = {}
+        results: dict[int, PointResult] = {}
         left: list[int] = []
         for number, chunk in enumerate(chunks):
             there = store.read(number)
@@ -94,7 +94,7 @@ def sweep(job: Sweep, output: str | Path, *, runner: Runner | None = None, progr
                 results |= {r.point: r for r in there}
         kept = len(results)
         base = tables_of(job.base)
-        progress(Progress(job.file.do, len(results), len(points), kept))
+        progress(JobProgress(job.file.do, len(results), len(points), kept))
         tasks = [Task(n, job.file.do, (base, [(i, points.changes(i)) for i in chunks[n]])) for n in left]
         lost, reason = 0, ""
         for number, found in workers.run(tasks):
@@ -103,7 +103,7 @@ def sweep(job: Sweep, output: str | Path, *, runner: Runner | None = None, progr
                 continue
             store.write(number, found)
             results |= {r.point: r for r in found}
-            progress(Progress(job.file.do, len(results), len(points), kept))
+            progress(JobProgress(job.file.do, len(results), len(points), kept))
     if lost:
         raise SweepIncomplete(
             f"{lost} of {len(points)} points could not be computed ({reason}); the others are kept in {store.folder}, "
@@ -118,21 +118,21 @@ def sweep(job: Sweep, output: str | Path, *, runner: Runner | None = None, progr
     return Swept(ordered, time.monotonic() - begun, kept)
 
 
-def finished(job: Sweep, output: Path) -> bool:
+def already_finished(job: Sweep, output: Path) -> bool:
     """Whether `output` holds all results of just this sweep."""
     from gradcal_jax.jobs.dataset import identity_in
 
     return output.is_file() and identity_in(output) == identity_of(job)
 
 
-def dry_run(job: Sweep, *, runner: Runner | None = None, progress: Report = unwatched) -> SweepEstimate:
+def dry_run(job: Sweep, *, runner: TaskRunner | None = None, progress: Report = unwatched) -> SweepEstimate:
     """How large a sweep is and how long it will take, by its first chunk, done twice. Nothing is written."""
     points = Points(job)
     chunks = chunks_of(len(points), CHUNK[job.file.do])
     share = (tables_of(job.base), [(i, points.changes(i)) for i in chunks[0]])
     times, results = [0.0, 0.0], []
     with borrowed(runner) as workers:
-        progress(Progress(job.file.do, 0, len(points)))
+        progress(JobProgress(job.file.do, 0, len(points)))
         for k in range(1 if job.file.do == "optimise" else 2):
             begun = time.monotonic()
             ((_, results),) = workers.run([Task(0, job.file.do, share)])

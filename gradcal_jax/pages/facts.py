@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from gradcal_jax.api.ieee_terms import Term, standard_terms
+from gradcal_jax.api.ieee_terms import IeeeTerm, standard_terms
 from gradcal_jax.files.calibration import AxisCalibration
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, example_of, exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameters
@@ -17,7 +17,7 @@ class AxisFact(NamedTuple):
     `agreement`: χ² of found against hidden truth, its degrees, its chance."""
 
     axis: str
-    terms: tuple[Term, ...]
+    terms: tuple[IeeeTerm, ...]
     valid_temperature: tuple[str, str]
     valid_rate: tuple[str, str]
     unobservable: tuple[str, ...]

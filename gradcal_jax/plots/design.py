@@ -7,12 +7,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, StrMethodFormatter
 
-from gradcal_jax.api.frontier import Point
+from gradcal_jax.api.frontier import FrontierPoint
 from gradcal_jax.api.sensitivity import Sensitivities
 from gradcal_jax.plots.style import style_of
 
 
-def draw_frontier(points: Sequence[Point], targets: Mapping[str, float], *, ax: Axes | None = None) -> Figure:
+def draw_frontier(points: Sequence[FrontierPoint], targets: Mapping[str, float], *, ax: Axes | None = None) -> Figure:
     """The best residual for each duration, on logarithmic axes, and targets as lines.
 
     Errors: `ValueError` where no duration has a plan.

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.instability import Instability, Rest
+from gradcal_jax.api.instability import Instability, RestRecord
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.identify import AllanDeviation, AllanFit
 from gradcal_jax.plots.style import PALETTE, new_axes, new_panels, style_of
@@ -55,7 +55,9 @@ def draw_instability(found: Sequence[Instability]) -> Figure:
     return figure
 
 
-def draw_allan(rest: Rest, allan: AllanDeviation, fit: AllanFit, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+def draw_allan(
+    rest: RestRecord, allan: AllanDeviation, fit: AllanFit, *, ax: Axes | None = None
+) -> tuple[Axes, Line2D]:
     """The overlapping Allan deviation with its confidence interval and the fitted model."""
     ax = new_axes(ax)
     tau, hour = allan.averaging_time_s, DEG_PER_H
@@ -69,7 +71,7 @@ def draw_allan(rest: Rest, allan: AllanDeviation, fit: AllanFit, *, ax: Axes | N
 
 
 def draw_allan_and_bound(
-    drawn: Sequence[tuple[Rest, AllanDeviation, AllanFit]], bounds: Sequence[Instability | None]
+    drawn: Sequence[tuple[RestRecord, AllanDeviation, AllanFit]], bounds: Sequence[Instability | None]
 ) -> Figure:
     """For each channel the Allan deviation and, on the same axes, the Direct Bound's one-sigma limiting function."""
     figure, all_axes = new_panels(len(drawn), 1, (6.8, 4.4))
@@ -82,5 +84,5 @@ def draw_allan_and_bound(
     return figure
 
 
-def _name(rest: Rest) -> str:
+def _name(rest: RestRecord) -> str:
     return f"axis {rest.axis}, unit {rest.unit}"

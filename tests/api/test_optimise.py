@@ -11,7 +11,7 @@ from search_problem import SPEC
 
 from gradcal_jax import files
 from gradcal_jax.api import assemble, predict
-from gradcal_jax.api.frontier import Point, shortest
+from gradcal_jax.api.frontier import FrontierPoint, shortest
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.measure import measure
 from gradcal_jax.api.minimise_time import minimise_time
@@ -306,7 +306,9 @@ def test_there_is_no_limit_for_a_plan_without_moves():
 
 
 def test_the_shortest_plan_lies_between_the_points_of_the_frontier(best):
-    points = [Point(t * 60.0, best._replace(now=now), "") for t, now in ((50.0, 10.0), (100.0, 5.0), (200.0, 6.0))]
+    points = [
+        FrontierPoint(t * 60.0, best._replace(now=now), "") for t, now in ((50.0, 10.0), (100.0, 5.0), (200.0, 6.0))
+    ]
     # Ten times the residual to a half: as t to the power of −1.
     assert shortest(points, 10.0) == 3000.0
     assert shortest(points, 8.0) == pytest.approx(60.0 * 62.5)

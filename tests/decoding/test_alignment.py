@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from motion_and_recording import Motion, Recorded, readings, recording, turns
 
-from gradcal_jax.decoding.alignment import Alignment, NoAlignment, Track, align
+from gradcal_jax.decoding.alignment import Alignment, AngleTrack, NoAlignment, align
 
 UNKNOWN = "of another run|fits at two places"
 
@@ -16,7 +16,7 @@ def one(seed: int, cycles: int = 12) -> tuple[Alignment, Recorded]:
     unit = recording(
         random, motion, begins_s=-random.uniform(0.0, 2000.0), ends_s=end + 200.0, ppm=50.0 * random.choice([-1.0, 1.0])
     )
-    found = align(unit.time_s, {"x": unit.rate_dps}, {"x": Track(*readings(random, motion))})
+    found = align(unit.time_s, {"x": unit.rate_dps}, {"x": AngleTrack(*readings(random, motion))})
     return found, unit
 
 
@@ -47,10 +47,10 @@ def test_offset_and_slope_of_two_hundred_runs() -> None:
     assert worst.max() < 4.5
 
 
-def run_and_unit(seed: int, *, alike: bool = False) -> tuple[np.random.Generator, Motion, Track]:
+def run_and_unit(seed: int, *, alike: bool = False) -> tuple[np.random.Generator, Motion, AngleTrack]:
     random = np.random.default_rng(seed)
     motion = turns(random, 10, alike=alike)
-    return random, motion, Track(*readings(random, motion))
+    return random, motion, AngleTrack(*readings(random, motion))
 
 
 def test_another_run_or_another_axis_is_refused() -> None:
@@ -80,7 +80,7 @@ def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last
     assert np.abs(errors(found, whole)).max() < 4.0
     # What turns in one and not in the other, and the other way round, counts against a place.
     inside = (track.time_s > 98.0) & (track.time_s < end - 128.0)
-    short = Track(track.time_s[inside], track.angle_deg[inside])
+    short = AngleTrack(track.time_s[inside], track.angle_deg[inside])
     close = recording(random, motion, begins_s=95.0, ends_s=end - 125.0, ppm=50.0)
     found = align(close.time_s, {"x": close.rate_dps}, {"x": short})
     assert np.abs(errors(found, close)).max() < 4.0
@@ -107,4 +107,4 @@ def test_readings_at_rest_alone_do_not_tell_the_clock() -> None:
     rests = np.abs(rate) == 0.0
     unit = recording(random, motion, begins_s=-10.0, ends_s=float(motion.time_s[-1]), ppm=50.0)
     with pytest.raises(NoAlignment, match=f"readings|{UNKNOWN}"):
-        align(unit.time_s, {"x": unit.rate_dps}, {"x": Track(track.time_s[rests], track.angle_deg[rests])})
+        align(unit.time_s, {"x": unit.rate_dps}, {"x": AngleTrack(track.time_s[rests], track.angle_deg[rests])})

@@ -22,7 +22,7 @@ from gradcal_jax.jobs.evaluate import predict_points
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.pool import LocalPool, Task
 from gradcal_jax.jobs.store import Store
-from gradcal_jax.jobs.sweep import chunks_of, dry_run, finished, identity_of, sweep
+from gradcal_jax.jobs.sweep import already_finished, chunks_of, dry_run, identity_of, sweep
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_results_carry_their_units_their_file_and_their_failures(done):
     assert np.isnan(results["scale_max"].sel(peak_rate=110.0).values).all()
     assert np.isfinite(results["scale_max"].sel(peak_rate=[60.0, 80.0]).values).all()
     assert (told[0].stage, told[0].done, told[-1].done, told[-1].total) == ("predict", 0, 12, 12)
-    assert finished(job, folder / "results.nc")
+    assert already_finished(job, folder / "results.nc")
     assert not (folder / "results.nc.parts").exists()
 
 

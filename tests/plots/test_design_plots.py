@@ -5,16 +5,16 @@ from types import SimpleNamespace
 import pytest
 
 from gradcal_jax import plots
-from gradcal_jax.api.frontier import Point
+from gradcal_jax.api.frontier import FrontierPoint
 from gradcal_jax.api.sensitivity import Elasticity, Sensitivities
 
 
 def test_the_frontier_has_a_mark_for_each_plan_and_numbers_on_its_axis():
     points = [
-        Point(60.0 * t, SimpleNamespace(now=v, unit="ppm", name="full range"), "")
+        FrontierPoint(60.0 * t, SimpleNamespace(now=v, unit="ppm", name="full range"), "")
         for t, v in ((50.0, 5.0), (100.0, 3.3), (200.0, 2.5))
     ]
-    figure = plots.draw_frontier([*points, Point(60.0, None, "too short")], {"full range": 77.0})
+    figure = plots.draw_frontier([*points, FrontierPoint(60.0, None, "too short")], {"full range": 77.0})
     (axes,) = figure.axes
     assert list(axes.lines[0].get_xdata()) == [50.0, 100.0, 200.0]
     figure.canvas.draw()

@@ -1,7 +1,7 @@
 """Estimates -> calibration files and reports: coefficients in the paper's basis, requirements, verdicts in words."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -439,7 +439,7 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
             {"name": n, "value": float(v), "std": _finite(s), "unit": u}
             for n, v, s, u in zip(names, values, deviations, model.units(), strict=True)
         ],
-        "covariance": np.where(np.outer(seen, seen), covariance, None).tolist(),
+        "covariance": np.where(np.outer(seen, seen), covariance, cast("Any", None)).tolist(),
         "valid_temperature_c": list(channel.valid_temperature_c),
         "valid_rate_dps": [r * DEG_PER_S for r in channel.valid_rate_rad_per_s],
         "lag_s": channel.lag_s,

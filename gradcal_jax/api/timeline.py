@@ -147,7 +147,7 @@ def _standard_rows(built: Assembled, plan: StandardSchedule) -> tuple[list[Segme
             shape = "constant" if rate else "rest"
             segments.append(SegmentRow(read=True, start=clock, shape=shape, **both, **turned, **at))
             clock += integration
-            error = {"white_std": 0.0, "offset_std": accuracy * abs(float(rate))}
+            error: dict = {"white_std": 0.0, "offset_std": accuracy * abs(float(rate))}
             readings.append(ReadingRow(time=clock, kind="rate", rate=float(rate), **both, **error))
             point += 1
     return segments, readings

@@ -1,7 +1,7 @@
 """The contract gradcal-prediction/1 for a whole unit."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def of_plan(spec: Spec | UnitSpec, model: SensorModel | UnitModel, known: Mappin
             ParameterRow(name=n, axis=axis, std=std, unit=u) for n, std, u in zip(names, stds, units, strict=False)
         ]
         seen = np.isfinite(deviations)
-        block = np.where(np.outer(seen, seen), of.covariance(reported), None)
+        block = np.where(np.outer(seen, seen), of.covariance(reported), cast("Any", None))
         for row, values in zip(covariance[here], block.tolist(), strict=True):
             row[here] = values
     return {

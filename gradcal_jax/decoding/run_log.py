@@ -593,14 +593,14 @@ def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
     lateness = f"the computer was so busy that its stamps are sure to {unsure:.2g} s only: so much more is left away"
     times = f"{anew} time{'s' * (anew > 1)} in the run; what it would have sent is not counted"
     others = [
-        (unsure > _SETTLED_S, "late stamps", "mask", 0, f"{lateness} at both ends of every standstill"),
-        (anew, "unit restarted", "split", anew, f"the unit began anew {times}"),
-        (bad, "unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram"),
-        (twice, "repeated datagram", "keep", 0, f"{twice} datagrams came twice and count once"),
+        (unsure > _SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
+        (anew, Finding("unit restarted", "split", anew, f"the unit began anew {times}")),
+        (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram")),
+        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams came twice and count once")),
     ]
     found = [Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places")] if missing else []
     found += _findings_of_rounds(parts)
-    return (*found, *(Finding(*of) for there, *of in others if there))
+    return (*found, *(one for there, one in others if there))
 
 
 def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:

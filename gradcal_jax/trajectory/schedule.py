@@ -201,7 +201,8 @@ def make_schedule(
     whole = np.full(count, _NO_KNOT)
     move, relaxed = np.repeat(np.array([move for move, _ in placed]), sizes), ~table.moving & (spacing is not None)
     gap = np.isin(segment, np.array(gaps, int))
-    pieces = Pieces(move, *map(np.asarray, table), relaxed, gap, segment, whole, whole)
+    beside = {"relaxed": relaxed, "gap": gap, "segment": segment, "low": whole, "high": whole}
+    pieces = Pieces(move=move, **{name: np.asarray(of) for name, of in table._asdict().items()}, **beside)
     duration, peak, ramp = (np.array(column, dtype=float) for column in zip(*moves, strict=True))
     fillers = fillers or []
     fill_move, fill_from, fill_to = (np.array([f[i] for f in fillers], int) for i in range(3))

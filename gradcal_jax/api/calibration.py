@@ -208,16 +208,8 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
     names = channel.model.names()
     for combination in unobservable_combinations(channel.found.known[0], channel.model):
         found.append(f"{where}the data say nothing of {combination}")
-    if not tests.fit.passed and tests.fit.degrees > 0:
-        found.append(
-            f"{where}the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model "
-            "lacks something, or the noise figures are too small; requirements are judged with the larger noise"
-        )
-    elif tests.fit.degrees > 0 and tests.fit.probability > 1.0 - 1e-3:
-        found.append(
-            f"{where}the residuals are only {tests.noise_scale:.3g} times what the spec's noise says: its figures are "
-            "larger than this sensor's"
-        )
+    if tests.fit.degrees > 0:
+        found += [where + sentence for sentence in of_noise(tests, not tests.fit.passed, "sensor")]
     if not tests.whiteness.passed:
         found.append(f"{where}the residuals are not white: something lasts from reading to reading that the spec lacks")
     found += [where + structure_in_words(test) for test in channel.structure if test.noticed]
@@ -230,6 +222,21 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
             f"{where}{split.name}: they do not say the same (chance {split.agreement.probability:.1g}){culprits}"
         )
     return found
+
+
+def of_noise(tests: Consistency, larger: bool, what: str) -> list[str]:
+    """How the residuals compare with the spec's noise, where they are `larger`, or far smaller; in a sentence."""
+    if larger:
+        return [
+            f"the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model lacks "
+            "something, or the noise figures are too small; requirements are judged with the larger noise"
+        ]
+    if tests.fit.probability <= 1.0 - 1e-3:
+        return []
+    return [
+        f"the residuals are only {tests.noise_scale:.3g} times what the spec's noise says: its figures are larger than "
+        f"this {what}'s"
+    ]
 
 
 def structure_in_words(test: StructureTest) -> str:

@@ -31,10 +31,6 @@ from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.identify.allan import TERMS
 
 
-def _unwatched(_: object) -> None:
-    pass
-
-
 def check(spec: Spec | UnitSpec) -> list[str]:
     """What a spec's prediction should not be read without, in sentences: what the plan cannot observe, and where a
     requirement goes beyond the temperatures (°C) and rates (deg/s) that the plan visits. Empty: nothing.
@@ -62,7 +58,7 @@ def optimise(
     steps: int = search.STEPS,
     quick: bool = False,
     until_met: bool = False,
-    watch: Callable[[search.Step], None] = _unwatched,
+    watch: Callable[[search.Step], None] = lambda _: None,
 ) -> search.Optimised:
     """The best plan that gradient descent finds for a spec with a [design], rounded to the controllers' steps.
 

@@ -10,8 +10,7 @@ import numpy as np
 from gradcal_jax import identify
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.files.log import EvenSeries, Log, LogError
-from gradcal_jax.units import ARCSEC
-from gradcal_jax.units import DEG_PER_SQRT_H as DEG_PER_SQRT_H
+from gradcal_jax.units import ARCSEC, DEG_PER_SQRT_H
 
 # A lag is taken for real where it leaves less than this share of what the fit without one leaves.
 _LAG_PAYS = 0.9
@@ -254,10 +253,7 @@ def instability_row(found: Instability) -> dict[str, Any]:
         "correlation_time_scatter_ln": None if found.scatter is None else found.scatter[1],
         "hidden_drift_std_deg_per_h": finite(bound.hidden_drift_std * DEG_PER_H),
         "advised_averaging_time_s": bound.advised_averaging_time_s,
-        "boundary": [
-            [float(tau), float(std * DEG_PER_H)]
-            for tau, std in zip(bound.boundary_correlation_time_s, bound.boundary_drift_std, strict=True)
-        ],
+        "boundary": np.stack([bound.boundary_correlation_time_s, bound.boundary_drift_std * DEG_PER_H], 1).tolist(),
         "curve": curve(
             ("integration_time_s", bound.integration_time_s),
             ("largest_drift_deg_per_h", bound.largest_drift * DEG_PER_H),

@@ -1,6 +1,5 @@
 """The proven limit on any plan that does what a spec's plan is allowed to, and how near that plan comes."""
 
-from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
 from typing import NamedTuple
@@ -24,6 +23,7 @@ from gradcal_jax.design import (
     limit,
     scale_factor_floor,
 )
+from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.files import Spec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import Requirement
@@ -108,7 +108,7 @@ class _Window(NamedTuple):
     density: float
     windows: Windows
     used: Windows
-    temperature: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    temperature: Course
     relaxed: tuple[str, ...]
     kept: tuple[str, ...]
 
@@ -261,7 +261,7 @@ def _between_knots(windows: Windows, knots: np.ndarray) -> Windows:
     return found
 
 
-def _sensor(chamber: Programme, lag: float | None) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def _sensor(chamber: Programme, lag: float | None) -> Course:
     """The sensor's temperature (°C) and its rate (K/s) at any time (s)."""
     of = chamber.sensor(lag)
 

@@ -16,9 +16,7 @@ from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, Statistic, map_of
 from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
-from gradcal_jax.units import DEG_PER_H as DEG_PER_H
-from gradcal_jax.units import DEG_PER_S as DEG_PER_S
-from gradcal_jax.units import PPM as PPM
+from gradcal_jax.units import DEG_PER_H, DEG_PER_S, PPM
 
 UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h", "deg"], float]]] = {
     "scale_factor": ("ppm", PPM),
@@ -28,10 +26,9 @@ UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h", "deg"], float]]] = {
 }
 
 
-def posterior_of_plan(built: Assembled, channel: Axis | None = None, model: SensorModel | None = None) -> Posterior:
-    """What is known after the plan, by the estimator that the spec names. `model` replaces the assembled one."""
-    model = built.model if model is None else model
-    line = built.trajectory(channel)
+def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterior:
+    """What is known after the plan, by the estimator that the spec names."""
+    line, model = built.trajectory(channel), built.model
     return unweighted(line, model) if unweighted_estimator(built.spec) else posterior(information(line, model))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 import gradcal_jax
 from gradcal_jax import estimation
-from gradcal_jax.api.calibration import excess_of
+from gradcal_jax.api.calibration import excess_of, of_noise
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, section_of
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, host_time, of_host_clock
@@ -337,16 +337,7 @@ def _words(report: UnitReport, found: UnitEstimate) -> list[str]:
             f"the estimate has not settled: it still moves by {found.moved:.2g} of its standard deviations a round; "
             "the table is further from its drawing than small angles"
         )
-    if tests.fit.probability < rare and tests.noise_scale > 1.0:
-        said.append(
-            f"the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model lacks "
-            "something, or the noise figures are too small; requirements are judged with the larger noise"
-        )
-    elif tests.fit.probability > 1.0 - 1e-3:
-        said.append(
-            f"the residuals are only {tests.noise_scale:.3g} times what the spec's noise says: its figures are larger "
-            "than this unit's"
-        )
+    said += of_noise(tests, tests.fit.probability < rare and tests.noise_scale > 1.0, "unit")
     for name, (size, white) in report.channels.items():
         where = name.replace("_", " ")
         if size.probability < rare:

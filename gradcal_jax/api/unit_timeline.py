@@ -7,24 +7,13 @@ import numpy as np
 from gradcal_jax import model
 from gradcal_jax.api.contract_rows import as_number, basis_row, map_row, process_rows, section_of, shape_row
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
+from gradcal_jax.files import unit_timeline as contract
 from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow
 from gradcal_jax.files.sensor import Bias, ScaleFactor
 from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_plan import UnitStep
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.files.unit_timeline import (
-    ChannelRow,
-    InstallationRow,
-    Matrix3,
-    MountingRow,
-    SiteRow,
-    TableAxisRow,
-    UnitSegmentRow,
-    UnitTermRow,
-    UnitTimeline,
-    Vector3,
-)
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, SignalMap
 from gradcal_jax.trajectory import frames
@@ -32,7 +21,7 @@ from gradcal_jax.trajectory import frames
 _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
 
 
-def unit_timeline(spec: UnitSpec) -> UnitTimeline:
+def unit_timeline(spec: UnitSpec) -> contract.UnitTimeline:
     """Every segment of a unit's plan with attitudes, what each channel is made of, and all priors. Errors: `ValueError`
     where it goes on with what was done before.
     """
@@ -40,16 +29,16 @@ def unit_timeline(spec: UnitSpec) -> UnitTimeline:
         raise goes_on("a timeline")
     built = assemble_unit(spec)
     geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
-    return UnitTimeline(
+    return contract.UnitTimeline(
         title=spec.title,
         frame="table axes" if sensor.frame is None else sensor.frame.fixed_by,
-        site=SiteRow(
+        site=contract.SiteRow(
             latitude=float(geometry.latitude),
             gravity=float(geometry.gravity),
             earth_rate=_vector(geometry.earth_rate()),
         ),
         table=tuple(
-            TableAxisRow(
+            contract.TableAxisRow(
                 name=axis.name,
                 direction=_vector(axis.unit_vector),
                 reading_noise=float(axis.angle.reading_noise),
@@ -61,7 +50,7 @@ def unit_timeline(spec: UnitSpec) -> UnitTimeline:
         ),
         standing=table.standing,
         mountings=tuple(
-            MountingRow(name=m.name, rotation=_matrix(rotation))
+            contract.MountingRow(name=m.name, rotation=_matrix(rotation))
             for m, rotation in zip(table.mounting, np.asarray(geometry.mountings), strict=True)
         ),
         thermal_lag=as_number(sensor.thermal_lag),
@@ -73,15 +62,15 @@ def unit_timeline(spec: UnitSpec) -> UnitTimeline:
     )
 
 
-def _vector(values) -> Vector3:
-    return cast("Vector3", tuple(float(v) for v in values))
+def _vector(values) -> contract.Vector3:
+    return cast("contract.Vector3", tuple(float(v) for v in values))
 
 
-def _matrix(values) -> Matrix3:
-    return cast("Matrix3", tuple(_vector(row) for row in values))
+def _matrix(values) -> contract.Matrix3:
+    return cast("contract.Matrix3", tuple(_vector(row) for row in values))
 
 
-def _channel(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> ChannelRow:
+def _channel(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> contract.ChannelRow:
     assert triad is not None
     own: dict[str, Any] = {"white": float(channel.model.angle_random_walk), "drift": process_rows(triad.drift)}
     if isinstance(triad, GyroTriad):
@@ -89,10 +78,10 @@ def _channel(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> 
         own["scale_factor_instability"] = process_rows(triad.scale_factor_instability)
     terms = [_term(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
     axis = AXIS_NAMES[channel.axis]
-    return ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
+    return contract.ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
 
 
-def _term(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> UnitTermRow:
+def _term(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> contract.UnitTermRow:
     section = getattr(triad, section_of(triad, term.name))
     if isinstance(section, Bias | ScaleFactor):
         row = map_row(section)
@@ -104,7 +93,7 @@ def _term(channel: Channel, term: Map | SignalMap, triad: GyroTriad | Accelerome
         row, signals = MapRow(temperature=over, prior=as_number(section.prior)), term.signals
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     fields = {name: getattr(row, name) for name in MapRow.model_fields}
-    return UnitTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
+    return contract.UnitTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
 
 
 _KINDS = {
@@ -115,9 +104,9 @@ _KINDS = {
 }
 
 
-def _installation(term: model.InstallationTerm) -> InstallationRow:
+def _installation(term: model.InstallationTerm) -> contract.InstallationRow:
     harmonics = isinstance(term, model.AxisHarmonics)
-    return InstallationRow(
+    return contract.InstallationRow(
         kind=cast("Any", term.of if isinstance(term, model.CommonScale) else _KINDS[type(term)]),
         parameters=tuple(term.names()),
         stds=tuple(float(s) for s in term.stds),
@@ -127,7 +116,7 @@ def _installation(term: model.InstallationTerm) -> InstallationRow:
     )
 
 
-def _segments(built: AssembledUnit) -> list[UnitSegmentRow]:
+def _segments(built: AssembledUnit) -> list[contract.UnitSegmentRow]:
     motion, plan = built.motion, built.spec.schedule
     line, at = motion.line, segments_of(motion, built.model)
     before, after = (np.asarray(a) for a in motion.angles())
@@ -137,7 +126,7 @@ def _segments(built: AssembledUnit) -> list[UnitSegmentRow]:
     chamber = [s.temperature_start for s in plan.segments] + [plan.segments[-1].temperature_end]
     steps = [step for step in plan.steps for _ in range(step.move.repeat)]
     axes = [axis.name for axis in built.spec.rig.table.axis]
-    rows: list[UnitSegmentRow] = []
+    rows: list[contract.UnitSegmentRow] = []
     stands = [0] * len(axes)
 
     def add(start: float, duration: float, step: UnitStep | None, k: int | None, **more: Any) -> None:
@@ -150,7 +139,7 @@ def _segments(built: AssembledUnit) -> list[UnitSegmentRow]:
         low, high = np.interp([start, start + duration], ends, chamber)
         inside = [(t, c) for t, c in zip(ends, chamber, strict=True) if start + 1e-6 < t < start + duration - 1e-6]
         rows.append(
-            UnitSegmentRow(
+            contract.UnitSegmentRow(
                 start=start,
                 duration=duration,
                 axis=None if moving < 0 else axes[moving],

@@ -39,7 +39,7 @@ def estimate_of_held_units(
         print("\n".join([described(log, name), *(_text(report) for report in reports)]))
     write_calibrations(reports, files, quiet=json)
     if plot is not None:
-        from gradcal_jax.plots.by_hand import draw_by_hand
+        from gradcal_jax.plots.unit_calibration import draw_by_hand
 
         save_figure(draw_by_hand(reports[0]), plot, quiet=json)
     return DONE if all(report.as_wished for report in reports) else NOT_AS_WISHED

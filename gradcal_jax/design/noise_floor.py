@@ -48,6 +48,9 @@ import scipy.linalg
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Basis, SensorModel
 from gradcal_jax.trajectory import quadrature
 
+# From when to when, s; and the sensor's temperature (°C) and its rate (K/s) at times (s).
+Windows = Sequence[tuple[float, float]]
+Course = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 # How a prior's variance is shared out: see above.
 PRIOR_OF_WALK = 0.5
 _PRIOR_OF_OTHERS = 0.25
@@ -65,12 +68,7 @@ _GRID = 2001
 _SEEN = 1e-9
 
 
-def scale_factor_floor(
-    model: SensorModel,
-    windows: Sequence[tuple[float, float]],
-    temperature: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-    at: np.ndarray,
-) -> np.ndarray:
+def scale_factor_floor(model: SensorModel, windows: Windows, temperature: Course, at: np.ndarray) -> np.ndarray:
     """`(len(at),)`, the variance of M at the temperatures `at` (°C) that no motion in the windows removes.
 
     `windows` (begin, end; s, in order): all times at which the axis may turn, none of which the chamber's slope changes
@@ -101,12 +99,7 @@ def scale_factor_floor(
     return found
 
 
-def bias_floor(
-    model: SensorModel,
-    windows: Sequence[tuple[float, float]],
-    temperature: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-    rows: np.ndarray,
-) -> np.ndarray:
+def bias_floor(model: SensorModel, windows: Windows, temperature: Course, rows: np.ndarray) -> np.ndarray:
     """`(g,)`, the variance of combinations `rows` `(g, p)` of B's parameters that no plan removes.
 
     `windows`: all times whose data are used, and `temperature`, as of `scale_factor_floor`.

@@ -14,6 +14,7 @@ import numpy as np
 
 # Sizes of a change, in angle steps of 45°: to the next pose, a quarter, half a turn, whole turns.
 _TURNS = (1, 2, 3, 4, 8, 16, 24)
+_COLDEST = 0.0007
 _FACTORS = (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)
 
 
@@ -59,14 +60,13 @@ def anneal(
     evaluations: int,
     seed: int,
     warmest: float = 0.02,
-    coldest: float = 0.0007,
     together: int = 1,
 ) -> Iterator[PoseState]:
     """Yields after every `together` evaluations. `values`: what is minimised, of several cycles; infinite for one that
     cannot be.
 
-    `warmest`, `coldest`: by how much worse (in the value's unit) a step may be that is often still taken, at the
-    beginning and at the end. `together`: neighbours of one cycle that are asked for at once, of which the first that is
+    `warmest`: by how much worse (in the value's unit) a step may be that is often still taken, at the beginning, as
+    `_COLDEST` at the end. `together`: neighbours of one cycle that are asked for at once, of which the first that is
     taken counts, so that they can be worked out side by side.
     """
     rng = np.random.default_rng(seed)
@@ -74,7 +74,7 @@ def anneal(
     best, least = here, now
     for done in range(0, evaluations, together):
         share = min(1.0, (done + together) / evaluations)
-        temperature = warmest * (coldest / warmest) ** share
+        temperature = warmest * (_COLDEST / warmest) ** share
         neighbours = [neighbour(here, limits, rng) for _ in range(together)]
         possible = [cycle for cycle in neighbours if feasible(cycle, limits)]
         for there, then in zip(possible, values(possible), strict=True):

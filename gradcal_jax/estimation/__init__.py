@@ -3,12 +3,11 @@
 from gradcal_jax.estimation.consistency import Consistency, Test, chi_squared_test, consistency, split, whiteness
 from gradcal_jax.estimation.executed import Executed, distinct_readings, executed, momentary_stops
 from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests
-from gradcal_jax.estimation.observations import Observations
 from gradcal_jax.estimation.plateaus import plateaus
 from gradcal_jax.estimation.robust import HUBER, estimate_robustly
 from gradcal_jax.estimation.samples import integrated_error, sample_nodes, true_rate
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
-from gradcal_jax.estimation.solve import Estimate, Whitened, solve, whitened
+from gradcal_jax.estimation.solve import Estimate, Observations, Whitened, solve, whitened
 from gradcal_jax.estimation.standstill import find_standstills
 from gradcal_jax.estimation.structure import StructureTest, chi_squared, components, size_of, structure_test
 from gradcal_jax.estimation.temperature import smoothed_temperature

@@ -94,7 +94,7 @@ def consistency(
     )
 
 
-def whiteness(residual: np.ndarray, taken: np.ndarray | None = None, lags: int = _LAGS) -> Test:
+def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
     """Ljung and Box's statistic of a series of whitened residuals `(n,)`.
 
     `taken` `(n, q)`: rows of an orthonormal basis of what the fit's parameters explain, `taken_up` of the fit; the
@@ -103,7 +103,7 @@ def whiteness(residual: np.ndarray, taken: np.ndarray | None = None, lags: int =
     count = len(residual)
     taken = np.zeros((count, 0)) if taken is None else taken
     free = count - float(np.sum(taken**2))
-    lags = min(lags, max(1, int(free) // _PER_LAG), int(free) // 4)
+    lags = min(_LAGS, max(1, int(free) // _PER_LAG), int(free) // 4)
     power = float(residual @ residual)
     if lags < 1 or power <= 0.0:
         return Test(0.0, 0, 1.0)

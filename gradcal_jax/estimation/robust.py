@@ -14,12 +14,12 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from gradcal_jax.estimation.observations import Observations
-from gradcal_jax.estimation.solve import Estimate, Whitened, solve, whitened
+from gradcal_jax.estimation.solve import Estimate, Observations, Whitened, solve, whitened
 from gradcal_jax.information import NoiseSteps
 from gradcal_jax.model import SensorModel
 
 HUBER = 2.5
+_ROUNDS = 20
 # Of a weight, at which the rounds end.
 _NO_CHANGE = 0.01
 Found = TypeVar("Found")
@@ -33,9 +33,7 @@ class RobustEstimate(NamedTuple):
     weights: np.ndarray
 
 
-def estimate_robustly(
-    observations: Observations, model: SensorModel, *, threshold: float = HUBER, rounds: int = 20
-) -> RobustEstimate:
+def estimate_robustly(observations: Observations, model: SensorModel, *, threshold: float = HUBER) -> RobustEstimate:
     """Each unit by itself, since its outliers are its own; a unit without any is what `estimate` gives, exactly.
 
     Ends when no weight changes by a hundredth. Errors: `ValueError` for a threshold that is not positive.
@@ -62,7 +60,7 @@ def estimate_robustly(
 
             residuals = lambda both: both[1].residuals[0]  # noqa: E731
             (single, one), weights[unit] = reweighted(
-                alone.steps, used, (single, one), residuals, again, threshold, rounds
+                alone.steps, used, (single, one), residuals, again, threshold, _ROUNDS
             )
         estimates.append(one)
         whites.append(single)

@@ -96,7 +96,6 @@ def chance_of_keeping(
     name: Statistic,
     limit: float,
     draws: int = 4000,
-    seed: int = 0,
 ) -> tuple[float, float] | None:
     """The share of units whose error after a calibration keeps `limit`: by the named statistic, and everywhere.
 
@@ -115,7 +114,7 @@ def chance_of_keeping(
         values, vectors = np.linalg.eigh(np.diag(prior) - known.spread[where] @ known.spread[where].T)
         roots.append(places.alone[:, where] @ (vectors * np.sqrt(np.maximum(values, 0.0))))
     root = np.concatenate(roots, axis=1)
-    rng, kept = np.random.default_rng(seed), np.zeros(2)
+    rng, kept = np.random.default_rng(0), np.zeros(2)
     for _ in range(0, draws, 500):
         errors = np.abs(root @ rng.standard_normal((root.shape[1], 500)))
         each = statistic_of_each(name, errors.reshape(*shape, -1))

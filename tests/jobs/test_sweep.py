@@ -21,8 +21,7 @@ from gradcal_jax.jobs.dataset import identity_in, read_dataset
 from gradcal_jax.jobs.evaluate import predict_points
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.pool import LocalPool, Task
-from gradcal_jax.jobs.store import Store
-from gradcal_jax.jobs.sweep import already_finished, chunks_of, dry_run, identity_of, sweep
+from gradcal_jax.jobs.sweep import Store, already_finished, chunks_of, dry_run, identity_of, sweep
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterable
 from math import sqrt
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from gradcal_jax.estimation import Test
+import numpy as np
+
 from gradcal_jax.files.bases import (
     RateBasis,
     RatePolynomial,
@@ -13,13 +14,16 @@ from gradcal_jax.files.bases import (
     TemperaturePolynomial,
     TemperatureSpline,
 )
-from gradcal_jax.files.calibration import FitTest
 from gradcal_jax.files.contracts import BasisRow, DiscrepancyRow, Functions, MapRow, ProcessRow
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.sensor import Bias, ScaleFactor, ScaleFactorDiscrepancy
-from gradcal_jax.files.unit_calibration import UnitCalibration
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.trajectory import Move
+
+if TYPE_CHECKING:
+    from gradcal_jax.estimation import Test
+    from gradcal_jax.files.calibration import FitTest
+    from gradcal_jax.files.unit_calibration import UnitCalibration
 
 
 def shape_row(move: Move | ResolvedMove, angle: float) -> dict[str, Any]:
@@ -95,12 +99,19 @@ def process_rows(sections: Iterable[Any]) -> tuple[ProcessRow, ...]:
     return tuple(ProcessRow(sigma=float(r.standard_deviation), tau=float(r.correlation_time)) for r in sections)
 
 
+def temperatures_between(times: Any, chamber: Any, begin: float, end: float) -> dict[str, Any]:
+    """The chamber's temperature (°C) at both ends of a segment (s), and where it bends between them."""
+    bends = [(float(t), float(c)) for t, c in zip(times, chamber, strict=True) if begin + 1e-6 < t < end - 1e-6]
+    first, last = (float(c) for c in np.interp([begin, end], times, chamber))
+    return {"temperature_start": first, "temperature_end": last, "temperature_bends": tuple(bends) or None}
+
+
 def section_of(triad: GyroTriad | AccelerometerTriad, term: str) -> str:
     """The table of [sensor.gyro] or [sensor.accelerometer] that a term is from."""
     return next(key for key in type(triad).model_fields if term.startswith(key) or key == "cross_coupling")
 
 
-def coefficient_rows(calibration: UnitCalibration) -> list[dict[str, Any]]:
+def coefficient_rows(calibration: "UnitCalibration") -> list[dict[str, Any]]:
     """Every coefficient of a unit's calibration with its standard deviation, where the file has one, and its unit."""
     deviations = {}
     if (known := calibration.covariance) is not None:
@@ -113,8 +124,10 @@ def coefficient_rows(calibration: UnitCalibration) -> list[dict[str, Any]]:
     ]
 
 
-def fit_rows(tests: Iterable[tuple[str, Test]]) -> tuple[FitTest, ...]:
+def fit_rows(tests: "Iterable[tuple[str, Test]]") -> "tuple[FitTest, ...]":
     """Tests of a fit, by name, as calibrations have them."""
+    from gradcal_jax.files.calibration import FitTest
+
     return tuple(
         FitTest(name=name, statistic=test.statistic, degrees=test.degrees, chance=test.probability)
         for name, test in tests

@@ -5,7 +5,7 @@ from typing import Any, cast, overload
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.contract_rows import as_number, map_row, process_rows, shape_row
+from gradcal_jax.api.contract_rows import as_number, map_row, process_rows, shape_row, temperatures_between
 from gradcal_jax.api.unit_timeline import unit_timeline
 from gradcal_jax.files import Spec, Timeline
 from gradcal_jax.files.contracts import (
@@ -74,15 +74,6 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
     white, offset = float(reference.reading_noise), float(reference.standstill_offset)
     timing = float(reference.timing_error)
 
-    def between(a: float, b: float) -> dict:
-        bends = [(float(t), float(c)) for t, c in zip(times, chamber, strict=True) if a + 1e-6 < t < b - 1e-6]
-        ends = np.interp([a, b], times, chamber)
-        return {
-            "temperature_start": float(ends[0]),
-            "temperature_end": float(ends[1]),
-            "temperature_bends": tuple(bends) or None,
-        }
-
     def reading(time: float, standstill: int | None, *, origin: bool = False) -> ReadingRow:
         stands = standstill is not None
         return ReadingRow(
@@ -98,7 +89,7 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
 
     def add(begin: float, finish: float, **own: Any) -> None:
         row = {"shape": "rest", "start": begin, "duration": finish - begin} | own
-        segments.append(SegmentRow(axis=channel, **row, **between(begin, finish)))
+        segments.append(SegmentRow(axis=channel, **row, **temperatures_between(times, chamber, begin, finish)))
 
     segments: list[SegmentRow] = []
     readings = [reading(float(start[0]), 0, origin=True)]

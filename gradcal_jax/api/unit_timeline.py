@@ -5,7 +5,15 @@ from typing import Any, cast
 import numpy as np
 
 from gradcal_jax import model
-from gradcal_jax.api.contract_rows import as_number, basis_row, map_row, process_rows, section_of, shape_row
+from gradcal_jax.api.contract_rows import (
+    as_number,
+    basis_row,
+    map_row,
+    process_rows,
+    section_of,
+    shape_row,
+    temperatures_between,
+)
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.files import unit_timeline as contract
 from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow
@@ -136,8 +144,6 @@ def _segments(built: AssembledUnit) -> list[contract.UnitSegmentRow]:
             stands[moving] += 1
         first = at.first[0] if k is None else at.first[k]
         last = first if k is None else at.last[k]
-        low, high = np.interp([start, start + duration], ends, chamber)
-        inside = [(t, c) for t, c in zip(ends, chamber, strict=True) if start + 1e-6 < t < start + duration - 1e-6]
         rows.append(
             contract.UnitSegmentRow(
                 start=start,
@@ -148,9 +154,7 @@ def _segments(built: AssembledUnit) -> list[contract.UnitSegmentRow]:
                 attitude=_matrix(attitude[0 if k is None else k]),
                 mounting=int(motion.mounting[first]),
                 standstill_ids=tuple(None if l == moving else n for l, n in enumerate(stands)),
-                temperature_start=float(low),
-                temperature_end=float(high),
-                temperature_bends=tuple(inside) or None,
+                **temperatures_between(ends, chamber, start, start + duration),
                 **shape,
                 **more,
             )

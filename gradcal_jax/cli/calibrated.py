@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, as_json, writable
@@ -14,13 +14,6 @@ from gradcal_jax.pages.plain_text import columns as table
 if TYPE_CHECKING:
     from gradcal_jax.api.validation import Acceptance, AxisValidation
     from gradcal_jax.files.exports import Export
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(apply)
-    app.command(validate)
-    app.command(export)
 
 
 def apply(

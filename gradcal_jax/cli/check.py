@@ -4,8 +4,6 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, as_json
 from gradcal_jax.cli.predict import counted_as_zero
@@ -20,11 +18,6 @@ if TYPE_CHECKING:
     from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, StandardSchedule
 
 _MOST_ROWS = 24
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(check)
 
 
 def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int:

@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, Output, as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
@@ -55,11 +53,6 @@ rate.x      = { column = "gyro", index = 0, unit = "rad/s" }
 rate.y      = { column = "gyro", index = 1, unit = "rad/s" }
 rate.z      = { column = "gyro", index = 2, unit = "rad/s" }
 """
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(demo)
 
 
 def demo(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.calibrated import export_text
 from gradcal_jax.cli.console import strong
@@ -23,11 +23,6 @@ if TYPE_CHECKING:
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(estimate)
 
 
 def estimate(

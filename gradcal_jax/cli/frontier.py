@@ -4,8 +4,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, OptionalOutput, Plot, as_json, drawable, save_figure
 from gradcal_jax.cli.progress import MovingLine
@@ -16,11 +14,6 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     from gradcal_jax.api.frontier import Point
     from gradcal_jax.api.optimise import Step
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(frontier)
 
 
 def frontier(

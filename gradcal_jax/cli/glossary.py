@@ -1,14 +1,7 @@
 """`gradcal glossary`: the words that commands, files and pages use."""
 
-from cyclopts import App
-
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import columns
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(glossary)
 
 
 def glossary(*term: str) -> int:

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
@@ -19,12 +19,6 @@ if TYPE_CHECKING:
 
 Unit = Annotated[str | None, Parameter(name="--unit")]
 BiasDegree = Annotated[int | None, Parameter(name="--bias-degree")]
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(instability)
-    app.command(allan)
 
 
 def instability(

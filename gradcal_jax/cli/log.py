@@ -10,15 +10,10 @@ from gradcal_jax.cli.recordings import WHOLE, Recording, load, quantity
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.units import time_text
 
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    made = App(name="log", help="The log of a run, or of turns made by hand.")
-    made.default(log)
-    made.command(turns)
-    app.command(made)
+log_app = App(name="log", help="The log of a run, or of turns made by hand.")
 
 
+@log_app.command
 def turns(
     log: Path,
     /,
@@ -91,6 +86,7 @@ def turns(
     return DONE
 
 
+@log_app.default
 def log(
     run: Path,
     /,

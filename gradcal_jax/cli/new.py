@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import Annotated, Final
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.output import Flag, writable
 from gradcal_jax.cli.status import DONE
@@ -12,11 +12,6 @@ from gradcal_jax.pages.plain_text import columns
 
 _COLUMN_MAP: Final = "column-map"
 _POINT_MAP: Final = "point-map"
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(new)
 
 
 def new(

@@ -7,8 +7,6 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import complain, strong
 from gradcal_jax.cli.output import Flag, Json, Output, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.progress import MovingLine
@@ -19,11 +17,6 @@ if TYPE_CHECKING:
     from gradcal_jax.api.optimise import Optimised, Step
     from gradcal_jax.api.unit_optimise import UnitOptimum
     from gradcal_jax.files.unit_spec import UnitSpec
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(optimise)
 
 
 def optimise(

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax import units
 from gradcal_jax.cli.console import strong
@@ -16,12 +16,6 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     from gradcal_jax.files import Prediction, Spec
     from gradcal_jax.files.contracts import RequirementRow
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(predict)
-    app.command(compare)
 
 
 def predict(

@@ -2,15 +2,8 @@
 
 from pathlib import Path
 
-from cyclopts import App
-
 from gradcal_jax.cli.output import Flag, Json, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(recipe)
 
 
 def recipe(

@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import complain, strong
 from gradcal_jax.cli.output import Json, Output, as_json
 from gradcal_jax.cli.progress import Bars
@@ -14,11 +12,6 @@ from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
     from gradcal_jax.jobs.catalogue import Table
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(recipes)
 
 
 def recipes(

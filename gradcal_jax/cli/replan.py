@@ -3,16 +3,9 @@
 import sys
 from pathlib import Path
 
-from cyclopts import App
-
 from gradcal_jax.cli.output import Flag, Json, Output, as_json, writable
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(replan)
 
 
 def replan(

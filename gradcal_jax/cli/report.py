@@ -3,15 +3,10 @@
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.output import Flag, Json, Output, as_json, writable
 from gradcal_jax.cli.status import DONE
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(report)
 
 
 def report(

@@ -16,16 +16,10 @@ if TYPE_CHECKING:
     from gradcal_jax.hardware.dry_run import Tried
     from gradcal_jax.hardware.setup import DeviceReport
 
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    rig = App(name="rig", help="The rig file: which device hangs on which port, and what they say of themselves.")
-    rig.command(new)
-    rig.command(check)
-    rig.command(protocols)
-    app.command(rig)
+rig_app = App(name="rig", help="The rig file: which device hangs on which port, and what they say of themselves.")
 
 
+@rig_app.command
 def new(*, output: OutputOrPrint, force: Flag = False) -> int:
     """Write a commented rig file to start from.
 
@@ -48,6 +42,7 @@ def new(*, output: OutputOrPrint, force: Flag = False) -> int:
     return DONE
 
 
+@rig_app.command
 def protocols(name: str | None = None, /) -> int:
     """List the devices that the driver "lines" knows, or print the description of one, to start your own from.
 
@@ -66,6 +61,7 @@ def protocols(name: str | None = None, /) -> int:
     return DONE
 
 
+@rig_app.command
 def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
     """Ask every device of a rig who it is and what it accepts. Nothing moves, unless --move is given.
 

@@ -9,8 +9,6 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import complain
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, as_json
 from gradcal_jax.cli.progress import MovingLine
@@ -25,11 +23,6 @@ if TYPE_CHECKING:
     from gradcal_jax.hardware.terminal import Terminal
 
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(run)
 
 
 def run(

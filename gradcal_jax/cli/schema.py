@@ -2,15 +2,10 @@
 
 from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.output import Flag, as_json
 from gradcal_jax.cli.status import DONE
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(schema)
 
 
 def schema(

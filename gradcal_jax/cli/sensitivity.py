@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
 from gradcal_jax.cli.status import DONE
@@ -11,11 +9,6 @@ from gradcal_jax.pages.plain_text import amount, columns
 
 # Less than this share of a per cent is nothing.
 _NOTHING = 5e-4
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(sensitivity)
 
 
 def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:

@@ -2,16 +2,9 @@
 
 from pathlib import Path
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json
 from gradcal_jax.cli.status import DONE
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(show)
 
 
 def show(recipe: Path, /, *, json: Json = False) -> int:

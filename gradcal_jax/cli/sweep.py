@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import complain, strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.progress import Bars
@@ -20,11 +18,6 @@ if TYPE_CHECKING:
     from gradcal_jax.jobs.sweep import Estimate
 
 _VERDICTS = ("met", "missed", "unobservable")
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(sweep)
 
 
 def sweep(

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.output import Json
 from gradcal_jax.cli.status import DONE
@@ -21,11 +21,6 @@ if TYPE_CHECKING:
     from gradcal_jax.files.unit_timeline import UnitTimeline
 
 _MOST_ROWS = 60
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(timeline)
 
 
 def timeline(

@@ -5,8 +5,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import complain
 from gradcal_jax.cli.output import Flag, Json, as_json
 from gradcal_jax.cli.progress import MovingLine
@@ -16,11 +14,6 @@ from gradcal_jax.units import time_text
 
 _SILENT_S = 60.0
 _LOOKS_S = 1.0
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(watch)
 
 
 def watch(run: Path, /, *, once: Flag = False, known: Flag = False, json: Json = False) -> int:

@@ -2,14 +2,13 @@
 
 import math
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
-from gradcal_jax.cli.recordings import WHOLE, Axes, Recording, Without, described, load, quantity, span
+from gradcal_jax.cli.output import JsonNumbers, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity, span
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns
 
@@ -17,12 +16,23 @@ if TYPE_CHECKING:
     from gradcal_jax.api.instability import Instability
     from gradcal_jax.identify import AllanFit
 
-Unit = Annotated[str | None, Parameter(name="--unit")]
-BiasDegree = Annotated[int | None, Parameter(name="--bias-degree")]
+Axes = Annotated[
+    tuple[str, ...], Parameter(name="--axis", negative="", help="Which axis; may be repeated. All, without it.")
+]
+Unit = Annotated[str | None, Parameter(name="--unit", help="Which unit, where the log holds several.")]
+_DEGREE = (
+    "Degree of the bias over temperature that is taken off first; -1: nothing. Without it 3 where the temperature\n"
+    "spans 5 K, otherwise the mean."
+)
+BiasDegree = Annotated[int | None, Parameter(name="--bias-degree", help=_DEGREE)]
+_LAG = 'Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.'
+Lag = Annotated[str, Parameter(help=_LAG)]
+_SPAN = 'A span of the record\'s time to leave out, such as "123 s..130 s"; may be repeated.'
+Without = Annotated[tuple[str, ...], Parameter(name="--without", negative="", help=_SPAN)]
 
 
 def instability(
-    log: Path,
+    log: LogFile,
     /,
     *,
     axis: Axes = (),
@@ -33,12 +43,12 @@ def instability(
     margin: float = 2.5,
     random_walk: str | None = None,
     bias_degree: BiasDegree = None,
-    lag: str = "auto",
+    lag: Lag = "auto",
     temperature: Annotated[tuple[str, str] | None, Parameter(negative="")] = None,
     ranges: int = 1,
     without: Without = (),
     source: Recording = WHOLE,
-    json: Json = False,
+    json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
     """Find the drift that bounds what a record at rest shows: the paper's Direct Bound, as a block for a spec.
@@ -47,12 +57,6 @@ def instability(
 
     Parameters
     ----------
-    log
-        A log (.nc), a flight log, or another program's table with --columns.
-    axis
-        Which axis; may be repeated. All, without it.
-    unit
-        Which unit, where the log holds several.
     delta
         Time of the average that the drift is counted from.
     shortest
@@ -63,19 +67,10 @@ def instability(
         Standard deviations within which the data must stay.
     random_walk
         Angle random walk, such as "0.1 deg/sqrt(h)"; without it the Allan deviation's.
-    bias_degree
-        Degree of the bias over temperature that is taken off first; -1: nothing. Without it 3 where the temperature
-        spans 5 K, otherwise the mean.
-    lag
-        Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.
     temperature
         Only rows between two temperatures: --temperature "20 degC" "40 degC".
     ranges
         Also in so many equal ranges of temperature.
-    without
-        A span of the record's time to leave out, such as "123 s..130 s"; may be repeated.
-    json
-        Print all numbers as JSON.
     plot
         Draw the largest drifts with their bound into this file (.png, .svg, .pdf).
     """
@@ -197,7 +192,7 @@ def _instability_text(found: "Instability", parts) -> str:
 
 
 def allan(
-    log: Path,
+    log: LogFile,
     /,
     *,
     axis: Axes = (),
@@ -206,10 +201,10 @@ def allan(
     confidence: float = 0.683,
     delta: str = "10 s",
     bias_degree: BiasDegree = None,
-    lag: str = "auto",
+    lag: Lag = "auto",
     without: Without = (),
     source: Recording = WHOLE,
-    json: Json = False,
+    json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
     """The overlapping Allan deviation with its confidence, and the coefficients that generalised least squares finds.
@@ -218,27 +213,12 @@ def allan(
 
     Parameters
     ----------
-    log
-        A log (.nc), a flight log, or another program's table with --columns.
-    axis
-        Which axis; may be repeated. All, without it.
-    unit
-        Which unit, where the log holds several.
     terms
         Which the sensor may have: Q quantisation, N angle random walk, B bias instability, K rate random walk.
     confidence
         Of the interval about each point.
     delta
         Time of the average of the Direct Bound that is drawn beside.
-    bias_degree
-        Degree of the bias over temperature that is taken off first; -1: nothing. Without it 3 where the temperature
-        spans 5 K, otherwise the mean.
-    lag
-        Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.
-    without
-        A span of the record's time to leave out, such as "123 s..130 s"; may be repeated.
-    json
-        Print all numbers as JSON.
     plot
         Draw the deviation, its fit, and the Direct Bound's curve on the same axes into this file.
     """

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, as_json, writable
-from gradcal_jax.cli.recordings import WHOLE, Recording, load, quantity
+from gradcal_jax.cli.output import ForceOutput, Json, OptionalOutput, Output, as_json, writable
+from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.units import time_text
 
@@ -15,7 +15,7 @@ log_app = App(name="log", help="The log of a run, or of turns made by hand.")
 
 @log_app.command
 def turns(
-    log: Path,
+    log: LogFile,
     /,
     *,
     turns: Annotated[str, Parameter(name="--turns")],
@@ -23,15 +23,13 @@ def turns(
     axis: str | None = None,
     unit: str | None = None,
     source: Recording = WHOLE,
-    force: Flag = False,
+    force: ForceOutput = False,
     json: Json = False,
 ) -> int:
     """Find turns made by hand in a recording, and write it with angle and rests, for estimate.
 
     Parameters
     ----------
-    log
-        A log (.nc), a flight log, or another program's table with --columns.
     turns
         The turns in their order, such as "360 deg, 360 deg, -720 deg": those below zero go the other way.
     output
@@ -40,8 +38,6 @@ def turns(
         About which axis of the sensor; the first one, without it.
     unit
         Which unit; the first one, without it.
-    force
-        Overwrite the output.
     json
         Print the turns as JSON.
     """

@@ -8,7 +8,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from gradcal_jax.cli.console import complain, strong
-from gradcal_jax.cli.output import Flag, Json, Output, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.output import Flag, Force, Json, Output, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
@@ -30,7 +30,7 @@ def optimise(
     quick: Flag = False,
     until_met: Flag = False,
     resume: Flag = False,
-    force: Flag = False,
+    force: Force = False,
 ) -> int:
     """Change a plan by gradient descent until it leaves as little as sensor, rig and time allow; write it as a recipe.
 
@@ -57,8 +57,6 @@ def optimise(
         Stop at the first plan that meets every target with a margin of 10 %; search nothing where the spec's own does.
     resume
         Go on from where an interrupted search of the same spec stopped; it is kept beside the output.
-    force
-        Overwrite an existing file.
     """
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import write_toml

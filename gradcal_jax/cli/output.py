@@ -10,7 +10,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Flag = Annotated[bool, Parameter(negative="")]
+Force = Annotated[bool, Parameter(negative="", help="Overwrite an existing file.")]
+ForceOutput = Annotated[bool, Parameter(negative="", help="Overwrite the output.")]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
+JsonNumbers = Annotated[bool, Parameter(name="--json", negative="", help="Print all numbers as JSON.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"])]
 OptionalOutput = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 OutputOrPrint = Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gradcal_jax.cli.output import Flag, Json, OutputOrPrint, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE
 
 
@@ -15,7 +15,7 @@ def recipe(
     stable_within: str | None = None,
     stable_for: str | None = None,
     timeout: str | None = None,
-    force: Flag = False,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Make a recipe of a spec's plan as it stands: rounded to what the controllers accept, predicted as rounded.
@@ -37,8 +37,6 @@ def recipe(
         ... for at least so long, such as "5 min".
     timeout
         The run ends when the first temperature is not stable after so long, such as "4 h".
-    force
-        Overwrite an existing file.
     json
         Print what was written, and what rounding left of it, as JSON.
     """

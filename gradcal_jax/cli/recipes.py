@@ -7,7 +7,7 @@ from gradcal_jax.cli.console import complain, strong
 from gradcal_jax.cli.output import Json, Output, as_json
 from gradcal_jax.cli.progress import Bars
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
-from gradcal_jax.cli.workers import check_workers, runner_for
+from gradcal_jax.cli.workers import THIS_MACHINE, Workers
 from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
@@ -19,8 +19,7 @@ def recipes(
     /,
     *,
     output: Output,
-    scheduler: str | None = None,
-    workers: int | None = None,
+    by: Workers = THIS_MACHINE,
     json: Json = False,
 ) -> int:
     """Optimise a plan for every sensor, rig, requirement and plan of a catalogue; write recipes and one table.
@@ -34,23 +33,19 @@ def recipes(
         The catalogue file (gradcal-catalogue/1).
     output
         The folder for the recipes, summary.csv and summary.md; it is made where it is not there.
-    scheduler
-        Address of a Dask scheduler, such as tcp://host:8786; without it the cores of this machine do the work.
-    workers
-        Worker processes on this machine; as many as cores.
     json
         Print the table as JSON.
     """
     from gradcal_jax.files.catalogue import read_catalogue
 
-    check_workers(scheduler, workers)
+    by.check()
     job = read_catalogue(catalogue)
     if output.exists() and not output.is_dir():
         raise ValueError(f"{output} is a file; name a folder")
     from gradcal_jax.jobs import catalogue as jobs
 
     try:
-        with runner_for(scheduler, workers) as runner, Bars() as bars:
+        with by.runner() as runner, Bars() as bars:
             table = jobs.recipes(job, output, runner=runner, progress=bars.show)
     except KeyboardInterrupt:
         complain(f"interrupted; what is finished is kept in {output}, and the same command goes on from there")

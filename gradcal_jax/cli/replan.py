@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from gradcal_jax.cli.output import Flag, Json, Output, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, Output, as_json, writable
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 
@@ -16,7 +16,7 @@ def replan(
     time: str | None = None,
     pause: str = "30 min",
     quick: Flag = False,
-    force: Flag = False,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Find the best plan for what is left of a run that was broken off, given what was done; write it as a recipe.
@@ -38,8 +38,6 @@ def replan(
         How long it will be from where the run was broken off to where it goes on; a whole unit's drifts begin anew.
     quick
         Few starts, or plans: within some per cent of the best, in seconds.
-    force
-        Overwrite an existing file.
     json
         Print the result for other programs.
     """

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Flag, Json, Output, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, Output, as_json, writable
 from gradcal_jax.cli.status import DONE
 
 
@@ -24,7 +24,7 @@ def report(
     operator: str = "",
     performed: str = "",
     dcc: Path | None = None,
-    force: Flag = False,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Make one HTML page of a recipe, a run, a calibration or a unit's plan: nothing is fetched, and it prints well.
@@ -56,8 +56,6 @@ def report(
         When, such as 2026-11-22 or 2026-11-21..2026-11-22; without it the day of the run.
     dcc
         Write the certificate as a Digital Calibration Certificate (PTB's XML), too.
-    force
-        Overwrite an existing file.
     json
         Print every number of the page as JSON.
     """

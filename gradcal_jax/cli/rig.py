@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import App
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, OutputOrPrint, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
 from gradcal_jax.pages.plain_text import columns
 
@@ -20,15 +20,13 @@ rig_app = App(name="rig", help="The rig file: which device hangs on which port, 
 
 
 @rig_app.command
-def new(*, output: OutputOrPrint, force: Flag = False) -> int:
+def new(*, output: OutputOrPrint, force: Force = False) -> int:
     """Write a commented rig file to start from.
 
     Parameters
     ----------
     output
         The file to write; - prints it.
-    force
-        Overwrite an existing file.
     """
     from gradcal_jax.files.rig import TEMPLATE
     from gradcal_jax.files.writing import write_whole

@@ -7,7 +7,7 @@ from gradcal_jax.cli.console import complain, strong
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.progress import Bars
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, NOT_AS_WISHED
-from gradcal_jax.cli.workers import check_workers, runner_for
+from gradcal_jax.cli.workers import THIS_MACHINE, Workers
 from gradcal_jax.pages.plain_text import amount, columns
 from gradcal_jax.units import time_text
 
@@ -26,8 +26,7 @@ def sweep(
     *,
     output: OptionalOutput = None,
     dry_run: Flag = False,
-    scheduler: str | None = None,
-    workers: int | None = None,
+    by: Workers = THIS_MACHINE,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
@@ -44,10 +43,6 @@ def sweep(
         The results to write (.nc).
     dry_run
         Say how large the sweep is and how long it will take, by one chunk; write nothing.
-    scheduler
-        Address of a Dask scheduler, such as tcp://host:8786; without it the cores of this machine do the work.
-    workers
-        Worker processes on this machine; as many as cores.
     json
         Print the summary as JSON.
     plot
@@ -57,13 +52,13 @@ def sweep(
 
     if output is None and not dry_run:
         raise ValueError("where to? Name the results with -o results.nc, or ask for --dry-run")
-    check_workers(scheduler, workers)
+    by.check()
     drawable(plot)
     job = read_sweep(file)
     from gradcal_jax.jobs import sweep as jobs
 
     if dry_run:
-        with runner_for(scheduler, workers) as runner, Bars() as bars:
+        with by.runner() as runner, Bars() as bars:
             found = jobs.dry_run(job, runner=runner, progress=bars.show)
         print(as_json(_estimate(found)) if json else _estimated(found, job))
         return DONE
@@ -76,7 +71,7 @@ def sweep(
         if output.exists():
             raise ValueError(f"{output} exists and is not of this sweep; choose another output, or delete it")
         try:
-            with runner_for(scheduler, workers) as runner, Bars() as bars:
+            with by.runner() as runner, Bars() as bars:
                 jobs.sweep(job, output, runner=runner, progress=bars.show)
         except jobs.SweepIncomplete as error:
             complain(str(error))

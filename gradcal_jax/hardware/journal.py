@@ -27,7 +27,6 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, cast
 
 from .errors import HardwareError
@@ -161,12 +160,8 @@ class Journal:
     def __enter__(self) -> "Journal":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _append(self, kind: int, line: int, time_s: float, payload: bytes) -> None:
         """Put a record in line for the disk. The caller holds the lock."""

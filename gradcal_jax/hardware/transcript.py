@@ -15,7 +15,6 @@ import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Literal, Protocol, TextIO, runtime_checkable
 
 HEADER = "# gradcal-transcript/1"
@@ -91,9 +90,7 @@ class TextTranscript:
     def __enter__(self) -> "TextTranscript":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

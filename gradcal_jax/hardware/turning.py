@@ -203,8 +203,6 @@ class AxesDuty:
         self._spins.clear()
         self.amiss.clear()
 
-    # -------------------------------------------------------------------------------------------------------- parts
-
     def _stands_at(self, name: str, goal_deg: float) -> bool:
         """Whether an axis need not be told to go there: a motor goes exactly, a person only where it is worth it."""
         newest = self.newest.get(name)

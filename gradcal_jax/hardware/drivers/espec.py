@@ -72,9 +72,6 @@ class EspecConfig:
             raise ValueError(f"The chamber's address is {self.address}; RS-485 addresses are 1 to 16.")
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 @dataclass(frozen=True)
 class Temperatures:
     """Reply to `TEMP?`, °C."""
@@ -162,17 +159,9 @@ def parse_acknowledgement(frame: bytes, command: str) -> None:
         raise FramingError(f"{command!r} was acknowledged as {printable(frame)!r}: another command, or a damaged line.")
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: EspecConfig) -> Exchange:
     return Exchange(
-        transport,
-        LineFramer(),
-        clock=clock,
-        device="The ESPEC chamber",
-        reply_timeout_s=config.reply_timeout_s,
-        min_interval_s=config.query_pause_s,
+        transport, LineFramer(), clock, "The ESPEC chamber", config.reply_timeout_s, min_interval_s=config.query_pause_s
     )
 
 
@@ -272,8 +261,6 @@ class EspecChamber:
 
     def close(self) -> None:
         self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _check(self, temperature_c: float) -> None:
         limits = self.limits()

@@ -88,9 +88,6 @@ class LinesConfig:
         return {"bytesize": line.bytesize, "parity": line.parity, "stopbits": line.stopbits}
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 class Codec:
     """Lines of one protocol to bytes and back: pure."""
 
@@ -132,9 +129,9 @@ def open_exchange(transport: Transport, clock: Clock, config: LinesConfig) -> Ex
     return Exchange(
         transport,
         Codec(config.said).framer(),
-        clock=clock,
-        device=config.said.title,
-        reply_timeout_s=config.reply_timeout_s or float(line.timeout),
+        clock,
+        config.said.title,
+        config.reply_timeout_s or float(line.timeout),
         min_interval_s=float(line.pause),
     )
 
@@ -142,9 +139,6 @@ def open_exchange(transport: Transport, clock: Clock, config: LinesConfig) -> Ex
 def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | LinesAxis":
     """The device of the role that the protocol has."""
     return (LinesChamber if config.role == "chamber" else LinesAxis)(exchange, config)
-
-
-# ----------------------------------------------------------------------------------------------------------- driver
 
 
 class _Spoken:
@@ -169,8 +163,6 @@ class _Spoken:
 
     def close(self) -> None:
         self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _read(self, *names: str) -> Texts:
         """The fields of these names, each question asked once, in this order; what no reply has is absent."""
@@ -347,8 +339,6 @@ class LinesChamber(_Spoken):
         verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
         return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
 
-    # -------------------------------------------------------------------------------------------------------- parts
-
     def _go_to(self, temperature_c: float) -> None:
         value = {"setpoint": units.convert(temperature_c, "degC", self._said.units.temperature)}
         self._tell_shown("setpoint", value, ("target" if "target" in self._said.fields else "setpoint",))
@@ -523,8 +513,6 @@ class LinesAxis(_Spoken):
         reading = self.read()
         state = "; ".join(reading.faults) or "no faults"
         return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _degrees(self, text: str) -> float:
         angle = units.convert(float(text), self._said.units.angle, "deg")

@@ -126,9 +126,6 @@ class ODriveConfig:
         return 0x800 if self.generation == "0.5" else 0x01000000
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 def request(words: str) -> bytes:
     return f"{words}*{xor8(words.encode())}\n".encode("ascii")
 
@@ -165,17 +162,8 @@ def decimal(value: float) -> str:
     return "0" if text in ("", "-0") else text
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: ODriveConfig) -> Exchange:
-    return Exchange(
-        transport,
-        LineFramer(),
-        clock=clock,
-        device="The ODrive controller",
-        reply_timeout_s=config.reply_timeout_s,
-    )
+    return Exchange(transport, LineFramer(), clock, "The ODrive controller", config.reply_timeout_s)
 
 
 class ODriveAxis:
@@ -321,8 +309,6 @@ class ODriveAxis:
 
     def close(self) -> None:
         self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _tell(self, words: str) -> None:
         self._exchange.tell(request(words))

@@ -51,9 +51,6 @@ class OperatorConfig:
             raise ValueError("travel, miss and remind are above zero.")
 
 
-# ------------------------------------------------------------------------------------------------------ words (pure)
-
-
 def angle_deg(text: str, unit: str = "") -> float:
     """A typed angle, deg. Raises `UnitError` with what was expected."""
     words = text.strip()
@@ -65,9 +62,6 @@ def angle_deg(text: str, unit: str = "") -> float:
 def nearest_turn_deg(shown_deg: float, goal_deg: float) -> float:
     """The angle nearest to the goal that a dial of one turn shows as `shown_deg`."""
     return goal_deg + (shown_deg - goal_deg + 180.0) % 360.0 - 180.0
-
-
-# ------------------------------------------------------------------------------------------------------------ driver
 
 
 class Console:
@@ -214,8 +208,6 @@ class OperatorAxis:
         self._console.close()
         if self._encoder is not None:
             self._encoder.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _ask(self, what: str) -> None:
         answer = "press Enter" if self._encoder is not None else "type the angle that it shows"

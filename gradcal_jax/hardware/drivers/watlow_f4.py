@@ -58,9 +58,6 @@ class WatlowF4Config:
             raise ValueError(f"product_input is {self.product_input}; it is 2 or 3, 0 means none.")
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 def _frame(body: bytes) -> bytes:
     return body + crc16_modbus(body)
 
@@ -109,16 +106,13 @@ def unscaled(value: float, decimals: int) -> int:
     return round(value * 10**decimals)
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: WatlowF4Config) -> Exchange:
     return Exchange(
         transport,
         ModbusReplyFramer(config.address),
-        clock=clock,
-        device="The Watlow F4 controller",
-        reply_timeout_s=config.reply_timeout_s,
+        clock,
+        "The Watlow F4 controller",
+        config.reply_timeout_s,
         min_interval_s=config.min_interval_s,
     )
 
@@ -209,8 +203,6 @@ class WatlowF4Chamber:
 
     def close(self) -> None:
         self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _read(self, register: int, count: int = 1) -> tuple[int, ...]:
         address = self._config.address

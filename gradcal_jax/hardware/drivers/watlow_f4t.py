@@ -61,9 +61,6 @@ class WatlowF4TConfig:
                 raise ValueError(f"{name} is {value}; expected {lowest} to {highest}.")
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 def request(number: int, address: int, body: bytes) -> bytes:
     """A Modbus TCP message: its number, the length of what follows, the unit's address, function and data."""
     return struct.pack(">HHHB", number, 0, len(body) + 1, address) + body
@@ -113,17 +110,8 @@ def parse_written(frame: bytes, sent: bytes) -> None:
         raise FramingError(f"A write was acknowledged as {printable(frame)!r}; {printable(sent)!r} was sent.")
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: WatlowF4TConfig) -> Exchange:
-    return Exchange(
-        transport,
-        ModbusTcpFramer(),
-        clock=clock,
-        device="The Watlow F4T controller",
-        reply_timeout_s=config.reply_timeout_s,
-    )
+    return Exchange(transport, ModbusTcpFramer(), clock, "The Watlow F4T controller", config.reply_timeout_s)
 
 
 class WatlowF4TChamber:
@@ -192,8 +180,6 @@ class WatlowF4TChamber:
 
     def close(self) -> None:
         self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _begin(self, temperature_c: float) -> None:
         """Whatever must be before a set point counts: it is allowed, no profile runs, and the loop is on."""

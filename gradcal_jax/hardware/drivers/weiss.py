@@ -68,9 +68,6 @@ class WeissConfig:
             raise ValueError("Give read_layout and write_layout together, or neither.")
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 @dataclass(frozen=True)
 class Layout:
     """Which number of the record is what. `read` and `write` are the numeric channels in the order of the line."""
@@ -191,16 +188,13 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
         raise FramingError(f"{problem} Write read_layout and write_layout in the rig file.") from None
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: WeissConfig) -> Exchange:
     return Exchange(
         transport,
         LineFramer(),
-        clock=clock,
-        device="The Weiss/Vötsch chamber",
-        reply_timeout_s=config.reply_timeout_s,
+        clock,
+        "The Weiss/Vötsch chamber",
+        config.reply_timeout_s,
         min_interval_s=config.min_interval_s,
     )
 
@@ -292,8 +286,6 @@ class WeissChamber:
 
     def close(self) -> None:
         self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _layout(self) -> Layout:
         if self._known is None:

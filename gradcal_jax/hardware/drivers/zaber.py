@@ -89,9 +89,6 @@ class ZaberConfig:
             raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 @dataclass(frozen=True)
 class Reply:
     """One `@` message. `message_id` is None where the device sent none."""
@@ -131,17 +128,8 @@ def parse_reply(frame: bytes, *, demand_checksum: bool) -> Reply:
     )
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Exchange:
-    return Exchange(
-        transport,
-        LineFramer(),
-        clock=clock,
-        device="The Zaber stage",
-        reply_timeout_s=config.reply_timeout_s,
-    )
+    return Exchange(transport, LineFramer(), clock, "The Zaber stage", config.reply_timeout_s)
 
 
 class ZaberAxis:
@@ -268,8 +256,6 @@ class ZaberAxis:
 
     def close(self) -> None:
         self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _ask(self, words: str, *, axis: int | None = None) -> Reply:
         """Every command of this driver says where to be and not how to change: it does no harm twice."""

@@ -65,8 +65,6 @@ class SimulatedEspec:
         self._program_end_s = None
         self._enter("OFF")
 
-    # -------------------------------------------------------------------------------------------------------- parts
-
     def _answer(self, text: str) -> str:
         if text.endswith("?") or "?," in text:
             return self._query(text)

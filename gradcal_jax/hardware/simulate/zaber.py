@@ -93,8 +93,6 @@ class SimulatedZaber:
             stage.plant.set_zero(now, stage.plant.state(now)[0])
             stage.settings |= {"comm.alert": 1, "comm.checksum": 0}
 
-    # -------------------------------------------------------------------------------------------------------- parts
-
     def _line(self, line: bytes) -> list[bytes]:
         if len(line) > 3 and line[-3:-2] == b":":
             if line[-2:] != b"%02X" % lrc_zaber(line[1:-3]):

@@ -27,10 +27,9 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, Protocol, cast
 
 from .errors import HardwareError
-from .transcript import Direction
 
 _SYNC = b"\xa7\x4a"
 _HEAD = struct.Struct("<BBId")
@@ -56,6 +55,9 @@ _FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
     "state": {"state": (str,)},
     "hung": {"mounting": (int,)},
 }
+
+Direction = Literal[">", "<", "#"]
+"""To the device, from it, or a remark."""
 
 
 class JournalFull(HardwareError):
@@ -222,6 +224,12 @@ class Journal:
                 "was written before is sound and the run can be resumed."
             )
             self._change.notify_all()
+
+
+class Recorder(Protocol):
+    """Whatever keeps the bytes of a line."""
+
+    def record(self, time_s: float, direction: Direction, data: bytes) -> None: ...
 
 
 class LineRecorder:

@@ -19,14 +19,13 @@ from .clock import Clock
 from .errors import HardwareError
 from .guard import BEAT_S, Guard, guarded
 from .interlocks import Interlocks, Limits, standard_rules
-from .journal import Journal
+from .journal import Journal, Recorder
 from .pose import drawing_of
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
 from .runner import Progress, Runner, RunResult, State
 from .setup import open_rig
 from .supervision import Knows, StatusFile, sound_alarm
 from .terminal import Terminal
-from .transcript import Recorder
 
 # Longer than the run's own thread ever waits for one device: to find a reference takes minutes.
 _HANGS_S = 300.0

@@ -21,10 +21,10 @@ from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDe
 from .clock import Clock
 from .drivers.operator import Console, OperatorConfig
 from .errors import HardwareError, WrongIdentity
+from .journal import Recorder
 from .roles import AxisLimits, Chamber, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis
 from .settings import KeptSettings
 from .terminal import Line, Terminal
-from .transcript import Recorder
 from .transport import Transport
 
 Role = Literal["chamber", "axis", "imu"]

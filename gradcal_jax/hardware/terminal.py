@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from .clock import Clock, RealClock
 from .errors import Disconnected, HardwareError
-from .transcript import Recorder
+from .journal import Recorder
 
 _CLEAR = "\r\x1b[2K"
 

@@ -19,7 +19,7 @@ import serial
 
 from .clock import Clock
 from .errors import Disconnected, PortRefused, PortTaken
-from .transcript import Recorder
+from .journal import Recorder
 
 if sys.platform == "win32":
     import msvcrt

@@ -48,7 +48,6 @@ REFUSALS = {
 
 _NUMBER = r"-?\d{1,3}(?:\.\d{1,2})?"
 _TEMPERATURE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER}),({_NUMBER})")
-_MONITOR = re.compile(rf"({_NUMBER}),((?:{_NUMBER})?),([A-Z ]+),(\d+)")
 _ALARMS = re.compile(r"\d+(,\d+)*")
 
 
@@ -82,15 +81,6 @@ class Temperatures:
     low_c: float
 
 
-@dataclass(frozen=True)
-class Monitor:
-    """Reply to `MON?`."""
-
-    measured_c: float
-    mode: str
-    alarms: int
-
-
 def request(command: str, address: int | None = None) -> bytes:
     return (f"{address}," if address is not None else "").encode() + command.encode("ascii") + b"\r\n"
 
@@ -116,13 +106,6 @@ def parse_temperatures(frame: bytes) -> Temperatures:
         raise FramingError(f"TEMP? was answered {printable(frame)!r}; four temperatures were expected.")
     measured, setpoint, high, low = (float(field) for field in match.groups())
     return Temperatures(measured, setpoint, high, low)
-
-
-def parse_monitor(frame: bytes) -> Monitor:
-    match = _MONITOR.fullmatch(reply_text(frame))
-    if match is None or match[3] not in DETAILED_MODES:
-        raise FramingError(f"MON? was answered {printable(frame)!r}; temperature,humidity,mode,alarms were expected.")
-    return Monitor(float(match[1]), match[3], int(match[4]))
 
 
 def parse_mode(frame: bytes) -> str:

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclopts import App
 
@@ -80,6 +80,7 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
+    from gradcal_jax.hardware.journal import json_of
     from gradcal_jax.hardware.setup import check_each
 
     if move and recipe is None:
@@ -88,7 +89,7 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
     reports = check_each(found, RealClock())
     tried = _tried(found, recipe, move) if recipe is not None and all(report.good for report in reports) else []
     if json:
-        rows = [_plain(asdict(report)) for report in reports]
+        rows = [json_of(asdict(report)) for report in reports]
         print(as_json(rows if recipe is None else {"devices": rows, "tried": [asdict(one) for one in tried]}))
     else:
         print(strong(found.title or str(rig)))
@@ -129,14 +130,5 @@ def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     said = "" if identity is None else " ".join((identity.model, identity.serial_number, identity.firmware)).strip()
     limits = {} if report.limits is None else asdict(report.limits)
     limits.pop("registers", None)
-    return [(*head, said), *(("", "", "", f"{name} {_short(value)}") for name, value in limits.items())]
-
-
-def _short(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(entry) for name, entry in value.items()}
-    return None if isinstance(value, float) and value - value != 0.0 else value
+    rows = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in limits.items()]
+    return [(*head, said), *(("", "", "", row) for row in rows)]

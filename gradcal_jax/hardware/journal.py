@@ -318,16 +318,18 @@ def free_space_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
+def json_of(item: Any) -> Any:
+    """Values as JSON has them: tuples as lists, infinities and NaN as null."""
+    if isinstance(item, Mapping):
+        return {str(k): json_of(v) for k, v in item.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    if isinstance(item, (list, tuple)):
+        return [json_of(v) for v in item]  # pyright: ignore[reportUnknownVariableType]
+    return None if isinstance(item, float) and not math.isfinite(item) else item
+
+
 def plain(value: Any) -> dict[str, Any]:
-    """A record of this room as JSON has it: tuples as lists, infinities and NaN as null."""
-
-    def simple(item: Any) -> Any:
-        if isinstance(item, float):
-            return item if item - item == 0.0 else None
-        if isinstance(item, Mapping):
-            return {str(k): simple(v) for k, v in item.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-        return [simple(v) for v in item] if isinstance(item, tuple) else item  # pyright: ignore[reportUnknownVariableType]
-
-    return {name: simple(getattr(value, name)) for name in value.__dataclass_fields__ if name != "name"} | (
-        {"device": value.name} if "name" in value.__dataclass_fields__ else {}
-    )
+    """A record of this room as JSON has it; its `name` is that of a device."""
+    fields = {name: json_of(getattr(value, name)) for name in value.__dataclass_fields__}
+    if "name" in fields:
+        fields["device"] = fields.pop("name")
+    return fields

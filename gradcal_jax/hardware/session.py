@@ -84,12 +84,14 @@ def run_session(
             if on_progress is not None:
                 on_progress(progress)
 
+        chamber = rig.chamber
+        limits = None if chamber is None else Limits(float(chamber.band), float(chamber.lag))
         runner = Runner(
             track,
             bench,
             journal,
             clock,
-            interlocks or standard_rules(_limits_of(rig)),
+            interlocks or standard_rules(limits),
             show,
             None if rig.alarm is None else partial(sound_alarm, rig),
             safe_deadline_s=safe_deadline_s,
@@ -110,12 +112,6 @@ def run_session(
         if watched is not None and result.verified_safe:
             watched.done()
         return result
-
-
-def _limits_of(rig: RigFile) -> Limits:
-    if rig.chamber is None:
-        return Limits()
-    return Limits(temperature_band_k=float(rig.chamber.band), temperature_lag_s=float(rig.chamber.lag))
 
 
 def _changes(journal: Journal, clock: Clock, watched: Guard | None, device: str, name: str, value: str) -> None:

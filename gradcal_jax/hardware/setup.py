@@ -9,7 +9,7 @@ import dataclasses
 import importlib
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
@@ -267,6 +267,14 @@ class Bench:
         """What the drivers of axes and units have changed, by device."""
         return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
 
+    def devices(self) -> list[tuple[str, Device, MotionAxis | Chamber | ImuStream]]:
+        """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
+        found: list[tuple[str, Device, MotionAxis | Chamber | ImuStream]] = []
+        found += [(entry.name, entry, self.axes[entry.name]) for entry in self.rig.axis]
+        if self.chamber is not None and self.rig.chamber is not None:
+            found.append(("chamber", self.rig.chamber, self.chamber))
+        return found + [(entry.name, entry, self.imus[entry.name]) for entry in self.rig.imu]
+
     def close(self) -> None:
         self._ports.close()
 
@@ -366,53 +374,43 @@ class DeviceReport:
         return not self.problem
 
 
+def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
+    """The rig with these devices alone; that of the chamber is "chamber"."""
+    chosen = {
+        "chamber": rig.chamber if "chamber" in names else None,
+        "axis": tuple(entry for entry in rig.axis if entry.name in names),
+        "imu": tuple(entry for entry in rig.imu if entry.name in names),
+    }
+    return rig.model_copy(update=chosen)
+
+
 def check_rig(bench: Bench) -> list[DeviceReport]:
     """Ask every device who it is and what it accepts; compare serial numbers with the rig file. Nothing moves."""
-    rig = bench.rig
-    reports: list[DeviceReport] = []
-    if bench.chamber is not None and rig.chamber is not None:
-        reports.append(_report("chamber", rig.chamber, bench.chamber.identify, bench.chamber.limits))
-    for entry in rig.axis:
-        axis = bench.axes[entry.name]
-        reports.append(_report(entry.name, entry, axis.identify, axis.limits))
-    for entry in rig.imu:
-        imu = bench.imus[entry.name]
-        reports.append(_report(entry.name, entry, imu.identify, imu.configure))
-    return reports
+    # The chamber first, as in the rig file.
+    return [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
 
 
 def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
     """Open and ask one device after the other: a port that is refused is a report too. Raises `SpecError`."""
     configs_of(rig)
     reports: list[DeviceReport] = []
-    for role, _, device in _devices(rig):
-        alone = rig.model_copy(
-            update={
-                "chamber": device if role == "chamber" else None,
-                "axis": (device,) if role == "axis" else (),
-                "imu": (device,) if role == "imu" else (),
-            }
-        )
+    for _, _, device in _devices(rig):
         name = "chamber" if isinstance(device, ChamberDevice) else device.name
         try:
-            with open_rig(alone, clock) as bench:
+            with open_rig(only_of(rig, {name}), clock) as bench:
                 reports += check_rig(bench)
         except HardwareError as problem:
             reports.append(DeviceReport(name, device.driver, device.port, problem=str(problem)))
     return reports
 
 
-def _report(
-    name: str,
-    entry: Device,
-    identify: Callable[[], Identity],
-    limits: Callable[[], ChamberLimits | AxisLimits | ImuSettings],
-) -> DeviceReport:
+def _report(name: str, entry: Device, device: MotionAxis | Chamber | ImuStream) -> DeviceReport:
     identity = None
     try:
-        identity = identify()
+        identity = device.identify()
         require_identity(name, entry, identity)
-        return DeviceReport(name, entry.driver, entry.port, identity, limits())
+        limits = device.configure() if isinstance(device, ImuStream) else device.limits()
+        return DeviceReport(name, entry.driver, entry.port, identity, limits)
     except HardwareError as problem:
         return DeviceReport(name, entry.driver, entry.port, identity, problem=str(problem))
 

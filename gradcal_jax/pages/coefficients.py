@@ -32,7 +32,8 @@ def parameters(
     recipe: Recipe | None, calibration: Calibration | None, truth: dict[str, Any] | None
 ) -> list[ParameterFact]:
     """Every coefficient: found by a calibration, or of a recipe's plan alone; beside a simulation's hidden truth."""
-    predicted = {} if recipe is None else {(row.axis, _own_name(row.name)): row for row in recipe.prediction.parameters}
+    known = () if recipe is None else recipe.prediction.parameters
+    predicted = {(row.axis, row.name if re.match(r"[ab][\d_]", row.name) else _GRADIENT): row for row in known}
     if calibration is None:
         return [
             ParameterFact(
@@ -69,10 +70,6 @@ def parameters(
 
 def _in_unit(number: float | None, name: str) -> float | None:
     return None if number is None else number * _factor(name)[1]
-
-
-def _own_name(name: str) -> str:
-    return name if re.match(r"[ab][\d_]", name) else _GRADIENT
 
 
 def _factor(name: str) -> tuple[str, float]:

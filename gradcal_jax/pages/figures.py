@@ -78,7 +78,9 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
             if earlier is not None and _alike(box, earlier[1]):
                 ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
                 words = f"{where}: residual {label} over that {earlier[0]}."
-                group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, _of_ratios(ratio)))
+                # From a tenth less to a tenth more, at least: what is hardly another has hardly another colour.
+                ends = Normalize(min(float(ratio.values.min()), 0.9), max(float(ratio.values.max()), 1.1))
+                group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, ends))
             else:
                 words = f"{where}: residual {label}, one standard deviation."
                 group.append(_map(box, label, f"{key}-{label}", words, norm))
@@ -195,11 +197,6 @@ def _norm(boxes: Sequence[Box]) -> Normalize:
     return Normalize(low, high if high > low else low + 1.0)
 
 
-def _of_ratios(box: Box) -> Normalize:
-    """From a tenth less to a tenth more, at least: what is hardly another has hardly another colour."""
-    return Normalize(min(float(box.values.min()), 0.9), max(float(box.values.max()), 1.1))
-
-
 def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Picture:
     def draw(ax: Axes) -> None:
         drawn = plots.draw_map(box.temperature_c, box.rate_dps, box.values, box.unit, title=label, ax=ax)
@@ -217,10 +214,8 @@ def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Pictu
             levels = drawn.contours.levels if box.unit != "ratio" else bar.locator.tick_values(*bar.ax.get_ylim())
             drawn.contours.remove()
             shown = np.ma.masked_invalid(box.values)
-            _label(
-                ax,
-                ax.contour(box.rate_dps, box.temperature_c, shown, levels=levels, colors="white", linewidths=0.7),
-            )
+            style: Any = {"levels": levels, "colors": "white", "linewidths": 0.7}
+            _label(ax, ax.contour(box.rate_dps, box.temperature_c, shown, **style))
 
     if not np.all(np.isfinite(box.values)):
         caption += " Blank: not observable."
@@ -242,15 +237,8 @@ def _label(ax: Axes, contours: QuadContourSet) -> None:
         at = int(np.argmax(inside))
         kept.append(places[at])
         box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 1.0}
-        ax.text(
-            float(vertices[at, 0]),
-            float(vertices[at, 1]),
-            figures(value, 3),
-            fontsize=8,
-            ha="center",
-            va="center",
-            bbox=box,
-        )
+        x, y = (float(place) for place in vertices[at])
+        ax.text(x, y, figures(value, 3), fontsize=8, ha="center", va="center", bbox=box)
 
 
 def _curves(fact: MapFact, key: str, where: str, target: float | None) -> Picture:

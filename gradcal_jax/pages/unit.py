@@ -20,7 +20,7 @@ from gradcal_jax.pages.facts import AxisFact, Facts
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.provenance import provenance_of
-from gradcal_jax.pages.requirements import RequirementFact
+from gradcal_jax.pages.requirements import RequirementFact, fact_of, result_alone
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.plots.unit_calibration import draw_unit_term, panels_of
 from gradcal_jax.units import time_text
@@ -41,6 +41,7 @@ def unit_facts(sources: Sources) -> Facts:
     if calibration is not None and calibration.unobservable:
         notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
     simulated = bool(course is not None and course.simulated) or bool(calibration is not None and calibration.simulated)
+    versions = versions_of(("gradcal_jax", "numpy", "scipy", "jax")).items()
     title = (None if spec is None else spec.title) or (None if calibration is None else calibration.title)
     return Facts(
         title=title or "Calibration of a unit",
@@ -53,7 +54,10 @@ def unit_facts(sources: Sources) -> Facts:
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=() if spec is None else tuple(_assumed(spec)),
         course=course,
-        provenance=(*provenance_of(sources), ("versions", _versions())),
+        provenance=(
+            *provenance_of(sources),
+            ("versions", ", ".join(map(" ".join, versions))),
+        ),
         notes=tuple(notes),
         maps=(),
     )
@@ -67,56 +71,21 @@ def _hidden(sources: Sources) -> dict[str, float]:
     return truth.get("installation", {}) | truth.get("units", {}).get(calibration.serial_number, {})
 
 
-def _versions() -> str:
-    return ", ".join(
-        f"{name} {number}" for name, number in versions_of(("gradcal_jax", "numpy", "scipy", "jax")).items()
-    )
-
-
 def _requirements(found: Prediction | None, calibration: UnitCalibration | None) -> list[RequirementFact]:
     """As predicted, and as achieved where there is a calibration; of a calibration alone, as achieved."""
     results = {} if calibration is None else {row.name: row for row in calibration.result}
     if found is not None:
-        return [_requirement(row, results.get(row.name), calibration is not None) for row in found.requirements]
-    return [
-        RequirementFact(
-            name=row.name,
-            axis=row.axis,
-            quantity=row.quantity,
-            statistic=f"{row.statistic}, {_SUMMED.get(row.axis, f'axis {row.axis}')}",
-            unit=row.unit,
-            temperature_c=None,
-            rate_dps=None,
-            before=None,
-            predicted=None,
-            achieved=row.value,
-            target=row.target,
-            verdict=row.verdict,
-            limited_by=None,
-            limit=None,
-        )
-        for row in results.values()
-    ]
+        verdict = {} if calibration is None else {"verdict": None}
+        return [
+            fact_of(row, result, statistic=_summed(row), **(verdict if result is None else {}))
+            for row in found.requirements
+            for result in (results.get(row.name),)
+        ]
+    return [result_alone(row, _summed(row)) for row in results.values()]
 
 
-def _requirement(row: RequirementRow, result: UnitResult | None, calibrated: bool) -> RequirementFact:
-    summed = _SUMMED.get(row.axis, f"axis {row.axis}")
-    return RequirementFact(
-        name=row.name,
-        axis=row.axis,
-        quantity=row.quantity,
-        statistic=f"{row.statistic}, {summed}",
-        unit=row.unit,
-        temperature_c=row.temperature_c,
-        rate_dps=row.rate_dps,
-        before=None,
-        predicted=row.decisive,
-        achieved=None if result is None else result.value,
-        target=row.target,
-        verdict=(None if result is None else result.verdict) if calibrated else row.verdict,
-        limited_by=row.limited_by,
-        limit=None,
-    )
+def _summed(row: RequirementRow | UnitResult) -> str:
+    return f"{row.statistic}, {_SUMMED.get(row.axis, f'axis {row.axis}')}"
 
 
 def _parameters(
@@ -303,14 +272,8 @@ def unit_pictures(sources: Sources) -> tuple[list[list[Picture]], list[Picture]]
     for requirement in spec.requirement:
         found = unit_residual(built, known, requirement)
         words = f"{requirement.name}: residual of each element as predicted, one standard deviation."
-        left.append(
-            picture(
-                picture_key(requirement.name),
-                words,
-                lambda ax, r=requirement, f=found: plots.draw_unit_residual(r, f, ax=ax),
-                3.4,
-            )
-        )
+        draw = lambda ax, r=requirement, f=found: plots.draw_unit_residual(r, f, ax=ax)  # noqa: E731
+        left.append(picture(picture_key(requirement.name), words, draw, 3.4))
     words = "Which way is up, seen from the unit, at every rest; the colour is the time, the size how long it rests."
     poses = picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), 3.2, projection="mollweide")
     return ([left] if left else []), [poses]

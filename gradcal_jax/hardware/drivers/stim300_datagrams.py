@@ -112,13 +112,9 @@ class Stim300Decoder:
         self._recent: dict[bytes, None] = {}
         self._before = b""
         self._starting_up = True
-        self._bad_bytes = 0
+        self.bad_bytes = 0
         self.special_datagrams = 0
         self.repeated_datagrams = 0
-
-    @property
-    def bad_bytes(self) -> int:
-        return self._bad_bytes
 
     def push(self, data: bytes, host_time_s: float) -> ImuBatch:
         self._buffer += data
@@ -164,7 +160,7 @@ class Stim300Decoder:
     def _unlock(self) -> None:
         self._locked, self._disturbed = None, True
         self._buffer = self._buffer[1:]
-        self._bad_bytes += 1
+        self.bad_bytes += 1
 
     def _lock(self) -> bool:
         """Find the next sound datagram. False when more bytes are needed to decide."""
@@ -185,7 +181,7 @@ class Stim300Decoder:
 
     def _drop(self, count: int) -> None:
         self._buffer = self._buffer[count:]
-        self._bad_bytes += count
+        self.bad_bytes += count
         self._disturbed = self._disturbed or count > 0
 
     def _sound_frames(self, whole: int, stride: int, layout: DatagramLayout) -> int:

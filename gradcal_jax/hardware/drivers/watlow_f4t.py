@@ -147,7 +147,8 @@ class WatlowF4TChamber:
             for number in range(self._config.alarms)
             if self._words(_ALARM + _EACH_ALARM * number)[0] not in _SILENT
         )
-        runs = mode != OFF and self._plant_is_on()
+        event = self._config.conditioning_event
+        runs = mode != OFF and (not event or self._words(EVENTS[event - 1])[0] == ON)
         shown = _PROFILES.get(profile) or _MODES.get(mode, f"mode {mode}")
         return ChamberReading(time_s, air, None, self._float(IN_FORCE), shown, runs, alarms)
 
@@ -193,10 +194,6 @@ class WatlowF4TChamber:
             ended = lambda: self._words(PROFILE_STATE)[0]  # noqa: E731
             self._shown(PROFILE_ACTION, (TERMINATE,), "The profile's end", ended, lambda v: v not in _PROFILES)
         self._condition(True)
-
-    def _plant_is_on(self) -> bool:
-        event = self._config.conditioning_event
-        return not event or self._words(EVENTS[event - 1])[0] == ON
 
     def _condition(self, on: bool) -> None:
         mode, event = MODE + self._above, self._config.conditioning_event

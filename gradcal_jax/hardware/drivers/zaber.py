@@ -173,7 +173,8 @@ class ZaberAxis:
         ends = sorted((self._degrees(low), self._degrees(high)))
         # Limits as wide as the integers that hold them are no limits.
         endless = high - low >= 2.0**31
-        fastest = min(self._config.max_rate_dps, self._rate_limit())
+        # The data value of a rate is a 32-bit integer.
+        fastest = min(self._config.max_rate_dps, 2.0**31 / self._velocity_data())
         return AxisLimits(
             fastest,
             self._config.max_acceleration_dps2,
@@ -322,10 +323,6 @@ class ZaberAxis:
     def _velocity_data(self) -> float:
         """Data value of 1 deg/s."""
         return self._turn() / 360.0 * self._config.velocity_factor
-
-    def _rate_limit(self) -> float:
-        """The largest rate whose data value a 32-bit integer holds, deg/s."""
-        return 2.0**31 / self._velocity_data()
 
     def _degrees(self, steps: float) -> float:
         return self._config.zero_deg + self._config.direction * steps * 360.0 / self._turn()

@@ -266,12 +266,7 @@ def allan(
     return DONE if all(work.plausible(fit) for _, _, fit in drawn) else NOT_AS_WISHED
 
 
-_TERMS = {
-    "q": "quantisation",
-    "n": "angle_random_walk",
-    "b": "bias_instability",
-    "k": "rate_random_walk",
-}
+_TERMS = {"q": "quantisation", "n": "angle_random_walk", "b": "bias_instability", "k": "rate_random_walk"}
 
 
 def _terms(text: str) -> list[str]:

@@ -19,13 +19,7 @@ if TYPE_CHECKING:
 
 
 def predict(
-    spec: Path,
-    /,
-    *,
-    json: Json = False,
-    plot: Plot = None,
-    monte_carlo: int | None = None,
-    seed: int = 0,
+    spec: Path, /, *, json: Json = False, plot: Plot = None, monte_carlo: int | None = None, seed: int = 0
 ) -> int:
     """Say what a spec's plan will leave: the residual of every requirement, before anyone books a chamber.
 

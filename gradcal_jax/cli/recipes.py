@@ -14,14 +14,7 @@ if TYPE_CHECKING:
     from gradcal_jax.jobs.catalogue import Table
 
 
-def recipes(
-    catalogue: Path,
-    /,
-    *,
-    output: Output,
-    by: Workers = THIS_MACHINE,
-    json: Json = False,
-) -> int:
+def recipes(catalogue: Path, /, *, output: Output, by: Workers = THIS_MACHINE, json: Json = False) -> int:
     """Optimise a plan for every sensor, rig, requirement and plan of a catalogue; write recipes and one table.
 
     What is finished is kept: killed at any time, the same command goes on where it was. The exit status is 1 where a

@@ -41,14 +41,7 @@ def replan(
     json
         Print the result for other programs.
     """
-    from gradcal_jax.cli.optimise import (
-        gain_of_unit,
-        progress_of,
-        record_of_unit,
-        search_unit,
-        text,
-        text_of_unit,
-    )
+    from gradcal_jax.cli.optimise import gain_of_unit, progress_of, record_of_unit, search_unit, text, text_of_unit
     from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import write_toml
     from gradcal_jax.files.unit_spec import UnitSpec

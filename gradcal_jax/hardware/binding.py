@@ -103,12 +103,7 @@ class _Piece:
 
 
 def _stretch(
-    block: MotionBlock,
-    segments: Sequence[ChamberSegment],
-    stability: Stability,
-    names: dict[str, str],
-    *,
-    first: bool,
+    block: MotionBlock, segments: Sequence[ChamberSegment], stability: Stability, names: dict[str, str], *, first: bool
 ) -> list[Step]:
     waits = segments[0].begins == "when stable"
     total = math.fsum(float(segment.duration) for segment in segments)

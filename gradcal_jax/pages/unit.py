@@ -54,10 +54,7 @@ def unit_facts(sources: Sources) -> Facts:
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=() if spec is None else tuple(_assumed(spec)),
         course=course,
-        provenance=(
-            *provenance_of(sources),
-            ("versions", ", ".join(map(" ".join, versions))),
-        ),
+        provenance=(*provenance_of(sources), ("versions", ", ".join(map(" ".join, versions)))),
         notes=tuple(notes),
         maps=(),
     )

@@ -104,9 +104,7 @@ def decoder_of(config: Stim300Config, registers: Mapping[str, str]) -> Stim300De
             "fourth to sixth field."
         ) from None
     return Stim300Decoder(
-        sample_rate_hz=config.sample_rate_hz,
-        acceleration_range_g=range_g,
-        increments=config.increments,
+        sample_rate_hz=config.sample_rate_hz, acceleration_range_g=range_g, increments=config.increments
     )
 
 

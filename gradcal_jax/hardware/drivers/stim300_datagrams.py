@@ -88,11 +88,7 @@ class Stim300Decoder:
     resolution_s = 1.0 / INTERNAL_RATE_HZ
 
     def __init__(
-        self,
-        *,
-        sample_rate_hz: float = 125.0,
-        acceleration_range_g: int = 10,
-        increments: bool = False,
+        self, *, sample_rate_hz: float = 125.0, acceleration_range_g: int = 10, increments: bool = False
     ) -> None:
         bits = (_INCREMENT_BITS if increments else _ACCELERATION_BITS).get(acceleration_range_g)
         if bits is None:

@@ -97,10 +97,8 @@ def driver_of(name: str) -> Driver | None:
     try:
         driver = entries[0].load()
     except Exception as problem:
-        message = (
-            f"the driver of this name in the package {where} cannot be loaded: {type(problem).__name__}: {problem}"
-        )
-        raise ValueError(message) from None
+        why = f"{type(problem).__name__}: {problem}"
+        raise ValueError(f"the driver of this name in the package {where} cannot be loaded: {why}") from None
     if not isinstance(driver, Driver):
         raise ValueError(f"the package {where} names {entries[0].value} as a driver, which is no `setup.Driver`")
     return driver
@@ -240,10 +238,8 @@ def _devices(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], Device]]:
     found: list[tuple[Role, tuple[str | int, ...], Device]] = []
     if rig.chamber is not None:
         found.append(("chamber", ("chamber",), rig.chamber))
-    for index, axis in enumerate(rig.axis):
-        found.append(("axis", ("axis", index), axis))
-    for index, imu in enumerate(rig.imu):
-        found.append(("imu", ("imu", index), imu))
+    found.extend(("axis", ("axis", index), axis) for index, axis in enumerate(rig.axis))
+    found.extend(("imu", ("imu", index), imu) for index, imu in enumerate(rig.imu))
     return found
 
 

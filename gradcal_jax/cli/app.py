@@ -15,25 +15,22 @@ from gradcal_jax.cli.console import complain, is_plain
 from gradcal_jax.cli.demo import demo
 from gradcal_jax.cli.estimate import estimate
 from gradcal_jax.cli.frontier import frontier
-from gradcal_jax.cli.glossary import glossary
 from gradcal_jax.cli.instability import allan, instability
 from gradcal_jax.cli.limit import limit
 from gradcal_jax.cli.log import log_app
+from gradcal_jax.cli.lookup import glossary, schema
+from gradcal_jax.cli.many import recipes, sweep
 from gradcal_jax.cli.new import new
 from gradcal_jax.cli.optimise import optimise
 from gradcal_jax.cli.predict import compare, predict
-from gradcal_jax.cli.recipe import recipe
-from gradcal_jax.cli.recipes import recipes
+from gradcal_jax.cli.recipe import recipe, show
 from gradcal_jax.cli.replan import replan
 from gradcal_jax.cli.report import report
 from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
-from gradcal_jax.cli.schema import schema
 from gradcal_jax.cli.sensitivity import sensitivity
-from gradcal_jax.cli.show import show
 from gradcal_jax.cli.start import start
 from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT
-from gradcal_jax.cli.sweep import sweep
 from gradcal_jax.cli.timeline import timeline
 from gradcal_jax.cli.watch import watch
 

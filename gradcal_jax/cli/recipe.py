@@ -1,7 +1,8 @@
-"""`gradcal recipe`: the plan of a spec made executable, as it stands."""
+"""`gradcal recipe` and `gradcal show`: the plan of a spec made executable, and a recipe as a table for the bench."""
 
 from pathlib import Path
 
+from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Force, Json, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE
 
@@ -81,4 +82,22 @@ def recipe(
     if made.rounded:
         print(f"rounded {len(made.rounded)} keys of the plan to the controllers' steps; the recipe lists them")
     print(f"wrote {output}; read it with: gradcal show {output}")
+    return DONE
+
+
+def show(recipe: Path, /, *, json: Json = False) -> int:
+    """Print a recipe as a table: what the chamber does, what the table does, and what it will leave.
+
+    Parameters
+    ----------
+    recipe
+        The recipe file.
+    json
+        Print it as JSON instead.
+    """
+    from gradcal_jax.files.recipe import read_recipe
+    from gradcal_jax.pages.bench_sheet import show as sheet
+
+    found = read_recipe(recipe)
+    print(found.model_dump_json(indent=2, exclude_none=True) if json else sheet(found, heading=strong))
     return DONE

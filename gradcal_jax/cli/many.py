@@ -1,13 +1,15 @@
-"""`gradcal sweep`: one spec, many values of its keys, all predicted or optimised, as labelled results."""
+"""`gradcal sweep` and `gradcal recipes`: many plans at once, on this machine's cores or a cluster's."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+from cyclopts import Parameter
 
 from gradcal_jax.cli.console import complain, strong
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.progress import Bars
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, NOT_AS_WISHED
-from gradcal_jax.cli.workers import THIS_MACHINE, Workers
 from gradcal_jax.pages.plain_text import amount, columns
 from gradcal_jax.units import time_text
 
@@ -15,9 +17,51 @@ if TYPE_CHECKING:
     import xarray
 
     from gradcal_jax.files.sweep import Sweep
+    from gradcal_jax.jobs.catalogue import Table
+    from gradcal_jax.jobs.cluster import Cluster
+    from gradcal_jax.jobs.pool import LocalPool
     from gradcal_jax.jobs.sweep import Estimate
 
 _VERDICTS = ("met", "missed", "unobservable")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Workers:
+    """Who does it.
+
+    Parameters
+    ----------
+    scheduler
+        Address of a Dask scheduler, such as tcp://host:8786; without it the cores of this machine do the work.
+    workers
+        Worker processes on this machine; as many as cores.
+    """
+
+    scheduler: str | None = None
+    workers: int | None = None
+
+    def check(self) -> None:
+        """Refuse what cannot be meant. Raises `ValueError`."""
+        if self.workers is not None and not 1 <= self.workers <= 1024:
+            raise ValueError(f"--workers {self.workers}: give a number from 1 to 1024")
+        if self.workers is not None and self.scheduler is not None:
+            raise ValueError("--workers or --scheduler: a cluster decides for itself how many it has")
+
+    def runner(self) -> "LocalPool | Cluster":
+        """The machine's own workers, which keep compiled programs where the other commands do, or a cluster's."""
+        if self.scheduler is not None:
+            from gradcal_jax.jobs.cluster import Cluster
+
+            return Cluster(self.scheduler)
+        from gradcal_jax.cache import cache_folder
+        from gradcal_jax.jobs.pool import LocalPool
+
+        folder = cache_folder()
+        return LocalPool(self.workers, None if folder is None else str(folder))
+
+
+THIS_MACHINE: Final = Workers()
 
 
 def sweep(
@@ -187,3 +231,57 @@ def text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
             )
             lines.append(f"{row['name']}: least at {where}")
     return "\n".join([*lines, f"results: {output}"])
+
+
+def recipes(catalogue: Path, /, *, output: Output, by: Workers = THIS_MACHINE, json: Json = False) -> int:
+    """Optimise a plan for every sensor, rig, requirement and plan of a catalogue; write recipes and one table.
+
+    What is finished is kept: killed at any time, the same command goes on where it was. The exit status is 1 where a
+    case has no recipe, misses its target or did not converge; the table says which.
+
+    Parameters
+    ----------
+    catalogue
+        The catalogue file (gradcal-catalogue/1).
+    output
+        The folder for the recipes, summary.csv and summary.md; it is made where it is not there.
+    json
+        Print the table as JSON.
+    """
+    from gradcal_jax.files.catalogue import read_catalogue
+
+    by.check()
+    job = read_catalogue(catalogue)
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"{output} is a file; name a folder")
+    from gradcal_jax.jobs import catalogue as jobs
+
+    try:
+        with by.runner() as runner, Bars() as bars:
+            table = jobs.recipes(job, output, runner=runner, progress=bars.show)
+    except KeyboardInterrupt:
+        complain(f"interrupted; what is finished is kept in {output}, and the same command goes on from there")
+        return INTERRUPTED
+    if json:
+        print(as_json({"folder": str(output), "failed": table.failed, "rows": list(table.rows)}))
+    else:
+        print(text_of_table(table, job.file.title or str(catalogue)))
+        print(f"{len(table.rows) - table.failed} recipes, summary.csv and summary.md in {output}")
+    fine = all(row["recipe"] and row["converged"] and row["verdict"] in ("", "met") for row in table.rows)
+    return DONE if fine else NOT_AS_WISHED
+
+
+def text_of_table(table: "Table", title: str) -> str:
+    """The table as people read it."""
+    rows: list[tuple[str, ...]] = [("sensor", "rig", "requirement", "plan", "as written", "optimised", "verdict")]
+    remarks: list[str] = []
+    for row in table.rows:
+        case = tuple(str(row[name]) for name in ("sensor", "rig", "requirement", "plan"))
+        if not row["recipe"]:
+            rows.append((*case, "", "no recipe", ""))
+            remarks.append(f"{', '.join(case)}: {row['remark']}")
+            continue
+        rows.append((*case, *(amount(row[key], row["unit"]) for key in ("before", "now")), str(row["verdict"])))
+        if not row["converged"]:
+            remarks.append(f"{', '.join(case)}: {row['remark']}")
+    return "\n".join([strong(title), columns(rows, indent=""), *remarks])

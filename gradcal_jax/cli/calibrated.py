@@ -7,6 +7,7 @@ from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import ForceOutput, Json, JsonNumbers, OptionalOutput, Output, as_json, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns as table
@@ -106,8 +107,6 @@ def validate(
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     found = expect_axes(read_any_calibration(calibration), "gradcal validate")
     recorded = load(log, source, unit=unit)
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax.api import validation as work
 

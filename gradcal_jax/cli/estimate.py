@@ -142,7 +142,7 @@ def estimate(
         if plot is not None:
             from gradcal_jax.plots.by_hand import draw_by_hand
 
-            save_figure(draw_by_hand(found[0]), plot, quiet=json)
+            save_figure(lambda _: draw_by_hand(found[0]), plot, quiet=json)
         return status
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
     model = None if spec is None and recipe is None else _spec(spec, recipe)
@@ -168,7 +168,7 @@ def estimate(
         if plot is not None:
             from gradcal_jax.plots.unit_calibration import draw_unit_estimate
 
-            save_figure(draw_unit_estimate(found[0]), plot, quiet=json)
+            save_figure(lambda _: draw_unit_estimate(found[0]), plot, quiet=json)
         return status
     if more:
         raise ValueError("several logs are for a whole unit in several mountings; give one log")
@@ -233,7 +233,7 @@ def estimate(
     if plot is not None:
         from gradcal_jax.plots.calibration import draw_estimate
 
-        save_figure(draw_estimate(report), plot, quiet=json)
+        save_figure(lambda _: draw_estimate(report), plot, quiet=json)
     return DONE if report.as_wished else NOT_AS_WISHED
 
 

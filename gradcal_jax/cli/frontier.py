@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, OptionalOutput, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
@@ -46,7 +47,6 @@ def frontier(
     plot
         Draw the frontier into this file.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
@@ -93,10 +93,7 @@ def frontier(
             time = times_for[name]
             said = "is not reached in these durations" if time is None else f"takes a ramp of about {time_text(time)}"
             print(f"{name} at {target:.4g} {next((p.plan.unit for p in reached if p.plan), '')} {said}")
-    if plot is not None:
-        from gradcal_jax.plots import draw_frontier
-
-        save_figure(draw_frontier(reached, targets), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_frontier(reached, targets), plot, quiet=json)
     return DONE if all(p.plan is not None and p.plan.converged for p in reached) else NOT_AS_WISHED
 
 

@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import JsonNumbers, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity, span
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns
@@ -89,8 +90,6 @@ def instability(
         raise ValueError("--delta, --shortest and --margin must be positive, and --longest no shorter than --shortest")
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, source, unit=unit)
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax.api import instability as work
 
@@ -128,10 +127,7 @@ def instability(
         print(described(recorded, str(log)))
         for whole, pieces in zip(found, parts, strict=True):
             print("\n" + _instability_text(whole, pieces))
-    if plot is not None:
-        from gradcal_jax.plots.identification import draw_instability
-
-        save_figure(draw_instability(found), plot, quiet=json)
+    save_figure(lambda plots: plots.identification.draw_instability(found), plot, quiet=json)
     wished = all(whole.bound.drift_shows and work.plausible(whole.allan_fit) for whole in found)
     return DONE if wished else NOT_AS_WISHED
 
@@ -227,8 +223,6 @@ def allan(
     chosen = _terms(terms)
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, source, unit=unit)
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax import identify
     from gradcal_jax.api import instability as work
@@ -252,8 +246,6 @@ def allan(
             for message in (*work.allan_notes(fit), *rest.messages):
                 print(f"note: {message}")
     if plot is not None:
-        from gradcal_jax.plots.identification import draw_allan_and_bound
-
         bounds = []
         for rest, _, _ in drawn:
             try:
@@ -262,7 +254,7 @@ def allan(
                 bounds.append(None)
                 if not json:
                     print(f"note: no Direct Bound of axis {rest.axis}: {error}")
-        save_figure(draw_allan_and_bound(drawn, bounds), plot, quiet=json)
+        save_figure(lambda plots: plots.identification.draw_allan_and_bound(drawn, bounds), plot, quiet=json)
     return DONE if all(work.plausible(fit) for _, _, fit in drawn) else NOT_AS_WISHED
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from gradcal_jax.cli.output import ForceOutput, Json, OptionalOutput, Output, as_json, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.units import time_text
@@ -46,8 +47,6 @@ def turns(
     said = [quantity(text.strip(), "angle", "--turns") for text in turns.split(",")]
     writable(output, force)
     recorded = load(log, source, unit=unit)
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax.api.turns import with_turns
     from gradcal_jax.files.log import write_log

@@ -130,10 +130,7 @@ def sweep(
     results = read_dataset(output)
     summary = summary_of(results)
     print(as_json({"output": str(output), **summary}) if json else text(summary, job, str(output)))
-    if plot is not None:
-        from gradcal_jax.plots.sweep import draw_sweep
-
-        save_figure(draw_sweep(results), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_sweep(results), plot, quiet=json)
     return NOT_AS_WISHED if summary["failed"] else DONE
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from gradcal_jax.cli.console import complain, strong
 from gradcal_jax.cli.output import Flag, Force, Json, Output, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
@@ -58,7 +59,6 @@ def optimise(
     resume
         Go on from where an interrupted search of the same spec stopped; it is kept beside the output.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import write_toml
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
@@ -112,10 +112,8 @@ def optimise(
     else:
         print(text(best))
         print(f"wrote {output}; read it with: gradcal show {output}")
-    if plot is not None:
-        from gradcal_jax.plots import draw_comparison
-
-        save_figure(draw_comparison([("before", found), ("optimised", made.axis_spec)]), plot, quiet=json)
+    drawn = [("before", found), ("optimised", made.axis_spec)]
+    save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
     if interrupt.asked:
         complain("interrupted" + ("" if shortest else f"; go on with: gradcal optimise {spec} -o {output} --resume"))
         return INTERRUPTED
@@ -188,10 +186,7 @@ def _of_unit(
         print(as_json(record_of_unit(best) | {"spec": str(output)}))
     else:
         print(f"{text_of_unit(best)}\nwrote {output}; see it with: gradcal check {output}")
-    if plot is not None:
-        from gradcal_jax.plots import draw_unit
-
-        save_figure(draw_unit(best.spec), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_unit(best.spec), plot, quiet=json)
     if interrupted:
         complain("interrupted: the best so far was written")
         return INTERRUPTED

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Force, Json, OutputOrPrint, as_json, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
 
 
@@ -41,7 +42,6 @@ def recipe(
     json
         Print what was written, and what rounding left of it, as JSON.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import Quantity, to_toml
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.tracks import Stability

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from gradcal_jax.cli.output import Flag, Force, Json, Output, as_json, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 
@@ -42,7 +43,6 @@ def replan(
         Print the result for other programs.
     """
     from gradcal_jax.cli.optimise import gain_of_unit, progress_of, record_of_unit, search_unit, text, text_of_unit
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import write_toml
     from gradcal_jax.files.unit_spec import UnitSpec
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume

@@ -6,6 +6,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from gradcal_jax.cli.output import Flag, Force, Json, Output, as_json, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
 
 
@@ -59,7 +60,6 @@ def report(
     json
         Print every number of the page as JSON.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.pages.sources import read_sources
 
     writable(output, force)

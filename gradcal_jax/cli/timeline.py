@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from gradcal_jax.cli.output import Json
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
@@ -47,7 +48,6 @@ def timeline(
     """
     if json and csv:
         raise ValueError("--json or --csv: choose one")
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from gradcal_jax.cli.console import complain
 from gradcal_jax.cli.output import Flag, Json, as_json
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, FAILED
 from gradcal_jax.pages.plain_text import amount
@@ -60,7 +61,6 @@ def watch(run: Path, /, *, once: Flag = False, known: Flag = False, json: Json =
 
 
 def _known(run: Path) -> list[dict[str, Any]]:
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.hardware.run_folder import RunFolder
     from gradcal_jax.hardware.stretches import goes_on_at, stretches_of
 

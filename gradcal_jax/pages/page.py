@@ -15,6 +15,7 @@ from gradcal_jax.pages.figures import done_pictures, found_pictures, map_picture
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.panel import panel_of
+from gradcal_jax.pages.plain_text import times
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.pages.unit import found_unit_pictures, unit_pictures, unit_words
@@ -78,10 +79,11 @@ def sentence(text: str) -> str:
 
 def _words(facts: Facts, recipe: Recipe | None) -> dict[str, Any]:
     """Rows of cells and sentences for the template."""
+    plan = None if recipe is None else recipe.prediction
     return {
         "unit": None,
         "verdict": _verdict(facts),
-        "times": "" if recipe is None else _times(recipe),
+        "times": "" if plan is None else times(plan.duration_s, plan.soak_s, plan.motion_s) + ".",
         "chamber": [] if recipe is None else chamber_words(recipe),
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
@@ -221,11 +223,6 @@ def _basis(recipe: Recipe | None, facts: Facts) -> str:
         parts.append(f"ω′ = (ω − {rate.centre}) / {rate.scale}")
     said = "In the paper's basis: " + ", ".join(parts) + "." if parts else "Coefficients of the spec's bases."
     return said + (" The plan's own uncertainty of each." if not facts.axes else "")
-
-
-def _times(recipe: Recipe) -> str:
-    times = recipe.prediction
-    return f"{time_text(times.duration_s)} in all: soak {time_text(times.soak_s)}, motion {time_text(times.motion_s)}."
 
 
 def _optimised(recipe: Recipe) -> list[str]:

@@ -19,6 +19,7 @@ from gradcal_jax.pages.course import course_of
 from gradcal_jax.pages.facts import AxisFact, Facts
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.plain_text import times
 from gradcal_jax.pages.provenance import provenance_of
 from gradcal_jax.pages.requirements import RequirementFact, fact_of, result_alone
 from gradcal_jax.pages.sources import Sources
@@ -220,9 +221,8 @@ def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
     if spec is None:
         return {"times": "", "moves": [], "more": ""}
     schedule = spec.schedule
-    parts = (time_text(t) for t in (schedule.duration, schedule.soak, schedule.motion))
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
-    times = "{} in all: soak {}, motion {}.".format(*parts)
+    lasts = times(schedule.duration, schedule.soak, schedule.motion)
     rows = [
         (
             spec.rig.table.axis[step.axis].name if step.axis >= 0 else "",
@@ -236,7 +236,7 @@ def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
     ]
     left = len(schedule.steps) - _MOST_ROWS
     return {
-        "times": f"{times} A cycle of {time_text(schedule.period)}, made {cycles} times"
+        "times": f"{lasts}. A cycle of {time_text(schedule.period)}, made {cycles} times"
         + (f", in {len(spec.rig.table.mounting)} mountings." if len(spec.rig.table.mounting) > 1 else "."),
         "moves": rows,
         "more": f"… and {left} more moves: gradcal timeline prints all." if left > 0 else "",

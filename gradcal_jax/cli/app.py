@@ -73,7 +73,9 @@ def build() -> App:
 def run(arguments: Sequence[str] | None = None) -> int:
     """Parse and run one command line; every foreseeable failure is a sentence on stderr and an exit status."""
     for stream in (sys.stdout, sys.stderr):
-        _never_fail_to_print(stream)
+        # A terminal that cannot show ° or √ shows something else, not a traceback.
+        if (reconfigure := getattr(stream, "reconfigure", None)) is not None:
+            reconfigure(errors="replace")
     try:
         app = build()
         tokens = sys.argv[1:] if arguments is None else list(arguments)
@@ -140,10 +142,3 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
-
-
-def _never_fail_to_print(stream: Any) -> None:
-    """A terminal that cannot show ° or √ shows something else, not a traceback."""
-    reconfigure = getattr(stream, "reconfigure", None)
-    if reconfigure is not None:
-        reconfigure(errors="replace")

@@ -1,11 +1,10 @@
 """`gradcal check`: everything wrong with a spec at once; if nothing is, what its plan does."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, as_json
+from gradcal_jax.cli.output import Flag, Json, SpecPath, as_json
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.predict import counted_as_zero
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
@@ -21,15 +20,13 @@ if TYPE_CHECKING:
 _MOST_ROWS, _MOST_OF_UNIT = 24, 60
 
 
-def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int:
+def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) -> int:
     """Say all that is wrong with a spec, or what its plan does.
 
     If nothing is wrong, it also says what the plan cannot observe.
 
     Parameters
     ----------
-    spec
-        The spec file.
     files_only
         Leave out what the plan cannot observe, which takes a few seconds to work out.
     json

@@ -60,8 +60,12 @@ def frontier(
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
     reached: list[Point] = []
+
+    def show(motion: float, step: "Step") -> None:
+        line.show(f"{time_text(motion)}: {step.share:4.0%}  {amount(step.best, step.unit)}")
+
     with MovingLine(sys.stderr) as line:
-        for point in room.frontier(found, times, steps=steps, watch=lambda *told: line.show(_progress(*told))):
+        for point in room.frontier(found, times, steps=steps, watch=show):
             reached.append(point)
             if output is not None and point.plan is not None:
                 write_toml(api.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
@@ -88,7 +92,11 @@ def frontier(
         print(as_json({"points": rows, "shortest_s": times_for}))
     else:
         print(strong(found.title or str(spec)))
-        print(columns([("ramp", "residual", "search"), *(_row(p) for p in reached)], indent=""))
+        shown = [("ramp", "residual", "search")]
+        for p in reached:
+            residual = "none" if p.plan is None else amount(p.plan.now, p.plan.unit)
+            shown.append((time_text(p.motion), residual, p.reason))
+        print(columns(shown, indent=""))
         for name, target in targets.items():
             time = times_for[name]
             said = "is not reached in these durations" if time is None else f"takes a ramp of about {time_text(time)}"
@@ -116,12 +124,3 @@ def durations(text: str, points: int) -> list[float]:
             raise ValueError(f"--motion: {text!r} does not rise")
         return [low * (high / low) ** (k / (points - 1)) for k in range(points)]
     return sorted(one(part) for part in text.split(","))
-
-
-def _row(point: "Point") -> tuple[str, str, str]:
-    residual = "none" if point.plan is None else amount(point.plan.now, point.plan.unit)
-    return time_text(point.motion), residual, point.reason
-
-
-def _progress(motion: float, step: "Step") -> str:
-    return f"{time_text(motion)}: {step.share:4.0%}  {amount(step.best, step.unit)}"

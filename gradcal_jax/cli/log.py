@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.output import ForceOutput, Json, OptionalOutput, Output, as_json, writable
+from gradcal_jax.cli.output import ForceOutput, Json, OptionalOutput, Output, RunPath, as_json, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
 from gradcal_jax.cli.status import DONE
@@ -83,7 +83,7 @@ def turns(
 
 @log_app.default
 def log(
-    run: Path,
+    run: RunPath,
     /,
     *,
     output: OptionalOutput = None,
@@ -96,8 +96,6 @@ def log(
 
     Parameters
     ----------
-    run
-        The folder of the run.
     output
         The log file (netCDF); absent: log.nc in the folder. An older log is replaced.
     unit

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from gradcal_jax import units
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.output import Json, Plot, SpecPath, as_json, drawable, save_figure
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns, times
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def predict(
-    spec: Path, /, *, json: Json = False, plot: Plot = None, monte_carlo: int | None = None, seed: int = 0
+    spec: SpecPath, /, *, json: Json = False, plot: Plot = None, monte_carlo: int | None = None, seed: int = 0
 ) -> int:
     """Say what a spec's plan will leave: the residual of every requirement, before anyone books a chamber.
 
@@ -28,8 +28,6 @@ def predict(
 
     Parameters
     ----------
-    spec
-        The spec file.
     json
         Print the prediction as gradcal-prediction/1; with --monte-carlo, both under their names.
     plot

@@ -1,16 +1,15 @@
 """`gradcal replan`: the best plan for what is left of a run that was broken off."""
 
 import sys
-from pathlib import Path
 
-from gradcal_jax.cli.output import Flag, Force, Json, Output, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, Output, RunPath, as_json, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 
 
 def replan(
-    run: Path,
+    run: RunPath,
     /,
     *,
     output: Output,
@@ -29,8 +28,6 @@ def replan(
 
     Parameters
     ----------
-    run
-        The folder of the run.
     output
         The recipe file to write.
     time

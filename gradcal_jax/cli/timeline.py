@@ -3,12 +3,11 @@
 import csv as comma_separated
 import math
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Json
+from gradcal_jax.cli.output import Json, SpecPath
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import columns
@@ -25,7 +24,7 @@ _MOST_ROWS = 60
 
 
 def timeline(
-    spec: Path,
+    spec: SpecPath,
     /,
     *,
     json: Json = False,
@@ -36,8 +35,6 @@ def timeline(
 
     Parameters
     ----------
-    spec
-        The spec file.
     json
         Print gradcal-timeline/2: segments, readings and the sensor's model, in SI; of a whole unit
         gradcal-unit-timeline/1, with the angles of all axes and the attitude.

@@ -124,18 +124,15 @@ def _plan_clock(folder: RunFolder, events: list[tuple[float, Event]]) -> Callabl
     ]
 
     def on_plan(time: float) -> float:
-        here = [(begins, number) for begins, number in begun[_first(begun, time) :] if begins <= time]
+        # Steps begin one after the other.
+        first = max(0, bisect_right(begun, (time, 10**9)) - 1)
+        here = [(begins, number) for begins, number in begun[first:] if begins <= time]
         if not here:
             return -1.0
         begins, number = here[-1]
         return float(planned[number] + min(time - begins, steps[number].duration_s))
 
     return on_plan
-
-
-def _first(begun: list[tuple[float, int]], time: float) -> int:
-    """Where to look: steps begin one after the other."""
-    return max(0, bisect_right(begun, (time, 10**9)) - 1)
 
 
 def _turned(moves: list[tuple[float, Mapping[str, Any]]], angles: list[tuple[float, float]]) -> tuple[Floats, Floats]:

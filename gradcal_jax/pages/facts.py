@@ -88,16 +88,13 @@ def facts_of(sources: Sources) -> Facts:
 
 def as_tables(facts: Facts) -> dict[str, Any]:
     """The facts as plain numbers and texts for other programs; maps and tracks are left out."""
-    course = facts.course
     done = None
-    if course is not None:
-        done = {
-            name: value
-            for name, value in course._asdict().items()
-            if name not in ("chamber_s", "chamber_c", "rates", "waited", "devices")
-        }
-        done["waited"] = [row._asdict() for row in course.waited]
-        done["devices"] = [row._asdict() for row in course.devices]
+    if (course := facts.course) is not None:
+        done = course._asdict()
+        for name in ("chamber_s", "chamber_c", "rates"):
+            del done[name]
+        # As the last keys, where they always stood.
+        done |= {name: [row._asdict() for row in done.pop(name)] for name in ("waited", "devices")}
     return {
         "title": facts.title,
         "simulated": facts.simulated,

@@ -12,7 +12,6 @@ from gradcal_jax.api.posterior_of_plan import UNIT_OF, statistic_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import AxisCalibration, Result
 from gradcal_jax.files.contracts import RequirementRow
-from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.requirement import HeadingRequirement, Requirement
 from gradcal_jax.files.unit_calibration import UnitResult
 from gradcal_jax.information import statistic
@@ -112,9 +111,11 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
             _, deviation = found_map(axis, requirement.quantity, *grid_of(axis, requirement, requirement.quantity))
             drawn.append(("achieved", deviation))
         maps.append(MapFact(row.name, row.axis, row.quantity, tuple(drawn)))
-    if not before_is and (given := _optimised_before(recipe)):
+    record = recipe.optimisation or {}
+    name, value = re.sub(r" \([^)]*\)$", "", str(record.get("objective", ""))), record.get("before")
+    if not before_is and name and isinstance(value, float | int):
         before_is = "the plan that the optimisation began with"
-        rows = [row._replace(before=given.get(row.name)) for row in rows]
+        rows = [row._replace(before=float(value) if row.name == name else None) for row in rows]
     return before_is, rows, maps
 
 
@@ -151,13 +152,6 @@ def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | 
     if channel not in known or (section is None and requirement.quantity != "heading"):
         return None
     return Box(*api.residual_map(built, known[channel], requirement), UNIT_OF[requirement.quantity][0])
-
-
-def _optimised_before(recipe: Recipe) -> dict[str, float]:
-    record = recipe.optimisation or {}
-    objective, value = str(record.get("objective", "")), record.get("before")
-    name = re.sub(r" \([^)]*\)$", "", objective)
-    return {name: float(value)} if isinstance(value, float | int) and name else {}
 
 
 def result_alone(row: Result | UnitResult, statistic: str) -> RequirementFact:

@@ -99,7 +99,9 @@ class VirtualClock:
                 self._working -= 1
                 self.advance_if_all_wait()
         if self._speed is not None:
-            self._keep_pace()
+            virtual_origin, real_origin = self._origin
+            due = real_origin + (self._now - virtual_origin) / self._speed
+            time.sleep(max(due - time.monotonic(), 0.0))
 
     @contextmanager
     def party(self) -> Generator[None, None, None]:
@@ -192,9 +194,3 @@ class VirtualClock:
             elif real - account.unread_since >= self._patience_s:
                 account.to_device = account.to_host = 0
                 account.abandoned = True
-
-    def _keep_pace(self) -> None:
-        virtual_origin, real_origin = self._origin
-        due = real_origin + (self._now - virtual_origin) / (self._speed or 1.0)
-        if (early := due - time.monotonic()) > 0.0:
-            time.sleep(early)

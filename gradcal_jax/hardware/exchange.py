@@ -52,7 +52,6 @@ class Exchange:
         self._tries = tries
         self._next_request_s = -float("inf")
         self._lock = threading.RLock()
-        self.disturbances = 0
 
     @contextmanager
     def alone(self) -> Generator[None, None, None]:
@@ -91,7 +90,6 @@ class Exchange:
                         self.transport.drain(self._settle_s)
                     return reply
                 except (ReplyTimeout, FramingError):
-                    self.disturbances += 1
                     self.transport.drain(self._settle_s)
                     if attempt == tries:
                         raise

@@ -19,8 +19,9 @@ from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, Rejected, ReplyTimeout, printable
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
+from .base import ChamberDriver
 
 Value = TypeVar("Value")
 
@@ -148,13 +149,8 @@ def open_exchange(transport: Transport, clock: Clock, config: EspecConfig) -> Ex
     )
 
 
-class EspecChamber:
+class EspecChamber(ChamberDriver[EspecConfig]):
     """Role `Chamber`. One decimal everywhere; a hardware ramp is a remote one-step program of whole minutes."""
-
-    def __init__(self, exchange: Exchange, config: EspecConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
 
     def identify(self) -> Identity:
         try:
@@ -231,19 +227,9 @@ class EspecChamber:
     def standby(self) -> None:
         self._set_mode("STANDBY")
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            now = self._ask("TEMP?", parse_temperatures)
-            wanted = now.measured_c if policy is ChamberSafe.HOLD else ambient_c
-            self.hold(min(max(wanted, now.low_c), now.high_c))
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
-
-    def close(self) -> None:
-        self._exchange.transport.close()
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        now = self._ask("TEMP?", parse_temperatures)
+        return min(max(now.measured_c if policy is ChamberSafe.HOLD else ambient_c, now.low_c), now.high_c)
 
     def _check(self, temperature_c: float) -> None:
         limits = self.limits()

@@ -39,6 +39,7 @@ from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
+from .base import ChamberDriver, ExchangeDriver
 from .mean_rate import MeanRate
 
 Texts = dict[str, str]
@@ -141,15 +142,13 @@ def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | Lin
     return (LinesChamber if config.role == "chamber" else LinesAxis)(exchange, config)
 
 
-class _Spoken:
+class _Spoken(ExchangeDriver[LinesConfig]):
     """What both roles share: questions, commands, states."""
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
-        self._exchange = exchange
-        self._config = config
+        super().__init__(exchange, config)
         self._said = config.said
         self._codec = Codec(config.said)
-        self._clock = exchange.clock
         self._patterns: dict[str, re.Pattern[str]] = {}
 
     def identify(self) -> Identity:
@@ -160,9 +159,6 @@ class _Spoken:
                 raise Rejected(f"{self._said.title} says {need.field} = {needed[need.field]}: {need.why}.")
         model = f"{self._said.title} {known.get('model', '')}".strip()
         return Identity("lines", model, known.get("serial", ""), known.get("firmware", ""))
-
-    def close(self) -> None:
-        self._exchange.transport.close()
 
     def _read(self, *names: str) -> Texts:
         """The fields of these names, each question asked once, in this order; what no reply has is absent."""
@@ -270,7 +266,7 @@ def _same_number(left: str, right: str) -> bool:
         return False
 
 
-class LinesChamber(_Spoken):
+class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
     """Role `Chamber`."""
 
     def limits(self) -> ChamberLimits:
@@ -328,16 +324,10 @@ class LinesChamber(_Spoken):
         self._switch("off", "conditioning", False)
         self._free_ramp()
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            limits = self.limits()
-            wanted = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
-            self.hold(min(max(wanted, limits.lowest_c), limits.highest_c))
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        limits = self.limits()
+        wanted = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
+        return min(max(wanted, limits.lowest_c), limits.highest_c)
 
     def _go_to(self, temperature_c: float) -> None:
         value = {"setpoint": units.convert(temperature_c, "degC", self._said.units.temperature)}

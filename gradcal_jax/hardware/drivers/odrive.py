@@ -40,6 +40,7 @@ from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
+from .base import ExchangeDriver
 
 IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_RAMP, TRAPEZOID = 2, 5
@@ -166,13 +167,11 @@ def open_exchange(transport: Transport, clock: Clock, config: ODriveConfig) -> E
     return Exchange(transport, LineFramer(), clock, "The ODrive controller", config.reply_timeout_s)
 
 
-class ODriveAxis:
+class ODriveAxis(ExchangeDriver[ODriveConfig]):
     """Role `MotionAxis`. Both motors of one board share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ODriveConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._target_turns: float | None = None
         self._spinning = False
         self._powered = False
@@ -306,9 +305,6 @@ class ODriveAxis:
         evidence = f"{reading.rate_dps:.3f} deg/s at {reading.position_deg:.3f} deg, {powered}"
         notes = (*reading.faults, *(f"cleared: {error}" for error in self._cleared))
         return SafeReport(policy.value, held and not reading.moving, "; ".join([evidence, *notes]))
-
-    def close(self) -> None:
-        self._exchange.transport.close()
 
     def _tell(self, words: str) -> None:
         self._exchange.tell(request(words))

@@ -19,8 +19,9 @@ from ..clock import Clock
 from ..errors import ChecksumError, FramingError, LimitExceeded, Rejected, printable
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import ModbusReplyFramer
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
+from .base import ChamberDriver
 
 EXCEPTIONS = {1: "function", 2: "register address", 3: "value", 4: "device failure", 5: "acknowledged", 6: "busy"}
 
@@ -117,13 +118,11 @@ def open_exchange(transport: Transport, clock: Clock, config: WatlowF4Config) ->
     )
 
 
-class WatlowF4Chamber:
+class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
     """Role `Chamber`."""
 
     def __init__(self, exchange: Exchange, config: WatlowF4Config) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._decimals: dict[int, int] = {}
 
     def identify(self) -> Identity:
@@ -189,20 +188,14 @@ class WatlowF4Chamber:
             )
         self._condition(False)
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            low, high = self._range()
-            wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._temperature(PROCESS_VALUE[1], 1)
-            self.hold(min(max(wanted, low), high))
-        reading = self.read()
-        state = "conditioning" if reading.conditioning else "conditioning off"
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"{reading.mode}, {state}, set point {reading.setpoint_c} degC")
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        low, high = self._range()
+        wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._temperature(PROCESS_VALUE[1], 1)
+        return min(max(wanted, low), high)
 
-    def close(self) -> None:
-        self._exchange.transport.close()
+    def _evidence(self, reading: ChamberReading) -> str:
+        state = "conditioning" if reading.conditioning else "conditioning off"
+        return f"{reading.mode}, {state}, set point {reading.setpoint_c} degC"
 
     def _read(self, register: int, count: int = 1) -> tuple[int, ...]:
         address = self._config.address

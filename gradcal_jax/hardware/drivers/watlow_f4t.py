@@ -19,8 +19,9 @@ from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, Rejected, printable
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import ModbusTcpFramer
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
+from .base import ChamberDriver
 from .watlow_f4 import EXCEPTIONS
 
 OFF, ON, AUTO = 62, 63, 10
@@ -114,13 +115,11 @@ def open_exchange(transport: Transport, clock: Clock, config: WatlowF4TConfig) -
     return Exchange(transport, ModbusTcpFramer(), clock, "The Watlow F4T controller", config.reply_timeout_s)
 
 
-class WatlowF4TChamber:
+class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
     """Role `Chamber`."""
 
     def __init__(self, exchange: Exchange, config: WatlowF4TConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._number = 0
         self._above = 160 * (config.loop - 1)
 
@@ -169,18 +168,12 @@ class WatlowF4TChamber:
     def standby(self) -> None:
         self._condition(False)
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._float(PROCESS_VALUE)
-            self.hold(min(max(wanted, self._float(LOWEST)), self._float(HIGHEST)))
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"{reading.mode}, set point {reading.setpoint_c:g} degC")
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._float(PROCESS_VALUE)
+        return min(max(wanted, self._float(LOWEST)), self._float(HIGHEST))
 
-    def close(self) -> None:
-        self._exchange.transport.close()
+    def _evidence(self, reading: ChamberReading) -> str:
+        return f"{reading.mode}, set point {reading.setpoint_c:g} degC"
 
     def _begin(self, temperature_c: float) -> None:
         """Whatever must be before a set point counts: it is allowed, no profile runs, and the loop is on."""

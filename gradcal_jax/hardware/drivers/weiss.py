@@ -26,8 +26,9 @@ from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
+from .base import ChamberDriver
 
 LOWEST_PLAUSIBLE_C, HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _NUMBER = re.compile(r"-?\d{1,5}\.\d")
@@ -199,13 +200,11 @@ def open_exchange(transport: Transport, clock: Clock, config: WeissConfig) -> Ex
     )
 
 
-class WeissChamber:
+class WeissChamber(ChamberDriver[WeissConfig]):
     """Role `Chamber`. Knows its layout from the first call that needs it."""
 
     def __init__(self, exchange: Exchange, config: WeissConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._known: Layout | None = None
         self._acknowledges = False
         self._orders = 0
@@ -272,20 +271,10 @@ class WeissChamber:
         self._orders += 1
         self._write(self._nominal(self._record()), start=False)
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            layout = self._layout()
-            here = self._record().numbers[layout.actual(layout.temperature)]
-            wanted = here if policy is ChamberSafe.HOLD else ambient_c
-            self.hold(min(max(wanted, layout.lowest_c), layout.highest_c))
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
-
-    def close(self) -> None:
-        self._exchange.transport.close()
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        layout = self._layout()
+        here = self._record().numbers[layout.actual(layout.temperature)]
+        return min(max(here if policy is ChamberSafe.HOLD else ambient_c, layout.lowest_c), layout.highest_c)
 
     def _layout(self) -> Layout:
         if self._known is None:

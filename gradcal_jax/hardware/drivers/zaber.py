@@ -28,6 +28,7 @@ from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
+from .base import ExchangeDriver
 from .mean_rate import MeanRate
 
 WARNINGS = {
@@ -132,13 +133,11 @@ def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Ex
     return Exchange(transport, LineFramer(), clock, "The Zaber stage", config.reply_timeout_s)
 
 
-class ZaberAxis:
+class ZaberAxis(ExchangeDriver[ZaberConfig]):
     """Role `MotionAxis`. Several axes of one chain share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ZaberConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._message_id = 0
         self._steps_per_turn = float(config.microsteps_per_turn)
         self._rates = MeanRate()
@@ -254,9 +253,6 @@ class ZaberAxis:
             self._ask(self._config.unpower_command)
         state = "; ".join((*reading.faults, *reading.warnings)) or "no warnings"
         return SafeReport(policy.value, not reading.moving, f"idle at {reading.position_deg:.4f} deg, {state}")
-
-    def close(self) -> None:
-        self._exchange.transport.close()
 
     def _ask(self, words: str, *, axis: int | None = None) -> Reply:
         """Every command of this driver says where to be and not how to change: it does no harm twice."""

@@ -238,8 +238,15 @@ def check_unit(spec: "UnitSpec", name: str, *, files_only: bool, json: bool) -> 
 
 
 def _summary_of_unit(spec: "UnitSpec") -> list[str]:
+    from gradcal_jax.files.section import Section
+
     schedule, table = spec.schedule, spec.rig.table
-    lines = [f"to be found: {part}" for part in _to_be_found(spec)]
+    skipped = {"axes", "drift", "scale_factor_instability"}
+    lines: list[str] = []
+    for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
+        if triad is not None:
+            own = [key.replace("_", " ") for key, part in triad if isinstance(part, Section) and key not in skipped]
+            lines.append(f"to be found: {name} {', '.join(triad.axes)}: {', '.join(own)}")
     for r in spec.requirement:
         target = f", target {r.target}" if r.target is not None else ""
         over = f"{r.temperature[0]} to {r.temperature[1]}"
@@ -259,20 +266,6 @@ def _summary_of_unit(spec: "UnitSpec") -> list[str]:
     if left > 0.0:
         lines.append(f"note: after the last cycle the table stands for {time_text(left)}")
     return lines
-
-
-def _to_be_found(spec: "UnitSpec") -> list[str]:
-    from gradcal_jax.files.section import Section
-
-    found: list[str] = []
-    for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
-        if triad is not None:
-            skipped = {"axes", "drift", "scale_factor_instability"}
-            sections = [
-                key.replace("_", " ") for key, value in triad if isinstance(value, Section) and key not in skipped
-            ]
-            found.append(f"{name} {', '.join(triad.axes)}: {', '.join(sections)}")
-    return found
 
 
 def _row_of_unit(step, table) -> tuple[str, ...]:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from gradcal_jax.files.rig import RigFile
     from gradcal_jax.hardware.execute import Attended
     from gradcal_jax.hardware.runner import Progress, Runner, RunResult
-    from gradcal_jax.hardware.terminal import Terminal
 
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
 
@@ -222,10 +221,14 @@ class _Watcher:
     """
 
     def __init__(self, simulated: bool, *, quiet: bool, virtual: bool = False) -> None:
+        from gradcal_jax.hardware.terminal import Terminal
+
         self._simulated = simulated
         self._virtual = virtual
         self._quiet = quiet
-        self._terminal = _terminal()
+        # Where somebody sits who can be asked to turn an axis.
+        seen = sys.stdin.isatty() and sys.stdout.isatty()
+        self._terminal = Terminal(keyboard=sys.stdin.fileno(), screen=sys.stdout) if seen else None
         self._line = MovingLine(sys.stdout)
         self._last: tuple[str, str] = ("", "")
         self._runner: Runner | None = None
@@ -259,7 +262,7 @@ class _Watcher:
         self._runner = runner
 
     def _show_all(self) -> None:
-        while (progress := self._news.get()) is not None:
+        for progress in iter(self._news.get, None):
             self._show(progress)
 
     def _show(self, progress: "Progress") -> None:
@@ -299,15 +302,6 @@ def _known(folder: Path) -> Any:
     command = [sys.executable, "-c", program, "watch", str(folder), "--known", "--json"]
     said = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=600.0)
     return json_module.loads(said.stdout)
-
-
-def _terminal() -> "Terminal | None":
-    """Where somebody sits who can be asked to turn an axis."""
-    from gradcal_jax.hardware.terminal import Terminal
-
-    if sys.stdin.isatty() and sys.stdout.isatty():
-        return Terminal(keyboard=sys.stdin.fileno(), screen=sys.stdout)
-    return None
 
 
 def progress_text(progress: "Progress", simulated: bool) -> str:

@@ -106,9 +106,6 @@ def _moves(name: str, moves: list[Move], at: dict[str, float]) -> str:
     return f"{name}: {len(moves)} command{'s' * (len(moves) > 1)}, up to {fastest:.4g} deg/s{reach}"
 
 
-# ------------------------------------------------------------------------------------------------- before a first run
-
-
 @dataclass(frozen=True)
 class Tried:
     """Something that a run needs, tried on the device itself."""

@@ -136,9 +136,6 @@ _LINE_OPTIONS: Final[Mapping[str, tuple[object, ...]]] = {
 _TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
 
 
-# ---------------------------------------------------------------------------------------------------------- options
-
-
 def option_names(driver: str) -> dict[str, str]:
     """The options of a driver as the file spells them -> the fields of its configuration."""
     return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(_known(driver).config())}
@@ -241,9 +238,6 @@ def _devices(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], Device]]:
     found.extend(("axis", ("axis", index), axis) for index, axis in enumerate(rig.axis))
     found.extend(("imu", ("imu", index), imu) for index, imu in enumerate(rig.imu))
     return found
-
-
-# ------------------------------------------------------------------------------------------------------------ bench
 
 
 @dataclass
@@ -351,9 +345,6 @@ def open_rig(
     return bench
 
 
-# ------------------------------------------------------------------------------------------------------------ check
-
-
 @dataclass(frozen=True)
 class DeviceReport:
     """What a device said of itself, or the sentence that says why it did not."""
@@ -418,9 +409,6 @@ def require_identity(name: str, entry: Device, identity: Identity) -> None:
             f"{name} at {entry.port} is number {identity.serial_number or '(it tells none)'}, and the rig file says "
             f"{entry.serial_number}. Connect the right device or correct the rig file."
         )
-
-
-# ----------------------------------------------------------------------------------------------------------- schema
 
 
 def with_options(schema: dict[str, Any]) -> dict[str, Any]:

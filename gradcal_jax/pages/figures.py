@@ -164,9 +164,6 @@ def found_pictures(calibration: Calibration) -> list[Picture]:
     return found
 
 
-# ---------------------------------------------------------------------------------------------------------------- maps
-
-
 def _holds(outer: MapFact, inner: MapFact) -> bool:
     if (outer.axis, outer.quantity) != (inner.axis, inner.quantity):
         return False
@@ -279,9 +276,6 @@ def _tick(value: float, _place: int) -> str:
 
 def picture_key(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "requirement"
-
-
-# ----------------------------------------------------------------------------------------------------------------- SVG
 
 
 def picture(

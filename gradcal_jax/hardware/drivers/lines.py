@@ -39,8 +39,7 @@ from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .base import ChamberDriver, ExchangeDriver
-from .mean_rate import MeanRate
+from .base import ChamberDriver, ExchangeDriver, MeanRate
 
 Texts = dict[str, str]
 """Fields as the device wrote them."""

@@ -10,7 +10,7 @@ for devices without that setting.
 Unverified on real hardware: `velocity_factor` and `acceleration_factor` (data value per microstep/s and microstep/s²;
 time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver asks for it and
 then demands a check sum of every reply if it was granted and the next reply carries one (`reply_checksum` tells).
-Rates are not read from the device (see `mean_rate`).
+Rates are not read from the device (see `base.MeanRate`).
 
 Firmware 6 calls its identity `deviceid`, firmware 7 `device.id`. Settings outlive a session: they are set only where
 they differ (whether a stage writes them to its flash memory at each `set` is open), and put back at the end.
@@ -28,8 +28,7 @@ from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .base import ExchangeDriver
-from .mean_rate import MeanRate
+from .base import ExchangeDriver, MeanRate
 
 WARNINGS = {
     "FF": "critical system error",

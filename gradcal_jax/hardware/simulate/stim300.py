@@ -104,8 +104,6 @@ class SimulatedStim300:
         first = self.sensor.taken
         return self._datagrams(first, self.sensor.take(count))
 
-    # -------------------------------------------------------------------------------------------------- Normal Mode
-
     def _rate_hz(self) -> float:
         return RATES_HZ[int(self._registers["im"])]
 
@@ -173,8 +171,6 @@ class SimulatedStim300:
         elif text == "R":
             self.reboot()
         return b""
-
-    # ------------------------------------------------------------------------------------------------- Utility Mode
 
     def _utility(self, text: str) -> bytes:
         match = re.fullmatch(r"(\$([a-z]+)(?:,(.*))?,)(\d+)", text)

@@ -8,7 +8,7 @@ from gradcal_jax.cli.output import Flag, Json, SpecPath, as_json
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.predict import counted_as_zero
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import columns, times
+from gradcal_jax.pages.plain_text import columns, times_text
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _sensor(spec: "Spec") -> list[str]:
 def _standard(schedule: "StandardSchedule") -> list[str]:
     temperatures = ", ".join(f"{temperature:g}" for temperature in schedule.temperatures)
     lines = [
-        "plan: standard method, " + times(schedule.duration, schedule.soak, schedule.motion, "integration"),
+        "plan: standard method, " + times_text(schedule.duration, schedule.soak, schedule.motion, "integration"),
         f"  at {temperatures} degC: soak {time_text(schedule.soak_each)}",
     ]
     rates = ", ".join(f"{math.degrees(rate):g}" for rate in schedule.rates)
@@ -126,7 +126,7 @@ def _standard(schedule: "StandardSchedule") -> list[str]:
 
 
 def _gradient(schedule: "GradientSchedule") -> list[str]:
-    total = times(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
+    total = times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
     lines = [f"plan: gradient method, {total}; {len(schedule.segments)} segments"]
     rows: list[tuple[str, ...]] = []
     for segment in schedule.segments[:_MOST_ROWS]:
@@ -255,7 +255,7 @@ def _summary_of_unit(spec: "UnitSpec") -> list[str]:
         f"table: {', '.join(axis.name for axis in table.axis)} (outermost first)"
         + (f"; {len(table.mounting)} mountings" if len(table.mounting) > 1 else "")
     )
-    lines.append("plan: " + times(schedule.duration, schedule.soak, schedule.motion, "temperature motion"))
+    lines.append("plan: " + times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion"))
     made = sum(stretch.cycles for stretch in schedule.stretches)
     lines.append(f"cycle: {time_text(schedule.period)}, made {made} times")
     rows = [_row_of_unit(step, table) for step in schedule.steps[:_MOST_OF_UNIT]]

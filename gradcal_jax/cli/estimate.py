@@ -159,12 +159,12 @@ def estimate(
         use_float64()
         from gradcal_jax.api.estimate_options import Options
         from gradcal_jax.api.unit_estimate import estimate_units, unit_estimate_rows
-        from gradcal_jax.cli.unit_estimate import say_units, text_of_unit
+        from gradcal_jax.cli.unit_estimate import say_units, text_of_estimate
 
         sources = {"log": ", ".join(path.name for path in paths), "spec": (spec or recipe or Path()).name}
         found = estimate_units(model, logs, units=unit, options=Options(**options, robust=robust), sources=sources)
         said = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
-        status = say_units(found, said, text_of_unit, unit_estimate_rows, files, json=json)
+        status = say_units(found, said, text_of_estimate, unit_estimate_rows, files, json=json)
         if plot is not None:
             from gradcal_jax.plots.unit_calibration import draw_unit_estimate
 

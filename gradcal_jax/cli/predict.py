@@ -11,7 +11,7 @@ from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Plot, SpecPath, as_json, drawable, save_figure
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import amount, columns, times
+from gradcal_jax.pages.plain_text import amount, columns, times_text
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -114,7 +114,8 @@ def compare(
 
 def text(prediction: "Prediction", name: str) -> str:
     """A prediction as people read it: ppm, deg/h, hours."""
-    lines = [strong(prediction.title or name), times(prediction.duration_s, prediction.soak_s, prediction.motion_s), ""]
+    times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
+    lines = [strong(prediction.title or name), times, ""]
     if prediction.requirements:
         several = len({row.axis for row in prediction.requirements} & {"x", "y", "z"}) > 1
         head = ("requirement", "statistic", "residual (1σ)", "at worst", "target", "verdict")

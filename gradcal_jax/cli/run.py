@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gradcal_jax.files.recipe import Recipe
     from gradcal_jax.files.rig import RigFile
     from gradcal_jax.hardware.execute import Attended
-    from gradcal_jax.hardware.runner import Progress, Runner, RunResult
+    from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
 
@@ -233,7 +233,7 @@ class _Watcher:
         self._last: tuple[str, str] = ("", "")
         self._runner: Runner | None = None
         self._asked = False
-        self._news: SimpleQueue[Progress | None] = SimpleQueue()
+        self._news: SimpleQueue[RunProgress | None] = SimpleQueue()
         self._shows = threading.Thread(target=self._show_all, daemon=True, name="showing the run")
 
     def __enter__(self) -> "_Watcher":
@@ -265,7 +265,7 @@ class _Watcher:
         for progress in iter(self._news.get, None):
             self._show(progress)
 
-    def _show(self, progress: "Progress") -> None:
+    def _show(self, progress: "RunProgress") -> None:
         now = (progress.state.value, progress.step)
         if self._terminal is not None and self._terminal.asking:
             # Somebody types on this line.
@@ -304,7 +304,7 @@ def _known(folder: Path) -> Any:
     return json_module.loads(said.stdout)
 
 
-def progress_text(progress: "Progress", simulated: bool) -> str:
+def progress_text(progress: "RunProgress", simulated: bool) -> str:
     """State, step, temperatures, angles and time left, in one line."""
     parts = ["simulated" if simulated else "", progress.state.value]
     parts.append(f"step {min(progress.steps_done + 1, progress.steps)} of {progress.steps}, {progress.step}")

@@ -63,7 +63,7 @@ def _tests(report: "UnitReport | HandReport") -> str:
     return table(rows, right=(1, 2, 3))
 
 
-def text_of_unit(report: "UnitReport") -> str:
+def text_of_estimate(report: "UnitReport") -> str:
     found, model = report.calibration, report.built.model
     lines = _head(report, f"{np.count_nonzero(report.found.used)} rows of {len(model.channels)} channels")
     shown = [("requirement", "statistic", "residual (1σ)", "of", "target", "verdict")]

@@ -11,7 +11,7 @@ from ..files.unit_spec import UnitSpec
 from ..files.writing import write_whole
 from .clock import RealClock
 from .run_folder import RunFolder, mounting_of, new_folder, prepare_resume
-from .runner import Progress, Runner, RunResult
+from .runner import Runner, RunProgress, RunResult
 from .session import run_session
 from .setup import configs_of
 from .simulate.lab import SimulatedLab
@@ -30,7 +30,7 @@ _ONE: Final = "one sensor hangs on the simulated table of a single axis"
 class Attended(TypedDict, total=False):
     """For whoever watches a run, as `session.run_session` takes them."""
 
-    on_progress: Callable[[Progress], None]
+    on_progress: Callable[[RunProgress], None]
     with_runner: Callable[[Runner], None]
     wait_when_paused: bool
     handle_signals: bool

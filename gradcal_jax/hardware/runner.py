@@ -84,7 +84,7 @@ class RunResult:
 
 
 @dataclass(frozen=True)
-class Progress:
+class RunProgress:
     """For whoever shows it: handed to `on_progress` once a chamber reading, in the run's own thread: the run waits for
     whoever does not return at once."""
 
@@ -123,7 +123,7 @@ class Runner:
     journal: Journal
     clock: Clock
     interlocks: Interlocks = field(default_factory=standard_rules)
-    on_progress: Callable[[Progress], None] | None = None
+    on_progress: Callable[[RunProgress], None] | None = None
     on_alarm: Callable[[str], None] | None = None
     chamber_every_s: float = 5.0
     safe_deadline_s: float = 60.0
@@ -561,9 +561,8 @@ class Runner:
             (None, None) if duty is None else (duty.newest, duty.expected.of_late(self.clock.now(), lag_s))
         )
         samples = {name: (losses.received, losses.missing) for name, losses in self._losses.items()}
-        self.on_progress(
-            Progress(self.state, step.name, done, len(steps), left, ahead, newest, self._axes.newest, course_c, samples)
-        )
+        where = self.state, step.name, done, len(steps)
+        self.on_progress(RunProgress(*where, left, ahead, newest, self._axes.newest, course_c, samples))
 
     def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
         """Make safe, and say so in the journal if it can still be written."""

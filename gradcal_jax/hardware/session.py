@@ -18,11 +18,11 @@ from .binding import track_of
 from .clock import Clock
 from .errors import HardwareError
 from .guard import BEAT_S, Guard, guarded
-from .interlocks import Interlocks, Limits, standard_rules
+from .interlocks import InterlockLimits, Interlocks, standard_rules
 from .journal import Journal, Recorder
 from .pose import drawing_of
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
-from .runner import Progress, Runner, RunResult, State
+from .runner import Runner, RunProgress, RunResult, State
 from .setup import open_rig
 from .supervision import Knows, StatusFile, sound_alarm
 from .terminal import Terminal
@@ -40,7 +40,7 @@ def run_session(
     simulated: bool = False,
     guard: bool = False,
     interlocks: Interlocks | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: Callable[[RunProgress], None] | None = None,
     with_runner: Callable[[Runner], None] | None = None,
     handle_signals: bool = False,
     safe_deadline_s: float = 60.0,
@@ -79,13 +79,13 @@ def run_session(
                 require_same_devices(bench, resumed)
         status = stack.enter_context(StatusFile(folder.path, simulated=simulated, knows=knows))
 
-        def show(progress: Progress) -> None:
+        def show(progress: RunProgress) -> None:
             status.show(progress)
             if on_progress is not None:
                 on_progress(progress)
 
         chamber = rig.chamber
-        limits = None if chamber is None else Limits(float(chamber.band), float(chamber.lag))
+        limits = None if chamber is None else InterlockLimits(float(chamber.band), float(chamber.lag))
         runner = Runner(
             track,
             bench,

@@ -24,7 +24,7 @@ from .errors import HardwareError, WrongIdentity
 from .journal import Recorder
 from .roles import AxisLimits, Chamber, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis
 from .settings import KeptSettings
-from .terminal import Line, Terminal
+from .terminal import Terminal, TextLine
 from .transport import Transport
 
 Role = Literal["chamber", "axis", "imu"]
@@ -293,7 +293,7 @@ def open_rig(
     bench = Bench(rig)
     exchanges: dict[str, Any] = {}
 
-    def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> Line:
+    def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> TextLine:
         url = device.port
         recorder = recorder_of(url) if recorder_of is not None else None
         if url == TERMINAL:

@@ -16,7 +16,7 @@ from typing import Any, Final
 from ..files.rig import RigFile
 from ..files.writing import write_whole
 from .journal import json_of
-from .runner import Progress, RunResult
+from .runner import RunProgress, RunResult
 
 STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
@@ -54,7 +54,7 @@ class StatusFile:
             self._change.notify_all()
         self._writer.join(timeout=5.0)
 
-    def show(self, progress: Progress) -> None:
+    def show(self, progress: RunProgress) -> None:
         """How the run stands."""
         said = asdict(progress)
         self._put({**said, "state": progress.state.value})

@@ -19,7 +19,7 @@ _CLEAR = "\r\x1b[2K"
 
 
 @runtime_checkable
-class Line(Protocol):
+class TextLine(Protocol):
     """What a driver of text needs of a `Transport`."""
 
     url: str

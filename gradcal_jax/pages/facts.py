@@ -6,7 +6,7 @@ from gradcal_jax.api.ieee_terms import Term, standard_terms
 from gradcal_jax.files.calibration import AxisCalibration
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, example_of, exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameters
-from gradcal_jax.pages.course import Course, course_of
+from gradcal_jax.pages.course import RunCourse, course_of
 from gradcal_jax.pages.provenance import assumed_noise, provenance_of
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, hidden_by_structure, requirements_of
 from gradcal_jax.pages.sources import Sources
@@ -37,7 +37,7 @@ class Facts(NamedTuple):
     examples: tuple[ExampleFact, ...]
     exports: tuple[ExportFact, ...]
     assumed: tuple[tuple[str, str], ...]
-    course: Course | None
+    course: RunCourse | None
     provenance: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     maps: tuple[MapFact, ...]

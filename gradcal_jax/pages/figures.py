@@ -17,7 +17,7 @@ from gradcal_jax import plots
 from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.pages.course import Course
+from gradcal_jax.pages.course import RunCourse
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor, draw_residual_parts, draw_residuals
@@ -88,7 +88,7 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
     return found
 
 
-def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture]:
+def track_pictures(recipe: Recipe | None, course: RunCourse | None) -> list[Picture]:
     """Temperature and motion: planned, and done where a run is known."""
     found: list[Picture] = []
     if recipe is not None:
@@ -118,7 +118,7 @@ def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture
     return found
 
 
-def done_pictures(course: Course | None) -> list[Picture]:
+def done_pictures(course: RunCourse | None) -> list[Picture]:
     """Temperature and motion of a run alone."""
     if course is None:
         return []

@@ -15,7 +15,7 @@ from gradcal_jax.pages.figures import done_pictures, found_pictures, map_picture
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.panel import panel_of
-from gradcal_jax.pages.plain_text import times
+from gradcal_jax.pages.plain_text import times_text
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.pages.unit import found_unit_pictures, unit_pictures, unit_words
@@ -83,7 +83,7 @@ def _words(facts: Facts, recipe: Recipe | None) -> dict[str, Any]:
     return {
         "unit": None,
         "verdict": _verdict(facts),
-        "times": "" if plan is None else times(plan.duration_s, plan.soak_s, plan.motion_s) + ".",
+        "times": "" if plan is None else times_text(plan.duration_s, plan.soak_s, plan.motion_s) + ".",
         "chamber": [] if recipe is None else chamber_words(recipe),
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),

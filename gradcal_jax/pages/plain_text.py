@@ -15,7 +15,7 @@ def amount(value: float | None, unit: str) -> str:
     return "not observable" if value is None else f"{value:.4g} {unit}"
 
 
-def times(duration_s: float, soak_s: float, motion_s: float, motion: str = "motion") -> str:
+def times_text(duration_s: float, soak_s: float, motion_s: float, motion: str = "motion") -> str:
     """How long a plan lasts, its soaks, and its motion."""
     return f"{time_text(duration_s)} in all: soak {time_text(soak_s)}, {motion} {time_text(motion_s)}"
 

@@ -19,7 +19,7 @@ from gradcal_jax.pages.course import course_of
 from gradcal_jax.pages.facts import AxisFact, Facts
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
-from gradcal_jax.pages.plain_text import times
+from gradcal_jax.pages.plain_text import times_text
 from gradcal_jax.pages.provenance import provenance_of
 from gradcal_jax.pages.requirements import RequirementFact, fact_of, result_alone
 from gradcal_jax.pages.sources import Sources
@@ -222,7 +222,7 @@ def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
         return {"times": "", "moves": [], "more": ""}
     schedule = spec.schedule
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
-    lasts = times(schedule.duration, schedule.soak, schedule.motion)
+    lasts = times_text(schedule.duration, schedule.soak, schedule.motion)
     rows = [
         (
             spec.rig.table.axis[step.axis].name if step.axis >= 0 else "",

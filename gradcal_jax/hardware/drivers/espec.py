@@ -73,7 +73,7 @@ class EspecConfig:
 
 
 @dataclass(frozen=True)
-class Temperatures:
+class ChamberTemperatures:
     """Reply to `TEMP?`, °C."""
 
     measured_c: float
@@ -101,12 +101,12 @@ def reply_text(frame: bytes) -> str:
     return text
 
 
-def parse_temperatures(frame: bytes) -> Temperatures:
+def parse_temperatures(frame: bytes) -> ChamberTemperatures:
     match = _TEMPERATURE.fullmatch(reply_text(frame))
     if match is None:
         raise FramingError(f"TEMP? was answered {printable(frame)!r}; four temperatures were expected.")
     measured, setpoint, high, low = (float(field) for field in match.groups())
-    return Temperatures(measured, setpoint, high, low)
+    return ChamberTemperatures(measured, setpoint, high, low)
 
 
 def parse_mode(frame: bytes) -> str:

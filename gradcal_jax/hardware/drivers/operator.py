@@ -25,7 +25,7 @@ from ..clock import Clock
 from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, SafeReport
 from ..settings import KeptSettings
-from ..terminal import Line
+from ..terminal import TextLine
 from ..track import Move
 
 _BELL = "\a"
@@ -67,7 +67,7 @@ def nearest_turn_deg(shown_deg: float, goal_deg: float) -> float:
 class Console:
     """One terminal, one question at a time. Lines that come without a question are passed over."""
 
-    def __init__(self, line: Line, clock: Clock) -> None:
+    def __init__(self, line: TextLine, clock: Clock) -> None:
         self._line, self._clock = line, clock
         self._typed = b""
         self._answers: deque[tuple[str, float]] = deque()
@@ -117,7 +117,7 @@ class Console:
             self._answers.extend((text.decode("utf-8", "replace"), time_s) for text in lines)
 
 
-def open_exchange(line: Line, clock: Clock, config: OperatorConfig) -> Console:
+def open_exchange(line: TextLine, clock: Clock, config: OperatorConfig) -> Console:
     del config
     return Console(line, clock)
 

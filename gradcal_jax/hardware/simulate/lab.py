@@ -162,7 +162,7 @@ def rate_truth(section: Any) -> TruthBasis:
     return TruthBasis("bins", knots=dps(section.edges))
 
 
-class Laboratory:
+class OnPorts:
     """Simulated devices on ports, which are open while inside; `rig` is the rig file."""
 
     ports: list[SimulatedPort]
@@ -178,7 +178,7 @@ class Laboratory:
             port.close()
 
 
-class SimulatedLab(Laboratory):
+class SimulatedLab(OnPorts):
     """The laboratory for one recipe's spec. A context manager; `rig` is its rig file.
 
     `burst_s` is how often the sensor's bytes reach the computer; a longer one costs less time. `room_c` is where the

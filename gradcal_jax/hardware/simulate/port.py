@@ -30,14 +30,14 @@ _TO_FETCH_S = 0.2
 
 
 @runtime_checkable
-class Device(Protocol):
+class SimulatedDevice(Protocol):
     """A device that answers. `receive` takes bytes as they come, in any pieces, and returns whole messages."""
 
     def receive(self, data: bytes) -> list[bytes]: ...
 
 
 @runtime_checkable
-class StreamingDevice(Device, Protocol):
+class StreamingDevice(SimulatedDevice, Protocol):
     """A device that also speaks by itself."""
 
     def next_emission_s(self) -> float | None:
@@ -58,7 +58,7 @@ class SimulatedPort:
 
     def __init__(
         self,
-        device: Device | StreamingDevice,
+        device: SimulatedDevice | StreamingDevice,
         clock: Clock,
         *,
         faults: Faults | None = None,

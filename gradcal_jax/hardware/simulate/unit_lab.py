@@ -16,7 +16,7 @@ from ...files.unit_sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from .espec import EspecOptions, SimulatedEspec
-from .lab import Laboratory, axis_tables, chain_of, chamber_truth, lab_rig, rate_truth, temperature_truth, unit_options
+from .lab import OnPorts, axis_tables, chain_of, chamber_truth, lab_rig, rate_truth, temperature_truth, unit_options
 from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth, ChamberPlant
 from .port import SimulatedPort
@@ -227,7 +227,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
     return truth, encoders, named
 
 
-class SimulatedUnitLab(Laboratory):
+class SimulatedUnitLab(OnPorts):
     """The laboratory for one recipe's spec, with `units` units on the table. A context manager; `rig` is its rig file.
 
     `mounting`: how the units hang when it begins, from 0. `burst_s` is how often a unit's bytes reach the computer.

@@ -101,7 +101,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         complain(_too_large(error))
         return WRONG_INPUT
     except Exception as error:
-        status = FAILED if _is_of_hardware(error) else WRONG_INPUT
+        # Whether a device or a run failed; the hardware room is asked only where a command has loaded it.
+        errors = sys.modules.get("gradcal_jax.hardware.errors")
+        status = FAILED if errors is not None and isinstance(error, errors.HardwareError) else WRONG_INPUT
         if "RESOURCE_EXHAUSTED" in str(error):
             complain(_too_large(error))
             return WRONG_INPUT
@@ -130,12 +132,6 @@ def _wide(tokens: Sequence[str]) -> Any:
     from rich.console import Console
 
     return Console(width=120, no_color=True, soft_wrap=True)
-
-
-def _is_of_hardware(error: Exception) -> bool:
-    """Whether a device or a run failed; the hardware room is asked only where a command has loaded it."""
-    errors = sys.modules.get("gradcal_jax.hardware.errors")
-    return errors is not None and isinstance(error, errors.HardwareError)
 
 
 def _sentence(error: Exception) -> str:

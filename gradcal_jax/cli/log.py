@@ -54,28 +54,14 @@ def turns(
 
     marked, found = with_turns(recorded, said, axis=axis or 0, unit=unit or 0)
     write_log(marked, output)
+    found_deg = [(t.begin_s, t.end_s, np.degrees(t.said_rad), np.degrees(t.sensed_rad)) for t in found]
     if json:
-        rows = [
-            {
-                "begin_s": t.begin_s,
-                "end_s": t.end_s,
-                "said_deg": np.degrees(t.said_rad),
-                "sensed_deg": np.degrees(t.sensed_rad),
-            }
-            for t in found
-        ]
+        names = ("begin_s", "end_s", "said_deg", "sensed_deg")
+        rows = [dict(zip(names, row, strict=True)) for row in found_deg]
         print(as_json({"log": str(output), "axis": marked.table_axes[0], "turns": rows}))
         return DONE
     shown = [("from", "to", "said", "by the sensor")]
-    shown += [
-        (
-            f"{t.begin_s:.5g} s",
-            f"{t.end_s:.5g} s",
-            f"{np.degrees(t.said_rad):.6g} deg",
-            f"{np.degrees(t.sensed_rad):.6g} deg",
-        )
-        for t in found
-    ]
+    shown += [(f"{b:.5g} s", f"{e:.5g} s", f"{said:.6g} deg", f"{felt:.6g} deg") for b, e, said, felt in found_deg]
     print(columns(shown, indent="", right=(0, 1, 2, 3)))
     print(f"wrote {output}; next: gradcal estimate {output} --spec SPEC --axis {marked.table_axes[0]}")
     return DONE

@@ -1,5 +1,6 @@
 """`gradcal sweep` and `gradcal recipes`: many plans at once, on this machine's cores or a cluster's."""
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -148,11 +149,11 @@ def _estimate(found: "Estimate") -> dict[str, Any]:
 
 
 def _estimated(found: "Estimate", job: "Sweep") -> str:
+    fails = f"; the first says: {found.first_failure}" if found.failing else ""
     lines = [
         strong(job.file.title or "the sweep"),
         f"{found.points} points in {found.chunks} chunks on {found.workers} workers",
-        f"of the first chunk {found.failing} fail"
-        + (f"; the first says: {found.first_failure}" if found.failing else ""),
+        f"of the first chunk {found.failing} fail{fails}",
         f"a chunk takes {time_text(found.first_chunk_s)} at first, {time_text(found.next_chunk_s)} after that",
         f"expected: {time_text(max(found.seconds, 1.0))}",
     ]
@@ -164,10 +165,7 @@ def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
     import numpy as np
 
     failed = int(np.count_nonzero(results["failure"].values != ""))
-    reasons: dict[str, int] = {}
-    for reason in results["failure"].values.ravel():
-        if reason:
-            reasons[str(reason)] = reasons.get(str(reason), 0) + 1
+    reasons = Counter(str(reason) for reason in results["failure"].values.ravel() if reason)
     axes = [str(name) for name in results.coords if name != "sensor_axis"]
     rows: list[dict[str, Any]] = []
     for name, variable in results.data_vars.items():
@@ -192,12 +190,11 @@ def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
                 "least_at": {axis: _plain(results[axis].values[at[str(results[axis].dims[0])]]) for axis in axes},
             }
         rows.append(row | {word: int(np.count_nonzero(verdicts == word)) for word in _VERDICTS})
-    most = max(reasons.items(), key=lambda item: item[1]) if reasons else None
     return {
         "status": results.attrs["status"],
         "points": int(results["failure"].size),
         "failed": failed,
-        "commonest_reason": most[0] if most else None,
+        "commonest_reason": reasons.most_common(1)[0][0] if reasons else None,
         "requirements": rows,
     }
 
@@ -222,11 +219,9 @@ def text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
     lines += ["", columns(table, indent="")]
     for row in summary["requirements"]:
         if row["least"] is not None:
-            where = ", ".join(
-                f"{axis} {value:.6g}" if isinstance(value, float) else f"{axis} {value}"
-                for axis, value in row["least_at"].items()
-            )
-            lines.append(f"{row['name']}: least at {where}")
+            places = row["least_at"].items()
+            where = (f"{axis} {value:.6g}" if isinstance(value, float) else f"{axis} {value}" for axis, value in places)
+            lines.append(f"{row['name']}: least at {', '.join(where)}")
     return "\n".join([*lines, f"results: {output}"])
 
 

@@ -9,17 +9,13 @@ from functools import reduce
 BIT_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 
 
-def _reflected_table(polynomial: int) -> tuple[int, ...]:
-    table: list[int] = []
-    for value in range(256):
-        register = value
-        for _ in range(8):
-            register = (register >> 1) ^ polynomial if register & 1 else register >> 1
-        table.append(register)
-    return tuple(table)
+def _modbus_of(byte: int) -> int:
+    for _ in range(8):
+        byte = (byte >> 1) ^ 0xA001 if byte & 1 else byte >> 1
+    return byte
 
 
-_MODBUS = _reflected_table(0xA001)
+_MODBUS = tuple(map(_modbus_of, range(256)))
 
 
 def crc16_modbus(data: bytes) -> bytes:

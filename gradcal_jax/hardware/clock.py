@@ -6,7 +6,7 @@ that is ordinary waiting; for simulated devices alone, `simulate.virtual_clock` 
 
 import time
 from contextlib import AbstractContextManager, nullcontext
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 # Linux's monotonic clock stands still while the computer sleeps, and the devices go on: this one does not.
 _RUNS_ON = getattr(time, "CLOCK_BOOTTIME", None)
@@ -16,7 +16,6 @@ def _running_s() -> float:
     return time.monotonic() if _RUNS_ON is None else time.clock_gettime(_RUNS_ON)
 
 
-@runtime_checkable
 class Link(Protocol):
     """Accounts for the bytes on their way over one line, so that virtual time does not overtake them."""
 
@@ -27,7 +26,6 @@ class Link(Protocol):
         ...
 
 
-@runtime_checkable
 class Clock(Protocol):
     """Monotonic time in seconds, and waiting on it."""
 

@@ -4,7 +4,7 @@ A framer takes chunks of any size and gives whole frames; how the stream was cut
 framers of single devices (datagrams, packets) stand beside their codecs; here are those that several devices share.
 """
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from .checksums import crc16_modbus
 
@@ -12,7 +12,6 @@ from .checksums import crc16_modbus
 _SHORTEST_TCP, _LONGEST_TCP = 3, 254
 
 
-@runtime_checkable
 class Framer(Protocol):
     """Cuts a stream into frames."""
 
@@ -24,14 +23,9 @@ class Framer(Protocol):
         """Forget an unfinished frame, after a time-out or a re-opened port."""
         ...
 
-    @property
-    def pending(self) -> bytes:
-        """The bytes of the unfinished frame."""
-        ...
-
 
 class BufferedFramer:
-    """What every framer has."""
+    """What every framer has; `pending` are the bytes of the unfinished frame."""
 
     def __init__(self) -> None:
         self._buffer: bytes = b""

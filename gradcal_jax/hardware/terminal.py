@@ -9,7 +9,7 @@ import os
 import select
 import sys
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from .clock import Clock, RealClock
 from .errors import Disconnected, HardwareError
@@ -18,7 +18,6 @@ from .journal import Recorder
 _CLEAR = "\r\x1b[2K"
 
 
-@runtime_checkable
 class TextLine(Protocol):
     """What a driver of text needs of a `Transport`."""
 

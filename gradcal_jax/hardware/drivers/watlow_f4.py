@@ -78,10 +78,14 @@ def _checked(frame: bytes, address: int, function: int) -> bytes:
     if frame[0] != address or frame[1] & 0x7F != function:
         raise NotThisReply
     if frame[1] & 0x80:
-        code = frame[2]
-        meaning = EXCEPTIONS.get(code, "unknown")
-        raise Rejected(f"The controller refuses: exception {code} ({meaning}).", code=str(code), text=meaning)
+        raise exception_of(frame[2])
     return frame[2:-2]
+
+
+def exception_of(code: int) -> Rejected:
+    """What a Modbus exception says."""
+    meaning = EXCEPTIONS.get(code, "unknown")
+    return Rejected(f"The controller refuses: exception {code} ({meaning}).", code=str(code), text=meaning)
 
 
 def parse_registers(frame: bytes, address: int, count: int) -> tuple[int, ...]:
@@ -142,8 +146,7 @@ class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
         air = self._temperature(PROCESS_VALUE[1], 1)
         time_s = self._clock.now()
         (status,) = self._read(STATUS)
-        profile = status in (2, 3)
-        set_point = self._temperature(PROFILE_SET_POINT if profile else SET_POINT, 1)
+        set_point = self._temperature(PROFILE_SET_POINT if status in (2, 3) else SET_POINT, 1)
         product = self._config.product_input
         conditioning = True
         if self._config.conditioning_event:

@@ -22,7 +22,7 @@ from ..framing import ModbusTcpFramer
 from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
 from .base import ChamberDriver
-from .watlow_f4 import EXCEPTIONS
+from .watlow_f4 import exception_of
 
 OFF, ON, AUTO = 62, 63, 10
 CELSIUS, MINUTES, RAMP_AT_SET_POINT, RAMP_ALWAYS, TERMINATE = 15, 57, 85, 13, 148
@@ -91,9 +91,7 @@ def parse_reply(frame: bytes, sent: bytes) -> bytes:
     if frame[:2] != sent[:2] or frame[6] != sent[6] or frame[7] & 0x7F != sent[7]:
         raise NotThisReply
     if frame[7] & 0x80:
-        code = frame[8]
-        meaning = EXCEPTIONS.get(code, "unknown")
-        raise Rejected(f"The controller refuses: exception {code} ({meaning}).", code=str(code), text=meaning)
+        raise exception_of(frame[8])
     return frame[8:]
 
 

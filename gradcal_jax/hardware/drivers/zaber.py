@@ -154,16 +154,9 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
             model = self._setting("deviceid")  # the name of firmware 6
         self.reply_checksum = self._ask("get system.serial", axis=0).checked
         serial, firmware = self._setting("system.serial"), self._setting("version")
-        return Identity(
-            "zaber",
-            f"device {model}",
-            serial,
-            firmware,
-            {
-                "microsteps a turn": f"{self._turn():g}",
-                "replies": "with check sum" if self.reply_checksum else "without check sum",
-            },
-        )
+        replies = "with check sum" if self.reply_checksum else "without check sum"
+        details = {"microsteps a turn": f"{self._turn():g}", "replies": replies}
+        return Identity("zaber", f"device {model}", serial, firmware, details)
 
     def limits(self) -> AxisLimits:
         turn = self._turn()
@@ -208,10 +201,9 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         limits = self.limits()
-        beyond = (limits.lowest_deg is not None and position_deg < limits.lowest_deg - 1e-9) or (
+        if (limits.lowest_deg is not None and position_deg < limits.lowest_deg - 1e-9) or (
             limits.highest_deg is not None and position_deg > limits.highest_deg + 1e-9
-        )
-        if beyond:
+        ):
             raise LimitExceeded(
                 f"{position_deg:g} deg lies outside the travel {limits.lowest_deg:g} to {limits.highest_deg:g} deg."
             )

@@ -29,7 +29,6 @@ if sys.platform != "win32":
 _TO_FETCH_S = 0.2
 
 
-@runtime_checkable
 class SimulatedDevice(Protocol):
     """A device that answers. `receive` takes bytes as they come, in any pieces, and returns whole messages."""
 

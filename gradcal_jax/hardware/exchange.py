@@ -37,8 +37,8 @@ class Exchange:
         clock: Clock,
         device: str,
         reply_timeout_s: float,
-        *,
         min_interval_s: float = 0.0,
+        *,
         settle_s: float = 0.05,
         tries: int = 3,
     ) -> None:

@@ -14,7 +14,7 @@ from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.applying import exports_of
-from gradcal_jax.pages.coefficients import ParameterFact, agreement_of
+from gradcal_jax.pages.coefficients import ParameterFact, agreement_of, deviations_of, parameter_fact
 from gradcal_jax.pages.course import course_of
 from gradcal_jax.pages.facts import AxisFact, Facts
 from gradcal_jax.pages.figures import Picture, picture, picture_key
@@ -92,10 +92,7 @@ def _parameters(
     predicted = {} if found is None else {row.name: row for row in found.parameters}
     if calibration is None:
         return [_parameter(row.name, row.unit, None, None, row.std, None) for row in predicted.values()]
-    stds: dict[str, float] = {}
-    if calibration.covariance is not None:
-        variances = np.diag(np.array(calibration.covariance.matrix))
-        stds = dict(zip(calibration.covariance.names, np.sqrt(variances).tolist(), strict=True))
+    stds = deviations_of(calibration.covariance)
     rows: list[ParameterFact] = []
     for channel in calibration.channel:
         for term in channel.term:
@@ -106,17 +103,10 @@ def _parameters(
     return rows
 
 
-def _parameter(
-    name: str, si: str, value: float | None, std: float | None, predicted: float | None, truth: float | None
-) -> ParameterFact:
+def _parameter(name: str, si: str, *numbers: float | None) -> ParameterFact:
     channel, _, symbol = name.partition(".")
     kind, _, axis = channel.rpartition("_")
-    unit, factor = UNITS_OF_TERMS.get(si, (si, 1.0))
-    off = None if value is None or truth is None or not std else (value - truth) / std
-    value, std, predicted, truth = (
-        None if number is None else number * factor for number in (value, std, predicted, truth)
-    )
-    return ParameterFact(symbol, axis, kind, unit, value, std, predicted, truth, off)
+    return parameter_fact(symbol, axis, kind, *UNITS_OF_TERMS.get(si, (si, 1.0)), *numbers)
 
 
 def _found_of(calibration: UnitCalibration, hidden: dict[str, float]) -> AxisFact:

@@ -144,9 +144,8 @@ def parse_acknowledgement(frame: bytes, command: str) -> None:
 
 
 def open_exchange(transport: Transport, clock: Clock, config: EspecConfig) -> Exchange:
-    return Exchange(
-        transport, LineFramer(), clock, "The ESPEC chamber", config.reply_timeout_s, min_interval_s=config.query_pause_s
-    )
+    times_s = config.reply_timeout_s, config.query_pause_s
+    return Exchange(transport, LineFramer(), clock, "The ESPEC chamber", *times_s)
 
 
 class EspecChamber(ChamberDriver[EspecConfig]):

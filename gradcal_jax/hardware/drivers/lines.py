@@ -126,14 +126,8 @@ class Codec:
 
 def open_exchange(transport: Transport, clock: Clock, config: LinesConfig) -> Exchange:
     line = config.said.line
-    return Exchange(
-        transport,
-        Codec(config.said).framer(),
-        clock,
-        config.said.title,
-        config.reply_timeout_s or float(line.timeout),
-        min_interval_s=float(line.pause),
-    )
+    times_s = config.reply_timeout_s or float(line.timeout), float(line.pause)
+    return Exchange(transport, Codec(config.said).framer(), clock, config.said.title, *times_s)
 
 
 def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | LinesAxis":

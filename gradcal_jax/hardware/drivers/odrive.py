@@ -222,15 +222,9 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         if errors:
             # A controller with an error has let go of the motor: nothing is under way any more.
             moving = not slow
-        return AxisReading(
-            time_s,
-            self._degrees(turns),
-            config.direction * turns_per_s * 360.0 / config.turns_per_table_turn,
-            moving,
-            ready,
-            errors if ready else (*errors, "the encoder's position is not valid"),
-            self._cleared,
-        )
+        rate = config.direction * turns_per_s * 360.0 / config.turns_per_table_turn
+        faults = errors if ready else (*errors, "the encoder's position is not valid")
+        return AxisReading(time_s, self._degrees(turns), rate, moving, ready, faults, self._cleared)
 
     def home(self) -> None:
         self._clear_errors()

@@ -112,14 +112,8 @@ def unscaled(value: float, decimals: int) -> int:
 
 
 def open_exchange(transport: Transport, clock: Clock, config: WatlowF4Config) -> Exchange:
-    return Exchange(
-        transport,
-        ModbusReplyFramer(config.address),
-        clock,
-        "The Watlow F4 controller",
-        config.reply_timeout_s,
-        min_interval_s=config.min_interval_s,
-    )
+    times_s = config.reply_timeout_s, config.min_interval_s
+    return Exchange(transport, ModbusReplyFramer(config.address), clock, "The Watlow F4 controller", *times_s)
 
 
 class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):

@@ -190,14 +190,8 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
 
 
 def open_exchange(transport: Transport, clock: Clock, config: WeissConfig) -> Exchange:
-    return Exchange(
-        transport,
-        LineFramer(),
-        clock,
-        "The Weiss/Vötsch chamber",
-        config.reply_timeout_s,
-        min_interval_s=config.min_interval_s,
-    )
+    times_s = config.reply_timeout_s, config.min_interval_s
+    return Exchange(transport, LineFramer(), clock, "The Weiss/Vötsch chamber", *times_s)
 
 
 class WeissChamber(ChamberDriver[WeissConfig]):

@@ -166,14 +166,9 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
         endless = high - low >= 2.0**31
         # The data value of a rate is a 32-bit integer.
         fastest = min(self._config.max_rate_dps, 2.0**31 / self._velocity_data())
-        return AxisLimits(
-            fastest,
-            self._config.max_acceleration_dps2,
-            None if endless else ends[0],
-            None if endless else ends[1],
-            360.0 / turn,
-            hardware_watchdog=False,
-        )
+        lowest, highest = (None, None) if endless else ends
+        strongest = self._config.max_acceleration_dps2
+        return AxisLimits(fastest, strongest, lowest, highest, 360.0 / turn, hardware_watchdog=False)
 
     def read(self) -> AxisReading:
         asked_s = self._clock.now()
@@ -183,15 +178,8 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
         rate = self._rates.of(asked_s, time_s, position, moving=reply.busy)
         flag = reply.warning
         text = f"{flag} ({WARNINGS.get(flag, 'see the manual')})"
-        return AxisReading(
-            time_s,
-            position,
-            rate,
-            reply.busy,
-            flag not in _UNREFERENCED,
-            (text,) if flag.startswith("F") else (),
-            (text,) if flag.startswith("W") else (),
-        )
+        faults, warnings = ((text,) if flag.startswith(kind) else () for kind in "FW")
+        return AxisReading(time_s, position, rate, reply.busy, flag not in _UNREFERENCED, faults, warnings)
 
     def home(self) -> None:
         self._ask("home")

@@ -141,14 +141,8 @@ class Runner:
         self._duty: ChamberDuty | None = None
         if self.bench.chamber is not None:
             self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
-        self._axes = AxesDuty(
-            self.bench.axes,
-            self.clock,
-            self._event,
-            self.interlocks.limits.latest_s,
-            self._drawn,
-            keep_track=not self.bench.imus,
-        )
+        latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
+        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
         self._imu_heard_s: dict[str, float] = {}
         self._losses: dict[str, SampleLosses] = {}
         self._unconfirmed: list[ExecutedStep] = []

@@ -266,15 +266,10 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
         known = self._said.limits
         assert known.lowest is not None
         assert known.highest is not None
-        return ChamberLimits(
-            float(known.lowest),
-            float(known.highest),
-            float(known.resolution),
-            "ramp" in self._said.tell,
-            0.0 if known.slowest is None else float(known.slowest) * 60.0,
-            math.inf if known.fastest is None else float(known.fastest) * 60.0,
-            self._ramp_step(),
-        )
+        numbers = float(known.lowest), float(known.highest), float(known.resolution)
+        slowest = 0.0 if known.slowest is None else float(known.slowest) * 60.0
+        fastest = math.inf if known.fastest is None else float(known.fastest) * 60.0
+        return ChamberLimits(*numbers, "ramp" in self._said.tell, slowest, fastest, self._ramp_step())
 
     def read(self) -> ChamberReading:
         texts = self._read("air", "setpoint", "product", *self._asks_of("conditioning", "alarm"))
@@ -382,14 +377,9 @@ class LinesAxis(_Spoken):
             own if own is not None else None if limit is None else units.to_unit(float(limit), "deg")
             for own, limit in ((config.lowest_deg, known.lowest_angle), (config.highest_deg, known.highest_angle))
         ]
-        return AxisLimits(
-            min(rate for rate in fastest if rate is not None),
-            min(acceleration for acceleration in strongest if acceleration is not None),
-            ends[0],
-            ends[1],
-            units.to_unit(float(known.step), "deg"),
-            hardware_watchdog=False,
-        )
+        rate, acceleration = (min(value for value in values if value is not None) for values in (fastest, strongest))
+        step = units.to_unit(float(known.step), "deg")
+        return AxisLimits(rate, acceleration, ends[0], ends[1], step, hardware_watchdog=False)
 
     def read(self) -> AxisReading:
         # Whether it moves first: a position that is read of an axis that stood is where it stands.

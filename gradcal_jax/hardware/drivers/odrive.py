@@ -201,14 +201,9 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         fastest = abs(self._property("controller.config.vel_limit")) * 360.0 / config.turns_per_table_turn
         ends = [abs(self._target(end)) for end in (config.lowest_deg, config.highest_deg) if end is not None]
         farthest = max([abs(self._feedback()[0]), *ends])
-        return AxisLimits(
-            min(config.max_rate_dps, fastest),
-            config.max_acceleration_dps2,
-            config.lowest_deg,
-            config.highest_deg,
-            max(1e-6, _spacing(farthest)) * 360.0 / config.turns_per_table_turn,
-            hardware_watchdog=config.watchdog_s > 0.0,
-        )
+        most = min(config.max_rate_dps, fastest), config.max_acceleration_dps2
+        step_deg = max(1e-6, _spacing(farthest)) * 360.0 / config.turns_per_table_turn
+        return AxisLimits(*most, config.lowest_deg, config.highest_deg, step_deg, config.watchdog_s > 0.0)
 
     def read(self) -> AxisReading:
         config = self._config

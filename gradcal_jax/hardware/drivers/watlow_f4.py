@@ -150,15 +150,9 @@ class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
             (state,) = self._read(201 + 12 * (self._config.limit_input - 1))
             if state == self._config.limit_input_tripped:
                 alarms = (f"limit input {self._config.limit_input}",)
-        return ChamberReading(
-            time_s,
-            air,
-            self._temperature(PROCESS_VALUE[product], product) if product else None,
-            set_point,
-            _MODES.get(status, f"status {status}"),
-            conditioning,
-            alarms,
-        )
+        product_c = self._temperature(PROCESS_VALUE[product], product) if product else None
+        mode = _MODES.get(status, f"status {status}")
+        return ChamberReading(time_s, air, product_c, set_point, mode, conditioning, alarms)
 
     def hold(self, temperature_c: float) -> None:
         low, high = self._range()

@@ -218,15 +218,10 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         time_s = self._clock.now()
         product = self._config.product_channel
         running = record.digital[self._config.start_channel] == "1"
-        return ChamberReading(
-            time_s,
-            record.numbers[layout.actual(layout.temperature)],
-            record.numbers[layout.actual(product)] if product else None,
-            record.numbers[layout.nominal(layout.temperature)],
-            "RUN" if running else "STOP",
-            running,
-            self._faults(),
-        )
+        air_c, setpoint_c = (record.numbers[at(layout.temperature)] for at in (layout.actual, layout.nominal))
+        product_c = record.numbers[layout.actual(product)] if product else None
+        mode = "RUN" if running else "STOP"
+        return ChamberReading(time_s, air_c, product_c, setpoint_c, mode, running, self._faults())
 
     def hold(self, temperature_c: float) -> None:
         self._check(temperature_c)

@@ -9,60 +9,51 @@ from typing import Any, Final
 from cyclopts import App, CycloptsError, Group
 
 import gradcal_jax
-from gradcal_jax.cli import (
-    calibrated,
-    check,
-    demo,
-    estimate,
-    frontier,
-    glossary,
-    instability,
-    limit,
-    log,
-    new,
-    optimise,
-    predict,
-    recipe,
-    recipes,
-    replan,
-    report,
-    rig,
-    schema,
-    sensitivity,
-    show,
-    start,
-    sweep,
-    timeline,
-    watch,
-)
-from gradcal_jax.cli import run as run_command
+from gradcal_jax.cli.calibrated import apply, export, validate
+from gradcal_jax.cli.check import check
 from gradcal_jax.cli.console import complain, is_plain
+from gradcal_jax.cli.demo import demo
+from gradcal_jax.cli.estimate import estimate
+from gradcal_jax.cli.frontier import frontier
+from gradcal_jax.cli.instability import allan, instability
+from gradcal_jax.cli.limit import limit
+from gradcal_jax.cli.log import log_app
+from gradcal_jax.cli.lookup import glossary, schema
+from gradcal_jax.cli.many import recipes, sweep
+from gradcal_jax.cli.new import new
+from gradcal_jax.cli.optimise import optimise
+from gradcal_jax.cli.predict import compare, predict
+from gradcal_jax.cli.recipe import recipe, show
+from gradcal_jax.cli.replan import replan
+from gradcal_jax.cli.report import report
+from gradcal_jax.cli.rig import rig_app
+from gradcal_jax.cli.run import run as run_command
+from gradcal_jax.cli.sensitivity import sensitivity
+from gradcal_jax.cli.start import start
 from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT
+from gradcal_jax.cli.timeline import timeline
+from gradcal_jax.cli.watch import watch
 
 _HELP: Final = """Calibration plans for gyros: what they will leave, known beforehand.
 
 A spec file says what sensor, rig and plan are. Begin with `gradcal start`, or `gradcal new --list`.
 """
 
-_FAMILIES: Final[tuple[Any, ...]] = (
-    demo, start, new, check, predict, timeline, optimise, limit, frontier, sensitivity, recipe, recipes, show, rig,
-    run_command, watch, replan, log, instability, estimate, calibrated, report, sweep, glossary, schema,
-)  # fmt: skip
-GROUPS: Final = (
-    ("Begin", ("demo", "start", "new", "check")),
-    ("Know beforehand", ("predict", "compare", "timeline", "sensitivity")),
-    ("Find a plan", ("optimise", "limit", "frontier", "recipe", "show")),
-    ("Execute it", ("rig", "run", "watch", "replan", "log")),
-    ("Calibrate", ("estimate", "apply", "validate", "export", "report")),
-    ("Know a sensor's noise", ("instability", "allan")),
-    ("Many at once", ("sweep", "recipes")),
-    ("Look up", ("glossary", "schema")),
+GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
+    ("Begin", (demo, start, new, check)),
+    ("Know beforehand", (predict, compare, timeline, sensitivity)),
+    ("Find a plan", (optimise, limit, frontier, recipe, show)),
+    ("Execute it", (rig_app, run_command, watch, replan, log_app)),
+    ("Calibrate", (estimate, apply, validate, export, report)),
+    ("Know a sensor's noise", (instability, allan)),
+    ("Many at once", (sweep, recipes)),
+    ("Look up", (glossary, schema)),
 )
 """The commands in the order of work, as `gradcal --help` lists them."""
 
 
 def build() -> App:
-    """The application with every command family registered."""
+    """The application with every command."""
     app = App(
         name="gradcal",
         help=_HELP,
@@ -70,20 +61,21 @@ def build() -> App:
         help_format="plaintext",  # a Markdown reader would cost a quarter of the start-up
         help_formatter="plain" if is_plain(sys.stdout) else "default",
     )
-    for family in _FAMILIES:
-        family.register(app)
-    for number, (title, names) in enumerate(GROUPS):
+    for number, (title, commands) in enumerate(GROUPS):
         group = Group(title, sort_key=number)
-        for place, name in enumerate(names):
-            app[name].group = (group,)
-            app[name].sort_key = place
+        for place, command in enumerate(commands):
+            app.command(command)
+            added = command if isinstance(command, App) else app[command.__name__]
+            added.group, added.sort_key = (group,), place
     return app
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Parse and run one command line; every foreseeable failure is a sentence on stderr and an exit status."""
     for stream in (sys.stdout, sys.stderr):
-        _never_fail_to_print(stream)
+        # A terminal that cannot show ° or √ shows something else, not a traceback.
+        if (reconfigure := getattr(stream, "reconfigure", None)) is not None:
+            reconfigure(errors="replace")
     try:
         app = build()
         tokens = sys.argv[1:] if arguments is None else list(arguments)
@@ -109,7 +101,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         complain(_too_large(error))
         return WRONG_INPUT
     except Exception as error:
-        status = FAILED if _is_of_hardware(error) else WRONG_INPUT
+        # Whether a device or a run failed; the hardware room is asked only where a command has loaded it.
+        errors = sys.modules.get("gradcal_jax.hardware.errors")
+        status = FAILED if errors is not None and isinstance(error, errors.HardwareError) else WRONG_INPUT
         if "RESOURCE_EXHAUSTED" in str(error):
             complain(_too_large(error))
             return WRONG_INPUT
@@ -140,20 +134,7 @@ def _wide(tokens: Sequence[str]) -> Any:
     return Console(width=120, no_color=True, soft_wrap=True)
 
 
-def _is_of_hardware(error: Exception) -> bool:
-    """Whether a device or a run failed; the hardware room is asked only where a command has loaded it."""
-    errors = sys.modules.get("gradcal_jax.hardware.errors")
-    return errors is not None and isinstance(error, errors.HardwareError)
-
-
 def _sentence(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
-
-
-def _never_fail_to_print(stream: Any) -> None:
-    """A terminal that cannot show ° or √ shows something else, not a traceback."""
-    reconfigure = getattr(stream, "reconfigure", None)
-    if reconfigure is not None:
-        reconfigure(errors="replace")

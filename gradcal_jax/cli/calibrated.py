@@ -3,11 +3,12 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, as_json, writable
-from gradcal_jax.cli.recordings import WHOLE, Recording, described, load, quantity
+from gradcal_jax.cli.output import ForceOutput, Json, JsonNumbers, OptionalOutput, Output, as_json, writable
+from gradcal_jax.cli.precision import use_float64
+from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns as table
 
@@ -15,23 +16,18 @@ if TYPE_CHECKING:
     from gradcal_jax.api.validation import Acceptance, AxisValidation
     from gradcal_jax.files.exports import Export
 
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(apply)
-    app.command(validate)
-    app.command(export)
+Calibrated = Annotated[Path, Parameter(help="The calibration file.")]
 
 
 def apply(
-    calibration: Path,
-    log: Path,
+    calibration: Calibrated,
+    log: LogFile,
     /,
     *,
     output: Output,
     unit: str | None = None,
     source: Recording = WHOLE,
-    force: Flag = False,
+    force: ForceOutput = False,
     json: Json = False,
 ) -> int:
     """Correct the rates (of a whole unit: and specific forces) of a log by a calibration, and write them as a log.
@@ -40,16 +36,10 @@ def apply(
 
     Parameters
     ----------
-    calibration
-        The calibration file.
-    log
-        A log (.nc), a flight log, or another program's table with --columns.
     output
         The corrected log (.nc).
     unit
         Which unit of the log; without it the one of the calibration's serial number, or the only one.
-    force
-        Overwrite the output.
     json
         Print what was written, and how many rows lie outside, as JSON.
     """
@@ -83,8 +73,8 @@ def apply(
 
 
 def validate(
-    calibration: Path,
-    log: Path,
+    calibration: Calibrated,
+    log: LogFile,
     /,
     *,
     unit: str | None = None,
@@ -92,7 +82,7 @@ def validate(
     earth_rate: str | None = None,
     parts: int = 3,
     source: Recording = WHOLE,
-    json: Json = False,
+    json: JsonNumbers = False,
 ) -> int:
     """Hold a calibration against a log that it was not made from: what is left by temperature and rate.
 
@@ -101,10 +91,6 @@ def validate(
 
     Parameters
     ----------
-    calibration
-        The calibration file.
-    log
-        A log (.nc), a flight log, or another program's table with --columns.
     unit
         Which unit of the log; without it the one of the calibration's serial number, or the only one.
     table_axis
@@ -113,8 +99,6 @@ def validate(
         Of the Earth along the sensor's axis, such as "10.4 deg/h"; it is taken off.
     parts
         In how many ranges of temperature.
-    json
-        Print all numbers as JSON.
     """
     from gradcal_jax.files.unit_calibration import expect_axes, read_any_calibration
 
@@ -123,8 +107,6 @@ def validate(
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     found = expect_axes(read_any_calibration(calibration), "gradcal validate")
     recorded = load(log, source, unit=unit)
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax.api import validation as work
 
@@ -146,7 +128,7 @@ def validate(
 
 
 def export(
-    calibration: Path,
+    calibration: Calibrated,
     /,
     *,
     format: str,
@@ -155,15 +137,13 @@ def export(
     instance: int | None = None,
     device_id: int | None = None,
     zero: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    force: Flag = False,
+    force: ForceOutput = False,
     json: Json = False,
 ) -> int:
     """Write a calibration in the terms of another program, and say what that program cannot carry.
 
     Parameters
     ----------
-    calibration
-        The calibration file.
     format
         ardupilot, px4, kalibr, c-header or csv; of a whole unit matrices, too.
     output
@@ -176,8 +156,6 @@ def export(
         PX4's device id of the sensor.
     zero
         A coefficient that did not pass validation, such as a3 or x.a3; may be repeated.
-    force
-        Overwrite the output.
     json
         Print text, losses and notes as JSON.
     """

@@ -1,41 +1,32 @@
 """`gradcal check`: everything wrong with a spec at once; if nothing is, what its plan does."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, as_json
+from gradcal_jax.cli.output import Flag, Json, SpecPath, as_json
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.predict import counted_as_zero
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.cli.unit import check_unit
-from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.pages.plain_text import columns, times_text
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.files import Spec
     from gradcal_jax.files.moves import ResolvedMove
     from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, StandardSchedule
+    from gradcal_jax.files.unit_spec import UnitSpec
 
-_MOST_ROWS = 24
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(check)
+_MOST_ROWS, _MOST_OF_UNIT = 24, 60
 
 
-def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int:
+def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) -> int:
     """Say all that is wrong with a spec, or what its plan does.
 
     If nothing is wrong, it also says what the plan cannot observe.
 
     Parameters
     ----------
-    spec
-        The spec file.
     files_only
         Leave out what the plan cannot observe, which takes a few seconds to work out.
     json
@@ -69,8 +60,6 @@ def check(spec: Path, /, *, files_only: Flag = False, json: Json = False) -> int
 
 def unobservable(spec: "Spec") -> list[str]:
     """A sentence for each combination of parameters that the plan cannot observe."""
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax import api
 
@@ -124,14 +113,10 @@ def _sensor(spec: "Spec") -> list[str]:
     return lines
 
 
-def _times(duration: float, soak: float, motion: float, motion_name: str) -> str:
-    return f"{time_text(duration)} in all: soak {time_text(soak)}, {motion_name} {time_text(motion)}"
-
-
 def _standard(schedule: "StandardSchedule") -> list[str]:
     temperatures = ", ".join(f"{temperature:g}" for temperature in schedule.temperatures)
     lines = [
-        "plan: standard method, " + _times(schedule.duration, schedule.soak, schedule.motion, "integration"),
+        "plan: standard method, " + times_text(schedule.duration, schedule.soak, schedule.motion, "integration"),
         f"  at {temperatures} degC: soak {time_text(schedule.soak_each)}",
     ]
     rates = ", ".join(f"{math.degrees(rate):g}" for rate in schedule.rates)
@@ -141,7 +126,7 @@ def _standard(schedule: "StandardSchedule") -> list[str]:
 
 
 def _gradient(schedule: "GradientSchedule") -> list[str]:
-    total = _times(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
+    total = times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
     lines = [f"plan: gradient method, {total}; {len(schedule.segments)} segments"]
     rows: list[tuple[str, ...]] = []
     for segment in schedule.segments[:_MOST_ROWS]:
@@ -227,3 +212,72 @@ def notes(spec: "Spec") -> list[str]:
                     f'requirement "{requirement.name}" goes beyond the plan\'s fastest rate, {reached:.5g} deg/s'
                 )
     return said
+
+
+def check_unit(spec: "UnitSpec", name: str, *, files_only: bool, json: bool) -> int:
+    """Print what a unit's plan does, and what it cannot observe."""
+    blind: list[str] | None = None
+    if not files_only:
+        use_float64()
+        from gradcal_jax.api.flow import check as blind_of
+
+        blind = blind_of(spec)
+    schedule = spec.schedule
+    if json:
+        numbers: dict[str, Any] = {"title": spec.title, "method": spec.plan.method, "duration_s": schedule.duration}
+        numbers |= {"soak_s": schedule.soak, "motion_s": schedule.motion}
+        numbers |= {"requirements": [r.name for r in spec.requirement], "unobservable": blind}
+        print(as_json(numbers))
+        return DONE
+    print(strong(spec.title or name))
+    print("\n".join(_summary_of_unit(spec)))
+    for sentence in blind or ():
+        print(f"note: {sentence}")
+    print("the spec is sound" + ("; see what it cannot observe" if blind else ""))
+    return DONE
+
+
+def _summary_of_unit(spec: "UnitSpec") -> list[str]:
+    from gradcal_jax.files.section import Section
+
+    schedule, table = spec.schedule, spec.rig.table
+    skipped = {"axes", "drift", "scale_factor_instability"}
+    lines: list[str] = []
+    for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
+        if triad is not None:
+            own = [key.replace("_", " ") for key, part in triad if isinstance(part, Section) and key not in skipped]
+            lines.append(f"to be found: {name} {', '.join(triad.axes)}: {', '.join(own)}")
+    for r in spec.requirement:
+        target = f", target {r.target}" if r.target is not None else ""
+        over = f"{r.temperature[0]} to {r.temperature[1]}"
+        lines.append(f'required: "{r.name}": {r.quantity.replace("_", " ")}, {r.axis}, {r.statistic}, {over}{target}')
+    lines.append(
+        f"table: {', '.join(axis.name for axis in table.axis)} (outermost first)"
+        + (f"; {len(table.mounting)} mountings" if len(table.mounting) > 1 else "")
+    )
+    lines.append("plan: " + times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion"))
+    made = sum(stretch.cycles for stretch in schedule.stretches)
+    lines.append(f"cycle: {time_text(schedule.period)}, made {made} times")
+    rows = [_row_of_unit(step, table) for step in schedule.steps[:_MOST_OF_UNIT]]
+    lines.append(columns(rows))
+    if len(schedule.steps) > _MOST_OF_UNIT:
+        lines.append(f"  … and {len(schedule.steps) - _MOST_OF_UNIT} more")
+    left = sum(stretch.leftover for stretch in schedule.stretches)
+    if left > 0.0:
+        lines.append(f"note: after the last cycle the table stands for {time_text(left)}")
+    return lines
+
+
+def _row_of_unit(step, table) -> tuple[str, ...]:
+    move = step.move
+    count = f"{move.repeat} ×" if move.repeat > 1 else ""
+    if step.axis < 0:
+        return (count, "", "rest", time_text(move.duration), "", "")
+    return (
+        count,
+        table.axis[step.axis].name,
+        move.shape,
+        time_text(move.duration),
+        f"{math.degrees(move.angle):+.6g} deg",
+        f"up to {math.degrees(move.fastest):.4g} deg/s",
+    )

@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, Output, as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
@@ -55,11 +53,6 @@ rate.x      = { column = "gyro", index = 0, unit = "rad/s" }
 rate.y      = { column = "gyro", index = 1, unit = "rad/s" }
 rate.z      = { column = "gyro", index = 2, unit = "rad/s" }
 """
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(demo)
 
 
 def demo(
@@ -106,6 +99,7 @@ def demo(
             result = _whole_unit(told, seed) if imu else _whole_job(told, seed)
     except _Stopped as stopped:
         return stopped.status
+    result = {"folder": str(told.folder), **result, "commands": told.commands}
     text = as_json(result)
     (told.folder / "demo.json").write_text(text + "\n", encoding="utf-8")
     if json:
@@ -114,9 +108,6 @@ def demo(
         print(f"\nall of it lies in {output}; open {output / 'report.html'}")
     rows = result["report"]["requirements"]
     return DONE if all(row["verdict"] in (None, "met") for row in rows) else NOT_AS_WISHED
-
-
-# ------------------------------------------------------------------------------------------------------ the whole job
 
 
 def _whole_job(told: "_Told", seed: int) -> dict[str, Any]:
@@ -135,9 +126,7 @@ def _whole_job(told: "_Told", seed: int) -> dict[str, Any]:
     told.step("A better plan for the same sensor in the same time, on a table of 300 deg/s^2")
     spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), _HEADLINE)
     write_whole(told.folder / "design.toml", to_toml(spec, header="The paper's spec, with a [design]."))
-    found = told.json(f"optimise design.toml -o recipe.toml --steps {_STEPS} --json")
-    recipe = _recipe(told.folder / "recipe.toml")
-    told.say(f"{recipe['name']}: {amount(recipe['predicted'], recipe['unit'])}; {found['structure']}")
+    found, recipe = told.optimise("design.toml")
     told.say(found["sentence"])
 
     told.step("What no plan can beat, proven")
@@ -165,26 +154,15 @@ def _whole_job(told: "_Told", seed: int) -> dict[str, Any]:
 
     told.step("The page")
     report = told.json("report run -o report.html --before paper.toml --limits limit.json --json")
-    axis = report["axes"][0]
-    if axis["agreement"] is not None:
-        found_chi, degrees, likely = axis["agreement"]
-        told.say(
-            f"against the hidden truth: χ² {found_chi:.3g} of {degrees} degrees for all coefficients "
-            f"together (chance {likely:.2g})"
-        )
+    told.agreement(report, 3)
     return {
-        "folder": str(told.folder),
         "prediction": paper,
         "recipe": recipe,
         "optimisation": found,
         "limits": limits,
         "estimate": estimate,
         "report": report,
-        "commands": told.commands,
     }
-
-
-# ------------------------------------------------------------------------------------------------------ a whole unit
 
 
 def _whole_unit(told: "_Told", seed: int) -> dict[str, Any]:
@@ -215,23 +193,13 @@ def _whole_unit(told: "_Told", seed: int) -> dict[str, Any]:
             f"{row['name']}: {amount(row['achieved'], row['unit'])} achieved, "
             f"{amount(row['predicted'], row['unit'])} predicted"
         )
-    if (agreement := report["axes"][0]["agreement"]) is not None:
-        chi, degrees, likely = agreement
-        told.say(
-            f"against the hidden truth: χ² {chi:.4g} of {degrees} degrees for all coefficients together "
-            f"(chance {likely:.2g})"
-        )
+    told.agreement(report, 4)
     return {
-        "folder": str(told.folder),
         "prediction": before,
         "optimisation": found,
         "estimate": estimate,
         "report": report,
-        "commands": told.commands,
     }
-
-
-# ------------------------------------------------------------------------------------------------ a recorded sensor
 
 
 def _recorded_sensor(told: "_Told", recording: Path) -> dict[str, Any]:
@@ -273,24 +241,17 @@ def _recorded_sensor(told: "_Told", recording: Path) -> dict[str, Any]:
     told.say(f"a plan by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {_hours(before)}")
 
     told.step("A plan designed for it")
-    found = told.json(f"optimise sensor.toml -o recipe.toml --steps {_STEPS} --json")
-    recipe = _recipe(told.folder / "recipe.toml")
-    told.say(f"{recipe['name']}: {amount(recipe['predicted'], recipe['unit'])}; {found['structure']}")
+    found, recipe = told.optimise("sensor.toml")
 
     told.step("The page")
     report = told.json("report recipe.toml -o report.html --before sensor.toml --json")
     return {
-        "folder": str(told.folder),
         "instability": instability,
         "prediction": before,
         "recipe": recipe,
         "optimisation": found,
         "report": report,
-        "commands": told.commands,
     }
-
-
-# ------------------------------------------------------------------------------------------------ running and telling
 
 
 class _Stopped(Exception):
@@ -319,6 +280,22 @@ class _Told:
         """A line for people; none where JSON is asked for."""
         if not self._quiet:
             print(indent + text, flush=True)
+
+    def optimise(self, spec: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Search a plan for a spec; what the search says, and of the recipe what it was designed for."""
+        found = self.json(f"optimise {spec} -o recipe.toml --steps {_STEPS} --json")
+        recipe = _recipe(self.folder / "recipe.toml")
+        self.say(f"{recipe['name']}: {amount(recipe['predicted'], recipe['unit'])}; {found['structure']}")
+        return found, recipe
+
+    def agreement(self, report: dict[str, Any], digits: int) -> None:
+        """How far what was found is from what was hidden."""
+        if (agreement := report["axes"][0]["agreement"]) is not None:
+            chi, degrees, likely = agreement
+            self.say(
+                f"against the hidden truth: χ² {chi:.{digits}g} of {degrees} degrees for all coefficients together "
+                f"(chance {likely:.2g})"
+            )
 
     def run(self, line: str) -> str:
         """Run `gradcal LINE`; what it printed. Raises `_Stopped` where it failed."""

@@ -5,12 +5,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.calibrated import export_text
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
-from gradcal_jax.cli.recordings import WHOLE, Axes, Recording, described, load, load_all, quantity
+from gradcal_jax.cli.output import (
+    Flag,
+    ForceOutput,
+    JsonNumbers,
+    OptionalOutput,
+    Plot,
+    as_json,
+    drawable,
+    save_figure,
+    writable,
+)
+from gradcal_jax.cli.precision import use_float64
+from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, load_all, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
@@ -22,16 +33,12 @@ if TYPE_CHECKING:
     from gradcal_jax.files.unit_spec import UnitSpec
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
+Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
 Units = Annotated[tuple[str, ...], Parameter(name="--unit", negative="")]
 
 
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(estimate)
-
-
 def estimate(
-    log: Path,
+    log: LogFile,
     more: tuple[Path, ...] = (),
     /,
     *,
@@ -54,8 +61,8 @@ def estimate(
     parameters: Path | None = None,
     points: Path | None = None,
     source: Recording = WHOLE,
-    force: Flag = False,
-    json: Json = False,
+    force: ForceOutput = False,
+    json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
     """Estimate a calibration from a log by the model of a spec, and say whether the data agree with that model.
@@ -67,8 +74,6 @@ def estimate(
 
     Parameters
     ----------
-    log
-        A log (.nc), a flight log, or another program's table with --columns.
     more
         Of a whole unit that is hung on the table in several ways: the logs of the other mountings, in the spec's order.
     spec
@@ -111,10 +116,6 @@ def estimate(
     points
         What the columns mean of a table of points (gradcal-points/1): temperature, rate of the table, output and how
         far it may be off, in the place of a log; see gradcal new point-map.
-    force
-        Overwrite the output.
-    json
-        Print all numbers as JSON.
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
@@ -130,15 +131,19 @@ def estimate(
         options = _options(None, latitude, lag, smoothness, clock, read_every, None, temperature)
         g = quantity(gravity, "acceleration", "--gravity")
         recorded = load(log, source)
-        files = _files(output, unit or recorded.units)
-        for path in files.values():
-            writable(path, force)
+        files = _files(output, unit or recorded.units, force)
         drawable(plot)
-        from gradcal_jax.cli.hand_estimate import estimate_of_held_units
+        from gradcal_jax.api.estimate_options import Options
+        from gradcal_jax.api.hand_estimate import estimate_by_hand, hand_estimate_rows
+        from gradcal_jax.cli.unit_estimate import say_units, text_of_held
 
-        return estimate_of_held_units(
-            recorded, str(log), g, unit, options=options, files=files, plot=plot, json=json
-        )  # fmt: skip
+        found = estimate_by_hand(recorded, g, units=unit, options=Options(**options), sources={"log": log.name})
+        status = say_units(found, [described(recorded, str(log))], text_of_held, hand_estimate_rows, files, json=json)
+        if plot is not None:
+            from gradcal_jax.plots.unit_calibration import draw_by_hand
+
+            save_figure(lambda _: draw_by_hand(found[0]), plot, quiet=json)
+        return status
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if isinstance(model, UnitSpec):
@@ -147,20 +152,24 @@ def estimate(
         alone |= {"--parameters": parameters, "--points": points}
         if used := [name for name, value in alone.items() if value]:
             raise ValueError(f"{', '.join(used)}: for one gyro axis alone, and the spec is of a whole unit")
-        logs = [load(path, source) for path in (log, *more)]
-        files = _files(output, unit or logs[0].units)
-        for path in files.values():
-            writable(path, force)
+        paths = (log, *more)
+        logs = [load(path, source) for path in paths]
+        files = _files(output, unit or logs[0].units, force)
         drawable(plot)
-        from gradcal_jax.cli.precision import use_float64
-        from gradcal_jax.cli.unit_estimate import estimate_of_units
-
         use_float64()
-        return estimate_of_units(
-            model, logs, [str(p) for p in (log, *more)], unit,
-            options=options | {"robust": robust}, files=files, plot=plot, json=json,
-            sources={"log": ", ".join(p.name for p in (log, *more)), "spec": (spec or recipe or Path()).name},
-        )  # fmt: skip
+        from gradcal_jax.api.estimate_options import Options
+        from gradcal_jax.api.unit_estimate import estimate_units, unit_estimate_rows
+        from gradcal_jax.cli.unit_estimate import say_units, text_of_estimate
+
+        sources = {"log": ", ".join(path.name for path in paths), "spec": (spec or recipe or Path()).name}
+        found = estimate_units(model, logs, units=unit, options=Options(**options, robust=robust), sources=sources)
+        said = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
+        status = say_units(found, said, text_of_estimate, unit_estimate_rows, files, json=json)
+        if plot is not None:
+            from gradcal_jax.plots.unit_calibration import draw_unit_estimate
+
+            save_figure(lambda _: draw_unit_estimate(found[0]), plot, quiet=json)
+        return status
     if more:
         raise ValueError("several logs are for a whole unit in several mountings; give one log")
     table_of_points = None
@@ -187,12 +196,8 @@ def estimate(
                 "--parameters is for logs of PX4 (.ulg) and ArduPilot (.bin): see gradcal export for others"
             )
         writable(parameters, force)
-    files = _files(output, names)
-    for path in files.values():
-        writable(path, force)
+    files = _files(output, names, force)
     drawable(plot)
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax.api import calibration as work
     from gradcal_jax.api.estimate_options import Options
@@ -228,7 +233,7 @@ def estimate(
     if plot is not None:
         from gradcal_jax.plots.calibration import draw_estimate
 
-        save_figure(draw_estimate(report), plot, quiet=json)
+        save_figure(lambda _: draw_estimate(report), plot, quiet=json)
     return DONE if report.as_wished else NOT_AS_WISHED
 
 
@@ -279,14 +284,17 @@ def _spec(spec: Path | None, recipe: Path | None) -> "Spec | UnitSpec":
     return read_recipe(recipe).spec
 
 
-def _files(output: Path | None, units: Sequence[str]) -> dict[str, Path]:
-    """Which unit's calibration goes where: of several, their names are added."""
+def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, Path]:
+    """Which unit's calibration goes where: of several, their names are added. Each may be written."""
     if output is None:
         return {}
-    if len(units) == 1:
-        return {units[0]: output}
-    safe = {name: "".join(c if c.isalnum() or c in "-_." else "_" for c in name) for name in units}
-    return {name: output.with_name(f"{output.stem}-{plain}{output.suffix}") for name, plain in safe.items()}
+    files = {units[0]: output}
+    if len(units) != 1:
+        safe = {name: "".join(c if c.isalnum() or c in "-_." else "_" for c in name) for name in units}
+        files = {name: output.with_name(f"{output.stem}-{plain}{output.suffix}") for name, plain in safe.items()}
+    for path in files.values():
+        writable(path, force)
+    return files
 
 
 def _text(report: "EstimateReport") -> str:

@@ -4,10 +4,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, OptionalOutput, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
@@ -16,11 +15,6 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     from gradcal_jax.api.frontier import FrontierPoint
     from gradcal_jax.api.optimise import Step
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(frontier)
 
 
 def frontier(
@@ -53,7 +47,6 @@ def frontier(
     plot
         Draw the frontier into this file.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
@@ -67,8 +60,12 @@ def frontier(
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
     reached: list[FrontierPoint] = []
+
+    def show(motion: float, step: "Step") -> None:
+        line.show(f"{time_text(motion)}: {step.share:4.0%}  {amount(step.best, step.unit)}")
+
     with MovingLine(sys.stderr) as line:
-        for point in room.frontier(found, times, steps=steps, watch=lambda *told: line.show(_progress(*told))):
+        for point in room.frontier(found, times, steps=steps, watch=show):
             reached.append(point)
             if output is not None and point.plan is not None:
                 write_toml(api.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
@@ -95,15 +92,16 @@ def frontier(
         print(as_json({"points": rows, "shortest_s": times_for}))
     else:
         print(strong(found.title or str(spec)))
-        print(columns([("ramp", "residual", "search"), *(_row(p) for p in reached)], indent=""))
+        shown = [("ramp", "residual", "search")]
+        for p in reached:
+            residual = "none" if p.plan is None else amount(p.plan.now, p.plan.unit)
+            shown.append((time_text(p.motion), residual, p.reason))
+        print(columns(shown, indent=""))
         for name, target in targets.items():
             time = times_for[name]
             said = "is not reached in these durations" if time is None else f"takes a ramp of about {time_text(time)}"
             print(f"{name} at {target:.4g} {next((p.plan.unit for p in reached if p.plan), '')} {said}")
-    if plot is not None:
-        from gradcal_jax.plots import draw_frontier
-
-        save_figure(draw_frontier(reached, targets), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_frontier(reached, targets), plot, quiet=json)
     return DONE if all(p.plan is not None and p.plan.converged for p in reached) else NOT_AS_WISHED
 
 
@@ -126,12 +124,3 @@ def durations(text: str, points: int) -> list[float]:
             raise ValueError(f"--motion: {text!r} does not rise")
         return [low * (high / low) ** (k / (points - 1)) for k in range(points)]
     return sorted(one(part) for part in text.split(","))
-
-
-def _row(point: "FrontierPoint") -> tuple[str, str, str]:
-    residual = "none" if point.plan is None else amount(point.plan.now, point.plan.unit)
-    return time_text(point.motion), residual, point.reason
-
-
-def _progress(motion: float, step: "Step") -> str:
-    return f"{time_text(motion)}: {step.share:4.0%}  {amount(step.best, step.unit)}"

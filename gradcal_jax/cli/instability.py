@@ -2,14 +2,14 @@
 
 import math
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
-from gradcal_jax.cli.recordings import WHOLE, Axes, Recording, Without, described, load, quantity, span
+from gradcal_jax.cli.output import JsonNumbers, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.precision import use_float64
+from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity, span
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns
 
@@ -17,18 +17,23 @@ if TYPE_CHECKING:
     from gradcal_jax.api.instability import Instability
     from gradcal_jax.identify import AllanFit
 
-Unit = Annotated[str | None, Parameter(name="--unit")]
-BiasDegree = Annotated[int | None, Parameter(name="--bias-degree")]
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(instability)
-    app.command(allan)
+Axes = Annotated[
+    tuple[str, ...], Parameter(name="--axis", negative="", help="Which axis; may be repeated. All, without it.")
+]
+Unit = Annotated[str | None, Parameter(name="--unit", help="Which unit, where the log holds several.")]
+_DEGREE = (
+    "Degree of the bias over temperature that is taken off first; -1: nothing. Without it 3 where the temperature\n"
+    "spans 5 K, otherwise the mean."
+)
+BiasDegree = Annotated[int | None, Parameter(name="--bias-degree", help=_DEGREE)]
+_LAG = 'Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.'
+Lag = Annotated[str, Parameter(help=_LAG)]
+_SPAN = 'A span of the record\'s time to leave out, such as "123 s..130 s"; may be repeated.'
+Without = Annotated[tuple[str, ...], Parameter(name="--without", negative="", help=_SPAN)]
 
 
 def instability(
-    log: Path,
+    log: LogFile,
     /,
     *,
     axis: Axes = (),
@@ -39,12 +44,12 @@ def instability(
     margin: float = 2.5,
     random_walk: str | None = None,
     bias_degree: BiasDegree = None,
-    lag: str = "auto",
+    lag: Lag = "auto",
     temperature: Annotated[tuple[str, str] | None, Parameter(negative="")] = None,
     ranges: int = 1,
     without: Without = (),
     source: Recording = WHOLE,
-    json: Json = False,
+    json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
     """Find the drift that bounds what a record at rest shows: the paper's Direct Bound, as a block for a spec.
@@ -53,12 +58,6 @@ def instability(
 
     Parameters
     ----------
-    log
-        A log (.nc), a flight log, or another program's table with --columns.
-    axis
-        Which axis; may be repeated. All, without it.
-    unit
-        Which unit, where the log holds several.
     delta
         Time of the average that the drift is counted from.
     shortest
@@ -69,19 +68,10 @@ def instability(
         Standard deviations within which the data must stay.
     random_walk
         Angle random walk, such as "0.1 deg/sqrt(h)"; without it the Allan deviation's.
-    bias_degree
-        Degree of the bias over temperature that is taken off first; -1: nothing. Without it 3 where the temperature
-        spans 5 K, otherwise the mean.
-    lag
-        Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.
     temperature
         Only rows between two temperatures: --temperature "20 degC" "40 degC".
     ranges
         Also in so many equal ranges of temperature.
-    without
-        A span of the record's time to leave out, such as "123 s..130 s"; may be repeated.
-    json
-        Print all numbers as JSON.
     plot
         Draw the largest drifts with their bound into this file (.png, .svg, .pdf).
     """
@@ -100,8 +90,6 @@ def instability(
         raise ValueError("--delta, --shortest and --margin must be positive, and --longest no shorter than --shortest")
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, source, unit=unit)
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax.api import instability as work
 
@@ -139,10 +127,7 @@ def instability(
         print(described(recorded, str(log)))
         for whole, pieces in zip(found, parts, strict=True):
             print("\n" + _instability_text(whole, pieces))
-    if plot is not None:
-        from gradcal_jax.plots.identification import draw_instability
-
-        save_figure(draw_instability(found), plot, quiet=json)
+    save_figure(lambda plots: plots.identification.draw_instability(found), plot, quiet=json)
     wished = all(whole.bound.drift_shows and work.plausible(whole.allan_fit) for whole in found)
     return DONE if wished else NOT_AS_WISHED
 
@@ -203,7 +188,7 @@ def _instability_text(found: "Instability", parts) -> str:
 
 
 def allan(
-    log: Path,
+    log: LogFile,
     /,
     *,
     axis: Axes = (),
@@ -212,10 +197,10 @@ def allan(
     confidence: float = 0.683,
     delta: str = "10 s",
     bias_degree: BiasDegree = None,
-    lag: str = "auto",
+    lag: Lag = "auto",
     without: Without = (),
     source: Recording = WHOLE,
-    json: Json = False,
+    json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
     """The overlapping Allan deviation with its confidence, and the coefficients that generalised least squares finds.
@@ -224,27 +209,12 @@ def allan(
 
     Parameters
     ----------
-    log
-        A log (.nc), a flight log, or another program's table with --columns.
-    axis
-        Which axis; may be repeated. All, without it.
-    unit
-        Which unit, where the log holds several.
     terms
         Which the sensor may have: Q quantisation, N angle random walk, B bias instability, K rate random walk.
     confidence
         Of the interval about each point.
     delta
         Time of the average of the Direct Bound that is drawn beside.
-    bias_degree
-        Degree of the bias over temperature that is taken off first; -1: nothing. Without it 3 where the temperature
-        spans 5 K, otherwise the mean.
-    lag
-        Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.
-    without
-        A span of the record's time to leave out, such as "123 s..130 s"; may be repeated.
-    json
-        Print all numbers as JSON.
     plot
         Draw the deviation, its fit, and the Direct Bound's curve on the same axes into this file.
     """
@@ -253,8 +223,6 @@ def allan(
     chosen = _terms(terms)
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, source, unit=unit)
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax import identify
     from gradcal_jax.api import instability as work
@@ -278,8 +246,6 @@ def allan(
             for message in (*work.allan_notes(fit), *rest.messages):
                 print(f"note: {message}")
     if plot is not None:
-        from gradcal_jax.plots.identification import draw_allan_and_bound
-
         bounds = []
         for rest, _, _ in drawn:
             try:
@@ -288,16 +254,11 @@ def allan(
                 bounds.append(None)
                 if not json:
                     print(f"note: no Direct Bound of axis {rest.axis}: {error}")
-        save_figure(draw_allan_and_bound(drawn, bounds), plot, quiet=json)
+        save_figure(lambda plots: plots.identification.draw_allan_and_bound(drawn, bounds), plot, quiet=json)
     return DONE if all(work.plausible(fit) for _, _, fit in drawn) else NOT_AS_WISHED
 
 
-_TERMS = {
-    "q": "quantisation",
-    "n": "angle_random_walk",
-    "b": "bias_instability",
-    "k": "rate_random_walk",
-}
+_TERMS = {"q": "quantisation", "n": "angle_random_walk", "b": "bias_instability", "k": "rate_random_walk"}
 
 
 def _terms(text: str) -> list[str]:

@@ -2,17 +2,11 @@
 
 from pathlib import Path
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import amount, columns
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(limit)
 
 
 def limit(spec: Path, /, *, json: Json = False) -> int:
@@ -29,7 +23,6 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     json
         Print the limits for other programs.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files.recipe import any_spec_in
 
     found = any_spec_in(spec)

@@ -5,22 +5,18 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, as_json, writable
-from gradcal_jax.cli.recordings import WHOLE, Recording, load, quantity
+from gradcal_jax.cli.output import ForceOutput, Json, OptionalOutput, Output, RunPath, as_json, writable
+from gradcal_jax.cli.precision import use_float64
+from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.units import time_text
 
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    made = App(name="log", help="The log of a run, or of turns made by hand.")
-    made.default(log)
-    made.command(turns)
-    app.command(made)
+log_app = App(name="log", help="The log of a run, or of turns made by hand.")
 
 
+@log_app.command
 def turns(
-    log: Path,
+    log: LogFile,
     /,
     *,
     turns: Annotated[str, Parameter(name="--turns")],
@@ -28,15 +24,13 @@ def turns(
     axis: str | None = None,
     unit: str | None = None,
     source: Recording = WHOLE,
-    force: Flag = False,
+    force: ForceOutput = False,
     json: Json = False,
 ) -> int:
     """Find turns made by hand in a recording, and write it with angle and rests, for estimate.
 
     Parameters
     ----------
-    log
-        A log (.nc), a flight log, or another program's table with --columns.
     turns
         The turns in their order, such as "360 deg, 360 deg, -720 deg": those below zero go the other way.
     output
@@ -45,8 +39,6 @@ def turns(
         About which axis of the sensor; the first one, without it.
     unit
         Which unit; the first one, without it.
-    force
-        Overwrite the output.
     json
         Print the turns as JSON.
     """
@@ -55,8 +47,6 @@ def turns(
     said = [quantity(text.strip(), "angle", "--turns") for text in turns.split(",")]
     writable(output, force)
     recorded = load(log, source, unit=unit)
-    from gradcal_jax.cli.precision import use_float64
-
     use_float64()
     from gradcal_jax.api.turns import with_turns
     from gradcal_jax.files.log import write_log
@@ -64,35 +54,22 @@ def turns(
 
     marked, found = with_turns(recorded, said, axis=axis or 0, unit=unit or 0)
     write_log(marked, output)
+    found_deg = [(t.begin_s, t.end_s, np.degrees(t.said_rad), np.degrees(t.sensed_rad)) for t in found]
     if json:
-        rows = [
-            {
-                "begin_s": t.begin_s,
-                "end_s": t.end_s,
-                "said_deg": np.degrees(t.said_rad),
-                "sensed_deg": np.degrees(t.sensed_rad),
-            }
-            for t in found
-        ]
+        names = ("begin_s", "end_s", "said_deg", "sensed_deg")
+        rows = [dict(zip(names, row, strict=True)) for row in found_deg]
         print(as_json({"log": str(output), "axis": marked.table_axes[0], "turns": rows}))
         return DONE
     shown = [("from", "to", "said", "by the sensor")]
-    shown += [
-        (
-            f"{t.begin_s:.5g} s",
-            f"{t.end_s:.5g} s",
-            f"{np.degrees(t.said_rad):.6g} deg",
-            f"{np.degrees(t.sensed_rad):.6g} deg",
-        )
-        for t in found
-    ]
+    shown += [(f"{b:.5g} s", f"{e:.5g} s", f"{said:.6g} deg", f"{felt:.6g} deg") for b, e, said, felt in found_deg]
     print(columns(shown, indent="", right=(0, 1, 2, 3)))
     print(f"wrote {output}; next: gradcal estimate {output} --spec SPEC --axis {marked.table_axes[0]}")
     return DONE
 
 
+@log_app.default
 def log(
-    run: Path,
+    run: RunPath,
     /,
     *,
     output: OptionalOutput = None,
@@ -105,8 +82,6 @@ def log(
 
     Parameters
     ----------
-    run
-        The folder of the run.
     output
         The log file (netCDF); absent: log.nc in the folder. An older log is replaced.
     unit

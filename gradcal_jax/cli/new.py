@@ -4,19 +4,14 @@ import sys
 from pathlib import Path
 from typing import Annotated, Final
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Flag, writable
+from gradcal_jax.cli.output import Force, writable
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import columns
 
 _COLUMN_MAP: Final = "column-map"
 _POINT_MAP: Final = "point-map"
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(new)
 
 
 def new(
@@ -25,7 +20,7 @@ def new(
     *,
     output: Annotated[str | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)] = None,
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
-    force: Flag = False,
+    force: Force = False,
 ) -> int:
     """Write a commented spec, or a column map for a recording of another program, to start from.
 
@@ -37,8 +32,6 @@ def new(
         The file to write; - prints it.
     listing
         List the presets.
-    force
-        Overwrite an existing file.
     """
     from gradcal_jax.files import column_guess, points, presets
 

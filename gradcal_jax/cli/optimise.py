@@ -7,10 +7,9 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import complain, strong
-from gradcal_jax.cli.output import Flag, Json, Output, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.output import Flag, Force, Json, Output, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
@@ -19,11 +18,6 @@ if TYPE_CHECKING:
     from gradcal_jax.api.optimise import Optimised, Step
     from gradcal_jax.api.unit_optimise import UnitOptimum
     from gradcal_jax.files.unit_spec import UnitSpec
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(optimise)
 
 
 def optimise(
@@ -37,7 +31,7 @@ def optimise(
     quick: Flag = False,
     until_met: Flag = False,
     resume: Flag = False,
-    force: Flag = False,
+    force: Force = False,
 ) -> int:
     """Change a plan by gradient descent until it leaves as little as sensor, rig and time allow; write it as a recipe.
 
@@ -64,10 +58,7 @@ def optimise(
         Stop at the first plan that meets every target with a margin of 10 %; search nothing where the spec's own does.
     resume
         Go on from where an interrupted search of the same spec stopped; it is kept beside the output.
-    force
-        Overwrite an existing file.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import write_toml
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
@@ -121,10 +112,8 @@ def optimise(
     else:
         print(text(best))
         print(f"wrote {output}; read it with: gradcal show {output}")
-    if plot is not None:
-        from gradcal_jax.plots import draw_comparison
-
-        save_figure(draw_comparison([("before", found), ("optimised", made.axis_spec)]), plot, quiet=json)
+    drawn = [("before", found), ("optimised", made.axis_spec)]
+    save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
     if interrupt.asked:
         complain("interrupted" + ("" if shortest else f"; go on with: gradcal optimise {spec} -o {output} --resume"))
         return INTERRUPTED
@@ -197,10 +186,7 @@ def _of_unit(
         print(as_json(record_of_unit(best) | {"spec": str(output)}))
     else:
         print(f"{text_of_unit(best)}\nwrote {output}; see it with: gradcal check {output}")
-    if plot is not None:
-        from gradcal_jax.plots import draw_unit
-
-        save_figure(draw_unit(best.spec), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_unit(best.spec), plot, quiet=json)
     if interrupted:
         complain("interrupted: the best so far was written")
         return INTERRUPTED

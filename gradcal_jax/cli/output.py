@@ -7,10 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.figure import Figure
 
 Flag = Annotated[bool, Parameter(negative="")]
+Force = Annotated[bool, Parameter(negative="", help="Overwrite an existing file.")]
+ForceOutput = Annotated[bool, Parameter(negative="", help="Overwrite the output.")]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
+JsonNumbers = Annotated[bool, Parameter(name="--json", negative="", help="Print all numbers as JSON.")]
+RunPath = Annotated[Path, Parameter(help="The folder of the run.")]
+SpecPath = Annotated[Path, Parameter(help="The spec file.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"])]
 OptionalOutput = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 OutputOrPrint = Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]
@@ -43,10 +50,12 @@ def drawable(plot: Path | None) -> None:
     writable(plot, force=True)
 
 
-def save_figure(figure: "Figure", plot: Path, *, quiet: bool) -> None:
-    """Write a figure and, unless `quiet`, say so."""
+def save_figure(draw: "Callable[[Any], Figure]", plot: Path | None, *, quiet: bool) -> None:
+    """Draw with `gradcal_jax.plots`, write the figure and, unless `quiet`, say so; nothing where there is no `plot`."""
+    if plot is None:
+        return
     from gradcal_jax import plots
 
-    plots.save(figure, plot)
+    plots.save(draw(plots), plot)
     if not quiet:
         print(f"wrote {plot}")

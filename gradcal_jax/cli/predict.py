@@ -4,13 +4,14 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax import units
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.output import Json, Plot, SpecPath, as_json, drawable, save_figure
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import amount, columns
+from gradcal_jax.pages.plain_text import amount, columns, times_text
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -18,20 +19,8 @@ if TYPE_CHECKING:
     from gradcal_jax.files.contracts import RequirementRow
 
 
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(predict)
-    app.command(compare)
-
-
 def predict(
-    spec: Path,
-    /,
-    *,
-    json: Json = False,
-    plot: Plot = None,
-    monte_carlo: int | None = None,
-    seed: int = 0,
+    spec: SpecPath, /, *, json: Json = False, plot: Plot = None, monte_carlo: int | None = None, seed: int = 0
 ) -> int:
     """Say what a spec's plan will leave: the residual of every requirement, before anyone books a chamber.
 
@@ -39,8 +28,6 @@ def predict(
 
     Parameters
     ----------
-    spec
-        The spec file.
     json
         Print the prediction as gradcal-prediction/1; with --monte-carlo, both under their names.
     plot
@@ -50,7 +37,6 @@ def predict(
     seed
         Of the simulated calibrations.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -82,11 +68,8 @@ def predict(
         print("\n".join(["", *said])) if said else None
         if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
-    if plot is not None:
-        from gradcal_jax.plots import draw_prediction, draw_unit
-
-        figure = draw_unit(found) if isinstance(found, UnitSpec) else draw_prediction(found)
-        save_figure(figure, plot, quiet=json)
+    of_unit = isinstance(found, UnitSpec)
+    save_figure(lambda p: p.draw_unit(found) if of_unit else p.draw_prediction(found), plot, quiet=json)
     met = all(row.verdict in (None, "met") for row in prediction.requirements)
     return DONE if met and all(test.consistent for test in tests.values()) else NOT_AS_WISHED
 
@@ -107,7 +90,6 @@ def compare(
     """
     if not specs:
         raise ValueError("compare what? Name two or more spec files")
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -126,16 +108,14 @@ def compare(
         print("[" + ",\n".join(prediction.model_dump_json(indent=2) for _, prediction in predictions) + "]")
     else:
         print(side_by_side(predictions))
-    if plot is not None:
-        from gradcal_jax.plots import draw_comparison
-
-        save_figure(draw_comparison(of_axes), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_comparison(of_axes), plot, quiet=json)
     return DONE
 
 
 def text(prediction: "Prediction", name: str) -> str:
     """A prediction as people read it: ppm, deg/h, hours."""
-    lines = [strong(prediction.title or name), _times(prediction), ""]
+    times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
+    lines = [strong(prediction.title or name), times, ""]
     if prediction.requirements:
         several = len({row.axis for row in prediction.requirements} & {"x", "y", "z"}) > 1
         head = ("requirement", "statistic", "residual (1σ)", "at worst", "target", "verdict")
@@ -193,11 +173,6 @@ def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
         if not prediction.requirements:
             rows.append((*first, "none", "", ""))
     return columns(rows, indent="")
-
-
-def _times(prediction: "Prediction") -> str:
-    parts = (prediction.duration_s, prediction.soak_s, prediction.motion_s)
-    return "{} in all: soak {}, motion {}".format(*(time_text(part) for part in parts))
 
 
 def _named(row: "RequirementRow", several: bool) -> str:

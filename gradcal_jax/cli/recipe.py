@@ -1,16 +1,11 @@
-"""`gradcal recipe`: the plan of a spec made executable, as it stands."""
+"""`gradcal recipe` and `gradcal show`: the plan of a spec made executable, and a recipe as a table for the bench."""
 
 from pathlib import Path
 
-from cyclopts import App
-
-from gradcal_jax.cli.output import Flag, Json, OutputOrPrint, as_json, writable
+from gradcal_jax.cli.console import strong
+from gradcal_jax.cli.output import Flag, Force, Json, OutputOrPrint, as_json, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(recipe)
 
 
 def recipe(
@@ -22,7 +17,7 @@ def recipe(
     stable_within: str | None = None,
     stable_for: str | None = None,
     timeout: str | None = None,
-    force: Flag = False,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Make a recipe of a spec's plan as it stands: rounded to what the controllers accept, predicted as rounded.
@@ -44,12 +39,9 @@ def recipe(
         ... for at least so long, such as "5 min".
     timeout
         The run ends when the first temperature is not stable after so long, such as "4 h".
-    force
-        Overwrite an existing file.
     json
         Print what was written, and what rounding left of it, as JSON.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files import Quantity, to_toml
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.tracks import Stability
@@ -90,4 +82,22 @@ def recipe(
     if made.rounded:
         print(f"rounded {len(made.rounded)} keys of the plan to the controllers' steps; the recipe lists them")
     print(f"wrote {output}; read it with: gradcal show {output}")
+    return DONE
+
+
+def show(recipe: Path, /, *, json: Json = False) -> int:
+    """Print a recipe as a table: what the chamber does, what the table does, and what it will leave.
+
+    Parameters
+    ----------
+    recipe
+        The recipe file.
+    json
+        Print it as JSON instead.
+    """
+    from gradcal_jax.files.recipe import read_recipe
+    from gradcal_jax.pages.bench_sheet import show as sheet
+
+    found = read_recipe(recipe)
+    print(found.model_dump_json(indent=2, exclude_none=True) if json else sheet(found, heading=strong))
     return DONE

@@ -11,8 +11,7 @@ from gradcal_jax.pages.plain_text import columns
 if TYPE_CHECKING:
     from gradcal_jax.files.log import Log
 
-Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
-Without = Annotated[tuple[str, ...], Parameter(name="--without", negative="")]
+LogFile = Annotated[Path, Parameter(help="A log (.nc), a flight log, or another program's table with --columns.")]
 
 _NETCDF: Final = (".nc", ".nc4", ".h5", ".hdf5")
 

@@ -1,29 +1,22 @@
 """`gradcal replan`: the best plan for what is left of a run that was broken off."""
 
 import sys
-from pathlib import Path
 
-from cyclopts import App
-
-from gradcal_jax.cli.output import Flag, Json, Output, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, Output, RunPath, as_json, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 
 
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(replan)
-
-
 def replan(
-    run: Path,
+    run: RunPath,
     /,
     *,
     output: Output,
     time: str | None = None,
     pause: str = "30 min",
     quick: Flag = False,
-    force: Flag = False,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Find the best plan for what is left of a run that was broken off, given what was done; write it as a recipe.
@@ -35,8 +28,6 @@ def replan(
 
     Parameters
     ----------
-    run
-        The folder of the run.
     output
         The recipe file to write.
     time
@@ -45,20 +36,10 @@ def replan(
         How long it will be from where the run was broken off to where it goes on; a whole unit's drifts begin anew.
     quick
         Few starts, or plans: within some per cent of the best, in seconds.
-    force
-        Overwrite an existing file.
     json
         Print the result for other programs.
     """
-    from gradcal_jax.cli.optimise import (
-        gain_of_unit,
-        progress_of,
-        record_of_unit,
-        search_unit,
-        text,
-        text_of_unit,
-    )
-    from gradcal_jax.cli.precision import use_float64
+    from gradcal_jax.cli.optimise import gain_of_unit, progress_of, record_of_unit, search_unit, text, text_of_unit
     from gradcal_jax.files import write_toml
     from gradcal_jax.files.unit_spec import UnitSpec
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume

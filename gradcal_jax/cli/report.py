@@ -3,15 +3,11 @@
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Flag, Json, Output, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, Output, as_json, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(report)
 
 
 def report(
@@ -29,7 +25,7 @@ def report(
     operator: str = "",
     performed: str = "",
     dcc: Path | None = None,
-    force: Flag = False,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Make one HTML page of a recipe, a run, a calibration or a unit's plan: nothing is fetched, and it prints well.
@@ -61,12 +57,9 @@ def report(
         When, such as 2026-11-22 or 2026-11-21..2026-11-22; without it the day of the run.
     dcc
         Write the certificate as a Digital Calibration Certificate (PTB's XML), too.
-    force
-        Overwrite an existing file.
     json
         Print every number of the page as JSON.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.pages.sources import read_sources
 
     writable(output, force)

@@ -2,12 +2,12 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclopts import App
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, OutputOrPrint, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
 from gradcal_jax.pages.plain_text import columns
 
@@ -16,25 +16,17 @@ if TYPE_CHECKING:
     from gradcal_jax.hardware.dry_run import Tried
     from gradcal_jax.hardware.setup import DeviceReport
 
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    rig = App(name="rig", help="The rig file: which device hangs on which port, and what they say of themselves.")
-    rig.command(new)
-    rig.command(check)
-    rig.command(protocols)
-    app.command(rig)
+rig_app = App(name="rig", help="The rig file: which device hangs on which port, and what they say of themselves.")
 
 
-def new(*, output: OutputOrPrint, force: Flag = False) -> int:
+@rig_app.command
+def new(*, output: OutputOrPrint, force: Force = False) -> int:
     """Write a commented rig file to start from.
 
     Parameters
     ----------
     output
         The file to write; - prints it.
-    force
-        Overwrite an existing file.
     """
     from gradcal_jax.files.rig import TEMPLATE
     from gradcal_jax.files.writing import write_whole
@@ -48,6 +40,7 @@ def new(*, output: OutputOrPrint, force: Flag = False) -> int:
     return DONE
 
 
+@rig_app.command
 def protocols(name: str | None = None, /) -> int:
     """List the devices that the driver "lines" knows, or print the description of one, to start your own from.
 
@@ -66,6 +59,7 @@ def protocols(name: str | None = None, /) -> int:
     return DONE
 
 
+@rig_app.command
 def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
     """Ask every device of a rig who it is and what it accepts. Nothing moves, unless --move is given.
 
@@ -86,6 +80,7 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
+    from gradcal_jax.hardware.journal import json_of
     from gradcal_jax.hardware.setup import check_each
 
     if move and recipe is None:
@@ -94,7 +89,7 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
     reports = check_each(found, RealClock())
     tried = _tried(found, recipe, move) if recipe is not None and all(report.good for report in reports) else []
     if json:
-        rows = [_plain(asdict(report)) for report in reports]
+        rows = [json_of(asdict(report)) for report in reports]
         print(as_json(rows if recipe is None else {"devices": rows, "tried": [asdict(one) for one in tried]}))
     else:
         print(strong(found.title or str(rig)))
@@ -135,14 +130,5 @@ def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     said = "" if identity is None else " ".join((identity.model, identity.serial_number, identity.firmware)).strip()
     limits = {} if report.limits is None else asdict(report.limits)
     limits.pop("registers", None)
-    return [(*head, said), *(("", "", "", f"{name} {_short(value)}") for name, value in limits.items())]
-
-
-def _short(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(entry) for name, entry in value.items()}
-    return None if isinstance(value, float) and value - value != 0.0 else value
+    rows = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in limits.items()]
+    return [(*head, said), *(("", "", "", row) for row in rows)]

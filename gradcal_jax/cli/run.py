@@ -9,8 +9,6 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import complain
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, as_json
 from gradcal_jax.cli.progress import MovingLine
@@ -21,15 +19,9 @@ if TYPE_CHECKING:
     from gradcal_jax.files.recipe import Recipe
     from gradcal_jax.files.rig import RigFile
     from gradcal_jax.hardware.execute import Attended
-    from gradcal_jax.hardware.runner import Progress, Runner, RunResult
-    from gradcal_jax.hardware.terminal import Terminal
+    from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(run)
 
 
 def run(
@@ -229,15 +221,19 @@ class _Watcher:
     """
 
     def __init__(self, simulated: bool, *, quiet: bool, virtual: bool = False) -> None:
+        from gradcal_jax.hardware.terminal import Terminal
+
         self._simulated = simulated
         self._virtual = virtual
         self._quiet = quiet
-        self._terminal = _terminal()
+        # Where somebody sits who can be asked to turn an axis.
+        seen = sys.stdin.isatty() and sys.stdout.isatty()
+        self._terminal = Terminal(keyboard=sys.stdin.fileno(), screen=sys.stdout) if seen else None
         self._line = MovingLine(sys.stdout)
         self._last: tuple[str, str] = ("", "")
         self._runner: Runner | None = None
         self._asked = False
-        self._news: SimpleQueue[Progress | None] = SimpleQueue()
+        self._news: SimpleQueue[RunProgress | None] = SimpleQueue()
         self._shows = threading.Thread(target=self._show_all, daemon=True, name="showing the run")
 
     def __enter__(self) -> "_Watcher":
@@ -266,10 +262,10 @@ class _Watcher:
         self._runner = runner
 
     def _show_all(self) -> None:
-        while (progress := self._news.get()) is not None:
+        for progress in iter(self._news.get, None):
             self._show(progress)
 
-    def _show(self, progress: "Progress") -> None:
+    def _show(self, progress: "RunProgress") -> None:
         now = (progress.state.value, progress.step)
         if self._terminal is not None and self._terminal.asking:
             # Somebody types on this line.
@@ -308,16 +304,7 @@ def _known(folder: Path) -> Any:
     return json_module.loads(said.stdout)
 
 
-def _terminal() -> "Terminal | None":
-    """Where somebody sits who can be asked to turn an axis."""
-    from gradcal_jax.hardware.terminal import Terminal
-
-    if sys.stdin.isatty() and sys.stdout.isatty():
-        return Terminal(keyboard=sys.stdin.fileno(), screen=sys.stdout)
-    return None
-
-
-def progress_text(progress: "Progress", simulated: bool) -> str:
+def progress_text(progress: "RunProgress", simulated: bool) -> str:
     """State, step, temperatures, angles and time left, in one line."""
     parts = ["simulated" if simulated else "", progress.state.value]
     parts.append(f"step {min(progress.steps_done + 1, progress.steps)} of {progress.steps}, {progress.step}")

@@ -2,20 +2,14 @@
 
 from pathlib import Path
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import amount, columns
 
 # Less than this share of a per cent is nothing.
 _NOTHING = 5e-4
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(sensitivity)
 
 
 def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
@@ -32,7 +26,6 @@ def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
     plot
         Draw them as bars into this file.
     """
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files.recipe import any_spec_in
 
     drawable(plot)
@@ -50,8 +43,5 @@ def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
             print(f"\n{name}: {amount(value, unit)}; one per cent more of ... changes it by")
             shown = [row for row in known.rows if row.requirement == name and abs(row.percent) >= _NOTHING]
             print(columns([(row.figure, f"{row.percent:+.3f} %") for row in shown], right=(1,)))
-    if plot is not None:
-        from gradcal_jax.plots import draw_sensitivities
-
-        save_figure(draw_sensitivities(known), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_sensitivities(known), plot, quiet=json)
     return DONE

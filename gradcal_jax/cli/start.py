@@ -2,15 +2,8 @@
 
 import sys
 
-from cyclopts import App
-
 from gradcal_jax.cli.output import Flag, Output, writable
 from gradcal_jax.cli.status import DONE
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(start)
 
 
 def start(*, output: Output, preset: str | None = None, force: Flag = False) -> int:

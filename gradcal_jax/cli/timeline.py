@@ -3,12 +3,12 @@
 import csv as comma_separated
 import math
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Json
+from gradcal_jax.cli.output import Json, SpecPath
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
@@ -23,13 +23,8 @@ if TYPE_CHECKING:
 _MOST_ROWS = 60
 
 
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(timeline)
-
-
 def timeline(
-    spec: Path,
+    spec: SpecPath,
     /,
     *,
     json: Json = False,
@@ -40,8 +35,6 @@ def timeline(
 
     Parameters
     ----------
-    spec
-        The spec file.
     json
         Print gradcal-timeline/2: segments, readings and the sensor's model, in SI; of a whole unit
         gradcal-unit-timeline/1, with the angles of all axes and the attitude.
@@ -52,7 +45,6 @@ def timeline(
     """
     if json and csv:
         raise ValueError("--json or --csv: choose one")
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
 

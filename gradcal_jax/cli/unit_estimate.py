@@ -1,80 +1,72 @@
-"""What `gradcal estimate` says of a whole unit."""
+"""What `gradcal estimate` says of whole units: on a table, or held and turned by hand (`--gravity`)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import as_json, save_figure
-from gradcal_jax.cli.recordings import described
+from gradcal_jax.cli.output import as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.files.unit_correction import term_values
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
+from gradcal_jax.units import G
 
 if TYPE_CHECKING:
     from gradcal_jax.api.hand_estimate import HandReport
     from gradcal_jax.api.unit_estimate import UnitReport
-    from gradcal_jax.files.log import Log
-    from gradcal_jax.files.unit_spec import UnitSpec
+
+Report = TypeVar("Report", "UnitReport", "HandReport")
 
 
-def estimate_of_units(
-    spec: "UnitSpec",
-    logs: "Sequence[Log]",
-    names: Sequence[str],
-    units: Sequence[str],
-    *,
-    options: Mapping[str, Any],
+def say_units(
+    reports: "Sequence[Report]",
+    said: Sequence[str],
+    text: "Callable[[Report], str]",
+    rows: "Callable[[Report], dict[str, Any]]",
     files: Mapping[str, Path],
-    sources: dict[str, str],
-    plot: Path | None,
+    *,
     json: bool,
 ) -> int:
-    """Estimate, print, write. The exit status: see `gradcal estimate`."""
-    from gradcal_jax.api.estimate_options import Options
-    from gradcal_jax.api.unit_estimate import estimate_units, unit_estimate_rows
-
-    reports = estimate_units(spec, logs, units=units, options=Options(**options), sources=sources)
-    if json:
-        print(as_json({"units": [unit_estimate_rows(report) for report in reports]}))
-    else:
-        print("\n".join(described(log, name) for log, name in zip(logs, names, strict=True)))
-        for report in reports:
-            print(_text(report))
-    write_calibrations(reports, files, quiet=json)
-    if plot is not None:
-        from gradcal_jax.plots.unit_calibration import draw_unit_estimate
-
-        save_figure(draw_unit_estimate(reports[0]), plot, quiet=json)
-    return DONE if all(report.as_wished for report in reports) else NOT_AS_WISHED
-
-
-def write_calibrations(
-    reports: "Sequence[UnitReport] | Sequence[HandReport]", files: Mapping[str, Path], *, quiet: bool
-) -> None:
-    """Write the calibration of every unit that has a file to go to."""
+    """Print and write what was estimated of whole units; `said`: of their logs. The exit status: see `estimate`."""
     from gradcal_jax.files.unit_calibration import write_unit_calibration
 
+    print(as_json({"units": list(map(rows, reports))}) if json else "\n".join([*said, *map(text, reports)]))
     for report in reports:
         if (path := files.get(report.unit)) is not None:
             write_unit_calibration(report.calibration, path)
-            if not quiet:
+            if not json:
                 print(f"wrote {path}")
+    return DONE if all(report.as_wished for report in reports) else NOT_AS_WISHED
 
 
-def _text(report: "UnitReport") -> str:
-    import numpy as np
-
-    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
-    from gradcal_jax.units import G
-
-    found, model = report.calibration, report.built.model
-    lines = ["", strong(f"unit {report.unit}" + (", SIMULATED" if found.simulated else ""))]
+def _head(report: "UnitReport | HandReport", counted: str) -> list[str]:
+    found = report.calibration
     low, high = found.valid_temperature
     fastest = np.degrees(float(found.valid_rate[1]))
-    rows = int(np.count_nonzero(report.found.used))
-    lines.append(f"{rows} rows of {len(model.channels)} channels; covers {low} … {high}, up to {fastest:.4g} deg/s")
-    lines.append(f"frame: {found.frame}")
+    return [
+        "",
+        strong(f"unit {report.unit}" + (", SIMULATED" if found.simulated else "")),
+        f"{counted}; covers {low} … {high}, up to {fastest:.4g} deg/s",
+        f"frame: {found.frame}",
+    ]
+
+
+def _tests(report: "UnitReport | HandReport") -> str:
+    rows = [("test", "statistic", "degrees", "chance")]
+    for test in report.calibration.fit:
+        name = test.name.replace("_", " ")
+        rows.append((name, f"{test.statistic:.1f}", str(test.degrees), f"{test.chance:.2g}"))
+    return table(rows, right=(1, 2, 3))
+
+
+def text_of_estimate(report: "UnitReport") -> str:
+    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+
+    found, model = report.calibration, report.built.model
+    lines = _head(report, f"{np.count_nonzero(report.found.used)} rows of {len(model.channels)} channels")
     shown = [("requirement", "statistic", "residual (1σ)", "of", "target", "verdict")]
     for result, row in zip(found.result, report.requirements, strict=True):
         target = "" if row.target is None else amount(row.target, row.unit)
@@ -94,9 +86,7 @@ def _text(report: "UnitReport") -> str:
             numbers = (f"{v * factor:.4g}" for v in (error.value, error.standard_deviation, error.prior))
             of_table.append((error.name.replace("_", " "), *numbers, unit))
         lines += [table(of_table, right=(1, 2, 3))]
-    tests = [("test", "statistic", "degrees", "chance")]
-    tests += [(t.name.replace("_", " "), f"{t.statistic:.1f}", str(t.degrees), f"{t.chance:.2g}") for t in found.fit]
-    lines += [table(tests, right=(1, 2, 3))]
+    lines += [_tests(report)]
     if report.gravity is not None:
         before, after = (1e6 * v / G for v in report.gravity)
         lines.append(f"|f| - g over the rests: {before:.4g} µg rms as measured, {after:.4g} µg corrected")
@@ -105,10 +95,7 @@ def _text(report: "UnitReport") -> str:
 
 def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
     """Of every channel's terms: the largest value over temperature (and rate)."""
-    import numpy as np
-
     from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
-    from gradcal_jax.files.unit_correction import term_values
 
     found = report.calibration
     low, high = (float(t) for t in found.valid_temperature)
@@ -123,3 +110,35 @@ def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
             name = f"{channel.name} {term.name}".replace("_", " ")
             rows.append((name, f"{np.max(np.abs(values)):.5g}", f"{middle:.5g}", unit))
     return rows
+
+
+def text_of_held(report: "HandReport") -> str:
+    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+
+    found = report.calibration
+    lines = _head(report, f"{len(report.found.positions.duration)} positions, {report.found.turns} turns")
+    covariance = found.covariance
+    assert covariance is not None
+    std = {name: float(np.sqrt(covariance.matrix[k][k])) for k, name in enumerate(covariance.names)}
+    rows = [("parameter", "value", "1σ", "")]
+    for channel in found.channel:
+        gain = (report.found.gyro if channel.kind == "gyro" else report.found.accelerometer).gain
+        for term in channel.term:
+            unit, factor = UNITS_OF_TERMS[term.unit]
+            add = 0.0
+            if gain != 1.0 and term.name == "bias":
+                unit, factor = "counts", 1.0
+            elif gain != 1.0 and term.name == "scale_factor":
+                unit, factor, add = "counts per " + ("rad/s" if channel.kind == "gyro" else "m/s^2"), 1.0, 1.0
+            elif gain != 1.0:  # in proportion to it
+                factor /= gain
+            for name, value in term.coefficients.items():
+                known = std.get(f"{channel.name}.{name}")
+                error = "not observable" if known is None else f"{known * factor:.3g}"
+                what = f"{channel.name} {term.name}".replace("_", " ")
+                rows.append((what, f"{value * factor + add:.6g}", error, unit))
+    lines += ["", table(rows, right=(1, 2))]
+    lines += ["", _tests(report)]
+    lines.append(f"left of |f| - g over the positions: {report.gravity_left / G * 1e6:.4g} µg rms")
+    lines.append(f"left of gravity's direction after the turns: {report.turns_left * 1e6:.4g} µrad rms")
+    return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])

@@ -5,10 +5,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from cyclopts import App
-
 from gradcal_jax.cli.console import complain
-from gradcal_jax.cli.output import Flag, Json, as_json
+from gradcal_jax.cli.output import Flag, Json, RunPath, as_json
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, FAILED
 from gradcal_jax.pages.plain_text import amount
@@ -18,20 +17,13 @@ _SILENT_S = 60.0
 _LOOKS_S = 1.0
 
 
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(watch)
-
-
-def watch(run: Path, /, *, once: Flag = False, known: Flag = False, json: Json = False) -> int:
+def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Json = False) -> int:
     """Show how a run stands until it ends: step, temperature against its course, angles, samples, what is known by now.
 
     It only reads, and may be closed at any time. The exit status is 3 where the run ended badly, or is silent.
 
     Parameters
     ----------
-    run
-        The folder of the run.
     once
         Show it once, and do not wait for the end.
     known
@@ -67,7 +59,6 @@ def watch(run: Path, /, *, once: Flag = False, known: Flag = False, json: Json =
 
 
 def _known(run: Path) -> list[dict[str, Any]]:
-    from gradcal_jax.cli.precision import use_float64
     from gradcal_jax.hardware.run_folder import RunFolder
     from gradcal_jax.hardware.stretches import goes_on_at, stretches_of
 

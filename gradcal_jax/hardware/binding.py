@@ -20,6 +20,7 @@ from .track import Course, Move, Stable, Step, Track
 _LONGEST_STAND_S = 600.0
 _SPLINE_PIECE_S = 0.5
 _BETWEEN_READINGS_S = 10.0
+_SPIN_ACCELERATION_DPS2 = 100.0
 
 
 def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
@@ -67,11 +68,6 @@ def _stable(stability: Stability, *, first: bool) -> Stable:
     return Stable(float(stability.within), float(stability.for_at_least), float(timeout))
 
 
-def _again(stability: Stability) -> Stable:
-    """After a break the chamber may come from anywhere."""
-    return _stable(stability, first=True)
-
-
 def _course(segment: ChamberSegment, start_s: float) -> Course:
     ramp = None if segment.slope is None else abs(float(segment.slope)) * 60.0
     return Course(start_s, float(segment.temperature_end), ramp)
@@ -89,7 +85,7 @@ def _unused(segment: ChamberSegment, stability: Stability, *, first: bool) -> St
         start_c=float(segment.temperature_start),
         courses=(course,),
         follows=not waits and not first,
-        again=_again(stability),
+        again=_stable(stability, first=True),  # after a break the chamber may come from anywhere
         read_every_s=_BETWEEN_READINGS_S,
     )
 
@@ -107,12 +103,7 @@ class _Piece:
 
 
 def _stretch(
-    block: MotionBlock,
-    segments: Sequence[ChamberSegment],
-    stability: Stability,
-    names: dict[str, str],
-    *,
-    first: bool,
+    block: MotionBlock, segments: Sequence[ChamberSegment], stability: Stability, names: dict[str, str], *, first: bool
 ) -> list[Step]:
     waits = segments[0].begins == "when stable"
     total = math.fsum(float(segment.duration) for segment in segments)
@@ -144,7 +135,7 @@ def _stretch(
                 start_c=_temperature(segments, piece.start_s),
                 courses=later,
                 follows=number > 0 or (not waits and not first),
-                again=_again(stability),
+                again=_stable(stability, first=True),
                 start_deg=dict(at),
                 read_at_s=tuple(piece.read_at_s),
                 slack_s=piece.slack_s,
@@ -232,9 +223,6 @@ def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
         name = f"{block.begins_with}, rate {number} of {len(block.moves)}"
         pieces.append(_Piece(name, float(move.start), duration, moves, reads))
     return pieces
-
-
-_SPIN_ACCELERATION_DPS2 = 100.0
 
 
 def _add(piece: _Piece, move: TrackMove, names: dict[str, str]) -> None:

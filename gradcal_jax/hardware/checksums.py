@@ -9,30 +9,13 @@ from functools import reduce
 BIT_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 
 
-def _table(polynomial: int, bits: int) -> tuple[int, ...]:
-    """Byte table of a CRC that shifts towards the most significant bit."""
-    top, mask = 1 << (bits - 1), (1 << bits) - 1
-    table: list[int] = []
-    for value in range(256):
-        register = value << (bits - 8)
-        for _ in range(8):
-            register = ((register << 1) ^ polynomial) & mask if register & top else (register << 1) & mask
-        table.append(register)
-    return tuple(table)
+def _modbus_of(byte: int) -> int:
+    for _ in range(8):
+        byte = (byte >> 1) ^ 0xA001 if byte & 1 else byte >> 1
+    return byte
 
 
-def _reflected_table(polynomial: int) -> tuple[int, ...]:
-    table: list[int] = []
-    for value in range(256):
-        register = value
-        for _ in range(8):
-            register = (register >> 1) ^ polynomial if register & 1 else register >> 1
-        table.append(register)
-    return tuple(table)
-
-
-_CRC8 = _table(0x07, 8)
-_MODBUS = _reflected_table(0xA001)
+_MODBUS = tuple(map(_modbus_of, range(256)))
 
 
 def crc16_modbus(data: bytes) -> bytes:
@@ -57,7 +40,9 @@ def crc8_stim300(data: bytes) -> int:
     """CRC-8 of STIM300 Utility Mode: polynomial 07, start FF, over everything up to and including the last comma."""
     register = 0xFF
     for byte in data:
-        register = _CRC8[register ^ byte]
+        register ^= byte
+        for _ in range(8):
+            register = (register << 1 ^ 0x07 * (register >> 7)) & 0xFF
     return register
 
 

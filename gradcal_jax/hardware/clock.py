@@ -5,9 +5,8 @@ that is ordinary waiting; for simulated devices alone, `simulate.virtual_clock` 
 """
 
 import time
-from collections.abc import Generator
-from contextlib import AbstractContextManager, contextmanager
-from typing import Protocol, runtime_checkable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Protocol
 
 # Linux's monotonic clock stands still while the computer sleeps, and the devices go on: this one does not.
 _RUNS_ON = getattr(time, "CLOCK_BOOTTIME", None)
@@ -17,19 +16,16 @@ def _running_s() -> float:
     return time.monotonic() if _RUNS_ON is None else time.clock_gettime(_RUNS_ON)
 
 
-@runtime_checkable
 class Link(Protocol):
     """Accounts for the bytes on their way over one line, so that virtual time does not overtake them."""
 
-    def attach(self) -> None: ...
-    def detach(self) -> None: ...
-    def host_wrote(self, count: int) -> None: ...
-    def host_read(self, count: int) -> None: ...
-    def device_wrote(self, count: int) -> None: ...
-    def device_handled(self, count: int) -> None: ...
+    def change(
+        self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool = False
+    ) -> None:
+        """So many bytes more are on their way (negative: fewer, they arrived), or the host opened or left the line."""
+        ...
 
 
-@runtime_checkable
 class Clock(Protocol):
     """Monotonic time in seconds, and waiting on it."""
 
@@ -61,22 +57,7 @@ class Clock(Protocol):
 class _NoAccount:
     """The link of real time: nothing to account for."""
 
-    def attach(self) -> None:
-        pass
-
-    def detach(self) -> None:
-        pass
-
-    def host_wrote(self, count: int) -> None:
-        pass
-
-    def host_read(self, count: int) -> None:
-        pass
-
-    def device_wrote(self, count: int) -> None:
-        pass
-
-    def device_handled(self, count: int) -> None:
+    def change(self, **_: object) -> None:
         pass
 
 
@@ -101,17 +82,10 @@ class RealClock:
     def sleep(self, duration_s: float) -> None:
         self.sleep_until(self.now() + duration_s)
 
-    @contextmanager
-    def party(self) -> Generator[None, None, None]:
-        yield
+    def party(self) -> AbstractContextManager[None]:
+        return nullcontext()
 
-    @contextmanager
-    def aside(self) -> Generator[None, None, None]:
-        yield
-
-    @contextmanager
-    def real_pace(self) -> Generator[None, None, None]:
-        yield
+    aside = real_pace = party
 
     def link(self, url: str) -> Link:
         return self._link

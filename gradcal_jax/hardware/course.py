@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from .clock import Clock
+from .errors import Disconnected, HardwareError
+from .journal import JournalFull, plain
 from .roles import Chamber, ChamberReading
 from .track import Course, Stable
 
@@ -182,6 +184,40 @@ class ChamberDuty:
         if reached == ramp.target_c:
             self._soft, self._held_c = None, ramp.target_c
         self._next_soft_s = now + _SOFT_STEP_S
+
+    def watch(self, every_s: float, watching: threading.Event, failed: Callable[[str], None]) -> None:
+        """In a thread of its own: read the chamber as long as it is `watching`."""
+        failures = 0
+        with self._clock.party():
+            while watching.is_set():
+                self._clock.sleep(every_s)
+                if not watching.is_set():
+                    return
+                try:
+                    self.step_soft_ramp()
+                    reading = self.chamber.read()
+                    self.heard(reading)
+                    failures = 0
+                    self._event("chamber", at_once=False, **plain(reading))
+                except HardwareError as problem:
+                    failures += 1
+                    self._event("chamber not read", quietly=True, problem=str(problem))
+                    if failures == 3 or isinstance(problem, (Disconnected, JournalFull)):
+                        failed(f"The chamber cannot be read: {problem}")
+                        return
+
+    def tell(self, course: Course, due_s: float, failed: Callable[[str], None]) -> None:
+        """In a thread of its own: a chamber that takes seconds to acknowledge delays no move and no reading."""
+        self.expect(course, due_s)
+
+        def tell() -> None:
+            with self._clock.party():
+                try:
+                    self.follow(course)
+                except HardwareError as problem:
+                    failed(f"The chamber was not told its course: {problem}")
+
+        threading.Thread(target=tell, daemon=True, name="telling the chamber").start()
 
     def stable_at(self, temperature_c: float, wanted: Stable) -> float | None:
         """The newest temperature, if it has been stable for as long as wanted; else None."""

@@ -12,7 +12,7 @@ from .clock import Clock
 from .errors import HardwareError
 from .roles import AxisLimits, ChamberLimits, ImuSettings
 from .setup import Bench
-from .track import Course, Move, Step, Track, beyond_limits
+from .track import Course, Move, Track, beyond_limits
 
 _STREAM_S, _LONGEST_S = 3.0, 12.0
 _RATE_OFF = 0.05
@@ -53,7 +53,10 @@ def dry_run(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, Axis
         if step.ready is not None and step.begins_c is not None:
             told.append(f"chamber: hold {step.begins_c:g} degC, until it is stable")
             here_c = step.begins_c
-        for course in _courses(step):
+        courses = [course for course in step.courses if step.follows or course.start_s > 0.0]
+        if not step.follows and step.temperature_c is not None:
+            courses.insert(0, Course(0.0, step.temperature_c, step.ramp_k_per_min))
+        for course in courses:
             said, made = _told(course, here_c, chamber)
             told.append(f"chamber: {said}")
             if made:
@@ -65,11 +68,6 @@ def dry_run(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, Axis
         begins_s += step.duration_s
     problems = beyond_limits(track, chamber, axes)
     return DryRun(tuple(steps), begins_s, tuple(dict.fromkeys(rounded)), tuple(problems))
-
-
-def _courses(step: Step) -> list[Course]:
-    first = [] if step.follows or step.temperature_c is None else [Course(0.0, step.temperature_c, step.ramp_k_per_min)]
-    return first + [course for course in step.courses if step.follows or course.start_s > 0.0]
 
 
 def _told(course: Course, here_c: float, limits: ChamberLimits | None) -> tuple[str, str]:
@@ -106,9 +104,6 @@ def _moves(name: str, moves: list[Move], at: dict[str, float]) -> str:
     at[name] = places[-1]
     reach = f", {min(places):g} to {max(places):g} deg" if len(places) > 1 else ""
     return f"{name}: {len(moves)} command{'s' * (len(moves) > 1)}, up to {fastest:.4g} deg/s{reach}"
-
-
-# ------------------------------------------------------------------------------------------------- before a first run
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,11 @@ class Exchange:
         self,
         transport: Transport,
         framer: Framer,
-        *,
         clock: Clock,
         device: str,
         reply_timeout_s: float,
         min_interval_s: float = 0.0,
+        *,
         settle_s: float = 0.05,
         tries: int = 3,
     ) -> None:
@@ -52,7 +52,6 @@ class Exchange:
         self._tries = tries
         self._next_request_s = -float("inf")
         self._lock = threading.RLock()
-        self.disturbances = 0
 
     @contextmanager
     def alone(self) -> Generator[None, None, None]:
@@ -91,7 +90,6 @@ class Exchange:
                         self.transport.drain(self._settle_s)
                     return reply
                 except (ReplyTimeout, FramingError):
-                    self.disturbances += 1
                     self.transport.drain(self._settle_s)
                     if attempt == tries:
                         raise

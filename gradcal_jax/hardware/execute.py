@@ -11,7 +11,7 @@ from ..files.unit_spec import UnitSpec
 from ..files.writing import write_whole
 from .clock import RealClock
 from .run_folder import RunFolder, mounting_of, new_folder, prepare_resume
-from .runner import Progress, Runner, RunResult
+from .runner import Runner, RunProgress, RunResult
 from .session import run_session
 from .setup import configs_of
 from .simulate.lab import SimulatedLab
@@ -27,21 +27,10 @@ _MOST_UNITS: Final = 8
 _ONE: Final = "one sensor hangs on the simulated table of a single axis"
 
 
-class Simulation(TypedDict):
-    """Simulated devices: what their hidden errors are drawn by, so many times faster than real time (None: as fast as
-    it goes), samples in Hz, how many units.
-    """
-
-    seed: int
-    speed: float | None
-    sample_rate_hz: float
-    units: int
-
-
 class Attended(TypedDict, total=False):
     """For whoever watches a run, as `session.run_session` takes them."""
 
-    on_progress: Callable[[Progress], None]
+    on_progress: Callable[[RunProgress], None]
     with_runner: Callable[[Runner], None]
     wait_when_paused: bool
     handle_signals: bool
@@ -88,7 +77,7 @@ def run(
     if not 1 <= units <= (_MOST_UNITS if isinstance(recipe.spec, UnitSpec) else 1):
         most = f"1 to {_MOST_UNITS} units hang on the simulated table" if isinstance(recipe.spec, UnitSpec) else _ONE
         raise ValueError(f"{most}; expected another number than {units}")
-    simulation = Simulation(seed=seed, speed=speed, sample_rate_hz=sample_rate_hz, units=units)
+    simulation = {"seed": seed, "speed": speed, "sample_rate_hz": sample_rate_hz, "units": units}
     return _simulated(path, recipe, simulation, None, attended, about)
 
 
@@ -134,7 +123,7 @@ def _on_rig(folder: RunFolder, first_step: int, attended: Attended) -> RunResult
 def _simulated(
     path: Path,
     recipe: Recipe,
-    simulation: Simulation,
+    simulation: Mapping[str, Any],
     resumed: int | None,
     attended: Attended,
     about: Mapping[str, str] | None = None,
@@ -144,8 +133,7 @@ def _simulated(
     if resumed is not None:
         latest = max((record.time_s for record in folder.contents().records), default=0.0) + _LATER_S
     clock = VirtualClock(latest, speed=simulation["speed"])
-    seed, sample_rate_hz = int(simulation["seed"]), float(simulation["sample_rate_hz"])
-    settings: Any = {"seed": seed, "sample_rate_hz": sample_rate_hz}
+    settings: Any = {"seed": int(simulation["seed"]), "sample_rate_hz": float(simulation["sample_rate_hz"])}
     if isinstance(recipe.spec, UnitSpec):
         mounting = 0 if resumed is None else max(mounting_of(folder.contents()) - 1, 0)
         made = SimulatedUnitLab(recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting)

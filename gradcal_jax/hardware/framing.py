@@ -4,7 +4,7 @@ A framer takes chunks of any size and gives whole frames; how the stream was cut
 framers of single devices (datagrams, packets) stand beside their codecs; here are those that several devices share.
 """
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from .checksums import crc16_modbus
 
@@ -12,7 +12,6 @@ from .checksums import crc16_modbus
 _SHORTEST_TCP, _LONGEST_TCP = 3, 254
 
 
-@runtime_checkable
 class Framer(Protocol):
     """Cuts a stream into frames."""
 
@@ -24,13 +23,22 @@ class Framer(Protocol):
         """Forget an unfinished frame, after a time-out or a re-opened port."""
         ...
 
+
+class BufferedFramer:
+    """What every framer has; `pending` are the bytes of the unfinished frame."""
+
+    def __init__(self) -> None:
+        self._buffer: bytes = b""
+
     @property
     def pending(self) -> bytes:
-        """The bytes of the unfinished frame."""
-        ...
+        return self._buffer
+
+    def reset(self) -> None:
+        self._buffer = b""
 
 
-class LineFramer:
+class LineFramer(BufferedFramer):
     """Text lines that end at `terminator`, which is not part of the frame; None: at CR, LF or both, as a device may be
     set. Empty lines are dropped, unless `keep_empty`.
 
@@ -38,15 +46,11 @@ class LineFramer:
     """
 
     def __init__(self, terminator: bytes | None = None, *, longest: int = 4096, keep_empty: bool = False) -> None:
+        super().__init__()
         self._terminator = terminator
         self._keep_empty = keep_empty
         self._longest = longest
-        self._buffer: bytes = b""
         self._overlong = False
-
-    @property
-    def pending(self) -> bytes:
-        return self._buffer
 
     def reset(self) -> None:
         self._buffer, self._overlong = b"", False
@@ -61,20 +65,6 @@ class LineFramer:
             # The tail may be the first part of a terminator of several bytes.
             self._buffer, self._overlong = self._buffer[1 - len(terminator) or len(self._buffer) :], True
         return [line for line in lines if (line or self._keep_empty) and len(line) <= self._longest]
-
-
-class BufferedFramer:
-    """What every framer has whose unfinished frame is all that it remembers."""
-
-    def __init__(self) -> None:
-        self._buffer: bytes = b""
-
-    @property
-    def pending(self) -> bytes:
-        return self._buffer
-
-    def reset(self) -> None:
-        self._buffer = b""
 
 
 class ModbusTcpFramer(BufferedFramer):

@@ -30,7 +30,7 @@ from .clock import Clock, RealClock
 from .errors import HardwareError, PortRefused, PortTaken
 from .journal import Journal
 from .safety import SafeOutcome, make_safe, put_back
-from .setup import Bench, configs_of, open_rig
+from .setup import Bench, configs_of, only_of, open_rig
 from .supervision import sound_alarm
 
 Settings = dict[str, dict[str, str]]
@@ -59,15 +59,6 @@ class Guard:
         self._next_start_s = 0.0
         self._start()
 
-    @property
-    def must_act(self) -> bool:
-        """Whether the guard has something left to do."""
-        return self._begun
-
-    @property
-    def process(self) -> "subprocess.Popen[bytes]":
-        return self._process
-
     def begun(self) -> None:
         """From now on the rig may be anything but safe."""
         self._begun = True
@@ -85,7 +76,7 @@ class Guard:
 
     def beat(self) -> str:
         """Say that the run is alive. A sentence where the guard was not, and was replaced."""
-        code, now = self._process.poll(), time.monotonic()
+        code, now = self.process.poll(), time.monotonic()
         if code is None and (self._unanswered_s is None or now - self._unanswered_s < _SILENT_S):
             self._unanswered_s = self._unanswered_s or now
             self._say("alive")
@@ -106,15 +97,15 @@ class Guard:
         """The run ends here: a guard that must act begins now."""
         with self._lock, suppress(OSError):
             self._input.close()
-        if self.must_act:
+        if self._begun:
             # It takes as long as it takes; whoever waits for the run's end is to hear of it now.
-            threading.Thread(target=self._process.wait, daemon=True, name="leaving it to the guard").start()
+            threading.Thread(target=self.process.wait, daemon=True, name="leaving it to the guard").start()
             return
         try:
-            self._process.wait(timeout=10.0)
+            self.process.wait(timeout=10.0)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            self.process.kill()
+            self.process.wait()
 
     def _start(self) -> None:
         """Start a guard. Raises `HardwareError` where it cannot do what it may have to."""
@@ -127,7 +118,7 @@ class Guard:
         )
         assert process.stdin is not None
         assert process.stdout is not None
-        self._process, self._input = process, process.stdin
+        self.process, self._input = process, process.stdin
         ready, heard = threading.Event(), list[bytes]()
         self._unanswered_s = None
 
@@ -150,8 +141,8 @@ class Guard:
             )
 
     def _end(self) -> None:
-        self._process.kill()
-        self._process.wait()
+        self.process.kill()
+        self.process.wait()
         with self._lock, suppress(OSError):
             self._input.close()
 
@@ -249,14 +240,8 @@ def make_folder_safe(
     while True:
         for outcome in _try_once(rig, clock, before or {}, deadline_s, note):
             found[outcome.name] = outcome
-            note(
-                "made safe",
-                by="guard",
-                device=outcome.name,
-                action=outcome.action,
-                verified=outcome.verified,
-                evidence=outcome.evidence,
-            )
+            said = {"action": outcome.action, "verified": outcome.verified, "evidence": outcome.evidence}
+            note("made safe", by="guard", device=outcome.name, **said)
         left = {name: outcome for name, outcome in found.items() if not outcome.verified}
         again = bool(left) and time.monotonic() < end
         if left and keep_trying_s:
@@ -272,7 +257,7 @@ def make_folder_safe(
             return list(found.values())
         time.sleep(pause_s)
         pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
-        rig = _only(rig, set(left))
+        rig = only_of(rig, set(left))
 
 
 def _try_once(
@@ -289,16 +274,6 @@ def _try_once(
     except HardwareError as problem:
         note("guard", what=f"the rig could not be made safe: {problem}")
     return outcomes
-
-
-def _only(rig: RigFile, names: set[str]) -> RigFile:
-    """The rig with these devices alone."""
-    chosen = {
-        "chamber": rig.chamber if "chamber" in names else None,
-        "axis": tuple(entry for entry in rig.axis if entry.name in names),
-        "imu": tuple(entry for entry in rig.imu if entry.name in names),
-    }
-    return rig.model_copy(update=chosen)
 
 
 def _write(path: Path, happened: list[tuple[float, str, dict[str, Any]]]) -> None:
@@ -328,14 +303,14 @@ def _open_soon(rig: RigFile, clock: Clock, missing: list[SafeOutcome]) -> Bench:
     actions = {entry.name: entry.safe for entry in rig.axis} | {entry.name: "left streaming" for entry in rig.imu}
     for name, action in (actions | ({"chamber": rig.chamber.safe} if rig.chamber is not None else {})).items():
         try:
-            open_rig(_only(rig, {name}), clock).close()
+            open_rig(only_of(rig, {name}), clock).close()
             openable.add(name)
         except PortTaken as problem:
             # It is theirs now, and no longer the guard's to try again.
             missing.append(SafeOutcome(name, "left to another run", True, str(problem), 0, 0.0))
         except HardwareError as problem:
             missing.append(SafeOutcome(name, action, False, str(problem), 0, 0.0))
-    return open_rig(_only(rig, openable), clock)
+    return open_rig(only_of(rig, openable), clock)
 
 
 if __name__ == "__main__":

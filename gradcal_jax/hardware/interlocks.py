@@ -33,7 +33,7 @@ class Situation:
 
 
 @dataclass(frozen=True)
-class Rule:
+class InterlockRule:
     """`look` returns a sentence when something is wrong, else an empty text."""
 
     name: str
@@ -43,7 +43,7 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Limits:
+class InterlockLimits:
     """The numbers of the standard rules, and of what counts as executed; what is None is not watched.
 
     The air may be `temperature_band_k` beside its course, and `temperature_lag_s` behind it. A command that is
@@ -64,13 +64,13 @@ class Limits:
 class Interlocks:
     """Rules with their memory of since when each has been violated."""
 
-    rules: tuple[Rule, ...]
-    limits: Limits = field(default_factory=Limits)
+    rules: tuple[InterlockRule, ...]
+    limits: InterlockLimits = field(default_factory=InterlockLimits)
     _since: dict[str, float] = field(default_factory=dict[str, float])
 
-    def check(self, situation: Situation) -> tuple[Rule, str] | None:
+    def check(self, situation: Situation) -> tuple[InterlockRule, str] | None:
         """The first rule that has lost its patience, with its sentence; aborts before pauses."""
-        tripped: list[tuple[Rule, str]] = []
+        tripped: list[tuple[InterlockRule, str]] = []
         for rule in self.rules:
             text = rule.look(situation)
             if not text:
@@ -84,9 +84,9 @@ class Interlocks:
         self._since.clear()
 
 
-def standard_rules(limits: Limits | None = None) -> Interlocks:
+def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
     """Chamber alarm, faults and over-speed of axes, course and slope of the temperature, stale units, disk space."""
-    given = limits or Limits()
+    given = limits or InterlockLimits()
 
     def alarm(now: Situation) -> str:
         if now.chamber is None or not now.chamber.alarms:
@@ -143,13 +143,13 @@ def standard_rules(limits: Limits | None = None) -> Interlocks:
 
     return Interlocks(
         (
-            Rule("chamber alarm", "abort", 0.0, alarm),
-            Rule("axis fault", "abort", 0.0, faults),
-            Rule("over-speed", "abort", 0.0, over_speed),
-            Rule("temperature course", "pause", _PATIENCE_S, course),
-            Rule("temperature slope", "abort", 0.0, slope),
-            Rule("stale unit", "pause", 0.0, stale),
-            Rule("disk space", "pause", 0.0, disk),
+            InterlockRule("chamber alarm", "abort", 0.0, alarm),
+            InterlockRule("axis fault", "abort", 0.0, faults),
+            InterlockRule("over-speed", "abort", 0.0, over_speed),
+            InterlockRule("temperature course", "pause", _PATIENCE_S, course),
+            InterlockRule("temperature slope", "abort", 0.0, slope),
+            InterlockRule("stale unit", "pause", 0.0, stale),
+            InterlockRule("disk space", "pause", 0.0, disk),
         ),
         given,
     )

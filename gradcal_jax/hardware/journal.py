@@ -27,11 +27,9 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, cast
+from typing import Any, Literal, Protocol, cast
 
 from .errors import HardwareError
-from .transcript import Direction
 
 _SYNC = b"\xa7\x4a"
 _HEAD = struct.Struct("<BBId")
@@ -57,6 +55,9 @@ _FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
     "state": {"state": (str,)},
     "hung": {"mounting": (int,)},
 }
+
+Direction = Literal[">", "<", "#"]
+"""To the device, from it, or a remark."""
 
 
 class JournalFull(HardwareError):
@@ -161,12 +162,8 @@ class Journal:
     def __enter__(self) -> "Journal":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _append(self, kind: int, line: int, time_s: float, payload: bytes) -> None:
         """Put a record in line for the disk. The caller holds the lock."""
@@ -227,6 +224,12 @@ class Journal:
                 "was written before is sound and the run can be resumed."
             )
             self._change.notify_all()
+
+
+class Recorder(Protocol):
+    """Whatever keeps the bytes of a line."""
+
+    def record(self, time_s: float, direction: Direction, data: bytes) -> None: ...
 
 
 class LineRecorder:
@@ -315,16 +318,18 @@ def free_space_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
+def json_of(item: Any) -> Any:
+    """Values as JSON has them: tuples as lists, infinities and NaN as null."""
+    if isinstance(item, Mapping):
+        return {str(k): json_of(v) for k, v in item.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    if isinstance(item, (list, tuple)):
+        return [json_of(v) for v in item]  # pyright: ignore[reportUnknownVariableType]
+    return None if isinstance(item, float) and not math.isfinite(item) else item
+
+
 def plain(value: Any) -> dict[str, Any]:
-    """A record of this room as JSON has it: tuples as lists, infinities and NaN as null."""
-
-    def simple(item: Any) -> Any:
-        if isinstance(item, float):
-            return item if item - item == 0.0 else None
-        if isinstance(item, Mapping):
-            return {str(k): simple(v) for k, v in item.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-        return [simple(v) for v in item] if isinstance(item, tuple) else item  # pyright: ignore[reportUnknownVariableType]
-
-    return {name: simple(getattr(value, name)) for name in value.__dataclass_fields__ if name != "name"} | (
-        {"device": value.name} if "name" in value.__dataclass_fields__ else {}
-    )
+    """A record of this room as JSON has it; its `name` is that of a device."""
+    fields = {name: json_of(getattr(value, name)) for name in value.__dataclass_fields__}
+    if "name" in fields:
+        fields["device"] = fields.pop("name")
+    return fields

@@ -211,7 +211,6 @@ class ImuBatch:
         return self.host_time_s.shape[0]
 
 
-@runtime_checkable
 class ImuDecoder(Protocol):
     """Pure: the same bytes with the same stamps always give the same samples, however they were cut."""
 

@@ -138,17 +138,8 @@ def begin_session(
     journal: Journal, now_s: float, number: int, rig: RigFile, *, simulated: bool, first_step: int, recipe: int = 0
 ) -> None:
     """The event that begins a part of a run; the wall clock stands beside the monotonic one."""
-    journal.event(
-        now_s,
-        SESSION,
-        number=number,
-        first_step=first_step,
-        recipe=recipe,
-        wall_clock_s=time.time(),
-        simulated=simulated,
-        version=version("gradcal_jax"),
-        rig=tables_of(rig),
-    )
+    part: dict[str, Any] = {"number": number, "first_step": first_step, "recipe": recipe, "wall_clock_s": time.time()}
+    journal.event(now_s, SESSION, **part, simulated=simulated, version=version("gradcal_jax"), rig=tables_of(rig))
 
 
 def sessions(contents: JournalContents) -> int:

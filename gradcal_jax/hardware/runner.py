@@ -23,12 +23,14 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Literal
 
+from ..files.rig import ImuDevice
 from .clock import Clock
 from .course import ChamberDuty
-from .errors import Disconnected, HardwareError, LimitExceeded
+from .errors import HardwareError, LimitExceeded
 from .interlocks import Interlocks, Situation, standard_rules
 from .journal import Journal, JournalFull, free_space_bytes, plain
-from .roles import AxisReading, ChamberReading, ImuDecoder, MotionAxis
+from .losses import ExecutedStep, SampleLosses, StepNotDone
+from .roles import AxisReading, ChamberReading, MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
 from .track import Course, Stable, Step, Track, beyond_limits
@@ -82,7 +84,7 @@ class RunResult:
 
 
 @dataclass(frozen=True)
-class Progress:
+class RunProgress:
     """For whoever shows it: handed to `on_progress` once a chamber reading, in the run's own thread: the run waits for
     whoever does not return at once."""
 
@@ -104,48 +106,6 @@ class _Interrupted(Exception):
     """A pause in the middle of a step."""
 
 
-class _NotDone(Exception):
-    """A step was not executed as written."""
-
-    def __init__(self, number: int, why: str) -> None:
-        Exception.__init__(self, why)
-        self.number = number
-
-
-@dataclass(frozen=True)
-class _Executed:
-    """A step by its number, on the run's clock."""
-
-    number: int
-    began_s: float
-    ended_s: float
-
-
-class _Losses:
-    """What is missing of a unit's samples: the stream is decoded once while it comes, and only this is kept."""
-
-    def __init__(self, decoder: ImuDecoder, sample_rate_hz: float) -> None:
-        self._decoder, self._sample_rate_hz = decoder, sample_rate_hz
-        self._found: deque[tuple[float, int, bool]] = deque(maxlen=1 << 16)
-        self.received = self.missing = 0
-
-    def push(self, data: bytes, time_s: float) -> None:
-        batch = self._decoder.push(data, time_s)
-        missing, restarted = int(batch.gap_before.sum()), bool(batch.restarted.any())
-        self.received, self.missing = self.received + len(batch), self.missing + missing
-        if missing or restarted:
-            self._found.append((time_s, missing, restarted))
-
-    def between(self, executed: _Executed, share: float) -> str:
-        """A sentence where more than a share of a step's samples is missing, or the unit began anew in it."""
-        inside = [found for found in list(self._found) if executed.began_s < found[0] <= executed.ended_s]
-        if any(restarted for _, _, restarted in inside):
-            return "the unit began anew in mid-step"
-        lost = sum(missing for _, missing, _ in inside)
-        whole = (executed.ended_s - executed.began_s) * self._sample_rate_hz
-        return f"{lost} of {whole:.0f} samples are lost" if lost > share * whole else ""
-
-
 class _Ended(Exception):
     """Stop or abort."""
 
@@ -163,7 +123,7 @@ class Runner:
     journal: Journal
     clock: Clock
     interlocks: Interlocks = field(default_factory=standard_rules)
-    on_progress: Callable[[Progress], None] | None = None
+    on_progress: Callable[[RunProgress], None] | None = None
     on_alarm: Callable[[str], None] | None = None
     chamber_every_s: float = 5.0
     safe_deadline_s: float = 60.0
@@ -181,19 +141,13 @@ class Runner:
         self._duty: ChamberDuty | None = None
         if self.bench.chamber is not None:
             self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
-        self._axes = AxesDuty(
-            self.bench.axes,
-            self.clock,
-            self._event,
-            self.interlocks.limits.latest_s,
-            self._drawn,
-            keep_track=not self.bench.imus,
-        )
+        latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
+        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
         self._imu_heard_s: dict[str, float] = {}
-        self._losses: dict[str, _Losses] = {}
-        self._unconfirmed: list[_Executed] = []
+        self._losses: dict[str, SampleLosses] = {}
+        self._unconfirmed: list[ExecutedStep] = []
         self._tries: dict[int, int] = {}
-        self._shortfall: _NotDone | None = None
+        self._shortfall: StepNotDone | None = None
         self.ticked_s = time.monotonic()
         """Real time of when the run's own thread last came by: one that hangs does not."""
         self._heard_end_s = math.inf
@@ -203,8 +157,6 @@ class Runner:
         self._shown_s = -math.inf
         self._steps_done = self.first_step
         self._step_ends_s = 0.0
-
-    # ------------------------------------------------------------------------------------------------- from outside
 
     def request(self, what: Request, reason: str = "asked for") -> None:
         """Ask for a change; safe in a signal handler."""
@@ -258,26 +210,16 @@ class Runner:
     def _drawn(self, angles_deg: Mapping[str, float]) -> str:
         return "" if self.draw is None else self.draw(angles_deg, self.mounting)
 
-    # -------------------------------------------------------------------------------------------------------- start
-
     def _prepare(self) -> None:
-        rig = self.bench.rig
-        for entry in rig.axis:
-            identity = self.bench.axes[entry.name].identify()
-            require_identity(entry.name, entry, identity)
-            self._event("identity", device=entry.name, **plain(identity))
-        if self.bench.chamber is not None and rig.chamber is not None:
-            identity = self.bench.chamber.identify()
-            require_identity("chamber", rig.chamber, identity)
-            self._event("identity", device="chamber", **plain(identity))
-        for entry in rig.imu:
-            unit = self.bench.imus[entry.name]
-            identity = unit.identify()
-            require_identity(entry.name, entry, identity)
-            self._event("identity", device=entry.name, **plain(identity))
-            settings = unit.configure()
-            self._event("configuration", device=entry.name, **plain(settings))
-            self._losses[entry.name] = _Losses(unit.decoder(), settings.sample_rate_hz)
+        for name, entry, device in self.bench.devices():
+            identity = device.identify()
+            require_identity(name, entry, identity)
+            self._event("identity", device=name, **plain(identity))
+            if isinstance(entry, ImuDevice):
+                unit = self.bench.imus[name]
+                settings = unit.configure()
+                self._event("configuration", device=name, **plain(settings))
+                self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz)
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
         self._axes.home(self.track.moved, self._duties)
@@ -295,7 +237,7 @@ class Runner:
             start(self._feed_watchdogs, guarded)
         if self._duty is not None:
             self._duty.heard(self._duty.chamber.read())
-            start(self._watch_chamber, self._duty)
+            start(self._duty.watch, self.chamber_every_s, self._watching, self._fail)
         for name in self.bench.imus:
             self.bench.imus[name].start()
             self._imu_heard_s[name] = self.clock.now()
@@ -312,41 +254,9 @@ class Runner:
                     return
                 self.clock.sleep(_SLICE_S)
 
-    def _watch_chamber(self, duty: ChamberDuty) -> None:
-        failures = 0
-        with self.clock.party():
-            while self._watching.is_set():
-                self.clock.sleep(self.chamber_every_s)
-                if not self._watching.is_set():
-                    return
-                try:
-                    duty.step_soft_ramp()
-                    reading = duty.chamber.read()
-                    duty.heard(reading)
-                    failures = 0
-                    self._event("chamber", at_once=False, **plain(reading))
-                except HardwareError as problem:
-                    failures += 1
-                    self._event("chamber not read", quietly=True, problem=str(problem))
-                    if failures == 3 or isinstance(problem, (Disconnected, JournalFull)):
-                        self._problem = f"The chamber cannot be read: {problem}"
-                        return
-
-    def _tell_chamber(self, course: Course, due_s: float) -> None:
-        """In a thread of its own: a chamber that takes seconds to acknowledge delays no move and no reading."""
-        duty = self._duty
-        if duty is None:
-            return
-        duty.expect(course, due_s)
-
-        def tell() -> None:
-            with self.clock.party():
-                try:
-                    duty.follow(course)
-                except HardwareError as problem:
-                    self._problem = f"The chamber was not told its course: {problem}"
-
-        threading.Thread(target=tell, daemon=True, name="telling the chamber").start()
+    def _fail(self, problem: str) -> None:
+        """Of a helper: what it says ends the run."""
+        self._problem = problem
 
     def _carry_bytes(self, name: str) -> None:
         """Raw bytes to the journal first; then what is missing between them is counted."""
@@ -361,8 +271,6 @@ class Runner:
             except HardwareError as problem:
                 self._problem = f"{name}: {problem}"
                 return
-
-    # ------------------------------------------------------------------------------------------------------ execute
 
     def _execute(self) -> None:
         # A run that was killed after its last step has nothing left to do but to end.
@@ -389,11 +297,11 @@ class Runner:
                 self._wait_paused()
                 self._event("seam", step=step.name, why="the step begins again after a pause")
                 again = True
-            except _NotDone as shortfall:
+            except StepNotDone as shortfall:
                 self._take_back(shortfall)
                 again = True
 
-    def _take_back(self, shortfall: "_NotDone") -> None:
+    def _take_back(self, shortfall: StepNotDone) -> None:
         """A step that was not executed as written is made again, a few times; then the run ends."""
         number, why = shortfall.number, str(shortfall)
         name = self.track.steps[number].name
@@ -430,7 +338,7 @@ class Runner:
             step = self.track.steps[executed.number]
             for name, losses in self._losses.items() if step.read_at_s else ():
                 if lost := losses.between(executed, self.interlocks.limits.lost_share):
-                    self._shortfall = _NotDone(executed.number, f"{name}: {lost}")
+                    self._shortfall = StepNotDone(executed.number, f"{name}: {lost}")
                     return
             self._event("step done", step=step.name, number=executed.number)
 
@@ -447,7 +355,7 @@ class Runner:
                 raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: see the units.")
             self.clock.sleep(_SLICE_S)
 
-    def _run_step(self, step: Step, again: bool) -> "_Executed":
+    def _run_step(self, step: Step, again: bool) -> ExecutedStep:
         self._event("step", step=step.name, number=self._steps_done)
         flows, axes = step.follows and not again, self._axes
         latest_s = self.interlocks.limits.latest_s
@@ -477,7 +385,8 @@ class Runner:
                 course = courses.pop(0)
                 if (late_s := self.clock.now() - begin - course.start_s) > latest_s:
                     axes.amiss.append(f"the chamber was told its course {late_s:.1f} s late")
-                self._tell_chamber(course, begin + course.start_s)
+                if self._duty is not None:
+                    self._duty.tell(course, begin + course.start_s, self._fail)
             while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
                 axes.move(step.name, moves[0], motion + moves[0].start_s, self._duties)
                 moves.pop(0)
@@ -500,14 +409,14 @@ class Runner:
         axes.settle_all(self._duties)
         self._require_executed()
         axes.late_s = end - self._step_ends_s
-        return _Executed(self._steps_done, begin, self.clock.now())
+        return ExecutedStep(self._steps_done, begin, self.clock.now())
 
     def _require_executed(self) -> None:
         """What an axis or a reading did not do as the track has it ends the step: it is to be made again."""
         if self._shortfall is not None:
             raise self._shortfall
         if self._axes.amiss:
-            raise _NotDone(self._steps_done, "; ".join(dict.fromkeys(self._axes.amiss)))
+            raise StepNotDone(self._steps_done, "; ".join(dict.fromkeys(self._axes.amiss)))
 
     def _begin(self, step: Step, again: bool) -> float:
         """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
@@ -560,8 +469,6 @@ class Runner:
                 )
             self.clock.sleep(_SLICE_S)
         self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
-
-    # ------------------------------------------------------------------------------------------------------- duties
 
     def _duties(self, end_s: float | None = None) -> None:
         """Whatever recurs: requests, readings, interlocks."""
@@ -648,11 +555,8 @@ class Runner:
             (None, None) if duty is None else (duty.newest, duty.expected.of_late(self.clock.now(), lag_s))
         )
         samples = {name: (losses.received, losses.missing) for name, losses in self._losses.items()}
-        self.on_progress(
-            Progress(self.state, step.name, done, len(steps), left, ahead, newest, self._axes.newest, course_c, samples)
-        )
-
-    # ---------------------------------------------------------------------------------------------------------- end
+        where = self.state, step.name, done, len(steps)
+        self.on_progress(RunProgress(*where, left, ahead, newest, self._axes.newest, course_c, samples))
 
     def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
         """Make safe, and say so in the journal if it can still be written."""

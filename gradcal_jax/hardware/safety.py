@@ -7,7 +7,7 @@ the device said afterwards is the outcome, also when it failed.
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .clock import Clock
 from .errors import HardwareError
@@ -15,29 +15,19 @@ from .roles import AxisSafe, ChamberSafe, SafeReport
 from .setup import Bench
 
 
-@dataclass(frozen=True)
-class SafeOutcome:
-    """What became of one device. `evidence` is the read-back, or the last problem; `took_s` real seconds."""
-
-    name: str
-    action: str
-    verified: bool
-    evidence: str
-    tries: int
-    took_s: float
-
-
 @dataclass
-class _Attempt:
-    """Filled by its thread, read by the one that waits: a hanging thread leaves what it knew so far."""
+class SafeOutcome:
+    """What became of one device. `evidence` is the read-back, or the last problem; `took_s` real seconds.
+
+    Filled by its thread; whoever waits for that takes a copy: a hanging thread leaves what it knew so far.
+    """
 
     name: str
     action: str
     verified: bool = False
     evidence: str = "has not answered yet"
     tries: int = 0
-    began_s: float = 0.0
-    took_s: float | None = None
+    took_s: float = 0.0
 
 
 def make_safe(
@@ -55,13 +45,13 @@ def make_safe(
     Returns after all devices are verified, or after `deadline_s` real seconds: then those that are not say why. Never
     raises for what a device does.
     """
-    attempts: list[tuple[_Attempt, threading.Thread]] = []
+    attempts: list[tuple[SafeOutcome, float, threading.Thread]] = []
 
     def begin(name: str, action: str, act: Callable[[], SafeReport]) -> None:
-        attempt = _Attempt(name, action, began_s=time.monotonic())
-        arguments = (attempt, act, clock, attempt.began_s + deadline_s, retry_pause_s)
+        attempt, began_s = SafeOutcome(name, action), time.monotonic()
+        arguments = (attempt, act, clock, began_s, deadline_s, retry_pause_s)
         thread = threading.Thread(target=_try, args=arguments, daemon=True, name=f"making {name} safe")
-        attempts.append((attempt, thread))
+        attempts.append((attempt, began_s, thread))
         thread.start()
 
     for entry in bench.rig.axis:
@@ -79,19 +69,10 @@ def make_safe(
     for entry in bench.rig.imu:
         begin(entry.name, "left streaming", bench.imus[entry.name].safe)
     with clock.aside():
-        for attempt, thread in attempts:
-            thread.join(max(0.0, attempt.began_s + deadline_s - time.monotonic()))
-    return [
-        SafeOutcome(
-            attempt.name,
-            attempt.action,
-            attempt.verified,
-            attempt.evidence,
-            attempt.tries,
-            attempt.took_s if attempt.took_s is not None else time.monotonic() - attempt.began_s,
-        )
-        for attempt, _ in attempts
-    ]
+        for _, began_s, thread in attempts:
+            thread.join(max(0.0, began_s + deadline_s - time.monotonic()))
+    now_s = time.monotonic()
+    return [replace(attempt, took_s=attempt.took_s or now_s - began_s) for attempt, began_s, _ in attempts]
 
 
 def put_back(bench: Bench) -> dict[str, str]:
@@ -108,7 +89,12 @@ def put_back(bench: Bench) -> dict[str, str]:
 
 
 def _try(
-    attempt: _Attempt, act: Callable[[], SafeReport], clock: Clock, deadline_s: float, retry_pause_s: float
+    attempt: SafeOutcome,
+    act: Callable[[], SafeReport],
+    clock: Clock,
+    began_s: float,
+    deadline_s: float,
+    retry_pause_s: float,
 ) -> None:
     with clock.party():
         while True:
@@ -122,8 +108,8 @@ def _try(
             except Exception as problem:
                 # Whatever a driver stumbles over must not keep it from being tried again.
                 attempt.evidence = f"{type(problem).__name__}: {problem}"
-            if attempt.verified or time.monotonic() >= deadline_s:
-                attempt.took_s = time.monotonic() - attempt.began_s
+            if attempt.verified or time.monotonic() >= began_s + deadline_s:
+                attempt.took_s = time.monotonic() - began_s
                 return
             with clock.aside():
                 time.sleep(retry_pause_s)

@@ -18,15 +18,14 @@ from .binding import track_of
 from .clock import Clock
 from .errors import HardwareError
 from .guard import BEAT_S, Guard, guarded
-from .interlocks import Interlocks, Limits, standard_rules
-from .journal import Journal
+from .interlocks import InterlockLimits, Interlocks, standard_rules
+from .journal import Journal, Recorder
 from .pose import drawing_of
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
-from .runner import Progress, Runner, RunResult, State
+from .runner import Runner, RunProgress, RunResult, State
 from .setup import open_rig
 from .supervision import Knows, StatusFile, sound_alarm
 from .terminal import Terminal
-from .transcript import Recorder
 
 # Longer than the run's own thread ever waits for one device: to find a reference takes minutes.
 _HANGS_S = 300.0
@@ -41,7 +40,7 @@ def run_session(
     simulated: bool = False,
     guard: bool = False,
     interlocks: Interlocks | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: Callable[[RunProgress], None] | None = None,
     with_runner: Callable[[Runner], None] | None = None,
     handle_signals: bool = False,
     safe_deadline_s: float = 60.0,
@@ -80,17 +79,19 @@ def run_session(
                 require_same_devices(bench, resumed)
         status = stack.enter_context(StatusFile(folder.path, simulated=simulated, knows=knows))
 
-        def show(progress: Progress) -> None:
+        def show(progress: RunProgress) -> None:
             status.show(progress)
             if on_progress is not None:
                 on_progress(progress)
 
+        chamber = rig.chamber
+        limits = None if chamber is None else InterlockLimits(float(chamber.band), float(chamber.lag))
         runner = Runner(
             track,
             bench,
             journal,
             clock,
-            interlocks or standard_rules(_limits_of(rig)),
+            interlocks or standard_rules(limits),
             show,
             None if rig.alarm is None else partial(sound_alarm, rig),
             safe_deadline_s=safe_deadline_s,
@@ -111,12 +112,6 @@ def run_session(
         if watched is not None and result.verified_safe:
             watched.done()
         return result
-
-
-def _limits_of(rig: RigFile) -> Limits:
-    if rig.chamber is None:
-        return Limits()
-    return Limits(temperature_band_k=float(rig.chamber.band), temperature_lag_s=float(rig.chamber.lag))
 
 
 def _changes(journal: Journal, clock: Clock, watched: Guard | None, device: str, name: str, value: str) -> None:

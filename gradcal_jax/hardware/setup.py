@@ -9,7 +9,7 @@ import dataclasses
 import importlib
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
@@ -21,10 +21,10 @@ from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDe
 from .clock import Clock
 from .drivers.operator import Console, OperatorConfig
 from .errors import HardwareError, WrongIdentity
+from .journal import Recorder
 from .roles import AxisLimits, Chamber, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis
 from .settings import KeptSettings
-from .terminal import Line, Terminal
-from .transcript import Recorder
+from .terminal import Terminal, TextLine
 from .transport import Transport
 
 Role = Literal["chamber", "axis", "imu"]
@@ -97,10 +97,8 @@ def driver_of(name: str) -> Driver | None:
     try:
         driver = entries[0].load()
     except Exception as problem:
-        message = (
-            f"the driver of this name in the package {where} cannot be loaded: {type(problem).__name__}: {problem}"
-        )
-        raise ValueError(message) from None
+        why = f"{type(problem).__name__}: {problem}"
+        raise ValueError(f"the driver of this name in the package {where} cannot be loaded: {why}") from None
     if not isinstance(driver, Driver):
         raise ValueError(f"the package {where} names {entries[0].value} as a driver, which is no `setup.Driver`")
     return driver
@@ -136,9 +134,6 @@ _LINE_OPTIONS: Final[Mapping[str, tuple[object, ...]]] = {
     "terminator": ("CR", "LF", "CRLF"),
 }
 _TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
-
-
-# ---------------------------------------------------------------------------------------------------------- options
 
 
 def option_names(driver: str) -> dict[str, str]:
@@ -240,14 +235,9 @@ def _devices(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], Device]]:
     found: list[tuple[Role, tuple[str | int, ...], Device]] = []
     if rig.chamber is not None:
         found.append(("chamber", ("chamber",), rig.chamber))
-    for index, axis in enumerate(rig.axis):
-        found.append(("axis", ("axis", index), axis))
-    for index, imu in enumerate(rig.imu):
-        found.append(("imu", ("imu", index), imu))
+    found.extend(("axis", ("axis", index), axis) for index, axis in enumerate(rig.axis))
+    found.extend(("imu", ("imu", index), imu) for index, imu in enumerate(rig.imu))
     return found
-
-
-# ------------------------------------------------------------------------------------------------------------ bench
 
 
 @dataclass
@@ -266,6 +256,14 @@ class Bench:
     def settings(self) -> dict[str, KeptSettings]:
         """What the drivers of axes and units have changed, by device."""
         return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
+
+    def devices(self) -> list[tuple[str, Device, MotionAxis | Chamber | ImuStream]]:
+        """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
+        found: list[tuple[str, Device, MotionAxis | Chamber | ImuStream]] = []
+        found += [(entry.name, entry, self.axes[entry.name]) for entry in self.rig.axis]
+        if self.chamber is not None and self.rig.chamber is not None:
+            found.append(("chamber", self.rig.chamber, self.chamber))
+        return found + [(entry.name, entry, self.imus[entry.name]) for entry in self.rig.imu]
 
     def close(self) -> None:
         self._ports.close()
@@ -295,7 +293,7 @@ def open_rig(
     bench = Bench(rig)
     exchanges: dict[str, Any] = {}
 
-    def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> Line:
+    def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> TextLine:
         url = device.port
         recorder = recorder_of(url) if recorder_of is not None else None
         if url == TERMINAL:
@@ -347,9 +345,6 @@ def open_rig(
     return bench
 
 
-# ------------------------------------------------------------------------------------------------------------ check
-
-
 @dataclass(frozen=True)
 class DeviceReport:
     """What a device said of itself, or the sentence that says why it did not."""
@@ -366,53 +361,43 @@ class DeviceReport:
         return not self.problem
 
 
+def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
+    """The rig with these devices alone; that of the chamber is "chamber"."""
+    chosen = {
+        "chamber": rig.chamber if "chamber" in names else None,
+        "axis": tuple(entry for entry in rig.axis if entry.name in names),
+        "imu": tuple(entry for entry in rig.imu if entry.name in names),
+    }
+    return rig.model_copy(update=chosen)
+
+
 def check_rig(bench: Bench) -> list[DeviceReport]:
     """Ask every device who it is and what it accepts; compare serial numbers with the rig file. Nothing moves."""
-    rig = bench.rig
-    reports: list[DeviceReport] = []
-    if bench.chamber is not None and rig.chamber is not None:
-        reports.append(_report("chamber", rig.chamber, bench.chamber.identify, bench.chamber.limits))
-    for entry in rig.axis:
-        axis = bench.axes[entry.name]
-        reports.append(_report(entry.name, entry, axis.identify, axis.limits))
-    for entry in rig.imu:
-        imu = bench.imus[entry.name]
-        reports.append(_report(entry.name, entry, imu.identify, imu.configure))
-    return reports
+    # The chamber first, as in the rig file.
+    return [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
 
 
 def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
     """Open and ask one device after the other: a port that is refused is a report too. Raises `SpecError`."""
     configs_of(rig)
     reports: list[DeviceReport] = []
-    for role, _, device in _devices(rig):
-        alone = rig.model_copy(
-            update={
-                "chamber": device if role == "chamber" else None,
-                "axis": (device,) if role == "axis" else (),
-                "imu": (device,) if role == "imu" else (),
-            }
-        )
+    for _, _, device in _devices(rig):
         name = "chamber" if isinstance(device, ChamberDevice) else device.name
         try:
-            with open_rig(alone, clock) as bench:
+            with open_rig(only_of(rig, {name}), clock) as bench:
                 reports += check_rig(bench)
         except HardwareError as problem:
             reports.append(DeviceReport(name, device.driver, device.port, problem=str(problem)))
     return reports
 
 
-def _report(
-    name: str,
-    entry: Device,
-    identify: Callable[[], Identity],
-    limits: Callable[[], ChamberLimits | AxisLimits | ImuSettings],
-) -> DeviceReport:
+def _report(name: str, entry: Device, device: MotionAxis | Chamber | ImuStream) -> DeviceReport:
     identity = None
     try:
-        identity = identify()
+        identity = device.identify()
         require_identity(name, entry, identity)
-        return DeviceReport(name, entry.driver, entry.port, identity, limits())
+        limits = device.configure() if isinstance(device, ImuStream) else device.limits()
+        return DeviceReport(name, entry.driver, entry.port, identity, limits)
     except HardwareError as problem:
         return DeviceReport(name, entry.driver, entry.port, identity, problem=str(problem))
 
@@ -424,9 +409,6 @@ def require_identity(name: str, entry: Device, identity: Identity) -> None:
             f"{name} at {entry.port} is number {identity.serial_number or '(it tells none)'}, and the rig file says "
             f"{entry.serial_number}. Connect the right device or correct the rig file."
         )
-
-
-# ----------------------------------------------------------------------------------------------------------- schema
 
 
 def with_options(schema: dict[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ _PLANNED_S = 0.2
 
 
 @dataclass(frozen=True)
-class Stretch:
+class StretchDone:
     """Data without a break: from `start_s` to `end_s` of the plan's clock, which began and ended at times of the
     run's."""
 
@@ -37,12 +37,12 @@ def breaks_off(event: Event) -> bool:
     )
 
 
-def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> list[Stretch]:
+def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> list[StretchDone]:
     """Of the run's recipe of that number (there is one more each time that a run is planned anew), in order."""
     starts = [0.0]
     for step in track.steps:
         starts.append(starts[-1] + step.duration_s)
-    found: list[Stretch] = []
+    found: list[StretchDone] = []
     open_step: tuple[int, float] | None = None
     current, first, latest_s = 0, 0, 0.0
 
@@ -51,7 +51,7 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
         if open_step is not None:
             number, begins_s = open_step
             lasted_s = min(time_s - begins_s, track.steps[number].duration_s)
-            part = Stretch(starts[number], starts[number] + lasted_s, begins_s, begins_s + lasted_s)
+            part = StretchDone(starts[number], starts[number] + lasted_s, begins_s, begins_s + lasted_s)
             before = found[-1] if found else None
             flows = before is not None and abs(before.end_s - part.start_s) + abs(before.ended_s - begins_s) < _SAME_S
             if before is not None and flows:
@@ -79,7 +79,7 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
     return found
 
 
-def stretches_of(folder: RunFolder) -> list[Stretch]:
+def stretches_of(folder: RunFolder) -> list[StretchDone]:
     """What was done of a run's newest recipe."""
     return stretches_done(folder.contents(), track_of(folder.recipe(), _axes(folder)), len(folder.recipes()) - 1)
 
@@ -93,7 +93,7 @@ def goes_on_at(folder: RunFolder) -> float:
     return sum(step.duration_s for step in steps[: steps_done(contents, len(folder.recipes()) - 1)])
 
 
-def _until(part: Stretch, end_s: float) -> Stretch:
+def _until(part: StretchDone, end_s: float) -> StretchDone:
     return replace(part, end_s=end_s, ended_s=part.ended_s - (part.end_s - end_s))
 
 

@@ -4,7 +4,6 @@ Both have threads of their own: no disk and no program that is called holds up t
 """
 
 import json
-import math
 import subprocess
 import threading
 import time
@@ -16,7 +15,8 @@ from typing import Any, Final
 
 from ..files.rig import RigFile
 from ..files.writing import write_whole
-from .runner import Progress, RunResult
+from .journal import json_of
+from .runner import RunProgress, RunResult
 
 STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
@@ -54,7 +54,7 @@ class StatusFile:
             self._change.notify_all()
         self._writer.join(timeout=5.0)
 
-    def show(self, progress: Progress) -> None:
+    def show(self, progress: RunProgress) -> None:
         """How the run stands."""
         said = asdict(progress)
         self._put({**said, "state": progress.state.value})
@@ -89,15 +89,7 @@ class StatusFile:
                     return
             # A full disk is the journal's to complain of.
             with suppress(OSError):
-                write_whole(self._path, json.dumps(_plain(said), indent=1) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(entry) for name, entry in value.items()}  # pyright: ignore[reportUnknownVariableType]
-    if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]  # pyright: ignore[reportUnknownVariableType]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+                write_whole(self._path, json.dumps(json_of(said), indent=1) + "\n")
 
 
 def read_status(folder: Path) -> dict[str, Any]:

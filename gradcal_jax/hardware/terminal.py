@@ -9,17 +9,16 @@ import os
 import select
 import sys
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from .clock import Clock, RealClock
 from .errors import Disconnected, HardwareError
-from .transcript import Recorder
+from .journal import Recorder
 
 _CLEAR = "\r\x1b[2K"
 
 
-@runtime_checkable
-class Line(Protocol):
+class TextLine(Protocol):
     """What a driver of text needs of a `Transport`."""
 
     url: str

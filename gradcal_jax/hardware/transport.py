@@ -13,14 +13,13 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal
 
 import serial
 
 from .clock import Clock
 from .errors import Disconnected, PortRefused, PortTaken
-from .transcript import Recorder
+from .journal import Recorder
 
 if sys.platform == "win32":
     import msvcrt
@@ -140,7 +139,7 @@ class Transport:
         self._port = port
         self._is_socket = url.startswith("socket://")
         self._link = clock.link(url)
-        self._link.attach()
+        self._link.change(attached=True)
         self._silent = False
         self._closed = False
 
@@ -154,7 +153,7 @@ class Transport:
             data = data.rstrip(b"\r\n") + self._terminator
         if self._recorder is not None:
             self._recorder.record(self._clock.now(), ">", data)
-        self._link.host_wrote(len(data))
+        self._link.change(to_device=len(data), host_is_there=True)
         self._silent = False
         try:
             self._port.write(data)
@@ -195,7 +194,7 @@ class Transport:
             if self._recorder is not None:
                 self._recorder.record(now, "<", data)
             # Counted after the stamp: virtual time cannot have moved between arrival and stamp.
-            self._link.host_read(len(data))
+            self._link.change(to_host=-len(data), host_is_there=True)
         return data, now
 
     def drain(self, quiet_s: float = 0.0, *, longest_s: float = 2.0) -> bytes:
@@ -213,7 +212,7 @@ class Transport:
         if self._closed:
             return
         self._closed = True
-        self._link.detach()
+        self._link.change(attached=False)
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
         self._lock.release()
@@ -221,9 +220,7 @@ class Transport:
     def __enter__(self) -> "Transport":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _set_timeout(self, timeout_s: float) -> None:

@@ -203,8 +203,6 @@ class AxesDuty:
         self._spins.clear()
         self.amiss.clear()
 
-    # -------------------------------------------------------------------------------------------------------- parts
-
     def _stands_at(self, name: str, goal_deg: float) -> bool:
         """Whether an axis need not be told to go there: a motor goes exactly, a person only where it is worth it."""
         newest = self.newest.get(name)
@@ -234,7 +232,9 @@ class AxesDuty:
         elif move.kind == "spin":
             axis.spin(move.rate_dps, move.acceleration_dps2)
             self._spinning.add(name)
-            self._spins[name] = (move.rate_dps, began + self._ramp_s(name, move) + _EASING_S)
+            before = self.newest.get(name)
+            change = abs(move.rate_dps - (before.rate_dps if before is not None else 0.0))
+            self._spins[name] = (move.rate_dps, began + change / move.acceleration_dps2 + _EASING_S)
             self._turning.pop(name, None)
         else:
             axis.stop()
@@ -284,11 +284,6 @@ class AxesDuty:
     def _allowed_dps(self, name: str, now: float) -> float:
         before_dps, until_s = self._easing.get(name, (0.0, -math.inf))
         return max(self._asked_dps.get(name, 0.0), before_dps if now <= until_s else 0.0)
-
-    def _ramp_s(self, name: str, move: Move) -> float:
-        before = self.newest.get(name)
-        change = abs(move.rate_dps - (before.rate_dps if before is not None else 0.0))
-        return change / move.acceleration_dps2
 
     def _limits_of(self, name: str) -> AxisLimits:
         """As the axis told them when the run began."""

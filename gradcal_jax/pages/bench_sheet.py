@@ -11,7 +11,6 @@ from gradcal_jax.files.bench_tables import (
     chamber_words,
     move_rows,
 )
-from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.plain_text import amount, columns
 
@@ -33,19 +32,18 @@ def show(recipe: Recipe, *, heading: Callable[[str], str] = str) -> str:
     for block in recipe.motion:
         lines += [] if block.hang is None else [f"hang the unit so: {block.hang}"]
         lines += [heading("Table, " + block_heading(block)), columns([MOVES_HEAD, *move_rows(block)]), ""]
-    lines += [heading("What it leaves (1σ)"), columns([_left(row) for row in recipe.prediction.requirements])]
+    left: list[tuple[str, ...]] = []
+    for row in recipe.prediction.requirements:
+        target = "" if row.target is None else f"target {amount(row.target, row.unit)}: {row.verdict}"
+        value = amount(row.decisive, row.unit)
+        left.append((row.name, f"axis {row.axis}", row.statistic, value, target, row.limited_by or ""))
+    lines += [heading("What it leaves (1σ)"), columns(left)]
     lines += [f"note: {warning}" for warning in recipe.prediction.warnings]
     if recipe.optimisation is not None:
         lines += ["", heading("Optimisation"), *_free(recipe.optimisation, "  ")]
     if recipe.rounded:
         lines += ["", heading("Rounded to the controllers' steps"), *(f"  {change}" for change in recipe.rounded)]
     return "\n".join(lines)
-
-
-def _left(row: RequirementRow) -> tuple[str, ...]:
-    target = "" if row.target is None else f"target {amount(row.target, row.unit)}: {row.verdict}"
-    left = amount(row.decisive, row.unit)
-    return (row.name, f"axis {row.axis}", row.statistic, left, target, row.limited_by or "")
 
 
 def _free(table: dict[str, Any], indent: str) -> list[str]:

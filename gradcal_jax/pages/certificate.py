@@ -209,20 +209,12 @@ def _budgets(sources: Sources):
             row = reached.get((name, channel))
             if row is None or row.value is None:
                 continue
-            value = row.value
-            inputs = tuple(
-                Input(
-                    part,
-                    known_values.get(part) or known_values.get(f"{part} error") or "as in the spec",
-                    "normal",
-                    "B",
-                    share,
-                    value * sqrt(max(share, 0.0)),
-                )
-                for part, share in parts.items()
-                if share >= 5e-4
-            )
-            yield Budget(name, channel, row.unit, value, inputs)
+            inputs: list[Input] = []
+            for part, share in parts.items():
+                if share >= 5e-4:
+                    said = known_values.get(part) or known_values.get(f"{part} error") or "as in the spec"
+                    inputs.append(Input(part, said, "normal", "B", share, row.value * sqrt(max(share, 0.0))))
+            yield Budget(name, channel, row.unit, row.value, tuple(inputs))
 
 
 def _corrections(axis: AxisCalibration, axes: int) -> list[Correction]:

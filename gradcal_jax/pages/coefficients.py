@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, PPM
-from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.calibration import AxisCalibration, Calibration, Covariance
 from gradcal_jax.files.recipe import Recipe
 
 # Gradient sensitivity has one name in a calibration, another among predicted parameters and in a hidden truth.
@@ -32,47 +32,38 @@ def parameters(
     recipe: Recipe | None, calibration: Calibration | None, truth: dict[str, Any] | None
 ) -> list[ParameterFact]:
     """Every coefficient: found by a calibration, or of a recipe's plan alone; beside a simulation's hidden truth."""
-    predicted = {} if recipe is None else {(row.axis, _own_name(row.name)): row for row in recipe.prediction.parameters}
+    known = () if recipe is None else recipe.prediction.parameters
+    predicted = {(row.axis, row.name if re.match(r"[ab][\d_]", row.name) else _GRADIENT): row for row in known}
     if calibration is None:
-        return [
-            ParameterFact(
-                name, axis, _multiplies(name), _factor(name)[0], None, None, _in_unit(row.std, name), None, None
-            )
-            for (axis, name), row in predicted.items()
-        ]
+        return [_fact(name, axis, None, None, row.std, None) for (axis, name), row in predicted.items()]
     rows: list[ParameterFact] = []
     for axis in calibration.axis:
-        hidden = (truth or {}).get(axis.name, {})
-        deviations: dict[str, float] = {}
-        if axis.covariance is not None:
-            variances = np.diag(np.array(axis.covariance.matrix))
-            deviations = dict(zip(axis.covariance.names, np.sqrt(variances).tolist(), strict=True))
+        hidden, deviations = (truth or {}).get(axis.name, {}), deviations_of(axis.covariance)
         for name, value in axis.values().items():
-            row, std = predicted.get((axis.name, name)), deviations.get(name)
-            real = hidden.get("gradient" if name == _GRADIENT else name)
-            off = None if real is None or not std else (value - real) / std
-            rows.append(
-                ParameterFact(
-                    name,
-                    axis.name,
-                    _multiplies(name),
-                    _factor(name)[0],
-                    _in_unit(value, name),
-                    _in_unit(std, name),
-                    None if row is None else _in_unit(row.std, name),
-                    _in_unit(real, name),
-                    off,
-                )
-            )
+            row, real = predicted.get((axis.name, name)), hidden.get("gradient" if name == _GRADIENT else name)
+            rows.append(_fact(name, axis.name, value, deviations.get(name), None if row is None else row.std, real))
     return rows
 
 
-def _in_unit(number: float | None, name: str) -> float | None:
-    return None if number is None else number * _factor(name)[1]
+def deviations_of(covariance: Covariance | None) -> dict[str, float]:
+    """One sigma of every coefficient that has one."""
+    if covariance is None:
+        return {}
+    return dict(zip(covariance.names, np.sqrt(np.diag(np.array(covariance.matrix))).tolist(), strict=True))
 
 
-def _own_name(name: str) -> str:
-    return name if re.match(r"[ab][\d_]", name) else _GRADIENT
+def parameter_fact(
+    name: str, axis: str, multiplies: str, unit: str, factor: float, *numbers: float | None
+) -> ParameterFact:
+    """A coefficient in `unit`, `factor` of it to SI. `numbers`: value, its one sigma, that predicted, the truth; SI."""
+    value, std, _, truth = numbers
+    off = None if value is None or truth is None or not std else (value - truth) / std
+    value, std, predicted, truth = (None if number is None else number * factor for number in numbers)
+    return ParameterFact(name, axis, multiplies, unit, value, std, predicted, truth, off)
+
+
+def _fact(name: str, axis: str, *numbers: float | None) -> ParameterFact:
+    return parameter_fact(name, axis, _multiplies(name), *_factor(name), *numbers)
 
 
 def _factor(name: str) -> tuple[str, float]:

@@ -25,7 +25,7 @@ class Waited(NamedTuple):
     temperature_c: float
 
 
-class Device(NamedTuple):
+class RunDevice(NamedTuple):
     """Who answered on a port."""
 
     name: str
@@ -35,7 +35,7 @@ class Device(NamedTuple):
     firmware: str
 
 
-class Course(NamedTuple):
+class RunCourse(NamedTuple):
     """What was done.
 
     `chamber_s`, `chamber_c` `(n,)`: when the chamber was read, and its temperature. `rates`: of each axis that turned,
@@ -52,7 +52,7 @@ class Course(NamedTuple):
     seams: int
     duration_s: float
     waited: tuple[Waited, ...]
-    devices: tuple[Device, ...]
+    devices: tuple[RunDevice, ...]
     verified_safe: bool
     damaged_bytes: int
     version: str
@@ -61,7 +61,7 @@ class Course(NamedTuple):
     rates: dict[str, tuple[Floats, Floats]]
 
 
-def course_of(folder: RunFolder) -> Course:
+def course_of(folder: RunFolder) -> RunCourse:
     """The course of a run. Raises `ValueError` where the folder is not a run's."""
     notes, contents = folder.notes(), folder.contents()
     events = _on_one_clock(contents.events, simulated=bool(notes["simulated"]))
@@ -75,7 +75,7 @@ def course_of(folder: RunFolder) -> Course:
         for time, event in events
         if event.name == "chamber" and _temperature(event) is not None
     ]
-    devices: dict[str, Device] = {}
+    devices: dict[str, RunDevice] = {}
     angles: dict[str, list[tuple[float, float]]] = {}
     moves: dict[str, list[tuple[float, Mapping[str, Any]]]] = {}
     waited: list[Waited] = []
@@ -84,7 +84,7 @@ def course_of(folder: RunFolder) -> Course:
         data = event.data
         if event.name == "identity":
             said = (str(data.get(name, "")) for name in ("driver", "model", "serial_number", "firmware"))
-            devices.setdefault(str(data["device"]), Device(str(data["device"]), *said))
+            devices.setdefault(str(data["device"]), RunDevice(str(data["device"]), *said))
         elif event.name == "stable":
             waited.append(Waited(str(data["step"]), float(data["waited_s"]), float(data["temperature_c"])))
         elif event.name == "angle" and data.get("position_deg") is not None:
@@ -94,7 +94,7 @@ def course_of(folder: RunFolder) -> Course:
             moves.setdefault(str(data["axis"]), []).append((began, data))
         elif event.name == "end":
             verified = bool(data.get("verified_safe"))
-    return Course(
+    return RunCourse(
         begun=str(notes.get("begun", "")),
         simulated=bool(notes["simulated"]),
         status=exit_status(contents),
@@ -124,18 +124,15 @@ def _plan_clock(folder: RunFolder, events: list[tuple[float, Event]]) -> Callabl
     ]
 
     def on_plan(time: float) -> float:
-        here = [(begins, number) for begins, number in begun[_first(begun, time) :] if begins <= time]
+        # Steps begin one after the other.
+        first = max(0, bisect_right(begun, (time, 10**9)) - 1)
+        here = [(begins, number) for begins, number in begun[first:] if begins <= time]
         if not here:
             return -1.0
         begins, number = here[-1]
         return float(planned[number] + min(time - begins, steps[number].duration_s))
 
     return on_plan
-
-
-def _first(begun: list[tuple[float, int]], time: float) -> int:
-    """Where to look: steps begin one after the other."""
-    return max(0, bisect_right(begun, (time, 10**9)) - 1)
 
 
 def _turned(moves: list[tuple[float, Mapping[str, Any]]], angles: list[tuple[float, float]]) -> tuple[Floats, Floats]:

@@ -6,7 +6,7 @@ from gradcal_jax.api.ieee_terms import IeeeTerm, standard_terms
 from gradcal_jax.files.calibration import AxisCalibration
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, example_of, exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameters
-from gradcal_jax.pages.course import Course, course_of
+from gradcal_jax.pages.course import RunCourse, course_of
 from gradcal_jax.pages.provenance import assumed_noise, provenance_of
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, hidden_by_structure, requirements_of
 from gradcal_jax.pages.sources import Sources
@@ -37,7 +37,7 @@ class Facts(NamedTuple):
     examples: tuple[ExampleFact, ...]
     exports: tuple[ExportFact, ...]
     assumed: tuple[tuple[str, str], ...]
-    course: Course | None
+    course: RunCourse | None
     provenance: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     maps: tuple[MapFact, ...]
@@ -88,16 +88,13 @@ def facts_of(sources: Sources) -> Facts:
 
 def as_tables(facts: Facts) -> dict[str, Any]:
     """The facts as plain numbers and texts for other programs; maps and tracks are left out."""
-    course = facts.course
     done = None
-    if course is not None:
-        done = {
-            name: value
-            for name, value in course._asdict().items()
-            if name not in ("chamber_s", "chamber_c", "rates", "waited", "devices")
-        }
-        done["waited"] = [row._asdict() for row in course.waited]
-        done["devices"] = [row._asdict() for row in course.devices]
+    if (course := facts.course) is not None:
+        done = course._asdict()
+        for name in ("chamber_s", "chamber_c", "rates"):
+            del done[name]
+        # As the last keys, where they always stood.
+        done |= {name: [row._asdict() for row in done.pop(name)] for name in ("waited", "devices")}
     return {
         "title": facts.title,
         "simulated": facts.simulated,

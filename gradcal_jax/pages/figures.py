@@ -17,7 +17,7 @@ from gradcal_jax import plots
 from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.pages.course import Course
+from gradcal_jax.pages.course import RunCourse
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor, draw_residual_parts, draw_residuals
@@ -78,7 +78,9 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
             if earlier is not None and _alike(box, earlier[1]):
                 ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
                 words = f"{where}: residual {label} over that {earlier[0]}."
-                group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, _of_ratios(ratio)))
+                # From a tenth less to a tenth more, at least: what is hardly another has hardly another colour.
+                ends = Normalize(min(float(ratio.values.min()), 0.9), max(float(ratio.values.max()), 1.1))
+                group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, ends))
             else:
                 words = f"{where}: residual {label}, one standard deviation."
                 group.append(_map(box, label, f"{key}-{label}", words, norm))
@@ -86,7 +88,7 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
     return found
 
 
-def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture]:
+def track_pictures(recipe: Recipe | None, course: RunCourse | None) -> list[Picture]:
     """Temperature and motion: planned, and done where a run is known."""
     found: list[Picture] = []
     if recipe is not None:
@@ -116,7 +118,7 @@ def track_pictures(recipe: Recipe | None, course: Course | None) -> list[Picture
     return found
 
 
-def done_pictures(course: Course | None) -> list[Picture]:
+def done_pictures(course: RunCourse | None) -> list[Picture]:
     """Temperature and motion of a run alone."""
     if course is None:
         return []
@@ -162,9 +164,6 @@ def found_pictures(calibration: Calibration) -> list[Picture]:
     return found
 
 
-# ---------------------------------------------------------------------------------------------------------------- maps
-
-
 def _holds(outer: MapFact, inner: MapFact) -> bool:
     if (outer.axis, outer.quantity) != (inner.axis, inner.quantity):
         return False
@@ -195,11 +194,6 @@ def _norm(boxes: Sequence[Box]) -> Normalize:
     return Normalize(low, high if high > low else low + 1.0)
 
 
-def _of_ratios(box: Box) -> Normalize:
-    """From a tenth less to a tenth more, at least: what is hardly another has hardly another colour."""
-    return Normalize(min(float(box.values.min()), 0.9), max(float(box.values.max()), 1.1))
-
-
 def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Picture:
     def draw(ax: Axes) -> None:
         drawn = plots.draw_map(box.temperature_c, box.rate_dps, box.values, box.unit, title=label, ax=ax)
@@ -217,10 +211,8 @@ def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Pictu
             levels = drawn.contours.levels if box.unit != "ratio" else bar.locator.tick_values(*bar.ax.get_ylim())
             drawn.contours.remove()
             shown = np.ma.masked_invalid(box.values)
-            _label(
-                ax,
-                ax.contour(box.rate_dps, box.temperature_c, shown, levels=levels, colors="white", linewidths=0.7),
-            )
+            style: Any = {"levels": levels, "colors": "white", "linewidths": 0.7}
+            _label(ax, ax.contour(box.rate_dps, box.temperature_c, shown, **style))
 
     if not np.all(np.isfinite(box.values)):
         caption += " Blank: not observable."
@@ -242,15 +234,8 @@ def _label(ax: Axes, contours: QuadContourSet) -> None:
         at = int(np.argmax(inside))
         kept.append(places[at])
         box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 1.0}
-        ax.text(
-            float(vertices[at, 0]),
-            float(vertices[at, 1]),
-            figures(value, 3),
-            fontsize=8,
-            ha="center",
-            va="center",
-            bbox=box,
-        )
+        x, y = (float(place) for place in vertices[at])
+        ax.text(x, y, figures(value, 3), fontsize=8, ha="center", va="center", bbox=box)
 
 
 def _curves(fact: MapFact, key: str, where: str, target: float | None) -> Picture:
@@ -291,9 +276,6 @@ def _tick(value: float, _place: int) -> str:
 
 def picture_key(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "requirement"
-
-
-# ----------------------------------------------------------------------------------------------------------------- SVG
 
 
 def picture(

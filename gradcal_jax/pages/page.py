@@ -15,6 +15,7 @@ from gradcal_jax.pages.figures import done_pictures, found_pictures, map_picture
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.panel import panel_of
+from gradcal_jax.pages.plain_text import times_text
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.pages.unit import found_unit_pictures, unit_pictures, unit_words
@@ -78,17 +79,21 @@ def sentence(text: str) -> str:
 
 def _words(facts: Facts, recipe: Recipe | None) -> dict[str, Any]:
     """Rows of cells and sentences for the template."""
+    plan = None if recipe is None else recipe.prediction
     return {
         "unit": None,
         "verdict": _verdict(facts),
-        "times": "" if recipe is None else _times(recipe),
+        "times": "" if plan is None else times_text(plan.duration_s, plan.soak_s, plan.motion_s) + ".",
         "chamber": [] if recipe is None else chamber_words(recipe),
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
         "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
         "has_gradient": any(p.multiplies == "dT/dt" for p in facts.parameters),
         "done": _done(facts),
-        "waited": _waited(facts),
+        "waited": [
+            (row.step, time_text(row.waited_s), f"{figures(row.temperature_c)} °C")
+            for row in (() if facts.course is None else facts.course.waited)
+        ],
         "devices": [] if facts.course is None else [tuple(device) for device in facts.course.devices],
         "terms": [
             [
@@ -137,38 +142,29 @@ def _against(rows: list[RequirementFact]) -> str:
 def _requirements(facts: Facts) -> dict[str, Any]:
     rows = facts.requirements
     several = len({row.axis for row in rows} & set("xyz")) > 1
-    kept = {
-        "before": any(row.before is not None for row in rows),
-        "predicted": any(row.predicted is not None for row in rows),
-        "achieved": any(row.achieved is not None for row in rows),
-        "no plan leaves less than": any(row.limit is not None for row in rows),
-        "own noise, which stays": any(row.own is not None for row in rows),
-        "target": any(row.target is not None for row in rows),
-        "verdict": any(row.verdict is not None for row in rows),
-        "limited by": any(row.limited_by for row in rows),
+    fields = {
+        "before": "before",
+        "predicted": "predicted",
+        "achieved": "achieved",
+        "no plan leaves less than": "limit",
+        "own noise, which stays": "own",
+        "target": "target",
+        "verdict": "verdict",
+        "limited by": "limited_by",
     }
-    head = ["requirement", "statistic", *(name for name, there in kept.items() if there)]
+    kept = {head: name for head, name in fields.items() if any(getattr(row, name) not in (None, "") for row in rows)}
     cells: list[list[str]] = []
     for row in rows:
-        all_cells = {
-            "before": _value(row.before, row.unit),
-            "predicted": _value(row.predicted, row.unit),
-            "achieved": _value(row.achieved, row.unit),
-            "no plan leaves less than": _value(row.limit, row.unit),
-            "own noise, which stays": _value(row.own, row.unit),
-            "target": _value(row.target, row.unit),
-            "verdict": row.verdict or "",
-            "limited by": row.limited_by or "",
-        }
-        name = f"{row.name} ({_box(row)})".replace(f"{row.name} ({row.name}, ", f"{row.name} (") + (
-            f", axis {row.axis}" if several else ""
-        )
-        cells.append([name, row.statistic, *(all_cells[column] for column in head[2:])])
-    return {"requirement_head": head, "requirement_rows": cells}
+        name = f"{row.name} ({_box(row)})".replace(f"{row.name} ({row.name}, ", f"{row.name} (")
+        name += f", axis {row.axis}" if several else ""
+        cells.append([name, row.statistic, *(_cell(getattr(row, field), row.unit) for field in kept.values())])
+    return {"requirement_head": ["requirement", "statistic", *kept], "requirement_rows": cells}
 
 
-def _value(value: float | None, unit: str) -> str:
-    return "" if value is None else f"{figures(value)}\N{NO-BREAK SPACE}{unit}"
+def _cell(value: float | str | None, unit: str) -> str:
+    if value is None or isinstance(value, str):
+        return value or ""
+    return f"{figures(value)}\N{NO-BREAK SPACE}{unit}"
 
 
 def _box(row: RequirementFact) -> str:
@@ -185,34 +181,30 @@ def _box(row: RequirementFact) -> str:
 def _parameters(facts: Facts) -> dict[str, Any]:
     rows = facts.parameters
     several = len({row.axis for row in rows}) > 1
-    columns = {
-        "value": any(row.value is not None for row in rows),
-        "1σ": any(row.value is not None for row in rows),
-        "1σ predicted": any(row.predicted_std is not None for row in rows),
-        "hidden truth": any(row.truth is not None for row in rows),
-        "off by": any(row.off_by_sigma is not None for row in rows),
-    }
-    kept = [name for name, there in columns.items() if there]
-    head = ["parameter", "stands before", *kept, "unit"]
+    # By head: the field that decides whether it stands there, its own, its digits, what is said of none, what follows.
+    columns = (
+        ("value", "value", "value", 6, "", ""),
+        ("1σ", "value", "std", 4, "not observable", ""),
+        ("1σ predicted", "predicted_std", "predicted_std", 4, "", ""),
+        ("hidden truth", "truth", "truth", 6, "", ""),
+        ("off by", "off_by_sigma", "off_by_sigma", 2, "", " σ"),
+    )
+    kept = [column for column in columns if any(getattr(row, column[1]) is not None for row in rows)]
+
+    def numbers(row: ParameterFact) -> list[str]:
+        return [
+            none if (value := getattr(row, name)) is None else figures(value, digits) + after
+            for _, _, name, digits, none, after in kept
+        ]
+
     return {
-        "parameter_head": head,
+        "parameter_head": ["parameter", "stands before", *(head for head, *_ in kept), "unit"],
         "parameter_rows": [
-            [f"{row.name}, axis {row.axis}" if several else row.name, row.multiplies, *_numbers(row, kept), row.unit]
+            [f"{row.name}, axis {row.axis}" if several else row.name, row.multiplies, *numbers(row), row.unit]
             for row in rows
         ],
         "parameter_numbers": tuple(range(2, 2 + len(kept))),
     }
-
-
-def _numbers(row: ParameterFact, kept: list[str]) -> list[str]:
-    cells = {
-        "value": "" if row.value is None else figures(row.value, 6),
-        "1σ": "not observable" if row.std is None else figures(row.std),
-        "1σ predicted": "" if row.predicted_std is None else figures(row.predicted_std),
-        "hidden truth": "" if row.truth is None else figures(row.truth, 6),
-        "off by": "" if row.off_by_sigma is None else f"{figures(row.off_by_sigma, 2)} σ",
-    }
-    return [cells[name] for name in kept]
 
 
 def _basis(recipe: Recipe | None, facts: Facts) -> str:
@@ -231,11 +223,6 @@ def _basis(recipe: Recipe | None, facts: Facts) -> str:
         parts.append(f"ω′ = (ω − {rate.centre}) / {rate.scale}")
     said = "In the paper's basis: " + ", ".join(parts) + "." if parts else "Coefficients of the spec's bases."
     return said + (" The plan's own uncertainty of each." if not facts.axes else "")
-
-
-def _times(recipe: Recipe) -> str:
-    times = recipe.prediction
-    return f"{time_text(times.duration_s)} in all: soak {time_text(times.soak_s)}, motion {time_text(times.motion_s)}."
 
 
 def _optimised(recipe: Recipe) -> list[str]:
@@ -271,11 +258,6 @@ def _done(facts: Facts) -> list[str]:
     if course.damaged_bytes:
         lines.append(f"{course.damaged_bytes} bytes of the journal belong to no sound record.")
     return lines
-
-
-def _waited(facts: Facts) -> list[tuple[str, str, str]]:
-    rows = () if facts.course is None else facts.course.waited
-    return [(row.step, time_text(row.waited_s), f"{figures(row.temperature_c)} °C") for row in rows]
 
 
 def _made() -> str:

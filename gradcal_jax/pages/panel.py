@@ -53,17 +53,13 @@ def panel_of(recipe: Recipe) -> dict[str, Any]:
                 "target": row.target,
                 # What one standard deviation may come to.
                 "allowed": None if row.target is None else row.target / row.coverage,
-                "values": [None if p is None else _sized(p[1][k][0]) for p in points],
+                # Six digits are more than the panel shows.
+                "values": [None if p is None or p[1][k][0] is None else float(f"{p[1][k][0]:.6g}") for p in points],
                 "verdicts": [None if p is None else p[1][k][1] for p in points],
             }
             for k, row in enumerate(kept)
         ],
     }
-
-
-def _sized(value: float | None) -> float | None:
-    """Six digits are more than the panel shows."""
-    return None if value is None else float(f"{value:.6g}")
 
 
 def _point(

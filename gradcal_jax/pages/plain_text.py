@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from textwrap import wrap
 from typing import Final
 
+from gradcal_jax.units import time_text
+
 WIDTH: Final = 80
 _NARROWEST: Final = 20
 
@@ -11,6 +13,11 @@ _NARROWEST: Final = 20
 def amount(value: float | None, unit: str) -> str:
     """A value with its unit, or the words that it cannot be observed."""
     return "not observable" if value is None else f"{value:.4g} {unit}"
+
+
+def times_text(duration_s: float, soak_s: float, motion_s: float, motion: str = "motion") -> str:
+    """How long a plan lasts, its soaks, and its motion."""
+    return f"{time_text(duration_s)} in all: soak {time_text(soak_s)}, {motion} {time_text(motion_s)}"
 
 
 def columns(rows: Sequence[Sequence[str]], *, indent: str = "  ", right: Sequence[int] = (), width: int = WIDTH) -> str:

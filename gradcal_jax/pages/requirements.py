@@ -1,7 +1,7 @@
 """The requirements of a page: before, as predicted, as achieved, and the residual maps behind the numbers."""
 
 import re
-from typing import Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
@@ -10,10 +10,10 @@ from gradcal_jax.api.ieee_terms import Box, found_map, grid_of, prior_map
 from gradcal_jax.api.missions import ErrorCurve, error_curves
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, statistic_of
 from gradcal_jax.files import Spec
-from gradcal_jax.files.calibration import AxisCalibration, Calibration, Result
+from gradcal_jax.files.calibration import AxisCalibration, Result
 from gradcal_jax.files.contracts import RequirementRow
-from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.requirement import HeadingRequirement, Requirement
+from gradcal_jax.files.unit_calibration import UnitResult
 from gradcal_jax.information import statistic
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.pages.sources import Sources
@@ -34,17 +34,26 @@ class RequirementFact(NamedTuple):
     quantity: str
     statistic: str
     unit: str
-    temperature_c: tuple[float, float] | None
-    rate_dps: tuple[float, float] | None
-    before: float | None
-    predicted: float | None
-    achieved: float | None
-    target: float | None
-    verdict: str | None
-    limited_by: str | None
-    limit: float | None
+    temperature_c: tuple[float, float] | None = None
+    rate_dps: tuple[float, float] | None = None
+    before: float | None = None
+    predicted: float | None = None
+    achieved: float | None = None
+    target: float | None = None
+    verdict: str | None = None
+    limited_by: str | None = None
+    limit: float | None = None
     own: float | None = None
     coverage: float = 1.0
+
+
+def fact_of(row: RequirementRow, result: Result | UnitResult | None, **more: Any) -> RequirementFact:
+    """A requirement as predicted, and as achieved where there is a result. `more`: what else is known."""
+    said: dict[str, Any] = {"statistic": row.statistic, "predicted": row.decisive, "verdict": row.verdict}
+    if result is not None:
+        said |= {"achieved": result.value, "verdict": result.verdict}
+    same = ("name", "axis", "quantity", "unit", "temperature_c", "rate_dps", "target", "limited_by")
+    return RequirementFact(**{name: getattr(row, name) for name in same}, **(said | more))
 
 
 class MapFact(NamedTuple):
@@ -64,11 +73,17 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
     recipe, calibration = sources.recipe, sources.calibration
     if recipe is None:
         assert calibration is not None
-        maps = [_found_alone(axis, quantity) for axis in calibration.axis for quantity in _quantities(axis)]
-        return "", [_result_alone(row) for row in calibration.result], maps
-    built = api.assemble(recipe.axis_spec)
-    known = {channel: api.posterior_of_plan(built, channel) for channel in built.channels}
-    other = _other_plan(sources.before)
+        maps = [
+            MapFact("all that the data cover", axis.name, name, (("achieved", deviation),))
+            for axis in calibration.axis
+            for name in _quantities(axis)
+            for _, deviation in (found_map(axis, name, *grid_of(axis, None, name)),)
+        ]
+        return "", [result_alone(row, row.statistic.removesuffix(", 1 sigma")) for row in calibration.result], maps
+    built, known = _plan(recipe.axis_spec)
+    other = None if sources.before is None else _plan(sources.before)
+    results = {} if calibration is None else {(r.name, r.axis, r.quantity): r for r in reversed(calibration.result)}
+    axes = {} if calibration is None else {axis.name: axis for axis in reversed(calibration.axis)}
     rows: list[RequirementFact] = []
     maps: list[MapFact] = []
     before_is = ""
@@ -76,6 +91,9 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
         requirement = next(r for r in recipe.axis_spec.requirement if r.name == row.name)
         drawn: list[tuple[str, Box]] = []
         earlier = _before(other, recipe.axis_spec, requirement, row.axis)
+        before = None if earlier is None else _finite(statistic_of(requirement, earlier.values))
+        more = {"before": before, "limit": sources.limits.get(row.name), "own": row.own, "coverage": row.coverage}
+        rows.append(fact_of(row, results.get((row.name, row.axis, row.quantity)), **more))
         if earlier is not None:
             before_is = "what the spec's priors say, without a calibration"
             if other is not None:
@@ -85,19 +103,19 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
             curves = error_curves(built, known[row.axis], requirement)
             names = [f"calibration, {c.file}" if len(curves) > 1 else "calibration" for c in curves]
             maps.append(MapFact(row.name, row.axis, row.quantity, (), tuple(zip(names, curves, strict=True))))
-            rows.append(_requirement(row, requirement, calibration, earlier, sources.limits))
             continue
         values = api.residual_map(built, known[row.axis], requirement)
         drawn.append(("predicted", Box(*values, row.unit)))
-        axis = _axis_of(calibration, row.axis)
+        axis = axes.get(row.axis)
         if axis is not None and requirement.quantity in _quantities(axis):
             _, deviation = found_map(axis, requirement.quantity, *grid_of(axis, requirement, requirement.quantity))
             drawn.append(("achieved", deviation))
         maps.append(MapFact(row.name, row.axis, row.quantity, tuple(drawn)))
-        rows.append(_requirement(row, requirement, calibration, earlier, sources.limits))
-    if not before_is and (given := _optimised_before(recipe)):
+    record = recipe.optimisation or {}
+    name, value = re.sub(r" \([^)]*\)$", "", str(record.get("objective", ""))), record.get("before")
+    if not before_is and name and isinstance(value, float | int):
         before_is = "the plan that the optimisation began with"
-        rows = [row._replace(before=given.get(row.name)) for row in rows]
+        rows = [row._replace(before=float(value) if row.name == name else None) for row in rows]
     return before_is, rows, maps
 
 
@@ -119,37 +137,8 @@ def hidden_by_structure(requirements: list[RequirementFact], maps: list[MapFact]
     ]
 
 
-def _requirement(
-    row: RequirementRow,
-    requirement: Requirement,
-    calibration: Calibration | None,
-    before: Box | None,
-    limits: dict[str, float],
-) -> RequirementFact:
-    result = _result_of(calibration, row)
-    return RequirementFact(
-        row.name,
-        row.axis,
-        row.quantity,
-        row.statistic,
-        row.unit,
-        row.temperature_c,
-        row.rate_dps,
-        None if before is None else _finite(statistic_of(requirement, before.values)),
-        row.decisive,
-        None if result is None else result.value,
-        row.target,
-        row.verdict if result is None else result.verdict,
-        row.limited_by,
-        limits.get(row.name),
-        row.own,
-        row.coverage,
-    )
-
-
-def _other_plan(spec: Spec | None):
-    if spec is None:
-        return None
+def _plan(spec: Spec):
+    """A spec's model, and what its plan finds of every channel."""
     built = api.assemble(spec)
     return built, {channel: api.posterior_of_plan(built, channel) for channel in built.channels}
 
@@ -165,32 +154,10 @@ def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | 
     return Box(*api.residual_map(built, known[channel], requirement), UNIT_OF[requirement.quantity][0])
 
 
-def _optimised_before(recipe: Recipe) -> dict[str, float]:
-    record = recipe.optimisation or {}
-    objective, value = str(record.get("objective", "")), record.get("before")
-    name = re.sub(r" \([^)]*\)$", "", objective)
-    return {name: float(value)} if isinstance(value, float | int) and name else {}
-
-
-def _result_of(calibration: Calibration | None, row: RequirementRow) -> Result | None:
-    results = () if calibration is None else calibration.result
-    return next((r for r in results if (r.name, r.axis, r.quantity) == (row.name, row.axis, row.quantity)), None)
-
-
-def _result_alone(row: Result) -> RequirementFact:
-    words = row.statistic.removesuffix(", 1 sigma")
-    found = (None, None, None, None, row.value, row.target, row.verdict, None, None)
-    return RequirementFact(row.name, row.axis, row.quantity, words, row.unit, *found)
-
-
-def _found_alone(axis: AxisCalibration, quantity: str) -> MapFact:
-    _, deviation = found_map(axis, quantity, *grid_of(axis, None, quantity))
-    return MapFact("all that the data cover", axis.name, quantity, (("achieved", deviation),))
-
-
-def _axis_of(calibration: Calibration | None, name: str) -> AxisCalibration | None:
-    axes = () if calibration is None else calibration.axis
-    return next((axis for axis in axes if axis.name == name), None)
+def result_alone(row: Result | UnitResult, statistic: str) -> RequirementFact:
+    """Of a calibration alone: what was achieved."""
+    known = {"achieved": row.value, "target": row.target, "verdict": row.verdict}
+    return RequirementFact(row.name, row.axis, row.quantity, statistic, row.unit, **known)
 
 
 def _quantities(axis: AxisCalibration) -> list[str]:

@@ -14,13 +14,14 @@ from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
 from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.applying import exports_of
-from gradcal_jax.pages.coefficients import ParameterFact, agreement_of
+from gradcal_jax.pages.coefficients import ParameterFact, agreement_of, deviations_of, parameter_fact
 from gradcal_jax.pages.course import course_of
 from gradcal_jax.pages.facts import AxisFact, Facts
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.plain_text import times_text
 from gradcal_jax.pages.provenance import provenance_of
-from gradcal_jax.pages.requirements import RequirementFact
+from gradcal_jax.pages.requirements import RequirementFact, fact_of, result_alone
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.plots.unit_calibration import draw_unit_term, panels_of
 from gradcal_jax.units import time_text
@@ -41,6 +42,7 @@ def unit_facts(sources: Sources) -> Facts:
     if calibration is not None and calibration.unobservable:
         notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
     simulated = bool(course is not None and course.simulated) or bool(calibration is not None and calibration.simulated)
+    versions = versions_of(("gradcal_jax", "numpy", "scipy", "jax")).items()
     title = (None if spec is None else spec.title) or (None if calibration is None else calibration.title)
     return Facts(
         title=title or "Calibration of a unit",
@@ -53,7 +55,7 @@ def unit_facts(sources: Sources) -> Facts:
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=() if spec is None else tuple(_assumed(spec)),
         course=course,
-        provenance=(*provenance_of(sources), ("versions", _versions())),
+        provenance=(*provenance_of(sources), ("versions", ", ".join(map(" ".join, versions)))),
         notes=tuple(notes),
         maps=(),
     )
@@ -67,56 +69,21 @@ def _hidden(sources: Sources) -> dict[str, float]:
     return truth.get("installation", {}) | truth.get("units", {}).get(calibration.serial_number, {})
 
 
-def _versions() -> str:
-    return ", ".join(
-        f"{name} {number}" for name, number in versions_of(("gradcal_jax", "numpy", "scipy", "jax")).items()
-    )
-
-
 def _requirements(found: Prediction | None, calibration: UnitCalibration | None) -> list[RequirementFact]:
     """As predicted, and as achieved where there is a calibration; of a calibration alone, as achieved."""
     results = {} if calibration is None else {row.name: row for row in calibration.result}
     if found is not None:
-        return [_requirement(row, results.get(row.name), calibration is not None) for row in found.requirements]
-    return [
-        RequirementFact(
-            name=row.name,
-            axis=row.axis,
-            quantity=row.quantity,
-            statistic=f"{row.statistic}, {_SUMMED.get(row.axis, f'axis {row.axis}')}",
-            unit=row.unit,
-            temperature_c=None,
-            rate_dps=None,
-            before=None,
-            predicted=None,
-            achieved=row.value,
-            target=row.target,
-            verdict=row.verdict,
-            limited_by=None,
-            limit=None,
-        )
-        for row in results.values()
-    ]
+        verdict = {} if calibration is None else {"verdict": None}
+        return [
+            fact_of(row, result, statistic=_summed(row), **(verdict if result is None else {}))
+            for row in found.requirements
+            for result in (results.get(row.name),)
+        ]
+    return [result_alone(row, _summed(row)) for row in results.values()]
 
 
-def _requirement(row: RequirementRow, result: UnitResult | None, calibrated: bool) -> RequirementFact:
-    summed = _SUMMED.get(row.axis, f"axis {row.axis}")
-    return RequirementFact(
-        name=row.name,
-        axis=row.axis,
-        quantity=row.quantity,
-        statistic=f"{row.statistic}, {summed}",
-        unit=row.unit,
-        temperature_c=row.temperature_c,
-        rate_dps=row.rate_dps,
-        before=None,
-        predicted=row.decisive,
-        achieved=None if result is None else result.value,
-        target=row.target,
-        verdict=(None if result is None else result.verdict) if calibrated else row.verdict,
-        limited_by=row.limited_by,
-        limit=None,
-    )
+def _summed(row: RequirementRow | UnitResult) -> str:
+    return f"{row.statistic}, {_SUMMED.get(row.axis, f'axis {row.axis}')}"
 
 
 def _parameters(
@@ -125,10 +92,7 @@ def _parameters(
     predicted = {} if found is None else {row.name: row for row in found.parameters}
     if calibration is None:
         return [_parameter(row.name, row.unit, None, None, row.std, None) for row in predicted.values()]
-    stds: dict[str, float] = {}
-    if calibration.covariance is not None:
-        variances = np.diag(np.array(calibration.covariance.matrix))
-        stds = dict(zip(calibration.covariance.names, np.sqrt(variances).tolist(), strict=True))
+    stds = deviations_of(calibration.covariance)
     rows: list[ParameterFact] = []
     for channel in calibration.channel:
         for term in channel.term:
@@ -139,17 +103,10 @@ def _parameters(
     return rows
 
 
-def _parameter(
-    name: str, si: str, value: float | None, std: float | None, predicted: float | None, truth: float | None
-) -> ParameterFact:
+def _parameter(name: str, si: str, *numbers: float | None) -> ParameterFact:
     channel, _, symbol = name.partition(".")
     kind, _, axis = channel.rpartition("_")
-    unit, factor = UNITS_OF_TERMS.get(si, (si, 1.0))
-    off = None if value is None or truth is None or not std else (value - truth) / std
-    value, std, predicted, truth = (
-        None if number is None else number * factor for number in (value, std, predicted, truth)
-    )
-    return ParameterFact(symbol, axis, kind, unit, value, std, predicted, truth, off)
+    return parameter_fact(symbol, axis, kind, *UNITS_OF_TERMS.get(si, (si, 1.0)), *numbers)
 
 
 def _found_of(calibration: UnitCalibration, hidden: dict[str, float]) -> AxisFact:
@@ -254,9 +211,8 @@ def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
     if spec is None:
         return {"times": "", "moves": [], "more": ""}
     schedule = spec.schedule
-    parts = (time_text(t) for t in (schedule.duration, schedule.soak, schedule.motion))
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
-    times = "{} in all: soak {}, motion {}.".format(*parts)
+    lasts = times_text(schedule.duration, schedule.soak, schedule.motion)
     rows = [
         (
             spec.rig.table.axis[step.axis].name if step.axis >= 0 else "",
@@ -270,7 +226,7 @@ def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
     ]
     left = len(schedule.steps) - _MOST_ROWS
     return {
-        "times": f"{times} A cycle of {time_text(schedule.period)}, made {cycles} times"
+        "times": f"{lasts}. A cycle of {time_text(schedule.period)}, made {cycles} times"
         + (f", in {len(spec.rig.table.mounting)} mountings." if len(spec.rig.table.mounting) > 1 else "."),
         "moves": rows,
         "more": f"… and {left} more moves: gradcal timeline prints all." if left > 0 else "",
@@ -303,14 +259,8 @@ def unit_pictures(sources: Sources) -> tuple[list[list[Picture]], list[Picture]]
     for requirement in spec.requirement:
         found = unit_residual(built, known, requirement)
         words = f"{requirement.name}: residual of each element as predicted, one standard deviation."
-        left.append(
-            picture(
-                picture_key(requirement.name),
-                words,
-                lambda ax, r=requirement, f=found: plots.draw_unit_residual(r, f, ax=ax),
-                3.4,
-            )
-        )
+        draw = lambda ax, r=requirement, f=found: plots.draw_unit_residual(r, f, ax=ax)  # noqa: E731
+        left.append(picture(picture_key(requirement.name), words, draw, 3.4))
     words = "Which way is up, seen from the unit, at every rest; the colour is the time, the size how long it rests."
     poses = picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), 3.2, projection="mollweide")
     return ([left] if left else []), [poses]

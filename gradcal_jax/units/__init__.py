@@ -30,20 +30,6 @@ from gradcal_jax.units.quantities import UnitError, convert, dimension_of, forma
 from gradcal_jax.units.shown import ARCSEC, DEG_PER_H, DEG_PER_S, DEG_PER_SQRT_H, PPM, G, time_text
 
 __all__ = [
-    "ARCSEC",
-    "DEG_PER_H",
-    "DEG_PER_S",
-    "DEG_PER_SQRT_H",
-    "DIMENSIONS",
-    "PPM",
-    "Dimension",
-    "G",
-    "UnitError",
-    "convert",
-    "dimension_of",
-    "format_quantity",
-    "parse",
-    "time_text",
-    "to_unit",
-    "unit_of",
-]
+    "ARCSEC", "DEG_PER_H", "DEG_PER_S", "DEG_PER_SQRT_H", "DIMENSIONS", "PPM", "Dimension", "G", "UnitError",
+    "convert", "dimension_of", "format_quantity", "parse", "time_text", "to_unit", "unit_of",
+]  # fmt: skip

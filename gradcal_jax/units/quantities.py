@@ -52,10 +52,6 @@ def _known(dimension: str) -> Dimension:
     return DIMENSIONS[dimension]
 
 
-def _expected(dimension: Dimension) -> str:
-    return f"expected {dimension.described} such as '{dimension.example}'"
-
-
 def _check(unit: Unit, dimension: Dimension) -> None:
     """Refuse a unit that does not measure the dimension."""
     offset = unit.bare in CELSIUS or unit.bare in FAHRENHEIT
@@ -182,7 +178,8 @@ def parse(text: str, dimension: str) -> float:
         shown = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
         meant = _meant(text, known)
         hint = f"; nearest: '{meant}'" if meant else ""
-        raise UnitError(f"'{shown}' is not understood: {refusal}; {_expected(known)}{hint}") from None
+        expected = f"expected {known.described} such as '{known.example}'"
+        raise UnitError(f"'{shown}' is not understood: {refusal}; {expected}{hint}") from None
 
 
 def _meant(text: str, dimension: Dimension) -> str | None:

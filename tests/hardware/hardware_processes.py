@@ -19,7 +19,7 @@ from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.files.writing import write_toml, write_whole
 from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.interlocks import Limits, standard_rules
+from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
@@ -53,7 +53,7 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
         made, first = new_folder(path, read_recipe(folder / "recipe.toml"), read_rig(folder / "rig.toml")), 0
     write_whole(path / "pid", str(os.getpid()))
     watching._SILENT_S = float(os.environ.get("SILENT_S", watching._SILENT_S))
-    rules = standard_rules(Limits(imu_stale_s=2.0 * speed, temperature_band_k=None, latest_s=1.0 * speed))
+    rules = standard_rules(InterlockLimits(imu_stale_s=2.0 * speed, temperature_band_k=None, latest_s=1.0 * speed))
     result = run_session(
         made, made.rig(), clock, first_step=first, guard=guard, interlocks=rules, safe_deadline_s=20.0,
         wait_when_paused=False, handle_signals=True,

@@ -58,16 +58,16 @@ def test_virtual_time_stands_still_while_a_party_works() -> None:
 def test_virtual_time_waits_for_bytes_on_their_way_but_not_for_ever() -> None:
     clock = VirtualClock(patience_s=0.2)
     line = clock.link("line")
-    line.attach()
-    line.host_wrote(5)
+    line.change(attached=True)
+    line.change(to_device=5, host_is_there=True)
     sleeper = threading.Thread(target=clock.sleep_until, args=(1.0,))
     sleeper.start()
     time.sleep(0.05)
     assert clock.now() == 0.0
-    line.device_handled(5)
+    line.change(to_device=-5)
     sleeper.join(timeout=1.0)
     assert clock.now() == 1.0
-    line.device_wrote(3)  # an open port that nobody reads
+    line.change(to_host=3)  # an open port that nobody reads
     started = time.monotonic()
     clock.sleep_until(2.0)
     assert 0.15 < time.monotonic() - started < 2.0

@@ -46,8 +46,7 @@ def test_espec_golden_vectors() -> None:
     assert espec.request("MON?", address=1) == b"1,MON?\r\n"
     reply = {command: LineFramer(b"\r\n").push(received)[0] for command, (_, received) in golden.ESPEC.items()}
     assert golden.ESPEC_HEX[1] == reply["TEMP?"] + b"\r\n"
-    assert espec.parse_temperatures(reply["TEMP?"]) == espec.Temperatures(26.4, 0.0, 140.0, -50.0)
-    assert espec.parse_monitor(reply["MON?"]) == espec.Monitor(24.1, "CONSTANT", 0)
+    assert espec.parse_temperatures(reply["TEMP?"]) == espec.ChamberTemperatures(26.4, 0.0, 140.0, -50.0)
     assert espec.parse_type(reply["TYPE?"]) == ("S2", 160.0)
     espec.parse_acknowledgement(reply["TEMP, S25.0"], "TEMP, S25.0")
     espec.parse_acknowledgement(b"OK : 1, TEMP, S25.0", "TEMP, S25.0")

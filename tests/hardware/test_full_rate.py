@@ -35,7 +35,7 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder
-from gradcal_jax.hardware.runner import Progress, Runner
+from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig
 from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
@@ -93,7 +93,7 @@ def run(folder: Path, seconds: float) -> None:
     ]
     resident: list[int] = []
 
-    def look(progress: Progress) -> None:
+    def look(progress: RunProgress) -> None:
         if sys.platform == "linux":
             pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
             resident.append(pages * os.sysconf("SC_PAGESIZE"))

@@ -21,10 +21,10 @@ from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware import guard, runner, session
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
-from gradcal_jax.hardware.interlocks import Limits, standard_rules
+from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
-from gradcal_jax.hardware.runner import Progress, RunResult
+from gradcal_jax.hardware.runner import RunProgress, RunResult
 from gradcal_jax.hardware.safety import SafeOutcome
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import open_rig
@@ -207,7 +207,7 @@ def test_a_guard_that_died_is_announced_and_replaced(
     killed: list[int] = []
     clock, made = RealClock(speed=SPEED), short_recipe(1.0)
 
-    def look(progress: Progress) -> None:
+    def look(progress: RunProgress) -> None:
         if not killed:
             guards[0].process.kill()
             killed.append(guards[0].process.pid)
@@ -226,7 +226,7 @@ def test_a_guard_that_died_is_announced_and_replaced(
     monkeypatch.setattr(runner, "make_safe", hindered)
     with SimulatedLab(made.spec, clock) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
-        result = run_of(lab, folder, clock, on_progress=look, interlocks=standard_rules(Limits(latest_s=20.0)))
+        result = run_of(lab, folder, clock, on_progress=look, interlocks=standard_rules(InterlockLimits(latest_s=20.0)))
         assert not result.verified_safe
         end = time.monotonic() + 60.0
         while time.monotonic() < end and lab.chamber.mode != "STANDBY":
@@ -269,7 +269,7 @@ def run_of(lab: SimulatedLab, folder: RunFolder, clock: RealClock, **more: Any) 
 def test_what_the_run_leaves_unsafe_is_made_safe(how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C, and once more while everything is made safe; or a device that did not confirm."""
 
-    def interrupt(progress: Progress) -> None:
+    def interrupt(progress: RunProgress) -> None:
         if lab.chamber.mode != "STANDBY":
             raise KeyboardInterrupt
 

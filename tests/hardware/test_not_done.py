@@ -12,16 +12,16 @@ from hardware_bench import Rig, short_recipe
 from hardware_evidence import record
 
 from gradcal_jax.hardware.binding import track_of
-from gradcal_jax.hardware.interlocks import Limits, standard_rules
+from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
-from gradcal_jax.hardware.runner import Progress, Runner
+from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 
 @contextmanager
-def lab(folder: Path, *, stage: bool = False, limits: Limits | None = None) -> Iterator[tuple[Rig, Runner]]:
+def lab(folder: Path, *, stage: bool = False, limits: InterlockLimits | None = None) -> Iterator[tuple[Rig, Runner]]:
     clock = VirtualClock()
     folder.mkdir(exist_ok=True)
     with Rig(clock, stage=stage) as rig, Journal(folder / "journal") as journal:
@@ -54,7 +54,7 @@ def once_turning(rig: Rig, runner: Runner, act: Callable[[], Any], *, times: int
     left = [times]
     runner.chamber_every_s = 1.0
 
-    def look(progress: Progress) -> None:
+    def look(progress: RunProgress) -> None:
         under_way = progress.step_left_s is not None and progress.steps_done >= 1
         if left[0] and under_way and abs(rig.axis.state(runner.clock.now())[1]) > 10.0:
             left[0] -= 1
@@ -133,13 +133,13 @@ def test_samples_that_were_lost_make_the_step_again(tmp_path: Path) -> None:
 
 
 def test_a_chamber_that_agrees_with_itself_and_stays_where_it_is_does_not_pass(tmp_path: Path) -> None:
-    limits = Limits(temperature_band_k=0.5, temperature_lag_s=10.0)
+    limits = InterlockLimits(temperature_band_k=0.5, temperature_lag_s=10.0)
     with lab(tmp_path, limits=limits) as (rig, runner):
 
         def ignore(*_: object, **__: object) -> None:
             """It takes every command, reports a set point where the air is, and does nothing."""
 
-        def look(progress: Progress) -> None:
+        def look(progress: RunProgress) -> None:
             if progress.steps_done >= 1:
                 rig.chamber.plant._gradient_k_per_s = None
                 rig.chamber.plant.command = ignore
@@ -165,7 +165,7 @@ def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path
             once_turning(rig, runner, run_away)
         else:
 
-            def look(progress: Progress) -> None:
+            def look(progress: RunProgress) -> None:
                 resting = progress.step_left_s is not None and not rig.axis.moving(runner.clock.now())
                 if not ran and progress.steps_done >= 2 and resting:
                     run_away()

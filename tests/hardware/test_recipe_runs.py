@@ -26,7 +26,7 @@ from gradcal_jax.hardware.run_folder import (
     prepare_resume,
     sessions,
 )
-from gradcal_jax.hardware.runner import Progress, Runner, RunResult
+from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
@@ -147,7 +147,7 @@ def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, b
     first = prepare_resume(folder) if folder.journal_path.exists() else 0
     runners: list[Runner] = []
 
-    def look(progress: Progress) -> None:
+    def look(progress: RunProgress) -> None:
         left = progress.step_left_s
         if progress.steps_done == stop_at_step and left is not None and left < 8.0:
             runners[0].request("stop", "enough")

@@ -18,7 +18,7 @@ from gradcal_jax.files.recipe import Recipe, read_recipe
 from gradcal_jax.hardware.execute import resume, run
 from gradcal_jax.hardware.journal import Event, JournalContents
 from gradcal_jax.hardware.run_folder import SESSION, RunFolder, RunFolderError
-from gradcal_jax.hardware.runner import Progress, Runner
+from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.stretches import adopt, stretches_done, stretches_of
 from gradcal_jax.hardware.track import Step, Track
 
@@ -67,7 +67,7 @@ def broken_off(made: Recipe, folder: Path, left_s: float, seed: int = 1) -> RunF
     """A simulated run that is aborted with so much of its track left."""
     runners: list[Runner] = []
 
-    def watch(progress: Progress) -> None:
+    def watch(progress: RunProgress) -> None:
         if progress.track_left_s < left_s:
             runners[0].request("abort", "the power failed, as it were")
 

@@ -12,6 +12,7 @@ from gradcal_jax.hardware.drivers.espec import EspecConfig
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.drivers.zaber import ZaberConfig
 from gradcal_jax.hardware.errors import PortRefused
+from gradcal_jax.hardware.journal import Direction
 from gradcal_jax.hardware.setup import DRIVERS, check_rig, configs_of, open_rig, option_names
 from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
@@ -19,7 +20,6 @@ from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
-from gradcal_jax.hardware.transcript import Direction
 
 
 def test_template_is_a_rig_and_its_options_reach_the_drivers() -> None:

@@ -15,10 +15,10 @@ from hardware_bench import Rig
 
 from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.hardware.drivers.imu_common import join
-from gradcal_jax.hardware.interlocks import Interlocks, Limits, Rule, Situation, standard_rules
+from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import ChamberLimits
-from gradcal_jax.hardware.runner import WAYS, Progress, Runner, State
+from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, State
 from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, SensorTruth
@@ -56,7 +56,7 @@ def when_step_begins(runner: Runner, number: int, act) -> None:
     """Call `act` from within the run once a step has begun (on the progress call, which the run makes itself)."""
     done: list[bool] = []
 
-    def look(progress: Progress) -> None:
+    def look(progress: RunProgress) -> None:
         if not done and progress.steps_done == number and progress.step_left_s is not None:
             done.append(True)
             act()
@@ -67,7 +67,7 @@ def when_step_begins(runner: Runner, number: int, act) -> None:
 def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path: Path) -> None:
     began = time.monotonic()
     with lab(tmp_path, SensorTruth(clock_error=80e-6, scale_factor=(((1e-3,),),) * 3)) as (rig, runner):
-        shown: list[Progress] = []
+        shown: list[RunProgress] = []
         runner.on_progress = shown.append
         result = runner.run()
         assert (result.exit_status, result.reason, result.steps_done) == ("success", "", 2)
@@ -279,7 +279,7 @@ def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path: P
 
 def test_full_disk_pauses_before_it_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with lab(tmp_path) as (_, runner):
-        runner.interlocks = standard_rules(Limits(free_bytes=1 << 60))
+        runner.interlocks = standard_rules(InterlockLimits(free_bytes=1 << 60))
         runner.wait_when_paused = False
         result = runner.run()
         assert result.exit_status == "aborted"
@@ -369,7 +369,7 @@ def test_an_interlock_pauses_a_run_that_was_to_pause_anyway(tmp_path: Path) -> N
             begun.append(runner.clock.now())
             runner.request("soft pause")
 
-        runner.interlocks = Interlocks((Rule("amiss", "pause", 2.0, wrong),))
+        runner.interlocks = Interlocks((InterlockRule("amiss", "pause", 2.0, wrong),))
         when_step_begins(runner, 0, pause)
         once_paused(runner, lambda: runner.request("resume"))
         assert runner.run().exit_status == "success"
@@ -408,7 +408,7 @@ def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path) -> No
             runner.track = Track((Step("ramp", 60.0, temperature_c=25.0, courses=(ramp,)),))
             runner.chamber_every_s = 0.1
 
-            def look(progress: Progress, runner=runner, seconds=seconds) -> None:
+            def look(progress: RunProgress, runner=runner, seconds=seconds) -> None:
                 if progress.step_left_s is not None and progress.step_left_s <= 50.0 - seconds:
                     runner.request("abort")
 

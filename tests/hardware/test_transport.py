@@ -15,9 +15,9 @@ import pytest
 from hardware_bench import espec_bench, served
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated_devices import transcript
 from simulated_devices.replay import ReplayedDevice
 
-from gradcal_jax.hardware import transcript
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import espec
 from gradcal_jax.hardware.errors import Disconnected, PortRefused

@@ -23,7 +23,7 @@ from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import Chunk
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading
 from gradcal_jax.hardware.run_folder import RunFolder
-from gradcal_jax.hardware.runner import Progress, Runner
+from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.settings import KeptSettings
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
@@ -258,7 +258,7 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
     run = tmp_path / "run"
     runners: list[Runner] = []
 
-    def look(progress: Progress) -> None:
+    def look(progress: RunProgress) -> None:
         if progress.step.startswith("motion 2, 2 of") and (progress.step_left_s or math.inf) < 15.0:
             runners[0].request("stop", "enough")
 

@@ -14,7 +14,7 @@ from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec, read_unit_spec
 from gradcal_jax.hardware import execute
-from gradcal_jax.hardware.runner import Progress, Runner
+from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.information import segments_of, unit_system, whiten
 
 HAND = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
@@ -76,7 +76,7 @@ def stopped_in_its_second_cycle(recipe: Recipe, folder: Path) -> None:
     """A simulated run that somebody stops in the middle of the second cycle."""
     runners: list[Runner] = []
 
-    def look(progress: Progress) -> None:
+    def look(progress: RunProgress) -> None:
         if progress.steps_done == 1 and progress.step_left_s is not None and progress.step_left_s < 25.0:
             runners[0].request("stop", "enough")
 

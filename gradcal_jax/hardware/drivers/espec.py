@@ -19,8 +19,9 @@ from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, Rejected, ReplyTimeout, printable
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
+from .base import ChamberDriver
 
 Value = TypeVar("Value")
 
@@ -48,7 +49,6 @@ REFUSALS = {
 
 _NUMBER = r"-?\d{1,3}(?:\.\d{1,2})?"
 _TEMPERATURE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER}),({_NUMBER})")
-_MONITOR = re.compile(rf"({_NUMBER}),((?:{_NUMBER})?),([A-Z ]+),(\d+)")
 _ALARMS = re.compile(r"\d+(,\d+)*")
 
 
@@ -72,26 +72,14 @@ class EspecConfig:
             raise ValueError(f"The chamber's address is {self.address}; RS-485 addresses are 1 to 16.")
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 @dataclass(frozen=True)
-class Temperatures:
+class ChamberTemperatures:
     """Reply to `TEMP?`, °C."""
 
     measured_c: float
     setpoint_c: float
     high_c: float
     low_c: float
-
-
-@dataclass(frozen=True)
-class Monitor:
-    """Reply to `MON?`."""
-
-    measured_c: float
-    mode: str
-    alarms: int
 
 
 def request(command: str, address: int | None = None) -> bytes:
@@ -113,19 +101,12 @@ def reply_text(frame: bytes) -> str:
     return text
 
 
-def parse_temperatures(frame: bytes) -> Temperatures:
+def parse_temperatures(frame: bytes) -> ChamberTemperatures:
     match = _TEMPERATURE.fullmatch(reply_text(frame))
     if match is None:
         raise FramingError(f"TEMP? was answered {printable(frame)!r}; four temperatures were expected.")
     measured, setpoint, high, low = (float(field) for field in match.groups())
-    return Temperatures(measured, setpoint, high, low)
-
-
-def parse_monitor(frame: bytes) -> Monitor:
-    match = _MONITOR.fullmatch(reply_text(frame))
-    if match is None or match[3] not in DETAILED_MODES:
-        raise FramingError(f"MON? was answered {printable(frame)!r}; temperature,humidity,mode,alarms were expected.")
-    return Monitor(float(match[1]), match[3], int(match[4]))
+    return ChamberTemperatures(measured, setpoint, high, low)
 
 
 def parse_mode(frame: bytes) -> str:
@@ -162,27 +143,13 @@ def parse_acknowledgement(frame: bytes, command: str) -> None:
         raise FramingError(f"{command!r} was acknowledged as {printable(frame)!r}: another command, or a damaged line.")
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: EspecConfig) -> Exchange:
-    return Exchange(
-        transport,
-        LineFramer(),
-        clock=clock,
-        device="The ESPEC chamber",
-        reply_timeout_s=config.reply_timeout_s,
-        min_interval_s=config.query_pause_s,
-    )
+    times_s = config.reply_timeout_s, config.query_pause_s
+    return Exchange(transport, LineFramer(), clock, "The ESPEC chamber", *times_s)
 
 
-class EspecChamber:
+class EspecChamber(ChamberDriver[EspecConfig]):
     """Role `Chamber`. One decimal everywhere; a hardware ramp is a remote one-step program of whole minutes."""
-
-    def __init__(self, exchange: Exchange, config: EspecConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
 
     def identify(self) -> Identity:
         try:
@@ -259,21 +226,9 @@ class EspecChamber:
     def standby(self) -> None:
         self._set_mode("STANDBY")
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            now = self._ask("TEMP?", parse_temperatures)
-            wanted = now.measured_c if policy is ChamberSafe.HOLD else ambient_c
-            self.hold(min(max(wanted, now.low_c), now.high_c))
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
-
-    def close(self) -> None:
-        self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        now = self._ask("TEMP?", parse_temperatures)
+        return min(max(now.measured_c if policy is ChamberSafe.HOLD else ambient_c, now.low_c), now.high_c)
 
     def _check(self, temperature_c: float) -> None:
         limits = self.limits()

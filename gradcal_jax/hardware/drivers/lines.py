@@ -39,7 +39,7 @@ from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .mean_rate import MeanRate
+from .base import ChamberDriver, ExchangeDriver, MeanRate
 
 Texts = dict[str, str]
 """Fields as the device wrote them."""
@@ -88,9 +88,6 @@ class LinesConfig:
         return {"bytesize": line.bytesize, "parity": line.parity, "stopbits": line.stopbits}
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 class Codec:
     """Lines of one protocol to bytes and back: pure."""
 
@@ -129,14 +126,8 @@ class Codec:
 
 def open_exchange(transport: Transport, clock: Clock, config: LinesConfig) -> Exchange:
     line = config.said.line
-    return Exchange(
-        transport,
-        Codec(config.said).framer(),
-        clock=clock,
-        device=config.said.title,
-        reply_timeout_s=config.reply_timeout_s or float(line.timeout),
-        min_interval_s=float(line.pause),
-    )
+    times_s = config.reply_timeout_s or float(line.timeout), float(line.pause)
+    return Exchange(transport, Codec(config.said).framer(), clock, config.said.title, *times_s)
 
 
 def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | LinesAxis":
@@ -144,18 +135,13 @@ def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | Lin
     return (LinesChamber if config.role == "chamber" else LinesAxis)(exchange, config)
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
-class _Spoken:
+class _Spoken(ExchangeDriver[LinesConfig]):
     """What both roles share: questions, commands, states."""
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
-        self._exchange = exchange
-        self._config = config
+        super().__init__(exchange, config)
         self._said = config.said
         self._codec = Codec(config.said)
-        self._clock = exchange.clock
         self._patterns: dict[str, re.Pattern[str]] = {}
 
     def identify(self) -> Identity:
@@ -166,11 +152,6 @@ class _Spoken:
                 raise Rejected(f"{self._said.title} says {need.field} = {needed[need.field]}: {need.why}.")
         model = f"{self._said.title} {known.get('model', '')}".strip()
         return Identity("lines", model, known.get("serial", ""), known.get("firmware", ""))
-
-    def close(self) -> None:
-        self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _read(self, *names: str) -> Texts:
         """The fields of these names, each question asked once, in this order; what no reply has is absent."""
@@ -278,22 +259,17 @@ def _same_number(left: str, right: str) -> bool:
         return False
 
 
-class LinesChamber(_Spoken):
+class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
     """Role `Chamber`."""
 
     def limits(self) -> ChamberLimits:
         known = self._said.limits
         assert known.lowest is not None
         assert known.highest is not None
-        return ChamberLimits(
-            float(known.lowest),
-            float(known.highest),
-            float(known.resolution),
-            "ramp" in self._said.tell,
-            0.0 if known.slowest is None else float(known.slowest) * 60.0,
-            math.inf if known.fastest is None else float(known.fastest) * 60.0,
-            self._ramp_step(),
-        )
+        numbers = float(known.lowest), float(known.highest), float(known.resolution)
+        slowest = 0.0 if known.slowest is None else float(known.slowest) * 60.0
+        fastest = math.inf if known.fastest is None else float(known.fastest) * 60.0
+        return ChamberLimits(*numbers, "ramp" in self._said.tell, slowest, fastest, self._ramp_step())
 
     def read(self) -> ChamberReading:
         texts = self._read("air", "setpoint", "product", *self._asks_of("conditioning", "alarm"))
@@ -336,18 +312,10 @@ class LinesChamber(_Spoken):
         self._switch("off", "conditioning", False)
         self._free_ramp()
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            limits = self.limits()
-            wanted = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
-            self.hold(min(max(wanted, limits.lowest_c), limits.highest_c))
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
-
-    # -------------------------------------------------------------------------------------------------------- parts
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        limits = self.limits()
+        wanted = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
+        return min(max(wanted, limits.lowest_c), limits.highest_c)
 
     def _go_to(self, temperature_c: float) -> None:
         value = {"setpoint": units.convert(temperature_c, "degC", self._said.units.temperature)}
@@ -409,14 +377,9 @@ class LinesAxis(_Spoken):
             own if own is not None else None if limit is None else units.to_unit(float(limit), "deg")
             for own, limit in ((config.lowest_deg, known.lowest_angle), (config.highest_deg, known.highest_angle))
         ]
-        return AxisLimits(
-            min(rate for rate in fastest if rate is not None),
-            min(acceleration for acceleration in strongest if acceleration is not None),
-            ends[0],
-            ends[1],
-            units.to_unit(float(known.step), "deg"),
-            hardware_watchdog=False,
-        )
+        rate, acceleration = (min(value for value in values if value is not None) for values in (fastest, strongest))
+        step = units.to_unit(float(known.step), "deg")
+        return AxisLimits(rate, acceleration, ends[0], ends[1], step, hardware_watchdog=False)
 
     def read(self) -> AxisReading:
         # Whether it moves first: a position that is read of an axis that stood is where it stands.
@@ -523,8 +486,6 @@ class LinesAxis(_Spoken):
         reading = self.read()
         state = "; ".join(reading.faults) or "no faults"
         return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _degrees(self, text: str) -> float:
         angle = units.convert(float(text), self._said.units.angle, "deg")

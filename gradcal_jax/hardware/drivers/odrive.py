@@ -40,6 +40,7 @@ from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
+from .base import ExchangeDriver
 
 IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_RAMP, TRAPEZOID = 2, 5
@@ -126,9 +127,6 @@ class ODriveConfig:
         return 0x800 if self.generation == "0.5" else 0x01000000
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 def request(words: str) -> bytes:
     return f"{words}*{xor8(words.encode())}\n".encode("ascii")
 
@@ -165,26 +163,15 @@ def decimal(value: float) -> str:
     return "0" if text in ("", "-0") else text
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: ODriveConfig) -> Exchange:
-    return Exchange(
-        transport,
-        LineFramer(),
-        clock=clock,
-        device="The ODrive controller",
-        reply_timeout_s=config.reply_timeout_s,
-    )
+    return Exchange(transport, LineFramer(), clock, "The ODrive controller", config.reply_timeout_s)
 
 
-class ODriveAxis:
+class ODriveAxis(ExchangeDriver[ODriveConfig]):
     """Role `MotionAxis`. Both motors of one board share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ODriveConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._target_turns: float | None = None
         self._spinning = False
         self._powered = False
@@ -214,14 +201,9 @@ class ODriveAxis:
         fastest = abs(self._property("controller.config.vel_limit")) * 360.0 / config.turns_per_table_turn
         ends = [abs(self._target(end)) for end in (config.lowest_deg, config.highest_deg) if end is not None]
         farthest = max([abs(self._feedback()[0]), *ends])
-        return AxisLimits(
-            min(config.max_rate_dps, fastest),
-            config.max_acceleration_dps2,
-            config.lowest_deg,
-            config.highest_deg,
-            max(1e-6, _spacing(farthest)) * 360.0 / config.turns_per_table_turn,
-            hardware_watchdog=config.watchdog_s > 0.0,
-        )
+        most = min(config.max_rate_dps, fastest), config.max_acceleration_dps2
+        step_deg = max(1e-6, _spacing(farthest)) * 360.0 / config.turns_per_table_turn
+        return AxisLimits(*most, config.lowest_deg, config.highest_deg, step_deg, config.watchdog_s > 0.0)
 
     def read(self) -> AxisReading:
         config = self._config
@@ -235,15 +217,9 @@ class ODriveAxis:
         if errors:
             # A controller with an error has let go of the motor: nothing is under way any more.
             moving = not slow
-        return AxisReading(
-            time_s,
-            self._degrees(turns),
-            config.direction * turns_per_s * 360.0 / config.turns_per_table_turn,
-            moving,
-            ready,
-            errors if ready else (*errors, "the encoder's position is not valid"),
-            self._cleared,
-        )
+        rate = config.direction * turns_per_s * 360.0 / config.turns_per_table_turn
+        faults = errors if ready else (*errors, "the encoder's position is not valid")
+        return AxisReading(time_s, self._degrees(turns), rate, moving, ready, faults, self._cleared)
 
     def home(self) -> None:
         self._clear_errors()
@@ -318,11 +294,6 @@ class ODriveAxis:
         evidence = f"{reading.rate_dps:.3f} deg/s at {reading.position_deg:.3f} deg, {powered}"
         notes = (*reading.faults, *(f"cleared: {error}" for error in self._cleared))
         return SafeReport(policy.value, held and not reading.moving, "; ".join([evidence, *notes]))
-
-    def close(self) -> None:
-        self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _tell(self, words: str) -> None:
         self._exchange.tell(request(words))

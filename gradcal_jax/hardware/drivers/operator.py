@@ -25,7 +25,7 @@ from ..clock import Clock
 from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, SafeReport
 from ..settings import KeptSettings
-from ..terminal import Line
+from ..terminal import TextLine
 from ..track import Move
 
 _BELL = "\a"
@@ -51,9 +51,6 @@ class OperatorConfig:
             raise ValueError("travel, miss and remind are above zero.")
 
 
-# ------------------------------------------------------------------------------------------------------ words (pure)
-
-
 def angle_deg(text: str, unit: str = "") -> float:
     """A typed angle, deg. Raises `UnitError` with what was expected."""
     words = text.strip()
@@ -67,13 +64,10 @@ def nearest_turn_deg(shown_deg: float, goal_deg: float) -> float:
     return goal_deg + (shown_deg - goal_deg + 180.0) % 360.0 - 180.0
 
 
-# ------------------------------------------------------------------------------------------------------------ driver
-
-
 class Console:
     """One terminal, one question at a time. Lines that come without a question are passed over."""
 
-    def __init__(self, line: Line, clock: Clock) -> None:
+    def __init__(self, line: TextLine, clock: Clock) -> None:
         self._line, self._clock = line, clock
         self._typed = b""
         self._answers: deque[tuple[str, float]] = deque()
@@ -123,7 +117,7 @@ class Console:
             self._answers.extend((text.decode("utf-8", "replace"), time_s) for text in lines)
 
 
-def open_exchange(line: Line, clock: Clock, config: OperatorConfig) -> Console:
+def open_exchange(line: TextLine, clock: Clock, config: OperatorConfig) -> Console:
     del config
     return Console(line, clock)
 
@@ -214,8 +208,6 @@ class OperatorAxis:
         self._console.close()
         if self._encoder is not None:
             self._encoder.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _ask(self, what: str) -> None:
         answer = "press Enter" if self._encoder is not None else "type the angle that it shows"

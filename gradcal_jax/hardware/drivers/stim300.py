@@ -71,9 +71,6 @@ class Stim300Config:
             )
 
 
-# ---------------------------------------------------------------------------------------------- Utility Mode (pure)
-
-
 def utility_request(name: str, *parameters: object) -> bytes:
     body = ",".join([f"${name}", *map(str, parameters)]) + ","
     return f"{body}{crc8_stim300(body.encode())}\r".encode("ascii")
@@ -107,13 +104,8 @@ def decoder_of(config: Stim300Config, registers: Mapping[str, str]) -> Stim300De
             "fourth to sixth field."
         ) from None
     return Stim300Decoder(
-        sample_rate_hz=config.sample_rate_hz,
-        acceleration_range_g=range_g,
-        increments=config.increments,
+        sample_rate_hz=config.sample_rate_hz, acceleration_range_g=range_g, increments=config.increments
     )
-
-
-# ----------------------------------------------------------------------------------------------------------- driver
 
 
 class Stim300Stream:
@@ -122,13 +114,7 @@ class Stim300Stream:
     def __init__(self, transport: Transport, clock: Clock, config: Stim300Config) -> None:
         self._transport = transport
         self._config = config
-        self._exchange = Exchange(
-            transport,
-            LineFramer(b"\r"),
-            clock=clock,
-            device="The STIM300",
-            reply_timeout_s=config.reply_timeout_s,
-        )
+        self._exchange = Exchange(transport, LineFramer(b"\r"), clock, "The STIM300", config.reply_timeout_s)
         # What is set lasts until the unit is switched off, and is never saved.
         self.settings = KeptSettings()
         self._registers: dict[str, str] = {}
@@ -176,8 +162,6 @@ class Stim300Stream:
 
     def close(self) -> None:
         self._transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _enter_utility(self) -> None:
         if self._in_utility:

@@ -88,11 +88,7 @@ class Stim300Decoder:
     resolution_s = 1.0 / INTERNAL_RATE_HZ
 
     def __init__(
-        self,
-        *,
-        sample_rate_hz: float = 125.0,
-        acceleration_range_g: int = 10,
-        increments: bool = False,
+        self, *, sample_rate_hz: float = 125.0, acceleration_range_g: int = 10, increments: bool = False
     ) -> None:
         bits = (_INCREMENT_BITS if increments else _ACCELERATION_BITS).get(acceleration_range_g)
         if bits is None:
@@ -112,13 +108,9 @@ class Stim300Decoder:
         self._recent: dict[bytes, None] = {}
         self._before = b""
         self._starting_up = True
-        self._bad_bytes = 0
+        self.bad_bytes = 0
         self.special_datagrams = 0
         self.repeated_datagrams = 0
-
-    @property
-    def bad_bytes(self) -> int:
-        return self._bad_bytes
 
     def push(self, data: bytes, host_time_s: float) -> ImuBatch:
         self._buffer += data
@@ -164,7 +156,7 @@ class Stim300Decoder:
     def _unlock(self) -> None:
         self._locked, self._disturbed = None, True
         self._buffer = self._buffer[1:]
-        self._bad_bytes += 1
+        self.bad_bytes += 1
 
     def _lock(self) -> bool:
         """Find the next sound datagram. False when more bytes are needed to decide."""
@@ -185,7 +177,7 @@ class Stim300Decoder:
 
     def _drop(self, count: int) -> None:
         self._buffer = self._buffer[count:]
-        self._bad_bytes += count
+        self.bad_bytes += count
         self._disturbed = self._disturbed or count > 0
 
     def _sound_frames(self, whole: int, stride: int, layout: DatagramLayout) -> int:

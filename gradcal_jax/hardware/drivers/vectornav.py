@@ -92,9 +92,6 @@ class VectorNavConfig:
             )
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 def request(words: str) -> bytes:
     return f"${words}*{xor8(words.encode()):02X}\r\n".encode("ascii")
 
@@ -244,9 +241,6 @@ class VectorNavDecoder:
         return [self._lines / self._rate, *values[3:9], values[9]], 0
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorNavDecoder:
     """The decoder for a configured unit; the binary packets say of themselves all but the rate."""
     del registers
@@ -259,13 +253,7 @@ class VectorNavStream:
     def __init__(self, transport: Transport, clock: Clock, config: VectorNavConfig) -> None:
         self._transport = transport
         self._config = config
-        self._exchange = Exchange(
-            transport,
-            VectorNavFramer(),
-            clock=clock,
-            device="The VectorNav unit",
-            reply_timeout_s=config.reply_timeout_s,
-        )
+        self._exchange = Exchange(transport, VectorNavFramer(), clock, "The VectorNav unit", config.reply_timeout_s)
         self.settings = KeptSettings(
             lambda name: ",".join(self._read(int(name))),
             lambda name, value: self._write(int(name), value),
@@ -310,8 +298,6 @@ class VectorNavStream:
 
     def close(self) -> None:
         self._transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _binary_output(self, port: int) -> str:
         return f"{port},{round(self._config.base_rate_hz / self._config.sample_rate_hz)},05,0001,001C"

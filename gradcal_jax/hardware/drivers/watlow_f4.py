@@ -19,8 +19,9 @@ from ..clock import Clock
 from ..errors import ChecksumError, FramingError, LimitExceeded, Rejected, printable
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import ModbusReplyFramer
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
+from .base import ChamberDriver
 
 EXCEPTIONS = {1: "function", 2: "register address", 3: "value", 4: "device failure", 5: "acknowledged", 6: "busy"}
 
@@ -58,9 +59,6 @@ class WatlowF4Config:
             raise ValueError(f"product_input is {self.product_input}; it is 2 or 3, 0 means none.")
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 def _frame(body: bytes) -> bytes:
     return body + crc16_modbus(body)
 
@@ -80,10 +78,14 @@ def _checked(frame: bytes, address: int, function: int) -> bytes:
     if frame[0] != address or frame[1] & 0x7F != function:
         raise NotThisReply
     if frame[1] & 0x80:
-        code = frame[2]
-        meaning = EXCEPTIONS.get(code, "unknown")
-        raise Rejected(f"The controller refuses: exception {code} ({meaning}).", code=str(code), text=meaning)
+        raise exception_of(frame[2])
     return frame[2:-2]
+
+
+def exception_of(code: int) -> Rejected:
+    """What a Modbus exception says."""
+    meaning = EXCEPTIONS.get(code, "unknown")
+    return Rejected(f"The controller refuses: exception {code} ({meaning}).", code=str(code), text=meaning)
 
 
 def parse_registers(frame: bytes, address: int, count: int) -> tuple[int, ...]:
@@ -109,27 +111,16 @@ def unscaled(value: float, decimals: int) -> int:
     return round(value * 10**decimals)
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: WatlowF4Config) -> Exchange:
-    return Exchange(
-        transport,
-        ModbusReplyFramer(config.address),
-        clock=clock,
-        device="The Watlow F4 controller",
-        reply_timeout_s=config.reply_timeout_s,
-        min_interval_s=config.min_interval_s,
-    )
+    times_s = config.reply_timeout_s, config.min_interval_s
+    return Exchange(transport, ModbusReplyFramer(config.address), clock, "The Watlow F4 controller", *times_s)
 
 
-class WatlowF4Chamber:
+class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
     """Role `Chamber`."""
 
     def __init__(self, exchange: Exchange, config: WatlowF4Config) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._decimals: dict[int, int] = {}
 
     def identify(self) -> Identity:
@@ -149,8 +140,7 @@ class WatlowF4Chamber:
         air = self._temperature(PROCESS_VALUE[1], 1)
         time_s = self._clock.now()
         (status,) = self._read(STATUS)
-        profile = status in (2, 3)
-        set_point = self._temperature(PROFILE_SET_POINT if profile else SET_POINT, 1)
+        set_point = self._temperature(PROFILE_SET_POINT if status in (2, 3) else SET_POINT, 1)
         product = self._config.product_input
         conditioning = True
         if self._config.conditioning_event:
@@ -160,15 +150,9 @@ class WatlowF4Chamber:
             (state,) = self._read(201 + 12 * (self._config.limit_input - 1))
             if state == self._config.limit_input_tripped:
                 alarms = (f"limit input {self._config.limit_input}",)
-        return ChamberReading(
-            time_s,
-            air,
-            self._temperature(PROCESS_VALUE[product], product) if product else None,
-            set_point,
-            _MODES.get(status, f"status {status}"),
-            conditioning,
-            alarms,
-        )
+        product_c = self._temperature(PROCESS_VALUE[product], product) if product else None
+        mode = _MODES.get(status, f"status {status}")
+        return ChamberReading(time_s, air, product_c, set_point, mode, conditioning, alarms)
 
     def hold(self, temperature_c: float) -> None:
         low, high = self._range()
@@ -195,22 +179,14 @@ class WatlowF4Chamber:
             )
         self._condition(False)
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            low, high = self._range()
-            wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._temperature(PROCESS_VALUE[1], 1)
-            self.hold(min(max(wanted, low), high))
-        reading = self.read()
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        low, high = self._range()
+        wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._temperature(PROCESS_VALUE[1], 1)
+        return min(max(wanted, low), high)
+
+    def _evidence(self, reading: ChamberReading) -> str:
         state = "conditioning" if reading.conditioning else "conditioning off"
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"{reading.mode}, {state}, set point {reading.setpoint_c} degC")
-
-    def close(self) -> None:
-        self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
+        return f"{reading.mode}, {state}, set point {reading.setpoint_c} degC"
 
     def _read(self, register: int, count: int = 1) -> tuple[int, ...]:
         address = self._config.address

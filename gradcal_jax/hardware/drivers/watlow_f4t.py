@@ -19,9 +19,10 @@ from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, Rejected, printable
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import ModbusTcpFramer
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
-from .watlow_f4 import EXCEPTIONS
+from .base import ChamberDriver
+from .watlow_f4 import exception_of
 
 OFF, ON, AUTO = 62, 63, 10
 CELSIUS, MINUTES, RAMP_AT_SET_POINT, RAMP_ALWAYS, TERMINATE = 15, 57, 85, 13, 148
@@ -61,9 +62,6 @@ class WatlowF4TConfig:
                 raise ValueError(f"{name} is {value}; expected {lowest} to {highest}.")
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 def request(number: int, address: int, body: bytes) -> bytes:
     """A Modbus TCP message: its number, the length of what follows, the unit's address, function and data."""
     return struct.pack(">HHHB", number, 0, len(body) + 1, address) + body
@@ -93,9 +91,7 @@ def parse_reply(frame: bytes, sent: bytes) -> bytes:
     if frame[:2] != sent[:2] or frame[6] != sent[6] or frame[7] & 0x7F != sent[7]:
         raise NotThisReply
     if frame[7] & 0x80:
-        code = frame[8]
-        meaning = EXCEPTIONS.get(code, "unknown")
-        raise Rejected(f"The controller refuses: exception {code} ({meaning}).", code=str(code), text=meaning)
+        raise exception_of(frame[8])
     return frame[8:]
 
 
@@ -113,26 +109,15 @@ def parse_written(frame: bytes, sent: bytes) -> None:
         raise FramingError(f"A write was acknowledged as {printable(frame)!r}; {printable(sent)!r} was sent.")
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: WatlowF4TConfig) -> Exchange:
-    return Exchange(
-        transport,
-        ModbusTcpFramer(),
-        clock=clock,
-        device="The Watlow F4T controller",
-        reply_timeout_s=config.reply_timeout_s,
-    )
+    return Exchange(transport, ModbusTcpFramer(), clock, "The Watlow F4T controller", config.reply_timeout_s)
 
 
-class WatlowF4TChamber:
+class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
     """Role `Chamber`."""
 
     def __init__(self, exchange: Exchange, config: WatlowF4TConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._number = 0
         self._above = 160 * (config.loop - 1)
 
@@ -159,7 +144,8 @@ class WatlowF4TChamber:
             for number in range(self._config.alarms)
             if self._words(_ALARM + _EACH_ALARM * number)[0] not in _SILENT
         )
-        runs = mode != OFF and self._plant_is_on()
+        event = self._config.conditioning_event
+        runs = mode != OFF and (not event or self._words(EVENTS[event - 1])[0] == ON)
         shown = _PROFILES.get(profile) or _MODES.get(mode, f"mode {mode}")
         return ChamberReading(time_s, air, None, self._float(IN_FORCE), shown, runs, alarms)
 
@@ -180,20 +166,12 @@ class WatlowF4TChamber:
     def standby(self) -> None:
         self._condition(False)
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._float(PROCESS_VALUE)
-            self.hold(min(max(wanted, self._float(LOWEST)), self._float(HIGHEST)))
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"{reading.mode}, set point {reading.setpoint_c:g} degC")
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._float(PROCESS_VALUE)
+        return min(max(wanted, self._float(LOWEST)), self._float(HIGHEST))
 
-    def close(self) -> None:
-        self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
+    def _evidence(self, reading: ChamberReading) -> str:
+        return f"{reading.mode}, set point {reading.setpoint_c:g} degC"
 
     def _begin(self, temperature_c: float) -> None:
         """Whatever must be before a set point counts: it is allowed, no profile runs, and the loop is on."""
@@ -207,10 +185,6 @@ class WatlowF4TChamber:
             ended = lambda: self._words(PROFILE_STATE)[0]  # noqa: E731
             self._shown(PROFILE_ACTION, (TERMINATE,), "The profile's end", ended, lambda v: v not in _PROFILES)
         self._condition(True)
-
-    def _plant_is_on(self) -> bool:
-        event = self._config.conditioning_event
-        return not event or self._words(EVENTS[event - 1])[0] == ON
 
     def _condition(self, on: bool) -> None:
         mode, event = MODE + self._above, self._config.conditioning_event

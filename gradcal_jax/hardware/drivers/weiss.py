@@ -26,8 +26,9 @@ from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
 from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
+from .base import ChamberDriver
 
 LOWEST_PLAUSIBLE_C, HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _NUMBER = re.compile(r"-?\d{1,5}\.\d")
@@ -66,9 +67,6 @@ class WeissConfig:
             raise ValueError(f"The chamber's address is {self.address}; ASCII-2 addresses are 0 to 31.")
         if bool(self.read_layout) != bool(self.write_layout):
             raise ValueError("Give read_layout and write_layout together, or neither.")
-
-
-# ------------------------------------------------------------------------------------------------------------ codec
 
 
 @dataclass(frozen=True)
@@ -191,27 +189,16 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
         raise FramingError(f"{problem} Write read_layout and write_layout in the rig file.") from None
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: WeissConfig) -> Exchange:
-    return Exchange(
-        transport,
-        LineFramer(),
-        clock=clock,
-        device="The Weiss/Vötsch chamber",
-        reply_timeout_s=config.reply_timeout_s,
-        min_interval_s=config.min_interval_s,
-    )
+    times_s = config.reply_timeout_s, config.min_interval_s
+    return Exchange(transport, LineFramer(), clock, "The Weiss/Vötsch chamber", *times_s)
 
 
-class WeissChamber:
+class WeissChamber(ChamberDriver[WeissConfig]):
     """Role `Chamber`. Knows its layout from the first call that needs it."""
 
     def __init__(self, exchange: Exchange, config: WeissConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._known: Layout | None = None
         self._acknowledges = False
         self._orders = 0
@@ -231,15 +218,10 @@ class WeissChamber:
         time_s = self._clock.now()
         product = self._config.product_channel
         running = record.digital[self._config.start_channel] == "1"
-        return ChamberReading(
-            time_s,
-            record.numbers[layout.actual(layout.temperature)],
-            record.numbers[layout.actual(product)] if product else None,
-            record.numbers[layout.nominal(layout.temperature)],
-            "RUN" if running else "STOP",
-            running,
-            self._faults(),
-        )
+        air_c, setpoint_c = (record.numbers[at(layout.temperature)] for at in (layout.actual, layout.nominal))
+        product_c = record.numbers[layout.actual(product)] if product else None
+        mode = "RUN" if running else "STOP"
+        return ChamberReading(time_s, air_c, product_c, setpoint_c, mode, running, self._faults())
 
     def hold(self, temperature_c: float) -> None:
         self._check(temperature_c)
@@ -278,22 +260,10 @@ class WeissChamber:
         self._orders += 1
         self._write(self._nominal(self._record()), start=False)
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            layout = self._layout()
-            here = self._record().numbers[layout.actual(layout.temperature)]
-            wanted = here if policy is ChamberSafe.HOLD else ambient_c
-            self.hold(min(max(wanted, layout.lowest_c), layout.highest_c))
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
-
-    def close(self) -> None:
-        self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
+    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
+        layout = self._layout()
+        here = self._record().numbers[layout.actual(layout.temperature)]
+        return min(max(here if policy is ChamberSafe.HOLD else ambient_c, layout.lowest_c), layout.highest_c)
 
     def _layout(self) -> Layout:
         if self._known is None:

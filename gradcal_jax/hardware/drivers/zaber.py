@@ -10,7 +10,7 @@ for devices without that setting.
 Unverified on real hardware: `velocity_factor` and `acceleration_factor` (data value per microstep/s and microstep/s²;
 time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver asks for it and
 then demands a check sum of every reply if it was granted and the next reply carries one (`reply_checksum` tells).
-Rates are not read from the device (see `mean_rate`).
+Rates are not read from the device (see `base.MeanRate`).
 
 Firmware 6 calls its identity `deviceid`, firmware 7 `device.id`. Settings outlive a session: they are set only where
 they differ (whether a stage writes them to its flash memory at each `set` is open), and put back at the end.
@@ -28,7 +28,7 @@ from ..framing import LineFramer
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .mean_rate import MeanRate
+from .base import ExchangeDriver, MeanRate
 
 WARNINGS = {
     "FF": "critical system error",
@@ -89,9 +89,6 @@ class ZaberConfig:
             raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
 
 
-# ------------------------------------------------------------------------------------------------------------ codec
-
-
 @dataclass(frozen=True)
 class Reply:
     """One `@` message. `message_id` is None where the device sent none."""
@@ -131,26 +128,15 @@ def parse_reply(frame: bytes, *, demand_checksum: bool) -> Reply:
     )
 
 
-# ----------------------------------------------------------------------------------------------------------- driver
-
-
 def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Exchange:
-    return Exchange(
-        transport,
-        LineFramer(),
-        clock=clock,
-        device="The Zaber stage",
-        reply_timeout_s=config.reply_timeout_s,
-    )
+    return Exchange(transport, LineFramer(), clock, "The Zaber stage", config.reply_timeout_s)
 
 
-class ZaberAxis:
+class ZaberAxis(ExchangeDriver[ZaberConfig]):
     """Role `MotionAxis`. Several axes of one chain share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ZaberConfig) -> None:
-        self._exchange = exchange
-        self._config = config
-        self._clock = exchange.clock
+        super().__init__(exchange, config)
         self._message_id = 0
         self._steps_per_turn = float(config.microsteps_per_turn)
         self._rates = MeanRate()
@@ -168,16 +154,9 @@ class ZaberAxis:
             model = self._setting("deviceid")  # the name of firmware 6
         self.reply_checksum = self._ask("get system.serial", axis=0).checked
         serial, firmware = self._setting("system.serial"), self._setting("version")
-        return Identity(
-            "zaber",
-            f"device {model}",
-            serial,
-            firmware,
-            {
-                "microsteps a turn": f"{self._turn():g}",
-                "replies": "with check sum" if self.reply_checksum else "without check sum",
-            },
-        )
+        replies = "with check sum" if self.reply_checksum else "without check sum"
+        details = {"microsteps a turn": f"{self._turn():g}", "replies": replies}
+        return Identity("zaber", f"device {model}", serial, firmware, details)
 
     def limits(self) -> AxisLimits:
         turn = self._turn()
@@ -185,15 +164,11 @@ class ZaberAxis:
         ends = sorted((self._degrees(low), self._degrees(high)))
         # Limits as wide as the integers that hold them are no limits.
         endless = high - low >= 2.0**31
-        fastest = min(self._config.max_rate_dps, self._rate_limit())
-        return AxisLimits(
-            fastest,
-            self._config.max_acceleration_dps2,
-            None if endless else ends[0],
-            None if endless else ends[1],
-            360.0 / turn,
-            hardware_watchdog=False,
-        )
+        # The data value of a rate is a 32-bit integer.
+        fastest = min(self._config.max_rate_dps, 2.0**31 / self._velocity_data())
+        lowest, highest = (None, None) if endless else ends
+        strongest = self._config.max_acceleration_dps2
+        return AxisLimits(fastest, strongest, lowest, highest, 360.0 / turn, hardware_watchdog=False)
 
     def read(self) -> AxisReading:
         asked_s = self._clock.now()
@@ -203,15 +178,8 @@ class ZaberAxis:
         rate = self._rates.of(asked_s, time_s, position, moving=reply.busy)
         flag = reply.warning
         text = f"{flag} ({WARNINGS.get(flag, 'see the manual')})"
-        return AxisReading(
-            time_s,
-            position,
-            rate,
-            reply.busy,
-            flag not in _UNREFERENCED,
-            (text,) if flag.startswith("F") else (),
-            (text,) if flag.startswith("W") else (),
-        )
+        faults, warnings = ((text,) if flag.startswith(kind) else () for kind in "FW")
+        return AxisReading(time_s, position, rate, reply.busy, flag not in _UNREFERENCED, faults, warnings)
 
     def home(self) -> None:
         self._ask("home")
@@ -221,10 +189,9 @@ class ZaberAxis:
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         limits = self.limits()
-        beyond = (limits.lowest_deg is not None and position_deg < limits.lowest_deg - 1e-9) or (
+        if (limits.lowest_deg is not None and position_deg < limits.lowest_deg - 1e-9) or (
             limits.highest_deg is not None and position_deg > limits.highest_deg + 1e-9
-        )
-        if beyond:
+        ):
             raise LimitExceeded(
                 f"{position_deg:g} deg lies outside the travel {limits.lowest_deg:g} to {limits.highest_deg:g} deg."
             )
@@ -265,11 +232,6 @@ class ZaberAxis:
             self._ask(self._config.unpower_command)
         state = "; ".join((*reading.faults, *reading.warnings)) or "no warnings"
         return SafeReport(policy.value, not reading.moving, f"idle at {reading.position_deg:.4f} deg, {state}")
-
-    def close(self) -> None:
-        self._exchange.transport.close()
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _ask(self, words: str, *, axis: int | None = None) -> Reply:
         """Every command of this driver says where to be and not how to change: it does no harm twice."""
@@ -336,10 +298,6 @@ class ZaberAxis:
     def _velocity_data(self) -> float:
         """Data value of 1 deg/s."""
         return self._turn() / 360.0 * self._config.velocity_factor
-
-    def _rate_limit(self) -> float:
-        """The largest rate whose data value a 32-bit integer holds, deg/s."""
-        return 2.0**31 / self._velocity_data()
 
     def _degrees(self, steps: float) -> float:
         return self._config.zero_deg + self._config.direction * steps * 360.0 / self._turn()

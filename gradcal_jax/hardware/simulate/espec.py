@@ -49,7 +49,11 @@ class SimulatedEspec:
                 if not comma or prefix.strip() != str(self.options.address):
                     continue
             self.commands.append(text)
-            reply = self._answer(text)
+            if text.endswith("?") or "?," in text:
+                reply = self._query(text)
+            else:
+                refusal = self._command(text.replace(" ,", ","))
+                reply = f"NA:{refusal}" if refusal else f"OK:{text}"
             if not self.options.echo_off:
                 replies.append(reply.encode("ascii") + b"\r\n")
         return replies
@@ -65,17 +69,10 @@ class SimulatedEspec:
         self._program_end_s = None
         self._enter("OFF")
 
-    # -------------------------------------------------------------------------------------------------------- parts
-
-    def _answer(self, text: str) -> str:
-        if text.endswith("?") or "?," in text:
-            return self._query(text)
-        refusal = self._command(text.replace(" ,", ","))
-        return f"NA:{refusal}" if refusal else f"OK:{text}"
-
     def _query(self, text: str) -> str:
         now = self._clock.now()
-        air, set_point = self.plant.air_c(now), self._shown_set_point(now)
+        air = self.plant.air_c(now)
+        set_point = self.plant.set_point_c(now) if self.mode == "RMT RUN" else self.constant_c
         name, _, argument = text.partition("?")
         argument = argument.lstrip(",").strip()
         detail = argument == "DETAIL"
@@ -183,6 +180,3 @@ class SimulatedEspec:
         if not detail:
             return "RUN"
         return "RMT RUN" if self._program_end_s is not None and now < self._program_end_s else "RMT RUN END HOLD"
-
-    def _shown_set_point(self, now: float) -> float:
-        return self.plant.set_point_c(now) if self.mode == "RMT RUN" else self.constant_c

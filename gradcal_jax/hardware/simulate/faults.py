@@ -64,20 +64,18 @@ class Faults:
             place = int(self._random.integers(len(message)))
             bit = int(self._random.integers(8))
             noise = self._random.bytes(int(self._random.integers(1, 20)))
-        if fault == "drop":
-            return []
-        if fault == "flip":
-            return [message[:place] + bytes([message[place] ^ 1 << bit]) + message[place + 1 :]]
-        if fault == "noise":
-            return [noise + message]
-        if fault == "duplicate":
-            return [message + message]
-        if fault == "truncate":
-            return [message[:place]]
         if fault == "delay":
             time.sleep(self.delay_s)
-            return [message]
-        return [message[:place], message[place:]]
+        arrives: dict[Fault, list[bytes]] = {
+            "drop": [],
+            "flip": [message[:place] + bytes([message[place] ^ 1 << bit]) + message[place + 1 :]],
+            "noise": [noise + message],
+            "duplicate": [message + message],
+            "truncate": [message[:place]],
+            "delay": [message],
+            "split": [message[:place], message[place:]],
+        }
+        return arrives[fault]
 
     def _choose(self) -> Fault | None:
         if self._next:

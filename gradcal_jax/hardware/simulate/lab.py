@@ -7,8 +7,9 @@ table axis lies east to west, where the Earth's rate does not show along it; wit
 The sensor's mounting is perfect and its structure is the spec's: what a `discrepancy` allows for is not drawn.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from .plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from .port import SimulatedPort
 from .sensor import Mounting, Process, SensorTruth, SimulatedSensor, Triple, TruthBasis
 from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
-from .zaber import SimulatedZaber, ZaberOptions
+from .zaber import SimulatedZaber
 
 _EAST: Final[Triple] = (1.0, 0.0, 0.0)
 _ALONG: Final[dict[Axis, Triple]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -161,7 +162,23 @@ def rate_truth(section: Any) -> TruthBasis:
     return TruthBasis("bins", knots=dps(section.edges))
 
 
-class SimulatedLab:
+class OnPorts:
+    """Simulated devices on ports, which are open while inside; `rig` is the rig file."""
+
+    ports: list[SimulatedPort]
+    rig: RigFile
+
+    def __enter__(self) -> Self:
+        for port in self.ports:
+            port.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for port in self.ports:
+            port.close()
+
+
+class SimulatedLab(OnPorts):
     """The laboratory for one recipe's spec. A context manager; `rig` is its rig file.
 
     `burst_s` is how often the sensor's bytes reach the computer; a longer one costs less time. `room_c` is where the
@@ -212,42 +229,36 @@ class SimulatedLab:
             plants = dict(zip(map(str, self.axes), self.axis_plants, strict=True))
             self.table = SimulatedOperator(plants, clock, OperatorOptions(seed=seed, slips=_SLIPS))
         else:
-            self.table = SimulatedZaber(self.axis_plants, clock, ZaberOptions(endless=limited is None))
-            if limited is not None:
-                for stage in self.table.stages:
-                    reach = round(limited / 360.0 * stage.settings["limit.cycle.dist"])
-                    stage.settings |= {"limit.min": -reach, "limit.max": reach}
+            self.table = chain_of(self.axis_plants, clock, [limited] * len(self.axes))
         self.imu = SimulatedStim300(self.sensor, clock, unit_options(sample_rate_hz, burst_s))
         self.ports = [
             SimulatedPort(device, clock, on_socket=on_sockets) for device in (self.chamber, self.table, self.imu)
         ]
-        self.rig = self._rig(table, sample_rate_hz)
+        at_chamber, at_table, at_imu = (port.url for port in self.ports)
+        by_hand = isinstance(self.table, SimulatedOperator)
+        axes = [axis_tables(axis, at_table, number, table, by_hand) for number, axis in enumerate(self.axes, start=1)]
+        self.rig = lab_rig(at_chamber, axes, {_SENSOR_NAME: at_imu}, sample_rate_hz)
 
     def truths(self) -> dict[str, Any]:
         """For a file: what the calibration is to find."""
         return self.truth.tables(self.axes)
 
-    def _rig(self, table: Any, sample_rate_hz: float) -> RigFile:
-        at_chamber, at_table, at_imu = (port.url for port in self.ports)
-        limits = {"max_rate": str(table.max_rate), "max_acceleration": str(table.max_acceleration)}
-        by_hand = isinstance(self.table, SimulatedOperator)
-        if by_hand and self.truth.axis.highest_deg is not None:
-            limits["travel"] = str(table.travel)
-        axes = [axis_tables(axis, at_table, number, limits, by_hand) for number, axis in enumerate(self.axes, start=1)]
-        return lab_rig(at_chamber, axes, {_SENSOR_NAME: at_imu}, sample_rate_hz)
 
-    def __enter__(self) -> "SimulatedLab":
-        for port in self.ports:
-            port.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for port in self.ports:
-            port.close()
+def chain_of(plants: list[AxisPlant], clock: Clock, travel_deg: Sequence[float | None]) -> SimulatedZaber:
+    """Stages, each with its travel each way from zero."""
+    chain = SimulatedZaber(plants, clock)
+    for stage, travel in zip(chain.stages, travel_deg, strict=True):
+        if travel is not None:
+            reach = round(travel / 360.0 * stage.settings["limit.cycle.dist"])
+            stage.settings |= {"limit.min": -reach, "limit.max": reach}
+    return chain
 
 
-def axis_tables(name: str, port: str, number: int, limits: dict[str, str], by_hand: bool) -> dict[str, Any]:
-    """A simulated axis as a rig file has it: a stage on a chain, or one that a person turns."""
+def axis_tables(name: str, port: str, number: int, says: Any, by_hand: bool) -> dict[str, Any]:
+    """A simulated axis as a rig file has it: a stage on a chain, or one that a person turns. `says`: the spec's."""
+    limits = {"max_rate": str(says.max_rate), "max_acceleration": str(says.max_acceleration)}
+    if by_hand and not np.isinf(float(says.travel)):
+        limits["travel"] = str(says.travel)
     found = {"name": name, "driver": "operator" if by_hand else "zaber", "port": port, "safe": "hold"}
     return found | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
 

@@ -16,7 +16,6 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol, runtime_checkable
 
 from ..clock import Clock
@@ -30,15 +29,14 @@ if sys.platform != "win32":
 _TO_FETCH_S = 0.2
 
 
-@runtime_checkable
-class Device(Protocol):
+class SimulatedDevice(Protocol):
     """A device that answers. `receive` takes bytes as they come, in any pieces, and returns whole messages."""
 
     def receive(self, data: bytes) -> list[bytes]: ...
 
 
 @runtime_checkable
-class StreamingDevice(Device, Protocol):
+class StreamingDevice(SimulatedDevice, Protocol):
     """A device that also speaks by itself."""
 
     def next_emission_s(self) -> float | None:
@@ -59,7 +57,7 @@ class SimulatedPort:
 
     def __init__(
         self,
-        device: Device | StreamingDevice,
+        device: SimulatedDevice | StreamingDevice,
         clock: Clock,
         *,
         faults: Faults | None = None,
@@ -103,7 +101,7 @@ class SimulatedPort:
     def close(self) -> None:
         self._stop.set()
         self._speaks.set()
-        self._link.detach()
+        self._link.change(attached=False)
         for thread in self._threads:
             thread.join(timeout=5.0)
         self._hang_up()
@@ -114,14 +112,12 @@ class SimulatedPort:
     def __enter__(self) -> "SimulatedPort":
         return self.open()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def unplug(self) -> None:
         """The cable is out: the host's port is gone, and so is its name, or another's port would answer to it."""
-        self._link.detach()
+        self._link.change(attached=False)
         if not self._on_socket:
             Path(self.url).unlink(missing_ok=True)
         self._hang_up()
@@ -133,8 +129,6 @@ class SimulatedPort:
     def say(self, message: bytes) -> None:
         """Something that nobody asked for: an alert, line noise."""
         self._send(message)
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _plug_in(self) -> None:
         master, slave = pty.openpty()
@@ -172,7 +166,7 @@ class SimulatedPort:
                     self._deliver(reply)
             self._speaks.set()
             # Handled only now: virtual time waits until the command has had its effect and its reply is out.
-            self._link.device_handled(len(data))
+            self._link.change(to_device=-len(data))
 
     def _receive(self) -> bytes:
         if self._listener is not None and self._connection is None:
@@ -229,7 +223,7 @@ class SimulatedPort:
 
     def _send(self, data: bytes) -> None:
         with self._send_lock:
-            self._link.device_wrote(len(data))
+            self._link.change(to_host=len(data))
             unsent = data
             try:
                 while unsent and self._master >= 0:
@@ -241,7 +235,7 @@ class SimulatedPort:
                 pass  # full (nobody reads) or gone: the bytes are lost, as on a line
             if unsent:
                 self.lost_bytes += len(unsent)
-                self._link.device_wrote(-len(unsent))
+                self._link.change(to_host=-len(unsent))
 
     def _write(self, data: bytes) -> int:
         """How much the terminal took. Raises `BlockingIOError` where it is full and nobody fetches anything."""

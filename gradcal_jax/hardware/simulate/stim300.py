@@ -71,18 +71,9 @@ class SimulatedStim300:
         options = self.options
         self._mode = "normal"
         self._buffer = b""
-        self._registers = {
-            "id": str(options.datagram),
-            "im": str(options.rate_code),
-            "igu": "0",
-            "iau": "0",
-            "iiu": "0",
-            "igf": "4,4,4",
-            "iaf": "4,4,4",
-            "iif": "4,4,4",
-            "ig": "0",
-            "ibto": "0,0,0,0,0,0",
-        }
+        self._registers = {"id": str(options.datagram), "im": str(options.rate_code), "ibto": "0,0,0,0,0,0"}
+        self._registers |= dict.fromkeys(("igu", "iau", "iiu", "ig"), "0")
+        self._registers |= dict.fromkeys(("igf", "iaf", "iif"), "4,4,4")
         self._waiting: list[bytes] = [self._special(0xB1, 20), self._special(0xB5, 20), self._special(0xBC, 26)]
         self._booted_s = self._clock.now()
         self._restart()
@@ -113,8 +104,6 @@ class SimulatedStim300:
         first = self.sensor.taken
         return self._datagrams(first, self.sensor.take(count))
 
-    # -------------------------------------------------------------------------------------------------- Normal Mode
-
     def _rate_hz(self) -> float:
         return RATES_HZ[int(self._registers["im"])]
 
@@ -133,10 +122,8 @@ class SimulatedStim300:
         acceleration_bits = {5: 20, 10: 19, 30: 18, 80: 16}[self.options.range_g]
         force, scale = samples.acceleration_g, 2.0**acceleration_bits
         if self._registers["iau"] == "1":
-            force, scale = (
-                force * 9.80665 / self._rate_hz(),
-                2.0 ** {5: 23, 10: 22, 30: 21, 80: 19}[self.options.range_g],
-            )
+            scale = 2.0 ** {5: 23, 10: 22, 30: 21, 80: 19}[self.options.range_g]
+            force = force * 9.80665 / self._rate_hz()
         if "a" in contents:
             parts += [_int24(force * scale), status]
         if "i" in contents:
@@ -184,8 +171,6 @@ class SimulatedStim300:
         elif text == "R":
             self.reboot()
         return b""
-
-    # ------------------------------------------------------------------------------------------------- Utility Mode
 
     def _utility(self, text: str) -> bytes:
         match = re.fullmatch(r"(\$([a-z]+)(?:,(.*))?,)(\d+)", text)

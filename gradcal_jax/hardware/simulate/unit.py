@@ -210,9 +210,6 @@ class SimulatedUnit(SampledSensor):
         return rate, _rotate(_back(attitude), up)
 
 
-# --------------------------------------------------------------------------------------------- what the sensors say
-
-
 def _at_lever(lever: Vectors, rate: Vectors, edges: NDArray[np.float64]) -> Vectors:
     """What turning adds to the specific force: ω × (ω × r) + ω̇ × r."""
     middles = (edges[1:] + edges[:-1]) / 2.0
@@ -242,9 +239,6 @@ def _felt(truth: TriadTruth, force: Vectors, temperature: NDArray[np.float64]) -
         if coefficients is not None:
             said += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
     return said
-
-
-# ------------------------------------------------------------------------------------------------------ quaternions
 
 
 def hung(columns: NDArray[np.float64], *vectors: Sequence[float]) -> Quaternion:

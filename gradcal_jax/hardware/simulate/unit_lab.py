@@ -16,7 +16,7 @@ from ...files.unit_sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from .espec import EspecOptions, SimulatedEspec
-from .lab import axis_tables, chamber_truth, lab_rig, rate_truth, temperature_truth, unit_options
+from .lab import OnPorts, axis_tables, chain_of, chamber_truth, lab_rig, rate_truth, temperature_truth, unit_options
 from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth, ChamberPlant
 from .port import SimulatedPort
@@ -34,7 +34,6 @@ from .unit import (
     UnitTruth,
     hung,
 )
-from .zaber import SimulatedZaber, ZaberOptions
 
 _XYZ: Final = "xyz"
 _PAIRS: Final = ("xy", "xz", "yz")
@@ -228,7 +227,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
     return truth, encoders, named
 
 
-class SimulatedUnitLab:
+class SimulatedUnitLab(OnPorts):
     """The laboratory for one recipe's spec, with `units` units on the table. A context manager; `rig` is its rig file.
 
     `mounting`: how the units hang when it begins, from 0. `burst_s` is how often a unit's bytes reach the computer.
@@ -271,11 +270,7 @@ class SimulatedUnitLab:
         by_hand = any(step.move.shape == "hand" for step in spec.schedule.steps)
         person = SimulatedOperator(plants, clock, OperatorOptions(seed=seed), hang=self._hang)
         self.person = person
-        stages = SimulatedZaber(self.axis_plants, clock, ZaberOptions())
-        for stage, encoder in zip(stages.stages, encoders, strict=True):
-            if encoder.highest_deg is not None:
-                reach = round(encoder.highest_deg / 360.0 * stage.settings["limit.cycle.dist"])
-                stage.settings |= {"limit.min": -reach, "limit.max": reach}
+        stages = chain_of(self.axis_plants, clock, [encoder.highest_deg for encoder in encoders])
         options = unit_options(sample_rate_hz, burst_s)
         self.imus = {name: SimulatedStim300(unit, clock, options) for name, unit in self.units.items()}
         several = len(spec.rig.table.mounting) > 1
@@ -283,11 +278,7 @@ class SimulatedUnitLab:
         devices += [person] if several and not by_hand else []
         self.ports = [SimulatedPort(device, clock) for device in devices]
         at_chamber, at_table, *others = (port.url for port in self.ports)
-        tables: list[dict[str, Any]] = []
-        for number, axis in enumerate(axes, start=1):
-            limits = {"max_rate": str(axis.max_rate), "max_acceleration": str(axis.max_acceleration)}
-            limits |= {"travel": str(axis.travel)} if by_hand and not np.isinf(axis.travel) else {}
-            tables.append(axis_tables(axis.name, at_table, number, limits, by_hand))
+        tables = [axis_tables(axis.name, at_table, number, axis, by_hand) for number, axis in enumerate(axes, start=1)]
         at_person = others[-1] if several and not by_hand else None
         self.rig = lab_rig(at_chamber, tables, dict(zip(self.units, others, strict=False)), sample_rate_hz, at_person)
 
@@ -298,12 +289,3 @@ class SimulatedUnitLab:
 
     def _hang(self, number: int) -> None:
         self.hanging.mounting = number - 1
-
-    def __enter__(self) -> "SimulatedUnitLab":
-        for port in self.ports:
-            port.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for port in self.ports:
-            port.close()

@@ -30,25 +30,7 @@ class _Account:
         self.to_host = 0
         self.unread_since: float | None = None
 
-    def attach(self) -> None:
-        self._change(attached=True)
-
-    def detach(self) -> None:
-        self._change(attached=False)
-
-    def host_wrote(self, count: int) -> None:
-        self._change(to_device=count, host_is_there=True)
-
-    def device_handled(self, count: int) -> None:
-        self._change(to_device=-count)
-
-    def device_wrote(self, count: int) -> None:
-        self._change(to_host=0 if self.abandoned else count)
-
-    def host_read(self, count: int) -> None:
-        self._change(to_host=-count, host_is_there=True)
-
-    def _change(
+    def change(
         self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool = False
     ) -> None:
         with self._clock.lock:
@@ -57,7 +39,8 @@ class _Account:
             elif self.attached:
                 # A line that was re-opened meets answers to bytes that it no longer counts: never below zero.
                 self.to_device = max(0, self.to_device + to_device)
-                self.to_host = max(0, self.to_host + to_host)
+                # What a device says to a line that nobody reads counts for nothing.
+                self.to_host = max(0, self.to_host + (0 if self.abandoned and not host_is_there else to_host))
                 self.abandoned = self.abandoned and not host_is_there
             self.unread_since = None
             self._clock.advance_if_all_wait()
@@ -116,7 +99,9 @@ class VirtualClock:
                 self._working -= 1
                 self.advance_if_all_wait()
         if self._speed is not None:
-            self._keep_pace()
+            virtual_origin, real_origin = self._origin
+            due = real_origin + (self._now - virtual_origin) / self._speed
+            time.sleep(max(due - time.monotonic(), 0.0))
 
     @contextmanager
     def party(self) -> Generator[None, None, None]:
@@ -209,9 +194,3 @@ class VirtualClock:
             elif real - account.unread_since >= self._patience_s:
                 account.to_device = account.to_host = 0
                 account.abandoned = True
-
-    def _keep_pace(self) -> None:
-        virtual_origin, real_origin = self._origin
-        due = real_origin + (self._now - virtual_origin) / (self._speed or 1.0)
-        if (early := due - time.monotonic()) > 0.0:
-            time.sleep(early)

@@ -93,8 +93,6 @@ class SimulatedZaber:
             stage.plant.set_zero(now, stage.plant.state(now)[0])
             stage.settings |= {"comm.alert": 1, "comm.checksum": 0}
 
-    # -------------------------------------------------------------------------------------------------------- parts
-
     def _line(self, line: bytes) -> list[bytes]:
         if len(line) > 3 and line[-3:-2] == b":":
             if line[-2:] != b"%02X" % lrc_zaber(line[1:-3]):
@@ -134,15 +132,11 @@ class SimulatedZaber:
             stage.homing_until_s = -1.0
             stage.plant.set_zero(now)
             stage.warning = "" if stage.warning in ("WR", "WH") else stage.warning
-        if stage.plant.truth.highest_deg is not None and self._at_limit(stage, now):
+        truth, (position, rate) = stage.plant.truth, stage.plant.state(now)
+        stands = rate == 0.0 and stage.homing_until_s < 0.0 and position != 0.0
+        if truth.highest_deg is not None and stands and position in (truth.lowest_deg, truth.highest_deg):
             stage.warning = "FE"
         return stage.homing_until_s >= 0.0 or stage.plant.moving(now)
-
-    def _at_limit(self, stage: _Stage, now: float) -> bool:
-        position, rate = stage.plant.state(now)
-        truth = stage.plant.truth
-        ends = (truth.lowest_deg, truth.highest_deg)
-        return rate == 0.0 and stage.homing_until_s < 0.0 and position in ends and position != 0.0
 
     def _obey(self, stage: _Stage, words: str, now: float) -> tuple[bool, str]:
         busy = self._busy(stage, now)

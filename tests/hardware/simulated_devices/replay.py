@@ -5,7 +5,7 @@ What the host says must come in the recorded order; bytes may be cut differently
 
 from collections.abc import Sequence
 
-from gradcal_jax.hardware.transcript import Entry
+from simulated_devices.transcript import Entry
 
 
 class ReplayedDevice:

@@ -15,24 +15,16 @@ import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, Protocol, TextIO, runtime_checkable
+from typing import TextIO
+
+from gradcal_jax.hardware.journal import Direction
 
 HEADER = "# gradcal-transcript/1"
-
-Direction = Literal[">", "<", "#"]
 
 _ENCODED = [chr(b) if 32 <= b < 127 else f"\\x{b:02x}" for b in range(256)]
 _ENCODED[ord("\r")], _ENCODED[ord("\n")], _ENCODED[ord("\\")] = "\\r", "\\n", "\\\\"
 _ESCAPE = re.compile(r"\\(x[0-9a-f]{2}|[rn\\])")
 _LINE = re.compile(r"(?P<time>-?\d+\.\d+) (?P<direction>[<>#]) (?P<text>.*)")
-
-
-@runtime_checkable
-class Recorder(Protocol):
-    """Whatever keeps the bytes of a line."""
-
-    def record(self, time_s: float, direction: Direction, data: bytes) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -91,9 +83,7 @@ class TextTranscript:
     def __enter__(self) -> "TextTranscript":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -1,16 +1,12 @@
-"""`gradcal schema`: JSON Schema of every file and contract."""
+"""`gradcal glossary` and `gradcal schema`: the words that commands use, and the keys of every file and contract."""
 
 from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import Parameter
 
 from gradcal_jax.cli.output import Flag, as_json
 from gradcal_jax.cli.status import DONE
-
-
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(schema)
+from gradcal_jax.pages.plain_text import columns
 
 
 def schema(
@@ -49,4 +45,26 @@ def schema(
 
         found = with_options(found)
     print(as_json(found))
+    return DONE
+
+
+def glossary(*term: str) -> int:
+    """Explain the words that commands, files and pages use.
+
+    Parameters
+    ----------
+    term
+        Only terms with these words in them; all, without it.
+    """
+    from gradcal_jax.pages.glossary import TERMS
+
+    wanted = " ".join(term).lower()
+    rows = [
+        (name, meaning)
+        for name, meaning in sorted(TERMS.items(), key=lambda entry: entry[0].lower())
+        if wanted in name.lower()
+    ]
+    if not rows:
+        raise ValueError(f'the glossary has no term with "{wanted}" in it; gradcal glossary lists all of them')
+    print(columns(rows, indent=""))
     return DONE

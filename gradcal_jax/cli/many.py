@@ -1,15 +1,16 @@
-"""`gradcal sweep`: one spec, many values of its keys, all predicted or optimised, as labelled results."""
+"""`gradcal sweep` and `gradcal recipes`: many plans at once, on this machine's cores or a cluster's."""
 
+from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from cyclopts import App
+from cyclopts import Parameter
 
 from gradcal_jax.cli.console import complain, strong
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.progress import Bars
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, NOT_AS_WISHED
-from gradcal_jax.cli.workers import check_workers, runner_for
 from gradcal_jax.pages.plain_text import amount, columns
 from gradcal_jax.units import time_text
 
@@ -17,14 +18,51 @@ if TYPE_CHECKING:
     import xarray
 
     from gradcal_jax.files.sweep import Sweep
+    from gradcal_jax.jobs.catalogue import RecipeTable
+    from gradcal_jax.jobs.cluster import Cluster
+    from gradcal_jax.jobs.pool import LocalPool
     from gradcal_jax.jobs.sweep import SweepEstimate
 
 _VERDICTS = ("met", "missed", "unobservable")
 
 
-def register(app: App) -> None:
-    """Add the commands of this family."""
-    app.command(sweep)
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Workers:
+    """Who does it.
+
+    Parameters
+    ----------
+    scheduler
+        Address of a Dask scheduler, such as tcp://host:8786; without it the cores of this machine do the work.
+    workers
+        Worker processes on this machine; as many as cores.
+    """
+
+    scheduler: str | None = None
+    workers: int | None = None
+
+    def check(self) -> None:
+        """Refuse what cannot be meant. Raises `ValueError`."""
+        if self.workers is not None and not 1 <= self.workers <= 1024:
+            raise ValueError(f"--workers {self.workers}: give a number from 1 to 1024")
+        if self.workers is not None and self.scheduler is not None:
+            raise ValueError("--workers or --scheduler: a cluster decides for itself how many it has")
+
+    def runner(self) -> "LocalPool | Cluster":
+        """The machine's own workers, which keep compiled programs where the other commands do, or a cluster's."""
+        if self.scheduler is not None:
+            from gradcal_jax.jobs.cluster import Cluster
+
+            return Cluster(self.scheduler)
+        from gradcal_jax.cache import cache_folder
+        from gradcal_jax.jobs.pool import LocalPool
+
+        folder = cache_folder()
+        return LocalPool(self.workers, None if folder is None else str(folder))
+
+
+THIS_MACHINE: Final = Workers()
 
 
 def sweep(
@@ -33,8 +71,7 @@ def sweep(
     *,
     output: OptionalOutput = None,
     dry_run: Flag = False,
-    scheduler: str | None = None,
-    workers: int | None = None,
+    by: Workers = THIS_MACHINE,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
@@ -51,10 +88,6 @@ def sweep(
         The results to write (.nc).
     dry_run
         Say how large the sweep is and how long it will take, by one chunk; write nothing.
-    scheduler
-        Address of a Dask scheduler, such as tcp://host:8786; without it the cores of this machine do the work.
-    workers
-        Worker processes on this machine; as many as cores.
     json
         Print the summary as JSON.
     plot
@@ -64,13 +97,13 @@ def sweep(
 
     if output is None and not dry_run:
         raise ValueError("where to? Name the results with -o results.nc, or ask for --dry-run")
-    check_workers(scheduler, workers)
+    by.check()
     drawable(plot)
     job = read_sweep(file)
     from gradcal_jax.jobs import sweep as jobs
 
     if dry_run:
-        with runner_for(scheduler, workers) as runner, Bars() as bars:
+        with by.runner() as runner, Bars() as bars:
             found = jobs.dry_run(job, runner=runner, progress=bars.show)
         print(as_json(_estimate(found)) if json else _estimated(found, job))
         return DONE
@@ -83,7 +116,7 @@ def sweep(
         if output.exists():
             raise ValueError(f"{output} exists and is not of this sweep; choose another output, or delete it")
         try:
-            with runner_for(scheduler, workers) as runner, Bars() as bars:
+            with by.runner() as runner, Bars() as bars:
                 jobs.sweep(job, output, runner=runner, progress=bars.show)
         except jobs.SweepIncomplete as error:
             complain(str(error))
@@ -98,10 +131,7 @@ def sweep(
     results = read_dataset(output)
     summary = summary_of(results)
     print(as_json({"output": str(output), **summary}) if json else text(summary, job, str(output)))
-    if plot is not None:
-        from gradcal_jax.plots.sweep import draw_sweep
-
-        save_figure(draw_sweep(results), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_sweep(results), plot, quiet=json)
     return NOT_AS_WISHED if summary["failed"] else DONE
 
 
@@ -119,11 +149,11 @@ def _estimate(found: "SweepEstimate") -> dict[str, Any]:
 
 
 def _estimated(found: "SweepEstimate", job: "Sweep") -> str:
+    fails = f"; the first says: {found.first_failure}" if found.failing else ""
     lines = [
         strong(job.file.title or "the sweep"),
         f"{found.points} points in {found.chunks} chunks on {found.workers} workers",
-        f"of the first chunk {found.failing} fail"
-        + (f"; the first says: {found.first_failure}" if found.failing else ""),
+        f"of the first chunk {found.failing} fail{fails}",
         f"a chunk takes {time_text(found.first_chunk_s)} at first, {time_text(found.next_chunk_s)} after that",
         f"expected: {time_text(max(found.seconds, 1.0))}",
     ]
@@ -135,10 +165,7 @@ def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
     import numpy as np
 
     failed = int(np.count_nonzero(results["failure"].values != ""))
-    reasons: dict[str, int] = {}
-    for reason in results["failure"].values.ravel():
-        if reason:
-            reasons[str(reason)] = reasons.get(str(reason), 0) + 1
+    reasons = Counter(str(reason) for reason in results["failure"].values.ravel() if reason)
     axes = [str(name) for name in results.coords if name != "sensor_axis"]
     rows: list[dict[str, Any]] = []
     for name, variable in results.data_vars.items():
@@ -163,12 +190,11 @@ def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
                 "least_at": {axis: _plain(results[axis].values[at[str(results[axis].dims[0])]]) for axis in axes},
             }
         rows.append(row | {word: int(np.count_nonzero(verdicts == word)) for word in _VERDICTS})
-    most = max(reasons.items(), key=lambda item: item[1]) if reasons else None
     return {
         "status": results.attrs["status"],
         "points": int(results["failure"].size),
         "failed": failed,
-        "commonest_reason": most[0] if most else None,
+        "commonest_reason": reasons.most_common(1)[0][0] if reasons else None,
         "requirements": rows,
     }
 
@@ -193,9 +219,61 @@ def text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
     lines += ["", columns(table, indent="")]
     for row in summary["requirements"]:
         if row["least"] is not None:
-            where = ", ".join(
-                f"{axis} {value:.6g}" if isinstance(value, float) else f"{axis} {value}"
-                for axis, value in row["least_at"].items()
-            )
-            lines.append(f"{row['name']}: least at {where}")
+            places = row["least_at"].items()
+            where = (f"{axis} {value:.6g}" if isinstance(value, float) else f"{axis} {value}" for axis, value in places)
+            lines.append(f"{row['name']}: least at {', '.join(where)}")
     return "\n".join([*lines, f"results: {output}"])
+
+
+def recipes(catalogue: Path, /, *, output: Output, by: Workers = THIS_MACHINE, json: Json = False) -> int:
+    """Optimise a plan for every sensor, rig, requirement and plan of a catalogue; write recipes and one table.
+
+    What is finished is kept: killed at any time, the same command goes on where it was. The exit status is 1 where a
+    case has no recipe, misses its target or did not converge; the table says which.
+
+    Parameters
+    ----------
+    catalogue
+        The catalogue file (gradcal-catalogue/1).
+    output
+        The folder for the recipes, summary.csv and summary.md; it is made where it is not there.
+    json
+        Print the table as JSON.
+    """
+    from gradcal_jax.files.catalogue import read_catalogue
+
+    by.check()
+    job = read_catalogue(catalogue)
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"{output} is a file; name a folder")
+    from gradcal_jax.jobs import catalogue as jobs
+
+    try:
+        with by.runner() as runner, Bars() as bars:
+            table = jobs.recipes(job, output, runner=runner, progress=bars.show)
+    except KeyboardInterrupt:
+        complain(f"interrupted; what is finished is kept in {output}, and the same command goes on from there")
+        return INTERRUPTED
+    if json:
+        print(as_json({"folder": str(output), "failed": table.failed, "rows": list(table.rows)}))
+    else:
+        print(text_of_table(table, job.file.title or str(catalogue)))
+        print(f"{len(table.rows) - table.failed} recipes, summary.csv and summary.md in {output}")
+    fine = all(row["recipe"] and row["converged"] and row["verdict"] in ("", "met") for row in table.rows)
+    return DONE if fine else NOT_AS_WISHED
+
+
+def text_of_table(table: "RecipeTable", title: str) -> str:
+    """The table as people read it."""
+    rows: list[tuple[str, ...]] = [("sensor", "rig", "requirement", "plan", "as written", "optimised", "verdict")]
+    remarks: list[str] = []
+    for row in table.rows:
+        case = tuple(str(row[name]) for name in ("sensor", "rig", "requirement", "plan"))
+        if not row["recipe"]:
+            rows.append((*case, "", "no recipe", ""))
+            remarks.append(f"{', '.join(case)}: {row['remark']}")
+            continue
+        rows.append((*case, *(amount(row[key], row["unit"]) for key in ("before", "now")), str(row["verdict"])))
+        if not row["converged"]:
+            remarks.append(f"{', '.join(case)}: {row['remark']}")
+    return "\n".join([strong(title), columns(rows, indent=""), *remarks])

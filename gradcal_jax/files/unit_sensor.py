@@ -33,31 +33,29 @@ BodyAxis = Literal["x", "y", "z"]
 BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 
 
-class Misalignment(Section):
+class _ErrorTerm(Section):
+    temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
+    prior: Quantity | None = None
+    """Standard deviation before the calibration; absent: unknown."""
+
+
+class Misalignment(_ErrorTerm):
     """Small angles of an input axis towards the two others."""
 
-    temperature: TemperatureBasis | None = None
-    """Basis over temperature; absent: constant."""
     prior: PositiveAngle | None = None
-    """Standard deviation before the calibration; absent: unknown."""
 
 
-class AccelerationSensitivity(Section):
+class AccelerationSensitivity(_ErrorTerm):
     """Drift of a gyro in proportion to the specific force, three coefficients each (IEEE 528)."""
 
-    temperature: TemperatureBasis | None = None
-    """Basis over temperature; absent: constant."""
     prior: PositiveAccelerationSensitivity | None = None
-    """Standard deviation before the calibration; absent: unknown."""
 
 
-class SquaredSensitivity(Section):
+class SquaredSensitivity(_ErrorTerm):
     """Drift of a gyro in proportion to the square of the specific force along each axis."""
 
-    temperature: TemperatureBasis | None = None
-    """Basis over temperature; absent: constant."""
     prior: PositiveSquareSensitivity | None = None
-    """Standard deviation before the calibration; absent: unknown."""
 
 
 class SpecificForceDrift(UncertainSection):
@@ -71,40 +69,29 @@ class SpecificForceDrift(UncertainSection):
     """Time constant of its autocorrelation."""
 
 
-class SpecificForceBias(Section):
+class SpecificForceBias(_ErrorTerm):
     """An accelerometer's bias over temperature."""
 
-    temperature: TemperatureBasis | None = None
-    """Basis over temperature; absent: constant."""
     prior: PositiveSpecificForce | None = None
-    """Standard deviation before the calibration; absent: unknown."""
 
 
-class SpecificForceScale(Section):
+class SpecificForceScale(_ErrorTerm):
     """An accelerometer's scale factor, or its asymmetry, over temperature."""
 
-    temperature: TemperatureBasis | None = None
-    """Basis over temperature; absent: constant."""
     prior: PositiveScaleFactor | None = None
     """Standard deviation before the calibration, a ratio; absent: unknown."""
 
 
-class SecondOrder(Section):
+class SecondOrder(_ErrorTerm):
     """An accelerometer's K2, or its cross-coupling of two axes, over temperature."""
 
-    temperature: TemperatureBasis | None = None
-    """Basis over temperature; absent: constant."""
     prior: PositiveSecondOrder | None = None
-    """Standard deviation before the calibration; absent: unknown."""
 
 
-class ThirdOrder(Section):
+class ThirdOrder(_ErrorTerm):
     """An accelerometer's K3 over temperature."""
 
-    temperature: TemperatureBasis | None = None
-    """Basis over temperature; absent: constant."""
     prior: PositiveThirdOrder | None = None
-    """Standard deviation before the calibration; absent: unknown."""
 
 
 class LeverArm(Section):

@@ -8,7 +8,7 @@ from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, summed_up, unit_residual, worst_axis
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.files.contracts import ParameterRow, Prediction, RequirementRow
-from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, UnitRequirement
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, posterior, unit_information
 from gradcal_jax.trajectory import TableMotion, body_nodes

@@ -8,10 +8,9 @@ from gradcal_jax import model
 from gradcal_jax.api.contract_rows import basis_row, map_row, shape_row
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow, ProcessRow
-from gradcal_jax.files.sensor import Bias, ScaleFactor
+from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
 from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_plan import UnitStep
-from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.files.unit_timeline import (
     ChannelRow,

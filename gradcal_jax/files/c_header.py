@@ -63,7 +63,7 @@ def header_head(calibration: Calibration | UnitCalibration, what: str, said: Seq
 
 
 def header_self_test(
-    temperature: float, raw: Sequence[float], out: Sequence[float], count: str, within: float
+    temperature: float, raw: Iterable[float], out: Iterable[float], count: str, within: float
 ) -> list[str]:
     """The end of a header: a temperature (°C), readings, and what its function must make of them."""
     return [

@@ -333,7 +333,7 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     triad = _triad(calibration)
     low = max(float(a.valid_temperature[0]) for a in triad.values())
     high = min(float(a.valid_temperature[1]) for a in triad.values())
-    at = one_temperature(options, low, high, "Kalibr")
+    at = one_temperature(options, (low, high), "Kalibr")
     gains: dict[str, float] = {}
     losses: list[Loss] = []
     notes: list[str] = []
@@ -373,11 +373,12 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     return Export("\n".join(lines) + "\n", tuple(losses), tuple(notes))
 
 
-def one_temperature(options: Mapping[str, Any], low: float, high: float, target: str) -> float:
+def one_temperature(options: Mapping[str, Any], within: tuple[float, float], target: str) -> float:
     """The temperature (°C) that was asked for. Raises `ValueError` without one within the range."""
     at = options["temperature_c"]
     if at is None:
         raise ValueError(f"{target}'s file is for one temperature: say which with --temperature")
+    low, high = (float(end) for end in within)
     if not low - 1e-9 <= at <= high + 1e-9:
         raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
     return float(at)

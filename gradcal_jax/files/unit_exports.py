@@ -307,7 +307,7 @@ def _one_temperature(calibration: UnitCalibration, at: float) -> list[Loss]:
 
 
 def _kalibr(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
-    at = exports.one_temperature(options, *map(float, calibration.valid_temperature), "Kalibr")
+    at = exports.one_temperature(options, calibration.valid_temperature, "Kalibr")
     form = kalibr_form(linear_at(calibration, at))
     notes = ["Kalibr estimates the biases itself and takes none from this file"]
     lines = [
@@ -327,7 +327,7 @@ def _kalibr(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
 
 
 def _matrices(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
-    at = exports.one_temperature(options, *map(float, calibration.valid_temperature), "This")
+    at = exports.one_temperature(options, calibration.valid_temperature, "This")
     linear = linear_at(calibration, at)
     lines = [
         exports.file_comment(calibration, at),

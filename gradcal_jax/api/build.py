@@ -10,10 +10,9 @@ from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolyn
 from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule, gradient_schedule
-from gradcal_jax.files.sensor import Bias, ScaleFactor, Sensor
+from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, Sensor
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_plan import UnitSchedule
-from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.model import Map, Processes, SensorModel
 from gradcal_jax.trajectory import Move, Past, Schedule
 

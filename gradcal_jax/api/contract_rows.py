@@ -16,8 +16,7 @@ from gradcal_jax.files.bases import (
 )
 from gradcal_jax.files.contracts import BasisRow, DiscrepancyRow, Functions, MapRow, ProcessRow
 from gradcal_jax.files.moves import ResolvedMove
-from gradcal_jax.files.sensor import Bias, ScaleFactor, ScaleFactorDiscrepancy
-from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
+from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy
 from gradcal_jax.trajectory import Move
 
 if TYPE_CHECKING:

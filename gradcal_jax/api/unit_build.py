@@ -8,9 +8,9 @@ import numpy as np
 
 from gradcal_jax import model, trajectory
 from gradcal_jax.api.build import basis, bias_map, chamber_programme, or_infinite, scale_factor_map, slow_processes
+from gradcal_jax.files.bench import UnitRig
+from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
-from gradcal_jax.files.unit_rig import UnitRig
-from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Map, Polynomial, SignalMap, Term, UnitModel

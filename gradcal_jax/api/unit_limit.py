@@ -25,8 +25,8 @@ from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit
 from gradcal_jax.api.unit_prediction import posterior_of_unit, requirement_row
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY
 from gradcal_jax.design import criterion, limit
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
 from gradcal_jax.files.spec import goes_on
-from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information, square_root, statistic
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap

@@ -14,7 +14,7 @@ from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
 from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, RequiredQuantity, quantity_of, summary_statistic
 from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
-from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
+from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.formulas import repetitions

@@ -10,7 +10,7 @@ from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, summed_up, unit_resi
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.files import Spec
 from gradcal_jax.files.contracts import ParameterRow, Prediction, RequirementRow
-from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, UnitRequirement
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, posterior, unit_information
 from gradcal_jax.model import SensorModel, UnitModel

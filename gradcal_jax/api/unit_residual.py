@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax.api.unit_build import G_SENSITIVITY, MISALIGNMENT, SECOND_ORDER, SPECIFIC_FORCE_BIAS, AssembledUnit
-from gradcal_jax.files.unit_requirement import (
+from gradcal_jax.files.requirement import (
     GyroScaleFactorRequirement,
     MisalignmentRequirement,
     PositionRequirement,

@@ -20,7 +20,6 @@ from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow
 from gradcal_jax.files.sensor import Bias, ScaleFactor
 from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_plan import UnitStep
-from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, SignalMap

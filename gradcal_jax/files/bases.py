@@ -29,154 +29,115 @@ def increasing(values: Sequence[float], key: str) -> list[Problem]:
     return []
 
 
-class TemperaturePolynomial(Section):
-    """Powers of (T − centre)/scale."""
-
+class _Polynomial(Section):
     basis: Literal["polynomial"]
     """Kind of functions."""
     degree: Degree
     """Highest power."""
+    centre: Quantity
+    scale: Quantity
+    internal: Literal["legendre", "chebyshev"] = "legendre"
+    """Orthogonal polynomials in which it is computed; results are in powers."""
+
+    @property
+    def size(self) -> int:
+        """Number of basis functions."""
+        return self.degree + 1
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Where the basis is defined (°C or rad/s); None: everywhere."""
+        return None
+
+
+class TemperaturePolynomial(_Polynomial):
+    """Powers of (T − centre)/scale."""
+
     centre: Temperature = Quantity(20.0, "20 degC", "temperature")
     """Temperature at which x is 0."""
     scale: PositiveTemperatureDifference
     """Temperature difference at which x is 1."""
-    internal: Literal["legendre", "chebyshev"] = "legendre"
-    """Orthogonal polynomials in which it is computed; results are in powers."""
-
-    @property
-    def size(self) -> int:
-        """Number of basis functions."""
-        return self.degree + 1
-
-    @property
-    def span(self) -> tuple[float, float] | None:
-        """Where the basis is defined (°C); None: everywhere."""
-        return None
 
 
-class RatePolynomial(Section):
+class RatePolynomial(_Polynomial):
     """Powers of (ω − centre)/scale."""
 
-    basis: Literal["polynomial"]
-    """Kind of functions."""
-    degree: Degree
-    """Highest power."""
     centre: Rate = Quantity(0.0, "0 deg/s", "angular rate")
     """Rate at which x is 0."""
     scale: PositiveRate
     """Rate at which x is 1."""
-    internal: Literal["legendre", "chebyshev"] = "legendre"
-    """Orthogonal polynomials in which it is computed; results are in powers."""
-
-    @property
-    def size(self) -> int:
-        """Number of basis functions."""
-        return self.degree + 1
-
-    @property
-    def span(self) -> tuple[float, float] | None:
-        """Where the basis is defined (rad/s); None: everywhere."""
-        return None
 
 
-class TemperatureSpline(Section):
-    """B-splines of `degree` on increasing knots, both ends included."""
-
+class _Spline(Section):
     basis: Literal["b-spline"]
     """Kind of functions."""
     degree: SplineDegree = 3
     """Degree of the pieces."""
+    knots: tuple[Quantity, ...]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "_Spline":
+        refuse(*increasing(self.knots, "knots"))
+        return self
+
+    @property
+    def size(self) -> int:
+        """Number of basis functions."""
+        return len(self.knots) - 1 + self.degree
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Where the basis is defined (°C or rad/s)."""
+        return (self.knots[0], self.knots[-1])
+
+
+class TemperatureSpline(_Spline):
+    """B-splines of `degree` on increasing knots, both ends included."""
+
     knots: Annotated[tuple[Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Temperatures at which pieces meet, both ends included, rising."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "TemperatureSpline":
-        refuse(*increasing(self.knots, "knots"))
-        return self
 
-    @property
-    def size(self) -> int:
-        """Number of basis functions."""
-        return len(self.knots) - 1 + self.degree
-
-    @property
-    def span(self) -> tuple[float, float] | None:
-        """Where the basis is defined (°C)."""
-        return (self.knots[0], self.knots[-1])
-
-
-class RateSpline(Section):
+class RateSpline(_Spline):
     """B-splines of `degree` on increasing knots, both ends included."""
 
-    basis: Literal["b-spline"]
-    """Kind of functions."""
-    degree: SplineDegree = 3
-    """Degree of the pieces."""
     knots: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Rates at which pieces meet, both ends included, rising."""
 
+
+class _Bins(Section):
+    basis: Literal["bins"]
+    """Kind of functions."""
+    edges: tuple[Quantity, ...]
+
     @model_validator(mode="after")
-    def _ordered(self) -> "RateSpline":
-        refuse(*increasing(self.knots, "knots"))
+    def _ordered(self) -> "_Bins":
+        refuse(*increasing(self.edges, "edges"))
         return self
 
     @property
     def size(self) -> int:
         """Number of basis functions."""
-        return len(self.knots) - 1 + self.degree
+        return len(self.edges) - 1
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """Where the basis is defined (rad/s)."""
-        return (self.knots[0], self.knots[-1])
+        """Where the basis is defined (°C or rad/s)."""
+        return (self.edges[0], self.edges[-1])
 
 
-class TemperatureBins(Section):
+class TemperatureBins(_Bins):
     """One constant between each two neighbouring edges."""
 
-    basis: Literal["bins"]
-    """Kind of functions."""
     edges: Annotated[tuple[Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Temperatures between which the value is constant, rising."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "TemperatureBins":
-        refuse(*increasing(self.edges, "edges"))
-        return self
 
-    @property
-    def size(self) -> int:
-        """Number of basis functions."""
-        return len(self.edges) - 1
-
-    @property
-    def span(self) -> tuple[float, float] | None:
-        """Where the basis is defined (°C)."""
-        return (self.edges[0], self.edges[-1])
-
-
-class RateBins(Section):
+class RateBins(_Bins):
     """One constant between each two neighbouring edges."""
 
-    basis: Literal["bins"]
-    """Kind of functions."""
     edges: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Rates between which the value is constant, rising."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "RateBins":
-        refuse(*increasing(self.edges, "edges"))
-        return self
-
-    @property
-    def size(self) -> int:
-        """Number of basis functions."""
-        return len(self.edges) - 1
-
-    @property
-    def span(self) -> tuple[float, float] | None:
-        """Where the basis is defined (rad/s)."""
-        return (self.edges[0], self.edges[-1])
 
 
 def _temperature_basis(value: object) -> object:

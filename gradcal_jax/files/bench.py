@@ -1,26 +1,34 @@
-"""`[rig]`: the table, its angle reference, and the chamber, as far as a plan must respect them."""
+"""`[rig]`: the table of one axis with its angle reference, or the site and table of a whole unit, and the chamber."""
 
-from typing import Annotated, Literal
+import math
+from collections.abc import Mapping
+from typing import Annotated, Final, Literal, cast
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax.files.bases import increasing
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
+    Angle,
     Count,
+    Latitude,
+    Number,
     PositiveAcceleration,
     PositiveRate,
+    PositiveSpecificForce,
     PositiveTemperatureDifference,
     PositiveTemperatureSlope,
     Quantity,
     SizeOfAngle,
     SizeOfScaleFactor,
+    SizeOfSpecificForce,
     SizeOfTime,
     Temperature,
     Text,
     Time,
     Travel,
 )
+from gradcal_jax.files.rig import Name
 from gradcal_jax.files.section import Section, refuse
 
 
@@ -111,3 +119,179 @@ class Rig(Section):
     """The climatic chamber."""
     resolution: Resolution | None = None
     """Steps of the controllers; absent: those of the drivers here."""
+
+
+NO_ANGLE: Final = Quantity(0.0, "0 deg", "angle")
+_DIRECTIONS: Final = {
+    f"{sign}{axis}": tuple(float(f"{sign}1") * (k == i) for k in range(3))
+    for i, axis in enumerate("xyz")
+    for sign in "+-"
+}
+_TURN: Final = 2.0 * math.pi
+Direction = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+Vector = tuple[Number, Number, Number]
+
+
+class Site(Section):
+    """Where the rig stands."""
+
+    latitude: Latitude
+    """Geodetic latitude, north positive."""
+    gravity: PositiveSpecificForce = Quantity(9.80665, "9.80665 m/s^2", "acceleration")
+    """Local gravity as it is used."""
+    gravity_accuracy: SizeOfSpecificForce = Quantity(0.0, "0 mg", "acceleration")
+    """Standard deviation of gravity; its error is common to all accelerometers."""
+
+
+class AxisEncoder(Section):
+    """Error budget of an axis's angle."""
+
+    reading_noise: SizeOfAngle = NO_ANGLE
+    """Standard deviation of each reading, independent of all others."""
+    standstill_offset: SizeOfAngle = NO_ANGLE
+    """Standard deviation of what is common to all readings of one standstill."""
+    read_every: Time = Quantity(1.0, "1 s", "time")
+    """Spacing of the readings while the axis stands."""
+    harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
+    """Errors that repeat with the angle."""
+
+
+class TableAxis(Section):
+    """An axis of the table, outermost first."""
+
+    name: Name
+    """Its name, by which moves speak of it."""
+    direction: Vector
+    """Direction while all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
+    max_rate: PositiveRate
+    """Largest rate."""
+    max_acceleration: PositiveAcceleration
+    """Largest acceleration."""
+    travel: Travel = Quantity(float("inf"), "unlimited", "angle")
+    """How far it may turn each way from zero; "unlimited" where no cable winds up."""
+    keep_out: tuple[Angle, Angle] | None = None
+    """Angles between which it must never stand or pass, such as ["120 deg", "150 deg"]; zero lies outside of them."""
+    orthogonality: SizeOfAngle = NO_ANGLE
+    """Standard deviation of the angle to the next axis inside."""
+    angle: AxisEncoder = AxisEncoder()
+    """Error budget of its angle."""
+
+    @model_validator(mode="after")
+    def _points_somewhere(self) -> "TableAxis":
+        if not math.hypot(*self.direction) > 0.0:
+            refuse(Problem(("direction",), "is no direction; expected such as [0.0, 0.0, 1.0]", list(self.direction)))
+        if self.keep_out is not None:
+            low, high = self.keep_out
+            if not (0.0 < low < high < _TURN or -_TURN < low < high < 0.0):
+                message = "expected two angles of one sign within a turn, the smaller one first, with zero outside"
+                refuse(Problem(("keep_out",), message, [str(low), str(high)]))
+        return self
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """From where to where it may turn (rad): its travel, and on either side up to what it must keep out of."""
+        if self.keep_out is None:
+            return -float(self.travel), float(self.travel)
+        # The same angles again, a turn further on: zero lies between.
+        low, high = sorted(float(a) % _TURN for a in self.keep_out)
+        return max(high - _TURN, -float(self.travel)), min(low, float(self.travel))
+
+    @property
+    def unit_vector(self) -> tuple[float, ...]:
+        """The direction, of length 1."""
+        length = math.hypot(*self.direction)
+        return tuple(c / length for c in self.direction)
+
+
+class UnitMounting(Section):
+    """How the unit hangs on the innermost axis."""
+
+    name: Text | None = None
+    """A name for people."""
+    x: Direction = "+x"
+    """Axis of the innermost table axis's frame along which the body's x points."""
+    y: Direction = "+y"
+    """The same of the body's y."""
+    z: Direction = "+z"
+    """The same of the body's z."""
+    rotation: tuple[Angle, Angle, Angle] | None = None
+    """Rotation vector (body) by which it is turned further."""
+    accuracy: SizeOfAngle = NO_ANGLE
+    """Standard deviation of each of the three angles."""
+
+    @model_validator(mode="after")
+    def _right_handed(self) -> "UnitMounting":
+        if self.determinant != 1.0:
+            said = f"x = {self.x}, y = {self.y}, z = {self.z}"
+            refuse(Problem((), "the body's axes must be three different ones and right-handed (x × y = z)", said))
+        return self
+
+    @property
+    def columns(self) -> tuple[tuple[float, ...], ...]:
+        """The body's x, y and z in the frame of the innermost axis, before `rotation`."""
+        return tuple(_DIRECTIONS[d] for d in (self.x, self.y, self.z))
+
+    @property
+    def determinant(self) -> float:
+        """1 for a rotation."""
+        (a, b, c), (d, e, f), (g, h, i) = self.columns
+        return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
+def _one_or_more(value: object) -> object:
+    return (cast("object", value),) if isinstance(value, Mapping) else value
+
+
+class UnitTable(Section):
+    """The table."""
+
+    standing: Literal["held", "read"] = "held"
+    """"held": a standing axis is known not to turn; "read": its angle is what each reading says, every `read_every`."""
+    drive: Literal["motor", "hand"] = "motor"
+    """"hand": a gimbal that a person turns."""
+    tilt: SizeOfAngle = NO_ANGLE
+    """Standard deviation of the base's two tilts."""
+    azimuth: SizeOfAngle = NO_ANGLE
+    """Standard deviation of the base's azimuth."""
+    axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
+    """Axes, outermost first."""
+    mounting: Annotated[tuple[UnitMounting, ...], BeforeValidator(_one_or_more), Field(min_length=1, max_length=12)] = (
+        UnitMounting(),
+    )
+    """One mounting, or several that are used one after the other."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "UnitTable":
+        names = [axis.name for axis in self.axis]
+        problems = [
+            Problem(("axis", i, "name"), "two axes have this name", name)
+            for i, name in enumerate(names)
+            if name in names[:i]
+        ]
+        if self.axis[-1].orthogonality:
+            message = "is told to the next axis inside, and there is none; leave it out of the innermost one"
+            problems.append(
+                Problem(("axis", len(names) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
+            )
+        every = [axis.angle.read_every for axis in self.axis]
+        if self.standing == "read" and any(e != every[0] for e in every):
+            message = 'the axes of a table whose standing is "read" are read together; expected one time for all'
+            k = next(i for i, e in enumerate(every) if e != every[0])
+            problems.append(Problem(("axis", k, "angle", "read_every"), message, str(every[k])))
+        refuse(*problems)
+        return self
+
+
+class UnitRig(Section):
+    """The bench of a whole unit."""
+
+    name: Text | None = None
+    """A name for people."""
+    site: Site
+    """Where the rig stands."""
+    table: UnitTable
+    """The table."""
+    chamber: Chamber
+    """The climatic chamber."""
+    resolution: Resolution | None = None
+    """Steps of the controllers, to which a recipe is rounded."""

@@ -1,6 +1,6 @@
 """A calibration as a C header: constants with units and provenance, and a pure function in float32 with a self-test."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from gradcal_jax.files import correction
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.polynomials import normalised_bias, normalised_scale_factor
+from gradcal_jax.files.unit_calibration import UnitCalibration
 from gradcal_jax.units import DEG_PER_H
 
 Floats = NDArray[np.float64]
@@ -33,36 +34,52 @@ def write(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list[
             errors.append((axis.name, "turning, of the rate", relative, "ppm"))
     count = len(calibration.axis)
     temperature, raw, out = _self_test(calibration)
-    head = [
-        "/* gyro calibration of " + comment(calibration.serial_number) + ", made by gradcal",
-        *(" * " + comment(f"{name}: {text}") for name, text in calibration.provenance.items()),
-        *([" * SIMULATED: made from simulated data, of no real unit."] if calibration.simulated else []),
-        *([" * set to zero, since they did not pass: " + comment(", ".join(left_out))] if left_out else []),
-        " * measured = (1 + M(T, rate)) * rate + B(T), on each axis alone, in the sensor's own frame:",
-        " * " + ", ".join(f"[{k}] {comment(axis.name)}" for k, axis in enumerate(calibration.axis)),
-        " * temperature in degC, rates in rad/s. Outside its range the calibration holds its value at the edge.",
-        " */",
-        "#ifndef GRADCAL_CALIBRATION_H",
-        "#define GRADCAL_CALIBRATION_H",
-        "",
-        f"#define GRADCAL_AXES {count}",
-        "",
-        _STRUCT,
-    ]
+    axes = ", ".join(f"[{k}] {comment(axis.name)}" for k, axis in enumerate(calibration.axis))
+    said = [f"set to zero, since they did not pass: {comment(', '.join(left_out))}"] if left_out else []
+    said += ["measured = (1 + M(T, rate)) * rate + B(T), on each axis alone, in the sensor's own frame:", axes]
+    said.append("temperature in degC, rates in rad/s. Outside its range the calibration holds its value at the edge.")
+    head = header_head(calibration, "gyro calibration of", said, "GRADCAL_CALIBRATION_H")
+    head += [f"#define GRADCAL_AXES {count}", "", _STRUCT]
     tables = ["static const struct gradcal_axis gradcal_axes[GRADCAL_AXES] = {"]
     for k, axis in enumerate(calibration.axis):
         tables += _initialiser(axis, k)
     tables += ["};", ""]
-    test = [
+    test = header_self_test(temperature, raw, out, "GRADCAL_AXES", max(2e-6 * float(np.max(np.abs(out))), 1e-9))
+    return "\n".join([*head, *body, *tables, _FUNCTION, *test]) + "\n", errors
+
+
+def header_head(calibration: Calibration | UnitCalibration, what: str, said: Sequence[str], guard: str) -> list[str]:
+    """The comment at the head of a header, and its guard against being included twice."""
+    simulated = ["SIMULATED: made from simulated data, of no real unit."] if calibration.simulated else []
+    known = [comment(f"{name}: {text}") for name, text in calibration.provenance.items()]
+    return [
+        f"/* {what} {comment(calibration.serial_number)}, made by gradcal",
+        *(f" * {line}" for line in (*known, *simulated, *said)),
+        " */",
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+    ]
+
+
+def header_self_test(
+    temperature: float, raw: Iterable[float], out: Iterable[float], count: str, within: float
+) -> list[str]:
+    """The end of a header: a temperature (°C), readings, and what its function must make of them."""
+    return [
         "/* self-test: gradcal_correct(GRADCAL_TEST_T, raw, out) must give these within GRADCAL_TEST_TOLERANCE */",
         f"#define GRADCAL_TEST_T {literal(temperature)}",
-        f"static const float gradcal_test_raw[GRADCAL_AXES] = {{{', '.join(literal(v) for v in raw)}}};",
-        f"static const float gradcal_test_out[GRADCAL_AXES] = {{{', '.join(literal(v) for v in out)}}};",
-        f"#define GRADCAL_TEST_TOLERANCE {literal(max(2e-6 * float(np.max(np.abs(out))), 1e-9))}",
+        c_array(f"gradcal_test_raw[{count}]", raw),
+        c_array(f"gradcal_test_out[{count}]", out),
+        f"#define GRADCAL_TEST_TOLERANCE {literal(within)}",
         "",
         "#endif",
     ]
-    return "\n".join([*head, *body, *tables, _FUNCTION, *test]) + "\n", errors
+
+
+def c_array(name: str, values: Iterable[float]) -> str:
+    """A constant array."""
+    return f"static const float {name} = {{{', '.join(literal(v) for v in values)}}};"
 
 
 _STRUCT = """\
@@ -79,13 +96,16 @@ struct gradcal_axis {
 };
 """
 
-_FUNCTION = (
-    """\
+CLIP = """\
 static inline float gradcal_clip(float x, float low, float high)
 {
     return x < low ? low : (x > high ? high : x);
 }
 
+"""
+_FUNCTION = (
+    CLIP
+    + """\
 /* Corrects one reading of all axes; `out` may be `raw`. */
 static inline void gradcal_correct(float temperature, const float raw[GRADCAL_AXES], float out[GRADCAL_AXES])
 {
@@ -146,10 +166,7 @@ def corrected(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: 
 def _constants(axis: AxisCalibration, number: int) -> list[str]:
     _, _, b = normalised_bias(axis)
     *_, table = normalised_scale_factor(axis)
-    return [
-        f"static const float gradcal_b{number}[] = {{{', '.join(literal(v) for v in b)}}};",
-        f"static const float gradcal_m{number}[] = {{{', '.join(literal(v) for v in table.ravel())}}};",
-    ]
+    return [c_array(f"gradcal_b{number}[]", b), c_array(f"gradcal_m{number}[]", table.ravel())]
 
 
 def _initialiser(axis: AxisCalibration, number: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""`[design]`: what `optimise` may change, and what for. Other commands do not read it."""
+"""`[design]`: what `optimise` may change, and what for, of one axis and of a whole unit."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
@@ -11,6 +11,7 @@ from gradcal_jax.files.quantity import (
     Count,
     Flag,
     Number,
+    PositiveAngle,
     PositiveScaleFactor,
     Probability,
     Quantity,
@@ -101,3 +102,26 @@ class Design(Section):
             )
             refuse(Problem(("min_distinct_rates",), message, table["min_distinct_rates"]))
         return cast("object", value)
+
+
+ALL = "all requirements"
+WORST = "worst ratio"
+
+
+class UnitDesign(Section):
+    """What `optimise` changes in the plan of a whole unit, and what for."""
+
+    minimise: Text = ALL
+    """"all requirements" (geometric mean of residual over target), "worst ratio", or a requirement's name."""
+    angle_step: PositiveAngle = Quantity.read("45 deg", "angle")
+    """Turns are whole numbers of it."""
+    shortest_rest: Time = Quantity(2.0, "2 s", "time")
+    """Shortest rest."""
+    longest_rest: Time = Quantity(120.0, "2 min", "time")
+    """Longest rest."""
+    moves: Annotated[Count, Field(ge=2, le=400)] = 80
+    """Most turns in a cycle."""
+    robust: Literal["mean", "worst"] = "mean"
+    """Whether the mean over what `uncertain` noise figures may be, or the worst of it, counts."""
+    seed: Whole = 0
+    """Seed of the annealing."""

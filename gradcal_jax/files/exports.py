@@ -12,15 +12,16 @@ targets' formulas were read from their public sources; nothing here has been run
 
 import csv
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.files import c_header, correction
-from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.calibration import AxisCalibration, Calibration, Covariance, Noise
 from gradcal_jax.files.polynomials import bias_polynomial
+from gradcal_jax.files.unit_calibration import UnitCalibration, UnitNoise
 from gradcal_jax.units import DEG_PER_H, PPM
 
 Floats = NDArray[np.float64]
@@ -124,7 +125,8 @@ def without(calibration: Calibration, zeroed: Sequence[str]) -> tuple[Calibratio
 # --- what every target shares -----------------------------------------------------------------------------------------
 
 
-def _temperatures(axis: AxisCalibration) -> Floats:
+def range_temperatures(axis: AxisCalibration) -> Floats:
+    """Temperatures over an axis's range, °C."""
     return np.linspace(float(axis.valid_temperature[0]), float(axis.valid_temperature[1]), _GRID)
 
 
@@ -133,7 +135,7 @@ def _lost_scale_factor(axis: AxisCalibration, carried: Floats | float = 0.0) -> 
     if axis.scale_factor is None:
         return None
     slow, fast = float(axis.valid_rate[0]), float(axis.valid_rate[1])
-    temperature, rate = np.meshgrid(_temperatures(axis), np.linspace(slow, fast, 61), indexing="ij")
+    temperature, rate = np.meshgrid(range_temperatures(axis), np.linspace(slow, fast, 61), indexing="ij")
     found = correction.scale_factor(axis, temperature.ravel(), rate.ravel()) - carried
     return Loss(axis.name, "scale factor", float(np.max(np.abs(found))) * PPM, "ppm")
 
@@ -176,11 +178,6 @@ def single(value: float) -> str:
     return f"{np.float32(value):.9g}"
 
 
-def cubic(axis: AxisCalibration, about: float) -> Floats:
-    """B(T) in powers of (T − about), K, degree three: exact for a cubic, otherwise fitted over the range."""
-    return bias_polynomial(axis, about, 3)
-
-
 # --- ArduPilot --------------------------------------------------------------------------------------------------------
 
 ARDUPILOT_REFERENCE: Final = 35.0
@@ -195,42 +192,65 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     high = min(min(float(a.valid_temperature[1]) for a in triad.values()), 80.0)
     if high - low < 10.0:
         raise ValueError(f"ArduPilot needs a range of at least 10 K, and this calibration covers {low:g} … {high:g} °C")
-    at = 0.5 * (low + high)
-    rows = [
-        (f"INS_TCAL{number}_ENABLE", "1"),
-        (f"INS_TCAL{number}_TMIN", single(low)),
-        (f"INS_TCAL{number}_TMAX", single(high)),
-    ]
-    offset_prefix = "INS_GYROFFS" if number == 1 else f"INS_GYR{number}OFFS"
-    for name, axis in triad.items():
-        b = cubic(axis, ARDUPILOT_REFERENCE)
-        rows += [(f"INS_TCAL{number}_GYR{k}_{name.upper()}", single(1e6 * b[k])) for k in (1, 2, 3)]
-        rows.append((f"{offset_prefix}_{name.upper()}", single(float(np.polynomial.polynomial.polyval(at - 35.0, b)))))
-    rows.append((f"INS_GYR{number}_CALTEMP", single(at)))
-    parameters = {name: float(value) for name, value in rows}
+    parameters = ardupilot_range(number, low, high) | ardupilot_bias(triad.values(), number, 0.5 * (low + high))
     losses, notes = _bias_only(triad, lambda name, t: ardupilot_correction(parameters, name, t, number), low, high)
     absent = [n for n in _TRIAD if n not in triad]
     if absent:
         notes.append(f"no parameters for axis {', '.join(absent)}: the calibration does not have them")
     notes.append("sensor's own axes, before the board's rotation; corrected = raw - P(T-35) + P(Tcal-35) - OFFS")
-    return Export("".join(f"{name} {value}\n" for name, value in rows), tuple(losses), tuple(notes))
+    text = "".join(f"{name} {single(value)}\n" for name, value in parameters.items())
+    return Export(text, tuple(losses), tuple(notes))
 
 
-def ardupilot_correction(parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 1) -> Floats:
-    """What ArduPilot takes off a raw rate (rad/s), in float32."""
-    single = np.float32
-    value = {name: single(v) for name, v in parameters.items()}
+def ardupilot_range(number: int, low: float, high: float) -> dict[str, float]:
+    """The parameters that switch the correction of one sensor on, over a range (°C)."""
+    return {f"INS_TCAL{number}_{name}": value for name, value in (("ENABLE", 1.0), ("TMIN", low), ("TMAX", high))}
+
+
+def ardupilot_bias(
+    axes: Iterable[AxisCalibration],
+    number: int,
+    at: float,
+    kind: str = "GYR",
+    scales: Mapping[str, float] | None = None,
+) -> dict[str, float]:
+    """The parameters of biases (rad/s, m/s²) whose offsets are those `at` (°C); `kind`: GYR or ACC, with `scales`."""
+    rows: dict[str, float] = {}
+    for axis in axes:
+        letter, b = axis.name.upper(), bias_polynomial(axis, ARDUPILOT_REFERENCE, 3)
+        rows |= {f"INS_TCAL{number}_{kind}{k}_{letter}": 1e6 * b[k] for k in (1, 2, 3)}
+        offset = float(np.polynomial.polynomial.polyval(at - ARDUPILOT_REFERENCE, b))
+        rows[f"INS_{kind}{_place(number)}OFFS_{letter}"] = offset
+        if scales is not None:
+            rows[f"INS_{kind}{_place(number)}SCAL_{letter}"] = scales[axis.name]
+    return rows | {f"INS_{kind}{number}_CALTEMP": at}
+
+
+def _place(number: int) -> str:
+    return "" if number == 1 else str(number)
+
+
+def ardupilot_correction(
+    parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 1, kind: str = "GYR"
+) -> Floats:
+    """What ArduPilot takes off a raw rate (rad/s), or force (m/s², before its scale; `kind` ACC), in float32."""
+    value = {name: np.float32(v) for name, v in parameters.items()}
     letter = axis.upper()
-    c1, c2, c3 = (value[f"INS_TCAL{number}_GYR{k}_{letter}"] for k in (1, 2, 3))
+    c1, c2, c3 = (value[f"INS_TCAL{number}_{kind}{k}_{letter}"] for k in (1, 2, 3))
     low, high = value[f"INS_TCAL{number}_TMIN"], value[f"INS_TCAL{number}_TMAX"]
-    prefix = "INS_GYROFFS" if number == 1 else f"INS_GYR{number}OFFS"
 
     def polynomial(t: Any) -> Any:
-        d = np.clip(t, low, high) - single(ARDUPILOT_REFERENCE)
-        return (d * c1 + d * d * c2 + d * d * d * c3) * single(1e-6)
+        d = np.clip(t, low, high) - np.float32(ARDUPILOT_REFERENCE)
+        return (d * c1 + d * d * c2 + d * d * d * c3) * np.float32(1e-6)
 
-    at = polynomial(value[f"INS_GYR{number}_CALTEMP"])
-    return np.asarray(polynomial(temperature_c.astype(single)) - at + value[f"{prefix}_{letter}"], np.float64)
+    at = polynomial(value[f"INS_{kind}{number}_CALTEMP"])
+    offset = value[f"INS_{kind}{_place(number)}OFFS_{letter}"]
+    return np.asarray(polynomial(temperature_c.astype(np.float32)) - at + offset, np.float64)
+
+
+def bias_left(axis: AxisCalibration, taken_off: Floats) -> float:
+    """The largest bias that is left where a target takes this off, over the axis's range."""
+    return float(np.max(np.abs(taken_off - correction.bias(axis, range_temperatures(axis)))))
 
 
 def _bias_only(
@@ -240,9 +260,8 @@ def _bias_only(
     losses: list[Loss] = []
     notes: list[str] = []
     for name, axis in triad.items():
-        t = _temperatures(axis)
-        error = taken_off(name, t) - correction.bias(axis, t)
-        losses.append(Loss(axis.name, "bias", float(np.max(np.abs(error))) * DEG_PER_H, "deg/h"))
+        t = range_temperatures(axis)
+        losses.append(Loss(axis.name, "bias", bias_left(axis, taken_off(name, t)) * DEG_PER_H, "deg/h"))
         if axis.scale_factor is not None and (lost := _lost_scale_factor(axis)) is not None:
             losses.append(lost)
             notes.append(f"axis {axis.name}: the target takes no gyro scale factor: up to {lost.value:.4g} ppm stay")
@@ -254,8 +273,6 @@ def _bias_only(
 
 # --- PX4 --------------------------------------------------------------------------------------------------------------
 
-_PX4_STEP: Final = 1.0
-
 
 def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     triad = _of_bias(calibration, "PX4")
@@ -266,37 +283,46 @@ def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     high = min(float(a.valid_temperature[1]) for a in triad.values())
     if not high >= low:
         raise ValueError("the axes' temperature ranges do not overlap, and PX4 has one range for all of them")
-    about = float(round(0.5 * (low + high)))
-    rows: list[tuple[str, str, int]] = [
-        ("TC_G_ENABLE", "1", 6),
-        (f"TC_G{number}_ID", str(0 if identity is None else int(identity)), 6),
-        (f"TC_G{number}_TREF", single(about), 9),
-        (f"TC_G{number}_TMIN", single(low), 9),
-        (f"TC_G{number}_TMAX", single(high), 9),
-    ]
-    for name, axis in triad.items():
-        b = cubic(axis, about)
-        rows += [(f"TC_G{number}_X{k}_{_TRIAD.index(name)}", single(b[k]), 9) for k in range(4)]
-    parameters = {name: float(value) for name, value, _ in rows}
+    rows = px4_rows(triad.values(), "G", number, identity, low, high)
+    parameters = {name: float(np.float32(value)) for name, value, _ in rows}
     losses, notes = _bias_only(triad, lambda name, t: px4_correction(parameters, name, t, number), low, high)
     for axis in triad.values():
-        t = _temperatures(axis)
+        t = range_temperatures(axis)
         slope = float(np.max(np.abs(np.gradient(correction.bias(axis, t), t)))) if t[-1] > t[0] else 0.0
-        losses.append(Loss(axis.name, "bias between two updates, 1 °C apart", slope * _PX4_STEP * DEG_PER_H, "deg/h"))
+        losses.append(Loss(axis.name, "bias between two updates, 1 °C apart", slope * DEG_PER_H, "deg/h"))
     if identity is None:
         notes.append(f"TC_G{number}_ID must be the sensor's device id: with 0 PX4 ignores the set (give --device-id)")
     notes.append("CAL_GYRO offsets must be zero; corrected = R (raw - offset), offset = X0 + X1 d + X2 d^2 + X3 d^3")
-    text = "".join(f"1\t1\t{name}\t{value}\t{kind}\n" for name, value, kind in rows)
-    return Export(text, tuple(losses), tuple(notes))
+    return Export("".join(f"{line}\n" for line in px4_lines(rows)), tuple(losses), tuple(notes))
 
 
-def px4_correction(parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 0) -> Floats:
-    """What PX4 takes off a raw rate (rad/s), in float32."""
-    single = np.float32
+def px4_rows(
+    axes: Iterable[AxisCalibration], letter: str, number: int, identity: int | None, low: float, high: float
+) -> list[tuple[str, float, int]]:
+    """Name, value and MAVLink's type of every parameter of gyros ("G", rad/s) or accelerometers ("A", m/s²)."""
+    about = float(round(0.5 * (low + high)))
+    whole = [(f"TC_{letter}_ENABLE", 1, 6), (f"TC_{letter}{number}_ID", int(identity or 0), 6)]
+    rows = [*whole, *((f"TC_{letter}{number}_{n}", v, 9) for n, v in (("TREF", about), ("TMIN", low), ("TMAX", high)))]
+    for axis in axes:
+        b, place = bias_polynomial(axis, about, 3), _TRIAD.index(axis.name.lower())
+        rows += [(f"TC_{letter}{number}_X{k}_{place}", float(b[k]), 9) for k in range(4)]
+    return rows
+
+
+def px4_lines(rows: Iterable[tuple[str, float, int]]) -> list[str]:
+    """The lines of PX4's file."""
+    return [f"1\t1\t{name}\t{int(v) if kind == 6 else single(v)}\t{kind}" for name, v, kind in rows]
+
+
+def px4_correction(
+    parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 0, letter: str = "G"
+) -> Floats:
+    """What PX4 takes off a raw rate (rad/s), or specific force (m/s²; `letter` A), in float32."""
+    value = {name: np.float32(v) for name, v in parameters.items()}
     place = _TRIAD.index(axis)
-    x = [single(parameters[f"TC_G{number}_X{k}_{place}"]) for k in range(4)]
-    low, high = single(parameters[f"TC_G{number}_TMIN"]), single(parameters[f"TC_G{number}_TMAX"])
-    d = np.clip(temperature_c.astype(single), low, high) - single(parameters[f"TC_G{number}_TREF"])
+    x = [value[f"TC_{letter}{number}_X{k}_{place}"] for k in range(4)]
+    low, high, about = (value[f"TC_{letter}{number}_{name}"] for name in ("TMIN", "TMAX", "TREF"))
+    d = np.clip(temperature_c.astype(np.float32), low, high) - about
     return np.asarray(x[0] + x[1] * d + x[2] * d * d + x[3] * d * d * d, np.float64)
 
 
@@ -307,11 +333,7 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     triad = _triad(calibration)
     low = max(float(a.valid_temperature[0]) for a in triad.values())
     high = min(float(a.valid_temperature[1]) for a in triad.values())
-    at = options["temperature_c"]
-    if at is None:
-        raise ValueError("Kalibr's file is for one temperature: say which with --temperature")
-    if not low - 1e-9 <= at <= high + 1e-9:
-        raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
+    at = one_temperature(options, (low, high), "Kalibr")
     gains: dict[str, float] = {}
     losses: list[Loss] = []
     notes: list[str] = []
@@ -329,30 +351,65 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
         lost = _lost_scale_factor(axis, gains[name])
         if lost is not None:
             losses.append(lost._replace(what="scale factor over rate and temperature"))
-        spread = correction.bias(axis, _temperatures(axis)) - correction.bias(axis, np.array([at]))
+        spread = correction.bias(axis, range_temperatures(axis)) - correction.bias(axis, np.array([at]))
         losses.append(Loss(axis.name, "bias over temperature", float(np.max(np.abs(spread))) * DEG_PER_H, "deg/h"))
         notes += _lost_terms(axis)
     notes.append("Kalibr estimates the bias itself and takes none from this file")
-    rows = [[1.0 + gains[a] if a == b else 0.0 for b in _TRIAD] for a in _TRIAD]
     lines = [
-        f"# gradcal {calibration.serial_number}, {at:g} degC" + (", SIMULATED" if calibration.simulated else ""),
+        file_comment(calibration, at),
         "# measured = M * C_gyro_i * rate + A * specific_force + bias + noise   (M lower triangular)",
         "rostopic: /imu0",
     ]
-    noise = calibration.noise
-    if noise is not None:
-        lines.append(f"gyroscope_noise_density: {float(noise.angle_random_walk):.9g}  # rad/s/sqrt(Hz)")
-        if noise.rate_random_walk is not None:
-            lines.append(f"gyroscope_random_walk: {float(noise.rate_random_walk):.9g}  # rad/s^2/sqrt(Hz)")
-        if noise.sample_rate is not None:
-            lines.append(f"update_rate: {float(noise.sample_rate):.9g}  # Hz")
-    else:
+    lines += kalibr_noise(calibration.noise)
+    if calibration.noise is None:
         notes.append("the calibration holds no noise: fill in gyroscope_noise_density and gyroscope_random_walk")
-    lines += ["model: scale-misalignment", "gyroscopes:", "  M:"]
-    lines += ["  - [" + ", ".join(repr(v) for v in row) + "]" for row in rows]
-    lines += ["  A:", *["  - [0.0, 0.0, 0.0]"] * 3, "  C_gyro_i:"]
-    lines += ["  - [" + ", ".join("1.0" if a == b else "0.0" for b in _TRIAD) + "]" for a in _TRIAD]
+    lines += [
+        "model: scale-misalignment",
+        "gyroscopes:",
+        "  M:",
+        *matrix_lines(np.diag([1.0 + gains[a] for a in _TRIAD])),
+    ]
+    lines += ["  A:", *matrix_lines(np.zeros((3, 3))), "  C_gyro_i:", *matrix_lines(np.eye(3))]
     return Export("\n".join(lines) + "\n", tuple(losses), tuple(notes))
+
+
+def one_temperature(options: Mapping[str, Any], within: tuple[float, float], target: str) -> float:
+    """The temperature (°C) that was asked for. Raises `ValueError` without one within the range."""
+    at = options["temperature_c"]
+    if at is None:
+        raise ValueError(f"{target}'s file is for one temperature: say which with --temperature")
+    low, high = (float(end) for end in within)
+    if not low - 1e-9 <= at <= high + 1e-9:
+        raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
+    return float(at)
+
+
+def file_comment(calibration: Calibration | UnitCalibration, at: float | None = None) -> str:
+    """The comment of which unit, and which temperature (°C), a file is."""
+    where = "" if at is None else f", {at:g} degC"
+    return f"# gradcal {calibration.serial_number}{where}" + (", SIMULATED" if calibration.simulated else "")
+
+
+def kalibr_noise(noise: Noise | UnitNoise | None) -> list[str]:
+    """The lines of the noise that is known."""
+    keys = (
+        ("gyroscope_noise_density", "angle_random_walk", "rad/s/sqrt(Hz)"),
+        ("gyroscope_random_walk", "rate_random_walk", "rad/s^2/sqrt(Hz)"),
+        ("accelerometer_noise_density", "velocity_random_walk", "m/s^2/sqrt(Hz)"),
+        ("update_rate", "sample_rate", "Hz"),
+    )
+    known = ((key, getattr(noise, name, None), unit) for key, name, unit in keys)
+    return [f"{key}: {float(value):.9g}  # {unit}" for key, value, unit in known if value is not None]
+
+
+def matrix_lines(values: Floats) -> list[str]:
+    """The rows of a matrix in YAML."""
+    return [f"  - {list_text(row)}" for row in values]
+
+
+def list_text(values: Floats) -> str:
+    """A list of numbers in YAML."""
+    return "[" + ", ".join(repr(float(v)) for v in values) + "]"
 
 
 # --- C and CSV --------------------------------------------------------------------------------------------------------
@@ -360,38 +417,41 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
 
 def _c_header(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     text, errors = c_header.write(calibration, options["left_out"])
-    losses = tuple(Loss(name, what, value, unit) for name, what, value, unit in errors)
+    losses = tuple(Loss(*error) for error in errors)
     notes = [note for axis in calibration.axis for note in _lost_terms(axis)]
     return Export(text, losses, (*notes, "float32, no allocation, sensor's own axes in the order of the header"))
 
 
-_CSV_HEAD: Final = ("axis", "name", "value", "std", "unit", "temperature_basis", "rate_basis")
-
-
 def _csv(calibration: Calibration, options: Mapping[str, Any]) -> Export:
-    stream = io.StringIO()
-    stream.write(f"# gradcal {calibration.serial_number}" + (", SIMULATED" if calibration.simulated else "") + "\n")
-    stream.write(f"# {calibration.order}\n")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_CSV_HEAD)
+    rows: list[Sequence[str]] = [("axis", "name", "value", "std", "unit", "temperature_basis", "rate_basis")]
     for axis in calibration.axis:
-        std: dict[str, float] = {}
-        if axis.covariance is not None:
-            diagonal = [axis.covariance.matrix[k][k] for k in range(len(axis.covariance.names))]
-            std = {n: float(np.sqrt(v)) for n, v in zip(axis.covariance.names, diagonal, strict=True)}
+        std = coefficient_deviations(axis.covariance)
         for part, unit in ((axis.bias, "rad/s"), (axis.scale_factor, "1")):
-            if part is None:
-                continue
-            rate = getattr(part, "rate", None)
-            for name, value in part.coefficients.items():
-                error = repr(std[name]) if name in std else ""
-                writer.writerow(
-                    (axis.name, name, repr(value), error, unit, basis_words(part.temperature), basis_words(rate))
-                )
+            if part is not None:
+                bases = (basis_words(part.temperature), basis_words(getattr(part, "rate", None)))
+                rows += [
+                    (axis.name, name, repr(value), std.get(name, ""), unit, *bases)
+                    for name, value in part.coefficients.items()
+                ]
         if axis.bias_temperature_gradient is not None:
             name = "bias_temperature_gradient"
-            error = repr(std[name]) if name in std else ""
-            writer.writerow((axis.name, name, repr(axis.bias_temperature_gradient), error, "rad/K", "", ""))
+            value = repr(axis.bias_temperature_gradient)
+            rows.append((axis.name, name, value, std.get(name, ""), "rad/K", "", ""))
+    return csv_file(calibration, rows)
+
+
+def coefficient_deviations(covariance: Covariance | None) -> dict[str, str]:
+    """Standard deviations of coefficients, as text, by name."""
+    if covariance is None:
+        return {}
+    return {name: repr(float(np.sqrt(covariance.matrix[k][k]))) for k, name in enumerate(covariance.names)}
+
+
+def csv_file(calibration: Calibration | UnitCalibration, rows: Iterable[Sequence[str]]) -> Export:
+    """A table below the calibration's name and what its numbers mean."""
+    stream = io.StringIO()
+    stream.write(f"{file_comment(calibration)}\n# {calibration.order}\n")
+    csv.writer(stream, lineterminator="\n").writerows(rows)
     return Export(stream.getvalue(), (), ())
 
 

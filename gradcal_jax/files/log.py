@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import IntFlag
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,15 +25,6 @@ from gradcal_jax.files.netcdf import NetcdfError, load_netcdf, save_netcdf
 from gradcal_jax.files.problems import instead
 
 FORMAT: Final = "gradcal-log/1"
-_UNITS: Final = {
-    "time": "s",
-    "rate": "rad s-1",
-    "specific_force": "m s-2",
-    "temperature": "degC",
-    "table_angle": "rad",
-    "table_rate": "rad s-1",
-    "host_time": "s",
-}
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Flags = NDArray[np.uint16]
@@ -59,6 +50,34 @@ class Reason(IntFlag):
     def words(self) -> str:
         """As people say it: ``frozen temperature``."""
         return (self.name or "").lower().replace("_", " ")
+
+
+class _Variable(NamedTuple):
+    field: str
+    dimensions: tuple[str, ...]
+    kind: type[np.generic]
+    unit: str
+    words: str
+
+
+_BITS: Final = ", ".join(f"{reason.value} {reason.words}" for reason in Reason)
+_VARIABLES: Final[Mapping[str, _Variable]] = {
+    name: _Variable(field, tuple(dimensions.split()), kind, unit, words)
+    for name, field, dimensions, kind, unit, words in (
+        ("time", "time_s", "time", np.float64, "s", "stamp of the sensor's clock"),
+        ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "angular rate of the sensor"),
+        ("specific_force", "specific_force_m_per_s2", "unit time force_axis", np.float64, "m s-2", "specific force"),
+        ("temperature", "temperature_c", "unit time", np.float64, "degC", "temperature of the sensor"),
+        ("table_angle", "table_angle_rad", "time table_axis", np.float64, "rad", "angle of the table, not wrapped"),
+        ("table_rate", "table_rate_rad_per_s", "time table_axis", np.float64, "rad s-1", "rate of the table"),
+        ("standstill", "standstill", "time", np.int64, "1", "number of the standstill, -1 while moving"),
+        ("mounting", "mounting", "time", np.int64, "1", "number of the mounting, from 0"),
+        ("host_time", "host_time_s", "time", np.float64, "s", "stamp of the computer"),
+        ("status", "status", "unit time", np.uint16, "1", f"0 usable, otherwise bits: {_BITS}"),
+        ("stretch_start", "stretch_starts", "stretch", np.int64, "1", "row at which a stretch begins"),
+    )
+}
+_NEEDED: Final = ("time", "rate", "stretch_start")
 
 
 @dataclass(frozen=True)
@@ -130,6 +149,8 @@ class Log:
 
     def __post_init__(self) -> None:
         rows = len(self.time_s)
+        labels = {"unit": self.units, "axis": self.axes, "force axis": self.force_axes, "table axis": self.table_axes}
+        sizes = {"time": rows} | {name.replace(" ", "_"): len(of) for name, of in labels.items()}
         shape = (len(self.units), rows, len(self.axes))
         if self.time_s.ndim != 1 or rows < 2:
             raise LogError(f"a log needs at least two rows, not {rows}")
@@ -137,23 +158,15 @@ class Log:
             raise LogError("the times of a log must increase from row to row")
         if self.rate_rad_per_s.shape != shape or 0 in (*shape[:2], shape[2] + len(self.force_axes)):
             raise LogError(f"the rates have the shape {self.rate_rad_per_s.shape}, where [unit, time, axis] is {shape}")
-        expected: dict[str, tuple[NDArray[Any] | None, tuple[int, ...]]] = {
-            "specific force": (self.specific_force_m_per_s2, (*shape[:2], len(self.force_axes))),
-            "temperature": (self.temperature_c, shape[:2]),
-            "table angle": (self.table_angle_rad, (rows, len(self.table_axes))),
-            "table rate": (self.table_rate_rad_per_s, (rows, len(self.table_axes))),
-            "standstill": (self.standstill, (rows,)),
-            "mounting": (self.mounting, (rows,)),
-            "host time": (self.host_time_s, (rows,)),
-            "status": (self.status, shape[:2]),
-        }
-        for name, (array, wanted) in expected.items():
-            if array is not None and array.shape != wanted:
-                raise LogError(f"the {name} has the shape {array.shape} instead of {wanted}")
-        labelled = ("unit", self.units), ("axis", self.axes), ("force axis", self.force_axes)
-        for name, labels in (*labelled, ("table axis", self.table_axes)):
-            if len(set(labels)) != len(labels):
-                raise LogError(f"two of the log's {name} labels are the same: {', '.join(labels)}")
+        for name, variable in _VARIABLES.items():
+            array: NDArray[Any] | None = getattr(self, variable.field)
+            if name not in _NEEDED and array is not None:
+                wanted = tuple(sizes[dimension] for dimension in variable.dimensions)
+                if array.shape != wanted:
+                    raise LogError(f"the {name.replace('_', ' ')} has the shape {array.shape} instead of {wanted}")
+        for name, of in labels.items():
+            if len(set(of)) != len(of):
+                raise LogError(f"two of the log's {name} labels are the same: {', '.join(of)}")
         starts = self.stretch_starts
         if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= rows:
             raise LogError("the stretches of a log must begin at increasing rows, the first at row 0")
@@ -251,28 +264,17 @@ def part_of(
     if left_out == 0:
         return log
     kept = slice(first, last)
-
-    def of(values: Any) -> Any:
-        return None if values is None else values[kept]
-
-    def by_unit(values: Any) -> Any:
-        return None if values is None else values[:, kept]
-
+    cut = {
+        variable.field: values[:, kept] if variable.dimensions[0] == "unit" else values[kept]
+        for variable in _VARIABLES.values()
+        if "time" in variable.dimensions and (values := getattr(log, variable.field)) is not None
+    }
     starts = log.stretch_starts
     inside = starts[(starts > first) & (starts < last)] - first
     reason = Reason.LEFT_OUT.words
     return replace(
         log,
-        time_s=of(log.time_s),
-        rate_rad_per_s=by_unit(log.rate_rad_per_s),
-        specific_force_m_per_s2=by_unit(log.specific_force_m_per_s2),
-        temperature_c=by_unit(log.temperature_c),
-        table_angle_rad=of(log.table_angle_rad),
-        table_rate_rad_per_s=of(log.table_rate_rad_per_s),
-        standstill=of(log.standstill),
-        mounting=of(log.mounting),
-        host_time_s=of(log.host_time_s),
-        status=by_unit(log.status),
+        **cut,
         stretch_starts=np.concatenate([[0], inside]).astype(np.int64),
         rows_removed={**log.rows_removed, reason: log.rows_removed.get(reason, 0) + left_out},
     )
@@ -285,25 +287,13 @@ def write_log(log: Log, path: str | Path) -> None:
     """
     xarray: Any = importlib.import_module("xarray")
 
-    contents: tuple[tuple[str, tuple[str, ...], NDArray[Any] | None, str], ...] = (
-        ("rate", ("unit", "time", "axis"), log.rate_rad_per_s, "angular rate of the sensor"),
-        ("specific_force", ("unit", "time", "force_axis"), log.specific_force_m_per_s2, "specific force"),
-        ("temperature", ("unit", "time"), log.temperature_c, "temperature of the sensor"),
-        ("table_angle", ("time", "table_axis"), log.table_angle_rad, "angle of the table, not wrapped"),
-        ("table_rate", ("time", "table_axis"), log.table_rate_rad_per_s, "rate of the table"),
-        ("standstill", ("time",), log.standstill, "number of the standstill, -1 while moving"),
-        ("mounting", ("time",), log.mounting, "number of the mounting, from 0"),
-        ("host_time", ("time",), log.host_time_s, "stamp of the computer"),
-        ("status", ("unit", "time"), log.status, "0 usable, otherwise bits: " + _bits()),
-        ("stretch_start", ("stretch",), log.stretch_starts, "row at which a stretch begins"),
-    )
     variables: dict[str, Any] = {
-        name: (dimensions, values, {"units": _UNITS.get(name, "1"), "long_name": words})
-        for name, dimensions, values, words in contents
-        if values is not None
+        name: (variable.dimensions, values, {"units": variable.unit, "long_name": variable.words})
+        for name, variable in _VARIABLES.items()
+        if (values := getattr(log, variable.field)) is not None
     }
     coordinates: dict[str, Any] = {
-        "time": ("time", log.time_s, {"units": _UNITS["time"], "long_name": "stamp of the sensor's clock"}),
+        "time": variables.pop("time"),
         "unit": ("unit", list(log.units)),
         "axis": ("axis", list(log.axes)),
     }
@@ -351,18 +341,18 @@ def read_log(path: str | Path) -> Log:
 
 
 def _from_dataset(dataset: Any) -> Log:
-    def array(name: str, dimensions: tuple[str, ...], kind: type[np.generic], needed: bool = False) -> Any:
+    def array(name: str, variable: _Variable) -> Any:
         if name not in dataset.variables:
-            if needed:
+            if name in _NEEDED:
                 raise LogError(f"there is no variable '{name}'")
             return None
         values = dataset[name]
         unit = str(values.attrs.get("units", "1"))
-        if unit != _UNITS.get(name, "1"):
-            raise LogError(f"'{name}' is in '{unit}', where a log holds '{_UNITS.get(name, '1')}': convert and say so")
-        if set(values.dims) != set(dimensions):
-            raise LogError(f"'{name}' runs over {values.dims} instead of {dimensions}")
-        return np.ascontiguousarray(values.transpose(*dimensions).values, dtype=kind)
+        if unit != variable.unit:
+            raise LogError(f"'{name}' is in '{unit}', where a log holds '{variable.unit}': convert and say so")
+        if set(values.dims) != set(variable.dimensions):
+            raise LogError(f"'{name}' runs over {values.dims} instead of {variable.dimensions}")
+        return np.ascontiguousarray(values.transpose(*variable.dimensions).values, dtype=variable.kind)
 
     def labels(name: str) -> tuple[str, ...]:
         return tuple(str(label) for label in dataset[name].values) if name in dataset.variables else ()
@@ -371,21 +361,11 @@ def _from_dataset(dataset: Any) -> Log:
         return json.loads(str(dataset.attrs.get(name, "null")))
 
     return Log(
-        time_s=array("time", ("time",), np.float64, needed=True),
-        rate_rad_per_s=array("rate", ("unit", "time", "axis"), np.float64, needed=True),
+        **{variable.field: array(name, variable) for name, variable in _VARIABLES.items()},
         units=labels("unit"),
         axes=labels("axis"),
-        specific_force_m_per_s2=array("specific_force", ("unit", "time", "force_axis"), np.float64),
         force_axes=labels("force_axis"),
-        temperature_c=array("temperature", ("unit", "time"), np.float64),
         table_axes=labels("table_axis"),
-        table_angle_rad=array("table_angle", ("time", "table_axis"), np.float64),
-        table_rate_rad_per_s=array("table_rate", ("time", "table_axis"), np.float64),
-        standstill=array("standstill", ("time",), np.int64),
-        mounting=array("mounting", ("time",), np.int64),
-        host_time_s=array("host_time", ("time",), np.float64),
-        status=array("status", ("unit", "time"), np.uint16),
-        stretch_starts=array("stretch_start", ("stretch",), np.int64, needed=True),
         rows_read=int(dataset.attrs["rows_read"]),
         rows_removed={str(k): int(v) for k, v in cast("dict[str, Any]", table("rows_removed") or {}).items()},
         findings=tuple(Finding(**item) for item in cast("list[dict[str, Any]]", table("findings") or [])),
@@ -402,7 +382,3 @@ def _index(label: str | int, labels: tuple[str, ...], kind: str) -> int:
     if label in labels:
         return labels.index(label)
     raise LogError(f"there is no {kind} '{label}' in this log; {instead(label, labels)}")
-
-
-def _bits() -> str:
-    return ", ".join(f"{reason.value} {reason.words}" for reason in Reason)

@@ -1,12 +1,14 @@
 """What a gradcal-log/1 holds, for other programs: the netCDF's dimensions, variables with their units, attributes."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import Field
 
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.section import Section
 
+Dimensions = TypeVar("Dimensions")
+Unit = TypeVar("Unit")
 PerSample = tuple[Literal["time"]]
 PerUnit = tuple[Literal["unit"], Literal["time"]]
 PerAxis = tuple[Literal["unit"], Literal["time"], Literal["axis"]]
@@ -14,101 +16,55 @@ PerForceAxis = tuple[Literal["unit"], Literal["time"], Literal["force_axis"]]
 PerTableAxis = tuple[Literal["time"], Literal["table_axis"]]
 
 
-class _Variable(Section):
+class _Variable(Section, Generic[Dimensions, Unit]):
     description: Text | None = None
     """In words."""
+    dimensions: Dimensions
+    """Dimensions of the variable."""
+    units: Unit
+    """Its unit."""
 
 
-class Stamps(_Variable):
+class Stamps(_Variable[PerSample, Literal["s"]]):
     """Strictly increasing, of the sensor's clock (`time`) or the computer's (`host_time`)."""
 
-    dimensions: PerSample
-    """Dimensions of the variable."""
-    units: Literal["s"]
-    """Its unit."""
 
-
-class Rates(_Variable):
+class Rates(_Variable[PerAxis, Literal["rad s-1"]]):
     """Angular rates: of a row, the mean since the row before."""
 
-    dimensions: PerAxis
-    """Dimensions of the variable."""
-    units: Literal["rad s-1"]
-    """Its unit."""
 
-
-class Forces(_Variable):
+class Forces(_Variable[PerForceAxis, Literal["m s-2"]]):
     """Specific forces: +1 g along an axis that points up at rest; of a row, the mean since the row before."""
 
-    dimensions: PerForceAxis
-    """Dimensions of the variable."""
-    units: Literal["m s-2"]
-    """Its unit."""
 
-
-class Temperatures(_Variable):
+class Temperatures(_Variable[PerUnit, Literal["degC"]]):
     """Of the sensors."""
 
-    dimensions: PerUnit
-    """Dimensions of the variable."""
-    units: Literal["degC"]
-    """Its unit."""
 
-
-class TableAngles(_Variable):
+class TableAngles(_Variable[PerTableAxis, Literal["rad"]]):
     """Not wrapped."""
 
-    dimensions: PerTableAxis
-    """Dimensions of the variable."""
-    units: Literal["rad"]
-    """Its unit."""
 
-
-class TableRates(_Variable):
+class TableRates(_Variable[PerTableAxis, Literal["rad s-1"]]):
     """Of the table's axes."""
 
-    dimensions: PerTableAxis
-    """Dimensions of the variable."""
-    units: Literal["rad s-1"]
-    """Its unit."""
 
-
-class Standstills(_Variable):
+class Standstills(_Variable[PerSample, Literal["1"]]):
     """Number of the standstill that a row belongs to; -1 while the table moves."""
 
-    dimensions: PerSample
-    """Dimensions of the variable."""
-    units: Literal["1"]
-    """Its unit."""
 
-
-class Mountings(_Variable):
+class Mountings(_Variable[PerSample, Literal["1"]]):
     """Of the mountings of the unit's spec the number, from 0."""
 
-    dimensions: PerSample
-    """Dimensions of the variable."""
-    units: Literal["1"]
-    """Its unit."""
 
-
-class Statuses(_Variable):
+class Statuses(_Variable[PerUnit, Literal["1"]]):
     """0: usable; otherwise bits: 1 no rate, 2 saturated, 4 marked, 8 no temperature, 16 it is frozen, 32 left out,
     64 no specific force.
     """
 
-    dimensions: PerUnit
-    """Dimensions of the variable."""
-    units: Literal["1"]
-    """Its unit."""
 
-
-class StretchStarts(_Variable):
+class StretchStarts(_Variable[tuple[Literal["stretch"]], Literal["1"]]):
     """The rows at which unbroken stretches begin; the first is 0."""
-
-    dimensions: tuple[Literal["stretch"]]
-    """Dimensions of the variable."""
-    units: Literal["1"]
-    """Its unit."""
 
 
 class Variables(Section):

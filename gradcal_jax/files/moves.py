@@ -19,7 +19,7 @@ the other keys it belongs to `peak_rate`.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -92,10 +92,15 @@ class _Move(Section):
             refuse(Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text))
         return self
 
-    @property
-    def read_end(self) -> bool:
-        """Whether the angle is read once, at the end."""
-        return self.read != "none" and self.read_every is None
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """The move in SI, complete. Raises `SpecError`, keys relative to the move."""
+        raise NotImplementedError
+
+    def resolved(self, shape: str, duration: float, **motion: Any) -> ResolvedMove:
+        """A motion that is made and read as it is written here."""
+        end = self.read != "none" and self.read_every is None
+        reading: dict[str, Any] = {"read_end": end, "read_every": _number(self.read_every)}
+        return ResolvedMove(shape, self.axis, duration, repeat=self.repeat, **reading, **motion)
 
 
 class Rest(_Move):
@@ -107,17 +112,8 @@ class Rest(_Move):
     """Whether the table turns other axes meanwhile."""
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """The rest in SI."""
         del max_acceleration
-        return ResolvedMove(
-            "rest",
-            self.axis,
-            float(self.rest),
-            other_axes=self.other_axes,
-            repeat=self.repeat,
-            read_end=self.read_end,
-            read_every=_number(self.read_every),
-        )
+        return self.resolved("rest", float(self.rest), other_axes=self.other_axes)
 
 
 class _Turn(_Move):
@@ -152,6 +148,8 @@ class _Turn(_Move):
 
 
 class _PeakedTurn(_Turn):
+    SHAPE: ClassVar[str]
+
     peak_rate: Rate | None = None
     """Largest rate; signed where the angle follows from the other keys."""
 
@@ -172,21 +170,11 @@ class _PeakedTurn(_Turn):
         direction = -1.0 if leading is not None and leading < 0.0 else 1.0
         return direction, _size(angle), _size(peak), _number(self.duration)
 
-    def motion(
-        self,
-        shape: str,
-        *,
-        angle: float,
-        peak: float,
-        duration: float,
-        acceleration: float,
-        ramp: float = 0.0,
-        direction: float = 1.0,
-    ) -> ResolvedMove:
-        """A one-way turn from sizes and a direction."""
-        return ResolvedMove(
-            shape,
-            self.axis,
+    def motion(self, *, angle: float, peak: float, duration: float, acceleration: float, ramp: float) -> ResolvedMove:
+        """A one-way turn from sizes."""
+        direction = self.sizes()[0]
+        return self.resolved(
+            self.SHAPE,
             duration,
             angle=direction * angle,
             peak_rate=direction * peak,
@@ -195,25 +183,25 @@ class _PeakedTurn(_Turn):
             fastest=peak,
             low=min(0.0, direction * angle),
             high=max(0.0, direction * angle),
-            repeat=self.repeat,
-            read_end=self.read_end,
-            read_every=_number(self.read_every),
         )
 
 
 class _RampedTurn(_PeakedTurn):
+    # Peak acceleration times ramp, over peak rate.
+    STEEPNESS: ClassVar[float]
+
     ramp: Time | None = None
     """Time from rest to the peak rate; absent: as short as the table allows."""
 
-    def solve(self, shape: str, steepness: float, max_acceleration: float) -> ResolvedMove:
-        """Complete (θ, A, D, r) by θ = A(D − r); `steepness` is the peak acceleration times r/A."""
-        direction, angle, peak, duration = self.sizes()
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
+        """Complete (θ, A, D, r) by θ = A(D − r)."""
+        _, angle, peak, duration = self.sizes()
         ramp = _number(self.ramp)
         given = [value is not None for value in (angle, peak, duration)]
         if sum(given) < 2:
             message = "the motion is not determined; give two of turn, peak_rate and duration (and ramp if it matters)"
             raise SpecError([Problem((), message)])
-        least = steepness / max_acceleration  # ramp time for each unit of peak rate
+        least = self.STEEPNESS / max_acceleration  # ramp time for each unit of peak rate
         if angle is not None and peak is not None and duration is not None:
             ramp = self._from_three(angle, peak, duration, ramp)
         elif angle is not None and peak is not None:
@@ -241,15 +229,8 @@ class _RampedTurn(_PeakedTurn):
                     self._too_short(2.0 * math.sqrt(least * angle))
                 peak = 2.0 * angle / (duration + math.sqrt(discriminant))
                 ramp = least * peak
-        return self.motion(
-            shape,
-            angle=angle,
-            peak=peak,
-            duration=duration,
-            ramp=ramp,
-            acceleration=steepness * peak / ramp,
-            direction=direction,
-        )
+        acceleration = self.STEEPNESS * peak / ramp
+        return self.motion(angle=angle, peak=peak, duration=duration, acceleration=acceleration, ramp=ramp)
 
     def _from_three(self, angle: float, peak: float, duration: float, ramp: float | None) -> float:
         found = duration - angle / peak
@@ -288,75 +269,63 @@ class _RampedTurn(_PeakedTurn):
 class CosineRamps(_RampedTurn):
     """Constant rate between two half-cosine ramps (the paper's turn)."""
 
+    SHAPE, STEEPNESS = "cosine ramps", math.pi / 2.0
+
     shape: Literal["cosine ramps"]
     """Course of the rate."""
-
-    def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """The turn in SI. Raises `SpecError`, keys relative to the move."""
-        return self.solve("cosine ramps", math.pi / 2.0, max_acceleration)
 
 
 class LinearRamps(_RampedTurn):
     """Constant rate between two ramps of constant acceleration."""
 
+    SHAPE, STEEPNESS = "linear ramps", 1.0
+
     shape: Literal["linear ramps"]
     """Course of the rate."""
 
-    def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """The turn in SI. Raises `SpecError`, keys relative to the move."""
-        return self.solve("linear ramps", 1.0, max_acceleration)
-
 
 class _WholeTurn(_PeakedTurn):
-    def complete(self, shape: str, fullness: float, max_acceleration: float) -> ResolvedMove:
+    FULLNESS: ClassVar[float]
+
+    def resolve(self, max_acceleration: float) -> ResolvedMove:
         """Complete (θ, A, D) by θ = fullness·A·D; both shapes peak at πA/D."""
         del max_acceleration
-        direction, angle, peak, duration = self.sizes()
+        _, angle, peak, duration = self.sizes()
         if sum(value is not None for value in (angle, peak, duration)) < 2:
             message = "the motion is not determined; give two of turn, peak_rate and duration"
             raise SpecError([Problem((), message)])
         if angle is not None and duration is not None:
-            found = angle / (fullness * duration)
+            found = angle / (self.FULLNESS * duration)
             if peak is not None and abs(found - peak) > AGREEMENT * peak:
                 message = f"contradicts {self.angle_key} and duration, which mean {_round_rate(found)}; leave one out"
                 raise SpecError([Problem(("peak_rate",), message, str(self.peak_rate))])
             peak = found
         elif peak is not None and duration is not None:
-            angle = fullness * peak * duration
+            angle = self.FULLNESS * peak * duration
         else:
             assert angle is not None
             assert peak is not None
-            duration = angle / (fullness * peak)
-        return self.motion(
-            shape,
-            angle=angle,
-            peak=peak,
-            duration=duration,
-            acceleration=math.pi * peak / duration,
-            direction=direction,
-        )
+            duration = angle / (self.FULLNESS * peak)
+        acceleration = math.pi * peak / duration
+        return self.motion(angle=angle, peak=peak, duration=duration, acceleration=acceleration, ramp=0.0)
 
 
 class HalfSine(_WholeTurn):
     """Half a period of a sine."""
 
+    SHAPE, FULLNESS = "half sine", 2.0 / math.pi
+
     shape: Literal["half sine"]
     """Course of the rate."""
-
-    def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """The turn in SI. Raises `SpecError`, keys relative to the move."""
-        return self.complete("half sine", 2.0 / math.pi, max_acceleration)
 
 
 class RaisedCosine(_WholeTurn):
     """One period of 1 − cos."""
 
+    SHAPE, FULLNESS = "raised cosine", 0.5
+
     shape: Literal["raised cosine"]
     """Course of the rate."""
-
-    def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """The turn in SI. Raises `SpecError`, keys relative to the move."""
-        return self.complete("raised cosine", 0.5, max_acceleration)
 
 
 class Sinusoid(_Move):
@@ -378,13 +347,11 @@ class Sinusoid(_Move):
         return self
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """The oscillation in SI."""
         del max_acceleration
         peak, period = float(self.peak_rate), float(self.period)
         swing = peak * period / math.pi
-        return ResolvedMove(
+        return self.resolved(
             "sinusoid",
-            self.axis,
             period * self.cycles,
             peak_rate=peak,
             peak_acceleration=2.0 * math.pi * abs(peak) / period,
@@ -392,9 +359,6 @@ class Sinusoid(_Move):
             low=min(0.0, swing),
             high=max(0.0, swing),
             cycles=self.cycles,
-            repeat=self.repeat,
-            read_end=self.read_end,
-            read_every=_number(self.read_every),
         )
 
 
@@ -415,7 +379,7 @@ class Spline(_Move):
         return self
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """The motion in SI; maxima are exact, from the cubic pieces."""
+        """Maxima are exact, from the cubic pieces."""
         del max_acceleration
         peak = max(abs(rate) for rate in self.rates)
         controls = tuple(rate / peak for rate in self.rates)
@@ -433,9 +397,8 @@ class Spline(_Move):
                 here = angle + u * (c0 + u * (c1 / 2.0 + u * (c2 / 3.0 + u * c3 / 4.0)))
                 low, high = min(low, here), max(high, here)
             angle += c0 + c1 / 2.0 + c2 / 3.0 + c3 / 4.0
-        return ResolvedMove(
+        return self.resolved(
             "spline",
-            self.axis,
             float(self.duration),
             angle=angle * peak * span,
             peak_rate=peak,
@@ -444,9 +407,6 @@ class Spline(_Move):
             low=low * peak * span,
             high=high * peak * span,
             controls=controls,
-            repeat=self.repeat,
-            read_end=self.read_end,
-            read_every=_number(self.read_every),
         )
 
 
@@ -466,7 +426,6 @@ class Hand(_Turn):
         return self
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """The turn in SI. Raises `SpecError`, keys relative to the move."""
         del max_acceleration
         angle = self.angle
         if angle is None or self.duration is None:
@@ -474,9 +433,8 @@ class Hand(_Turn):
             raise SpecError([Problem((missing,), "this key is missing: a turn by hand has an angle and a duration")])
         peak, duration = 2.0 * angle / self.duration, float(self.duration)
         fastest, steepest = _uneven_maxima(self.unevenness)
-        return ResolvedMove(
+        return self.resolved(
             "hand",
-            self.axis,
             duration,
             angle=angle,
             peak_rate=peak,
@@ -485,8 +443,6 @@ class Hand(_Turn):
             low=min(0.0, angle),
             high=max(0.0, angle),
             unevenness=self.unevenness,
-            repeat=self.repeat,
-            read_end=self.read_end,
         )
 
 
@@ -496,10 +452,7 @@ Move = Annotated[
 ]
 
 SHAPES: Final[dict[str, type[Section]]] = {
-    "cosine ramps": CosineRamps,
-    "linear ramps": LinearRamps,
-    "half sine": HalfSine,
-    "raised cosine": RaisedCosine,
+    **{kind.SHAPE: kind for kind in (CosineRamps, LinearRamps, HalfSine, RaisedCosine)},
     "sinusoid": Sinusoid,
     "spline": Spline,
     "hand": Hand,

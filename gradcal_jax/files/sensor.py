@@ -1,4 +1,4 @@
-"""`[sensor]`: what is calibrated, its noise, and the error functions to be found."""
+"""`[sensor]`: what is calibrated, its noise, and the error functions to be found, of one gyro axis or a whole unit."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -10,10 +10,17 @@ from gradcal_jax.files.quantity import (
     AngleRandomWalk,
     BiasSlope,
     Margin,
+    PositiveAccelerationSensitivity,
+    PositiveAngle,
     PositiveGradientSensitivity,
+    PositiveLength,
     PositiveRate,
     PositiveScaleFactor,
+    PositiveSecondOrder,
+    PositiveSpecificForce,
+    PositiveSquareSensitivity,
     PositiveTemperatureDifference,
+    PositiveThirdOrder,
     Quantity,
     RateRandomWalk,
     ScaleFactorSlope,
@@ -21,6 +28,7 @@ from gradcal_jax.files.quantity import (
     SizeOfScaleFactor,
     Text,
     Time,
+    VelocityRandomWalk,
 )
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.uncertain import UncertainSection, figures_of
@@ -225,3 +233,200 @@ class Sensor(UncertainSection):
     def usable_rate(self) -> float | None:
         """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
         return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
+
+
+BodyAxis = Literal["x", "y", "z"]
+BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
+
+
+class _ErrorTerm(Section):
+    temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
+    prior: Quantity | None = None
+    """Standard deviation before the calibration; absent: unknown."""
+
+
+class Misalignment(_ErrorTerm):
+    """Small angles of an input axis towards the two others."""
+
+    prior: PositiveAngle | None = None
+
+
+class AccelerationSensitivity(_ErrorTerm):
+    """Drift of a gyro in proportion to the specific force, three coefficients each (IEEE 528)."""
+
+    prior: PositiveAccelerationSensitivity | None = None
+
+
+class SquaredSensitivity(_ErrorTerm):
+    """Drift of a gyro in proportion to the square of the specific force along each axis."""
+
+    prior: PositiveSquareSensitivity | None = None
+
+
+class SpecificForceDrift(UncertainSection):
+    """Instability of an accelerometer's bias: a first-order Gauss–Markov process."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = PROCESS
+
+    standard_deviation: PositiveSpecificForce
+    """Stationary standard deviation."""
+    correlation_time: Time
+    """Time constant of its autocorrelation."""
+
+
+class SpecificForceBias(_ErrorTerm):
+    """An accelerometer's bias over temperature."""
+
+    prior: PositiveSpecificForce | None = None
+
+
+class SpecificForceScale(_ErrorTerm):
+    """An accelerometer's scale factor, or its asymmetry, over temperature."""
+
+    prior: PositiveScaleFactor | None = None
+    """Standard deviation before the calibration, a ratio; absent: unknown."""
+
+
+class SecondOrder(_ErrorTerm):
+    """An accelerometer's K2, or its cross-coupling of two axes, over temperature."""
+
+    prior: PositiveSecondOrder | None = None
+
+
+class ThirdOrder(_ErrorTerm):
+    """An accelerometer's K3 over temperature."""
+
+    prior: PositiveThirdOrder | None = None
+
+
+class LeverArm(Section):
+    """Where an accelerometer sits, from where the table's axes meet."""
+
+    prior: PositiveLength | None = None
+    """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
+
+
+class GyroTriad(UncertainSection):
+    """`[sensor.gyro]`: what is the same for every gyro of the unit. A table that is absent is not estimated: known."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk")
+
+    axes: BodyAxes = ("x", "y", "z")
+    """Which gyros the unit has."""
+    angle_random_walk: AngleRandomWalk
+    """White noise of the rate, as the angle's growth with the square root of time."""
+    rate_random_walk: RateRandomWalk | None = None
+    """Random walk of the rate."""
+    full_scale: PositiveRate | None = None
+    """Largest rate that a gyro measures."""
+    full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
+    """Share of the full scale that plans keep away from."""
+    drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
+    """In-run bias instabilities, which add."""
+    scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
+    """In-run instabilities of the scale factor, which add."""
+    bias: Bias
+    """Bias over temperature."""
+    scale_factor: ScaleFactor | None = None
+    """Scale factor over temperature and rate."""
+    misalignment: Misalignment | None = None
+    """Directions of the input axes."""
+    g_sensitivity: AccelerationSensitivity | None = None
+    """Drift in proportion to the specific force."""
+    g_squared: SquaredSensitivity | None = None
+    """Drift in proportion to the square of the specific force."""
+
+    @property
+    def usable_rate(self) -> float | None:
+        """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
+        return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
+
+
+class AccelerometerTriad(UncertainSection):
+    """`[sensor.accelerometer]`: what is the same for every accelerometer of the unit. Read where the table stands, and
+    on moves no faster than `read_on_moves_below`."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk",)
+
+    axes: BodyAxes = ("x", "y", "z")
+    """Which accelerometers the unit has."""
+    velocity_random_walk: VelocityRandomWalk
+    """White noise of the specific force."""
+    drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
+    """In-run bias instabilities, which add."""
+    bias: SpecificForceBias
+    """Bias over temperature."""
+    scale_factor: SpecificForceScale | None = None
+    """Scale factor over temperature."""
+    misalignment: Misalignment | None = None
+    """Directions of the input axes."""
+    second_order: SecondOrder | None = None
+    """K2, output in proportion to the square of the force."""
+    third_order: ThirdOrder | None = None
+    """K3, output in proportion to its cube."""
+    asymmetry: SpecificForceScale | None = None
+    """Scale factor of positive force less that of negative."""
+    read_on_moves_below: PositiveRate | None = None
+    """Read on moves no faster than this, too; absent: at rest alone."""
+    lever_arm: LeverArm | None = None
+    """Where the accelerometers sit, from where the table's axes meet."""
+    cross_coupling: SecondOrder | None = None
+    """Output in proportion to products of the force along two axes."""
+
+    @model_validator(mode="after")
+    def _seen(self) -> "AccelerometerTriad":
+        if self.lever_arm is not None and self.read_on_moves_below is None:
+            message = "has no effect at rest, where alone accelerometers are read; leave it out, or read them on slow "
+            refuse(Problem(("lever_arm",), message + 'moves, too: read_on_moves_below = "5 deg/s"'))
+        if self.asymmetry is not None and self.read_on_moves_below is not None:
+            message = "is told at rest alone, where the force keeps its sign; leave it out, or read_on_moves_below"
+            refuse(Problem(("asymmetry",), message))
+        return self
+
+
+class UnitFrame(Section):
+    """What the misalignments count from."""
+
+    fixed_by: Literal["table axes", "case"] = "table axes"
+    """"table axes": the table's at zero, through the nominal mounting; "case": the case, known to the mounting's
+    accuracy."""
+
+
+class UnitSensor(Section):
+    """A whole unit: gyros, accelerometers, or both."""
+
+    name: Text | None = None
+    """A name for people."""
+    thermal_lag: Time | None = None
+    """Time constant, first order, between chamber and dies."""
+    sample_clock_error: SizeOfScaleFactor | None = None
+    """Standard deviation of the one clock that stamps all, a ratio."""
+    gyro: GyroTriad | None = None
+    """What is the same for every gyro."""
+    accelerometer: AccelerometerTriad | None = None
+    """What is the same for every accelerometer."""
+    frame: UnitFrame | None = None
+    """What the misalignments count from."""
+
+    @model_validator(mode="after")
+    def _something_to_find(self) -> "UnitSensor":
+        problems: list[Problem] = []
+        for name, triad in (("gyro", self.gyro), ("accelerometer", self.accelerometer)):
+            if triad is not None and len(set(triad.axes)) < len(triad.axes):
+                problems.append(Problem((name, "axes"), "names an axis twice", list(triad.axes)))
+        if self.gyro is None and self.accelerometer is None:
+            problems.append(Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]"))
+        refuse(*problems)
+        return self
+
+    def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
+        """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
+        tables: list[tuple[str, UncertainSection]] = []
+        for key, triad in (("sensor.gyro", self.gyro), ("sensor.accelerometer", self.accelerometer)):
+            if triad is not None:
+                tables += [(key, triad), *((f"{key}.drift[{i}]", d) for i, d in enumerate(triad.drift))]
+        if self.gyro is not None:
+            instabilities = self.gyro.scale_factor_instability
+            tables += [(f"sensor.gyro.scale_factor_instability[{i}]", d) for i, d in enumerate(instabilities)]
+        return figures_of(tables)

@@ -18,6 +18,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
+from gradcal_jax.files.bench import UnitMounting, UnitRig
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import (
@@ -39,7 +40,6 @@ from gradcal_jax.files.schedule import GradientSchedule, Stretch, TemperatureSeg
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_plan import UnitSchedule
-from gradcal_jax.files.unit_rig import UnitMounting, UnitRig
 from gradcal_jax.files.unit_spec import UnitSpec
 
 Begins = Literal["at its time", "when stable"]

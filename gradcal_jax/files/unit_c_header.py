@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
-from gradcal_jax.files.c_header import comment, literal
+from gradcal_jax.files.c_header import CLIP, c_array, comment, header_head, header_self_test, literal
 from gradcal_jax.files.unit_calibration import CalibratedTerm, UnitCalibration
 from gradcal_jax.files.unit_correction import correct_unit, linear_part
 from gradcal_jax.units import DEG_PER_H, G
@@ -30,21 +30,13 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
     inverse = _inverse(calibration)
     low, high = (float(t) for t in calibration.valid_temperature)
     slow, fast = (float(r) for r in calibration.valid_rate)
-    lines = [
-        "/* calibration of the unit " + comment(calibration.serial_number) + ", made by gradcal",
-        *(" * " + comment(f"{name}: {text}") for name, text in calibration.provenance.items()),
-        *([" * SIMULATED: made from simulated data, of no real unit."] if calibration.simulated else []),
-        " * measured = input + sum of map(T) * signals, solved for the inputs; frame: " + comment(calibration.frame),
-        " * temperature in degC, rates in rad/s, specific force in m/s^2; x, y, z. Beyond its range the values at the",
-        " * edge hold. What the calibration has not comes out as it went in.",
-        " */",
-        "#ifndef GRADCAL_UNIT_CALIBRATION_H",
-        "#define GRADCAL_UNIT_CALIBRATION_H",
-        "",
-        _STRUCT,
+    said = [
+        "measured = input + sum of map(T) * signals, solved for the inputs; frame: " + comment(calibration.frame),
+        "temperature in degC, rates in rad/s, specific force in m/s^2; x, y, z. Beyond its range the values at the",
+        "edge hold. What the calibration has not comes out as it went in.",
     ]
-    for k, (_, term) in enumerate(terms):
-        lines.append(f"static const float gradcal_c{k}[] = {{{', '.join(literal(v) for v in _coefficients(term))}}};")
+    lines = [*header_head(calibration, "calibration of the unit", said, "GRADCAL_UNIT_CALIBRATION_H"), _STRUCT]
+    lines += [c_array(f"gradcal_c{k}[]", term.coefficients.values()) for k, (_, term) in enumerate(terms)]
     lines += ["", f"#define GRADCAL_TERMS {len(terms)}"]
     lines += ["static const struct gradcal_term gradcal_terms[GRADCAL_TERMS] = {"]
     for k, (channel, term) in enumerate(terms):
@@ -61,15 +53,7 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
     temperature, raw, found = test
     rounding = float(np.max(np.abs(inverse) @ np.abs(raw)))  # of raw counts far off zero
     tolerance = max(4e-6 * float(np.max(np.abs(found))), 4e-7 * rounding, 1e-7)
-    lines += [
-        "/* self-test: gradcal_correct(GRADCAL_TEST_T, raw, out) must give these within GRADCAL_TEST_TOLERANCE */",
-        f"#define GRADCAL_TEST_T {literal(temperature)}",
-        f"static const float gradcal_test_raw[6] = {{{', '.join(literal(v) for v in raw)}}};",
-        f"static const float gradcal_test_out[6] = {{{', '.join(literal(v) for v in found)}}};",
-        f"#define GRADCAL_TEST_TOLERANCE {literal(tolerance)}",
-        "",
-        "#endif",
-    ]
+    lines += header_self_test(temperature, raw, found, "6", tolerance)
     return "\n".join(lines) + "\n", errors
 
 
@@ -84,12 +68,8 @@ struct gradcal_term {
 };
 """
 _FUNCTION = (
-    """\
-static inline float gradcal_clip(float x, float low, float high)
-{
-    return x < low ? low : (x > high ? high : x);
-}
-
+    CLIP
+    + """\
 /* Corrects one reading: rates x, y, z, then specific forces x, y, z; `out` must not be `raw`. */
 static inline void gradcal_correct(float temperature, const float raw[6], float out[6])
 {
@@ -139,11 +119,6 @@ def _shape(term: CalibratedTerm) -> tuple[float, float, int, float, float, int]:
     return t0, ts, nt, w0, ws, nw
 
 
-def _coefficients(term: CalibratedTerm) -> list[float]:
-    """As the calibration has them: temperature slow, rate fast."""
-    return list(term.coefficients.values())
-
-
 def _inverse(calibration: UnitCalibration) -> Floats:
     """(6, 6): what each channel's error is divided by."""
     low, high = (float(t) for t in calibration.valid_temperature)
@@ -165,7 +140,7 @@ def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c
                 t0, ts, nt, w0, ws, nw = _shape(term)
                 x = (t - f(t0)) * f(1.0 / ts)
                 w = (np.clip(out[:, k], slow, fast) - f(w0)) * f(1.0 / ws)
-                table = np.array(_coefficients(term), f).reshape(nt, nw)
+                table = np.array(list(term.coefficients.values()), f).reshape(nt, nw)
                 value = np.zeros_like(x)
                 for line in table[::-1]:
                     row = np.zeros_like(x)

@@ -37,7 +37,7 @@ from gradcal_jax.files.quantity import (
     VelocityRandomWalk,
 )
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.unit_sensor import BodyAxis
+from gradcal_jax.files.sensor import BodyAxis
 from gradcal_jax.files.writing import write_toml
 
 UNIT_ORDER: Final = (

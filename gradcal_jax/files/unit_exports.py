@@ -10,8 +10,6 @@
 What a target cannot carry is said in numbers: the largest error against the calibration itself over its range.
 """
 
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -167,16 +165,6 @@ def _people(term: CalibratedTerm, kind: str) -> tuple[str, float]:
     return ("urad", 1e6) if term.unit == "rad" else ("ppm", 1e6)
 
 
-def _at(calibration: UnitCalibration, options: Mapping[str, Any], target: str) -> float:
-    at = options["temperature_c"]
-    low, high = (float(t) for t in calibration.valid_temperature)
-    if at is None:
-        raise ValueError(f"{target}'s file is for one temperature: say which with --temperature")
-    if not low - 1e-9 <= at <= high + 1e-9:
-        raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
-    return float(at)
-
-
 def _both(
     calibration: UnitCalibration, target: str, options: Mapping[str, Any]
 ) -> tuple[list[str], list[Loss], list[str]]:
@@ -208,26 +196,16 @@ def _ardupilot(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expo
         high = min(float(calibration.valid_temperature[1]), 80.0)
         if high - low < 10.0:
             raise ValueError(f"ArduPilot needs a range of at least 10 K; this calibration covers {low:g} … {high:g} °C")
-        at, prefix = 0.5 * (low + high), "" if number == 1 else str(number)
-        if not lines:
-            lines += [f"INS_TCAL{number}_ENABLE 1", f"INS_TCAL{number}_TMIN {exports.single(low)}"]
-            lines += [f"INS_TCAL{number}_TMAX {exports.single(high)}"]
-        linear = linear_at(calibration, at)
-        parameters: dict[str, float] = {}
-        for axis in parts.axis:
-            letter, b = axis.name.upper(), exports.cubic(axis, exports.ARDUPILOT_REFERENCE)
-            for k in (1, 2, 3):
-                parameters[f"INS_TCAL{number}_ACC{k}_{letter}"] = 1e6 * b[k]
-            offset = float(np.polynomial.polynomial.polyval(at - exports.ARDUPILOT_REFERENCE, b))
-            parameters[f"INS_ACC{prefix}OFFS_{letter}"] = offset
-            own = _TRIAD.index(axis.name)
-            parameters[f"INS_ACC{prefix}SCAL_{letter}"] = 1.0 / linear.accelerometer[own, own]
-        parameters[f"INS_ACC{number}_CALTEMP"] = at
-        lines += [f"{name} {exports.single(value)}" for name, value in parameters.items()]
-        low_high = {"TMIN": low, "TMAX": high}
-        told = {name: float(np.float32(v)) for name, v in parameters.items()}
-        told |= {f"INS_TCAL{number}_{name}": value for name, value in low_high.items()}
-        losses += _accelerometer_bias_losses(parts, lambda name, t: ardupilot_offset(told, name, t, number))
+        at = 0.5 * (low + high)
+        span = exports.ardupilot_range(number, low, high)
+        gains = linear_at(calibration, at).accelerometer
+        scales = {axis: 1.0 / gains[i, i] for i, axis in enumerate(_TRIAD)}
+        parameters = exports.ardupilot_bias(parts.axis, number, at, "ACC", scales)
+        written = parameters if lines else span | parameters
+        lines += [f"{name} {exports.single(value)}" for name, value in written.items()]
+        losses += _accelerometer_bias_losses(
+            parts, lambda name, t: exports.ardupilot_correction(span | parameters, name, t, number, "ACC")
+        )
         for c in forces:
             losses += _scale_left(calibration, c, at)
         notes.append(
@@ -239,31 +217,16 @@ def _ardupilot(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expo
     return Export("".join(f"{line}\n" for line in lines), tuple(losses), tuple(dict.fromkeys(notes)))
 
 
-def ardupilot_offset(parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 1) -> Floats:
-    """What ArduPilot takes off a raw specific force (m/s²) before its scale, in float32."""
-    single = np.float32
-    letter, prefix = axis.upper(), "" if number == 1 else str(number)
-    c = [single(parameters[f"INS_TCAL{number}_ACC{k}_{letter}"]) for k in (1, 2, 3)]
-    low, high = (single(parameters[f"INS_TCAL{number}_{end}"]) for end in ("TMIN", "TMAX"))
-
-    def polynomial(t: Any) -> Any:
-        d = np.clip(t, low, high) - single(exports.ARDUPILOT_REFERENCE)
-        return (d * c[0] + d * d * c[1] + d * d * d * c[2]) * single(1e-6)
-
-    at = polynomial(single(parameters[f"INS_ACC{number}_CALTEMP"]))
-    taken = polynomial(temperature_c.astype(single)) - at + single(parameters[f"INS_ACC{prefix}OFFS_{letter}"])
-    return np.asarray(taken, np.float64)
-
-
 def _accelerometer_bias_losses(parts: Calibration, taken_off: Callable[[str, Floats], Floats]) -> list[Loss]:
-    from gradcal_jax.files import correction
-
-    losses: list[Loss] = []
-    for axis in parts.axis:
-        t = np.linspace(float(axis.valid_temperature[0]), float(axis.valid_temperature[1]), _GRID)
-        error = float(np.max(np.abs(taken_off(axis.name, t) - correction.bias(axis, t))))
-        losses.append(Loss(f"accelerometer {axis.name}", "bias", error * _MICRO_G, "ug"))
-    return losses
+    return [
+        Loss(
+            f"accelerometer {axis.name}",
+            "bias",
+            exports.bias_left(axis, taken_off(axis.name, exports.range_temperatures(axis))) * _MICRO_G,
+            "ug",
+        )
+        for axis in parts.axis
+    ]
 
 
 def _scale_left(calibration: UnitCalibration, channel: CalibratedChannel, at: float) -> list[Loss]:
@@ -283,34 +246,15 @@ def _px4(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
     if parts is not None:
         number, identity = int(options["instance"]), options["device_id"]
         low, high = (float(t) for t in calibration.valid_temperature)
-        about = float(round(0.5 * (low + high)))
-        rows: list[tuple[str, float, int]] = [
-            ("TC_A_ENABLE", 1, 6),
-            (f"TC_A{number}_ID", int(identity or 0), 6),
-            (f"TC_A{number}_TREF", about, 9),
-            (f"TC_A{number}_TMIN", low, 9),
-            (f"TC_A{number}_TMAX", high, 9),
-        ]
-        for axis in parts.axis:
-            b = exports.cubic(axis, about)
-            rows += [(f"TC_A{number}_X{k}_{_TRIAD.index(axis.name)}", float(b[k]), 9) for k in range(4)]
-        lines += [f"1\t1\t{n}\t{int(v) if kind == 6 else exports.single(v)}\t{kind}" for n, v, kind in rows]
-        told = {name: float(np.float32(value)) for name, value, _ in rows}
-        losses += _accelerometer_bias_losses(parts, lambda name, t: px4_offset(told, name, t, number))
+        rows = exports.px4_rows(parts.axis, "A", number, identity, low, high)
+        lines += exports.px4_lines(rows)
+        told = {name: value for name, value, _ in rows}
+        losses += _accelerometer_bias_losses(parts, lambda name, t: exports.px4_correction(told, name, t, number, "A"))
         if identity is None:
             notes.append(f"TC_A{number}_ID must be the sensor's device id: with 0 PX4 ignores the set (--device-id)")
         notes.append("CAL_ACC offsets must be zero; corrected = R (raw - offset)")
     losses += _lost(calibration, lambda term: term.name == "bias")
     return Export("".join(f"{line}\n" for line in lines), tuple(losses), tuple(dict.fromkeys(notes)))
-
-
-def px4_offset(parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 0) -> Floats:
-    """What PX4 takes off a raw specific force (m/s²), in float32."""
-    single, place = np.float32, _TRIAD.index(axis)
-    x = [single(parameters[f"TC_A{number}_X{k}_{place}"]) for k in range(4)]
-    low, high = (single(parameters[f"TC_A{number}_{end}"]) for end in ("TMIN", "TMAX"))
-    d = np.clip(temperature_c.astype(single), low, high) - single(parameters[f"TC_A{number}_TREF"])
-    return np.asarray(x[0] + x[1] * d + x[2] * d * d + x[3] * d * d * d, np.float64)
 
 
 # --- one temperature --------------------------------------------------------------------------------------------------
@@ -363,46 +307,30 @@ def _one_temperature(calibration: UnitCalibration, at: float) -> list[Loss]:
 
 
 def _kalibr(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
-    at = _at(calibration, options, "Kalibr")
+    at = exports.one_temperature(options, calibration.valid_temperature, "Kalibr")
     form = kalibr_form(linear_at(calibration, at))
-    noise, notes = calibration.noise, ["Kalibr estimates the biases itself and takes none from this file"]
+    notes = ["Kalibr estimates the biases itself and takes none from this file"]
     lines = [
-        f"# gradcal {calibration.serial_number}, {at:g} degC" + (", SIMULATED" if calibration.simulated else ""),
+        exports.file_comment(calibration, at),
         "# measured rate = M * C_gyro_i * rate + A * specific_force + bias + noise",
         "# measured force = M * specific_force + bias + noise",
         "# in the frame in which the accelerometers' M is lower triangular, turned from the calibration's by",
-        f"# {_row(form.frame.ravel())}",
+        f"# {exports.list_text(form.frame.ravel())}",
         "rostopic: /imu0",
     ]
-    if noise is not None:
-        for key, name, unit in (
-            ("gyroscope_noise_density", "angle_random_walk", "rad/s/sqrt(Hz)"),
-            ("gyroscope_random_walk", "rate_random_walk", "rad/s^2/sqrt(Hz)"),
-            ("accelerometer_noise_density", "velocity_random_walk", "m/s^2/sqrt(Hz)"),
-            ("update_rate", "sample_rate", "Hz"),
-        ):
-            if (value := getattr(noise, name)) is not None:
-                lines.append(f"{key}: {float(value):.9g}  # {unit}")
+    lines += exports.kalibr_noise(calibration.noise)
     notes.append("the file wants an accelerometer_random_walk, which no calibration tells")
-    lines += ["model: scale-misalignment", "accelerometers:", "  M:", *_matrix(form.accelerometer)]
-    lines += ["gyroscopes:", "  M:", *_matrix(form.gyro), "  A:", *_matrix(form.sensitivity)]
-    lines += ["  C_gyro_i:", *_matrix(form.rotation)]
+    lines += ["model: scale-misalignment", "accelerometers:", "  M:", *exports.matrix_lines(form.accelerometer)]
+    lines += ["gyroscopes:", "  M:", *exports.matrix_lines(form.gyro), "  A:", *exports.matrix_lines(form.sensitivity)]
+    lines += ["  C_gyro_i:", *exports.matrix_lines(form.rotation)]
     return Export("\n".join(lines) + "\n", tuple(_one_temperature(calibration, at)), tuple(notes))
 
 
-def _matrix(values: Floats) -> list[str]:
-    return [f"  - {_row(row)}" for row in values]
-
-
-def _row(values: Sequence[float] | Floats) -> str:
-    return "[" + ", ".join(repr(float(v)) for v in values) + "]"
-
-
 def _matrices(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
-    at = _at(calibration, options, "This")
+    at = exports.one_temperature(options, calibration.valid_temperature, "This")
     linear = linear_at(calibration, at)
     lines = [
-        f"# gradcal {calibration.serial_number}, {at:g} degC" + (", SIMULATED" if calibration.simulated else ""),
+        exports.file_comment(calibration, at),
         "# force = accelerometer.matrix * (raw force - accelerometer.bias)",
         "# rate = gyro.matrix * (raw rate - gyro.bias - gyro.sensitivity * force); SI; frame: " + calibration.frame,
     ]
@@ -413,10 +341,10 @@ def _matrices(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expor
         lines += [
             f"{name}:",
             "  matrix:",
-            *_matrix(np.asarray(np.linalg.inv(matrix), np.float64)),
-            f"  bias: {_row(bias)}",
+            *exports.matrix_lines(np.asarray(np.linalg.inv(matrix), np.float64)),
+            f"  bias: {exports.list_text(bias)}",
         ]
-    lines += ["  sensitivity:", *_matrix(linear.sensitivity)]
+    lines += ["  sensitivity:", *exports.matrix_lines(linear.sensitivity)]
     return Export("\n".join(lines) + "\n", tuple(_one_temperature(calibration, at)), ())
 
 
@@ -425,27 +353,23 @@ def _matrices(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expor
 
 def _c_header(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
     text, errors = unit_c_header.write_unit(calibration)
-    losses = tuple(Loss(name, what, value, unit) for name, what, value, unit in errors)
+    losses = tuple(Loss(*error) for error in errors)
     lag = [] if calibration.thermal_lag is None else [f"the thermal lag of {calibration.thermal_lag} is not carried"]
     return Export(text, losses, (*lag, "float32, no allocation, no division; all axes in the calibration's frame"))
 
 
 def _csv(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
-    stream, std = io.StringIO(), {}
-    if (known := calibration.covariance) is not None:
-        std = {name: float(np.sqrt(known.matrix[k][k])) for k, name in enumerate(known.names)}
-    stream.write(f"# gradcal {calibration.serial_number}" + (", SIMULATED" if calibration.simulated else "") + "\n")
-    stream.write(f"# {calibration.order}\n")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(("channel", "term", "signals", "name", "value", "std", "unit", "temperature_basis", "rate_basis"))
+    std = exports.coefficient_deviations(calibration.covariance)
+    rows: list[Sequence[str]] = [
+        ("channel", "term", "signals", "name", "value", "std", "unit", "temperature_basis", "rate_basis")
+    ]
     for channel in calibration.channel:
         for term in channel.term:
             bases = (exports.basis_words(term.temperature), exports.basis_words(term.rate))
+            known = (channel.name, term.name, " * ".join(term.signals))
             for name, value in term.coefficients.items():
-                error = std.get(f"{channel.name}.{name}")
-                numbers = (repr(value), "" if error is None else repr(error))
-                writer.writerow((channel.name, term.name, " * ".join(term.signals), name, *numbers, term.unit, *bases))
-    return Export(stream.getvalue(), (), ())
+                rows.append((*known, name, repr(value), std.get(f"{channel.name}.{name}", ""), term.unit, *bases))
+    return exports.csv_file(calibration, rows)
 
 
 UNIT_FORMATS: Final[Mapping[str, Callable[[UnitCalibration, Mapping[str, Any]], Export]]] = {

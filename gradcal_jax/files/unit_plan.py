@@ -15,13 +15,13 @@ from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_seriali
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from gradcal_jax.files.bench import TableAxis, UnitRig
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse
 from gradcal_jax.files.problems import Problem, SpecError, nearest
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, a_table, refuse
-from gradcal_jax.files.unit_rig import TableAxis, UnitRig
 
 _SLACK = 1e-6
 # Of a cycle: what a cycle may lack and be whole, for times that a journal says.

@@ -8,16 +8,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
+from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.checks import course_within
+from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.document import format_problem, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
-from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import FORMAT
-from gradcal_jax.files.unit_design import ALL, WORST, UnitDesign
-from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, cycles_between, unit_schedule
-from gradcal_jax.files.unit_requirement import (
+from gradcal_jax.files.requirement import (
     GyroScaleFactorRequirement,
     MisalignmentRequirement,
     PositionRequirement,
@@ -26,8 +24,10 @@ from gradcal_jax.files.unit_requirement import (
     UnitRequirement,
     UnitRequirements,
 )
-from gradcal_jax.files.unit_rig import UnitRig
-from gradcal_jax.files.unit_sensor import UnitSensor
+from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.sensor import UnitSensor
+from gradcal_jax.files.spec import FORMAT
+from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, cycles_between, unit_schedule
 
 
 class CyclesDone(Section):

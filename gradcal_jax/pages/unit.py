@@ -10,8 +10,8 @@ from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS, unit_residual
 from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files.contracts import Prediction, RequirementRow
+from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
-from gradcal_jax.files.unit_sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.applying import exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement_of, deviations_of, parameter_fact

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from gradcal_jax.api.unit_build import assemble_unit, rest_poses
 from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_residual import UnitResidual, unit_residual
-from gradcal_jax.files.unit_requirement import GyroScaleFactorRequirement, UnitRequirement
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.plots.style import colour_map, from_zero, new_axes, style_of
 

@@ -13,7 +13,7 @@ from gradcal_jax import files
 from gradcal_jax.api.unit_optimise import TOGETHER, CycleValue, UnitOptimum, _items, _limits, optimise_unit
 from gradcal_jax.cli import main
 from gradcal_jax.design.pose_search import PoseState, closed, feasible, neighbour
-from gradcal_jax.files.unit_design import UnitDesign
+from gradcal_jax.files.design import UnitDesign
 
 
 def small(**changes) -> gj.UnitSpec:

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -252,10 +253,10 @@ def test_flight_controllers_take_the_biases_off(target):
     done = unit_exports.export_unit(calibration_of(truth), target, instance=1, device_id=77)
     if target == "ardupilot":
         told = {name: float(value) for name, value in (line.split() for line in done.text.splitlines())}
-        of = {"gyro": exports.ardupilot_correction, "accelerometer": unit_exports.ardupilot_offset}
+        of = {"gyro": exports.ardupilot_correction, "accelerometer": partial(exports.ardupilot_correction, kind="ACC")}
     else:
         told = {row[2]: float(row[3]) for row in (line.split("\t") for line in done.text.splitlines())}
-        of = {"gyro": exports.px4_correction, "accelerometer": unit_exports.px4_offset}
+        of = {"gyro": exports.px4_correction, "accelerometer": partial(exports.px4_correction, letter="A")}
     t = np.linspace(-30.0, 70.0, 41)
     for kind, tolerance in (("gyro", 1e-8), ("accelerometer", 1e-6)):
         for i, a in enumerate("xyz"):

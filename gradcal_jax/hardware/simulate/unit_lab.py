@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...files.unit_sensor import AccelerometerTriad, GyroTriad
+from ...files.sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from .espec import EspecOptions, SimulatedEspec

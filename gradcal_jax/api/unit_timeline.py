@@ -17,7 +17,7 @@ from gradcal_jax.api.contract_rows import (
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.files import unit_timeline as contract
 from gradcal_jax.files.contracts import BasisRow, HarmonicRow, MapRow
-from gradcal_jax.files.sensor import Bias, ScaleFactor
+from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
 from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_plan import UnitStep
 from gradcal_jax.files.unit_spec import UnitSpec

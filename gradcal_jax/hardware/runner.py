@@ -364,19 +364,24 @@ class Runner:
         self._step_ends_s = begin + step.duration_s
         self._event("step begins", step=step.name, number=self._steps_done, begins_s=begin, data=bool(step.read_at_s))
         courses = [course for course in step.courses if flows or course.start_s > 0.0]
-        moves, reads = list(step.moves), list(step.read_at_s)
+        moves, reads = list(step.moves), sorted(step.read_at_s)
         every_s = None if reads else begin
         while True:
             now, motion = self.clock.now(), begin + axes.late_s
             end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
-            reads = [read for read in reads if motion + read <= end + 1e-6]
-            if axes.by_hand:
+            while reads and motion + reads[-1] > end + 1e-6:
+                reads.pop()
+            fallen = 0
+            while fallen < len(reads) and motion + reads[fallen] <= now:
+                fallen += 1
+            if axes.by_hand and fallen:
                 # In somebody's hands nothing is read: of what fell due meanwhile only the last counts.
-                reads = reads[max(sum(motion + read <= now for read in reads) - 1, 0) :]
-            if reads and motion + reads[0] <= now and not axes.turned_by_hand:
-                if late := sum(motion + read < now - latest_s for read in reads):
+                del reads[: fallen - 1]
+                fallen = 1
+            if fallen and not axes.turned_by_hand:
+                if late := sum(motion + read < now - latest_s for read in reads[:fallen]):
                     axes.amiss.append(f"{late} readings are up to {now - motion - reads[0]:.1f} s late")
-                reads = [read for read in reads if motion + read > now]
+                del reads[:fallen]
                 axes.read()
             if every_s is not None and now >= every_s:
                 every_s += step.read_every_s * max(1, round((now - every_s) / step.read_every_s))

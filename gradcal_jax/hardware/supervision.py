@@ -22,7 +22,8 @@ STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
 _ALARM_S: Final = 60.0
 _KNOWS_S: Final = 300.0
-
+# Nobody looks more often; a rehearsal goes through hours in a minute.
+_WRITE_S: Final = 0.2
 
 Knows = Callable[[Path], Any]
 """Of a run's folder what is known by what was done, plain; asked every few minutes, in a thread of its own."""
@@ -90,6 +91,8 @@ class StatusFile:
             # A full disk is the journal's to complain of.
             with suppress(OSError):
                 write_whole(self._path, json.dumps(json_of(said), indent=1) + "\n")
+            with self._change:
+                self._change.wait_for(lambda: self._over, _WRITE_S)
 
 
 def read_status(folder: Path) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import numpy as np
 from variants import MOVING, STATIC, spec_of
 
 from gradcal_jax.api.measure import Measure, measure
-from gradcal_jax.api.optimise import PRICED, Step, optimise, polished, shadow_prices
+from gradcal_jax.api.optimise import PRICED, SearchStep, optimise, polished, shadow_prices
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.structures import structures
 from gradcal_jax.design import Coordinates, Optimum, ProgrammeKnots, polish
@@ -34,7 +34,7 @@ NAMES = [name for name in (*MOVING, *STATIC) if name != "shortest-for-77ppm"]
 def tried(name: str, count: int) -> dict[str, Any]:
     """Optimise a variant, perturb its optimum and polish `count` times, ease its limits."""
     spec = spec_of(name)
-    kept = [e.checkpoint for e in optimise(spec) if isinstance(e, Step)][-1]
+    kept = [e.checkpoint for e in optimise(spec) if isinstance(e, SearchStep)][-1]
     structure = structures(spec, [s for s, _ in scenario_specs(spec)])[kept.best_structure]
     of = measure(spec)
     coordinates, found = polished(of, structure.coordinates, kept.best.best_point)

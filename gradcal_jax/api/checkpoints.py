@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gradcal_jax.api.optimise import Checkpoint
-from gradcal_jax.design import State
+from gradcal_jax.design import SearchState
 from gradcal_jax.files import Spec, to_toml
 from gradcal_jax.files.writing import whole
 
@@ -37,9 +37,9 @@ def read(path: Path, spec: Spec) -> Checkpoint:
             raise ValueError(f"{path} was kept for another spec: start anew, without --resume")
         states = []
         for name in ("state", "best"):
-            of = {field: arrays[f"{name}_{field}"] for field in State._fields}
+            of = {field: arrays[f"{name}_{field}"] for field in SearchState._fields}
             numbers = int(of["step"]), float(of["first"]), float(of["best"])
-            states.append(State(of["points"], of["values"], *numbers, of["best_point"]))
+            states.append(SearchState(of["points"], of["values"], *numbers, of["best_point"]))
         at = [int(k) for k in arrays["at"]]
     except (OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
         raise ValueError(f"{path} cannot be read as a search kept by optimise: start anew, without --resume") from error

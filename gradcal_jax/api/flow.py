@@ -58,7 +58,7 @@ def optimise(
     steps: int = search.STEPS,
     quick: bool = False,
     until_met: bool = False,
-    watch: Callable[[search.Step], None] = lambda _: None,
+    watch: Callable[[search.SearchStep], None] = lambda _: None,
 ) -> search.Optimised:
     """The best plan that gradient descent finds for a spec with a [design], rounded to the controllers' steps.
 

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.optimise import STEPS, Optimised, Step, optimise
+from gradcal_jax.api.optimise import STEPS, Optimised, SearchStep, optimise
 from gradcal_jax.files import Spec
 
 _BLIND: Final = (
@@ -22,7 +22,11 @@ class FrontierPoint(NamedTuple):
 
 
 def frontier(
-    spec: Spec, times: list[float], *, steps: int = STEPS, watch: Callable[[float, Step], None] = lambda _, __: None
+    spec: Spec,
+    times: list[float],
+    *,
+    steps: int = STEPS,
+    watch: Callable[[float, SearchStep], None] = lambda _, __: None,
 ) -> Iterator[FrontierPoint]:
     """Optimise for each of `times` (s, without soaks). `watch` is told every step. Errors: as `optimise` for all."""
     for time in times:

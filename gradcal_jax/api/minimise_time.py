@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from gradcal_jax.api.limit import limits
-from gradcal_jax.api.optimise import STEPS, Optimised, Price, Step, optimise
+from gradcal_jax.api.optimise import STEPS, Optimised, Price, SearchStep, optimise
 from gradcal_jax.api.posterior_of_plan import limit_of
 from gradcal_jax.api.structures import motion_time, ramp_ends
 from gradcal_jax.files import Spec
@@ -21,7 +21,7 @@ _SHORTEST = 1.0 / 20.0
 
 def minimise_time(
     spec: Spec, *, steps: int = STEPS, quick: bool = False, stop: Callable[[], bool] = lambda: False
-) -> Iterator[Step | Optimised]:
+) -> Iterator[SearchStep | Optimised]:
     """As `optimise`, for [design] that minimises "motion time" or "total time" under the requirements' targets.
 
     Values are durations in min, of the motion alone: a soak adds the same to each. Errors: `ValueError` where the

@@ -21,7 +21,7 @@ from gradcal_jax.design import (
     Optimum,
     ProgrammeCoordinates,
     ProgrammeKnots,
-    State,
+    SearchState,
     exactly,
     missed_limit,
     multipliers,
@@ -56,7 +56,7 @@ _HOPS: Final = 80
 _HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
 
 
-class Step(NamedTuple):
+class SearchStep(NamedTuple):
     """How far an optimisation is: `best` in `unit`, of `name`; `share` of the work that is done, 0 to 1.
 
     `missed`: what the best plan so far does not keep, in words.
@@ -76,9 +76,9 @@ class Checkpoint(NamedTuple):
     """All that an optimisation needs to go on: which structure it is at, its state, and the best of those before."""
 
     structure: int
-    state: State
+    state: SearchState
     best_structure: int
-    best: State
+    best: SearchState
 
 
 class Price(NamedTuple):
@@ -182,7 +182,7 @@ def optimise(
     motion: float | None = None,
     checkpoint: Checkpoint | None = None,
     stop: Callable[[], bool] = lambda: False,
-) -> Iterator[Step | Optimised]:
+) -> Iterator[SearchStep | Optimised]:
     """Yield a `Step` every few iterations and the `Optimised` plan at the end.
 
     `quick`: few starts, and a brief polish by the same program. `until_met`: no further than to a plan that, rounded,
@@ -217,7 +217,7 @@ def optimise(
             yield own
             return
 
-    def reached_by(compiled: Compiled, state: State) -> tuple[float, str]:
+    def reached_by(compiled: Compiled, state: SearchState) -> tuple[float, str]:
         """What the best point of a search comes to, and what it does not keep."""
         value, excess = exactly(compiled, state.best_point)
         return value, missed_limit(excess, of.limits)
@@ -244,7 +244,7 @@ def optimise(
                 best = k, progress.state
                 value, missed = reached_by(compiled, progress.state)
             share = (k + progress.step / progress.steps) / len(choices)
-            yield Step(
+            yield SearchStep(
                 of.name,
                 of.unit,
                 known,
@@ -274,7 +274,7 @@ def finished(
     of: Measure,
     before: float | None,
     structure: Structure,
-    state: State,
+    state: SearchState,
     motion: float | None,
     stop: Callable[[], bool],
     quick: bool,
@@ -361,7 +361,7 @@ def polished(
     return coordinates, found
 
 
-def _ends(compiled: Compiled, state: State) -> tuple[float, ...]:
+def _ends(compiled: Compiled, state: SearchState) -> tuple[float, ...]:
     """Where each start ended, the best first; `inf` where a limit is exceeded."""
     ends = [exactly(compiled, point) for point in state.points]
     return tuple(sorted(value if np.all(excess <= KEPT) else float(np.inf) for value, excess in ends))

@@ -11,7 +11,7 @@ from gradcal_jax.design import (
     STEEPNESS,
     AnyCoordinates,
     Coordinates,
-    Cycle,
+    CycleNumbers,
     Element,
     Limits,
     ProgrammeCoordinates,
@@ -112,7 +112,7 @@ def _stretches(
     return items
 
 
-def _cycle(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> Spec:
+def _cycle(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> Spec:
     """Rests become whole numbers of readings; turns are written by angle, rate and duration, each on its grid."""
     frame = coordinates.frame
     every = float(frame.read_every)
@@ -194,7 +194,7 @@ class _Move(NamedTuple):
         return short._replace(angle=count * fine).lasting(duration, limits, step) if count else None
 
 
-def _moves(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> list[_Move]:
+def _moves(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> list[_Move]:
     """The moves on the controllers' grids.
 
     Rates are kept as they are, or, where travel is limited, the places at which turns end: nothing then adds up over
@@ -287,7 +287,7 @@ def _rounded(coordinates: Coordinates, durations: np.ndarray, every: float, step
     return found
 
 
-def _programme(spec: Spec, coordinates: Coordinates, cycle: Cycle) -> dict[str, object]:
+def _programme(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> dict[str, object]:
     """The ramp: one slope, or one from each turn at the table to the next."""
     frame = coordinates.frame
     start, end = float(frame.temperature_start), float(frame.temperature_end)

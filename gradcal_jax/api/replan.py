@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.flow import optimise
 from gradcal_jax.api.measure import design_block
-from gradcal_jax.api.optimise import Optimised, Step
+from gradcal_jax.api.optimise import Optimised, SearchStep
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, residual_map, statistic_of
 from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing, visit_times
 from gradcal_jax.api.unit_build import assemble_unit, motion_of
@@ -162,7 +162,7 @@ def replan(
     left_s: float | None = None,
     pause_s: float = PAUSE_S,
     quick: bool = False,
-    watch: Callable[[Step], None] = lambda _: None,
+    watch: Callable[[SearchStep], None] = lambda _: None,
 ) -> Optimised:
     """The best plan for what is left of a run, given what was done of it. Of a whole unit: `rest_of`, and `optimise`.
 

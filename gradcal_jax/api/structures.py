@@ -11,7 +11,7 @@ import numpy as np
 from gradcal_jax.api.build import basis, shortest_correlation_time
 from gradcal_jax.design import (
     AnyCoordinates,
-    Cycle,
+    CycleNumbers,
     Element,
     Frame,
     Limits,
@@ -293,7 +293,7 @@ def _given(spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozen
     own, other = cycle.moving, cycle.other + cycle.idle
     visits = repetitions(time, own, own + other)[0]
     numbers = lambda name: np.array([float(getattr(m, name)) for m in cast("list[ResolvedMove]", moves)])  # noqa: E731
-    nominal = Cycle(numbers("duration"), numbers("peak_rate"), numbers("ramp"), np.zeros(visits))
+    nominal = CycleNumbers(numbers("duration"), numbers("peak_rate"), numbers("ramp"), np.zeros(visits))
     coordinates = make_coordinates(
         tuple(Element(m.shape, 0.0) for m in moves),
         limits_of(spec, scenarios),

@@ -14,7 +14,7 @@ from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.api.frontier import FrontierPoint
-    from gradcal_jax.api.optimise import Step
+    from gradcal_jax.api.optimise import SearchStep
 
 
 def frontier(
@@ -61,7 +61,7 @@ def frontier(
         output.mkdir(parents=True, exist_ok=True)
     reached: list[FrontierPoint] = []
 
-    def show(motion: float, step: "Step") -> None:
+    def show(motion: float, step: "SearchStep") -> None:
         line.show(f"{time_text(motion)}: {step.share:4.0%}  {amount(step.best, step.unit)}")
 
     with MovingLine(sys.stderr) as line:

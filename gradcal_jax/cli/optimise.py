@@ -15,7 +15,7 @@ from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.optimise import Optimised, Step
+    from gradcal_jax.api.optimise import Optimised, SearchStep
     from gradcal_jax.api.unit_optimise import UnitOptimum
     from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -147,7 +147,7 @@ def text(best: "Optimised") -> str:
     return "\n".join(lines)
 
 
-def progress_of(step: "Step") -> str:
+def progress_of(step: "SearchStep") -> str:
     """How far a search is, in one line."""
     before = "" if step.before is None else f"{step.before:.4g} -> "
     missed = f", but {step.missed}" if step.missed else ""

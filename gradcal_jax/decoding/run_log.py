@@ -34,7 +34,7 @@ from ..hardware.roles import ImuBatch, ImuDecoder
 from ..hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from ..hardware.setup import config_of, driver_of
 from ..hardware.stretches import breaks_off
-from ..hardware.track import Move
+from ..hardware.track import AxisCommand
 from .alignment import Alignment, AngleTrack, align
 from .clockmap import ClockMap, fit_clock
 from .rounds import Doubt, rounds_resolved
@@ -489,14 +489,14 @@ def _own_course(
         if first == 0 or move.get("kind") not in ("go", "turn") or not move.get("acceleration_dps2"):
             continue
         angle, rate = float(values[first] - values[first - 1]), float(move["rate_dps"])
-        turn = Move(0.0, "", "turn", rate_dps=rate, acceleration_dps2=move["acceleration_dps2"], angle_deg=angle)
+        turn = AxisCommand(0.0, "", "turn", rate_dps=rate, acceleration_dps2=move["acceleration_dps2"], angle_deg=angle)
         # A person, or a stage that was held up, is not done when the trapezoid is.
         if turn.duration_s + _LATE_S > times[first] - begin:
             result[low:middle] = values[first - 1] + _turned(turn, host[low:middle] - begin)
     return result
 
 
-def _turned(turn: Move, since: Floats) -> Floats:
+def _turned(turn: AxisCommand, since: Floats) -> Floats:
     """How far a turn has come (deg), seconds after it began."""
     size, whole = abs(turn.angle_deg), turn.duration_s
     if whole == 0.0:

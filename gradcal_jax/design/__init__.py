@@ -1,6 +1,14 @@
 """Plans by gradient descent: free coordinates, criteria, the search, and a proven limit."""
 
-from gradcal_jax.design.coordinates import STEEPNESS, Coordinates, Cycle, Element, Frame, Limits, make_coordinates
+from gradcal_jax.design.coordinates import (
+    STEEPNESS,
+    Coordinates,
+    CycleNumbers,
+    Element,
+    Frame,
+    Limits,
+    make_coordinates,
+)
 from gradcal_jax.design.criteria import Criterion, Missed, Optimality, criterion, polynomial_grid
 from gradcal_jax.design.limit import Limit, limit
 from gradcal_jax.design.noise_floor import (
@@ -13,4 +21,14 @@ from gradcal_jax.design.noise_floor import (
 )
 from gradcal_jax.design.objective import AnyCoordinates, Case, Objective
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
-from gradcal_jax.design.search import KEPT, Compiled, Optimum, State, exactly, missed_limit, multipliers, polish, search
+from gradcal_jax.design.search import (
+    KEPT,
+    Compiled,
+    Optimum,
+    SearchState,
+    exactly,
+    missed_limit,
+    multipliers,
+    polish,
+    search,
+)

@@ -67,7 +67,7 @@ class Limits(NamedTuple):
     max_slope: Scalar
 
 
-class Cycle(NamedTuple):
+class CycleNumbers(NamedTuple):
     """A decoded cycle: durations (s), signed peak rates (rad/s), ramp times (s) of its moves; temperature steps (K).
 
     There is a step for each turn at the table of the whole ramp, taken from its start to the next one's.
@@ -113,7 +113,7 @@ class Coordinates(eqx.Module):
 
     limits: Limits
     frame: Frame
-    nominal: Cycle
+    nominal: CycleNumbers
     template: Schedule
     shape: Int[AnyArray, " k"]
     least: Float[AnyArray, " k"]
@@ -144,7 +144,7 @@ class Coordinates(eqx.Module):
         columns = (self.shape, self.least, self.group)
         return tuple(Element(SHAPES[s], float(least), int(g)) for s, least, g in zip(*columns, strict=True))
 
-    def cycle(self, z: Float[AnyArray, " size"]) -> Cycle:
+    def cycle(self, z: Float[AnyArray, " size"]) -> CycleNumbers:
         """Decode: see the table at the module's head."""
         ends = np.cumsum(self._sizes)
         timed, turns, ramps, steps = (z[a:b] for a, b in pairwise([0, *ends]))
@@ -154,7 +154,7 @@ class Coordinates(eqx.Module):
         """The plan of a vector."""
         return self.plan(self.cycle(z))
 
-    def plan(self, cycle: Cycle) -> Schedule:
+    def plan(self, cycle: CycleNumbers) -> Schedule:
         """The plan of a decoded cycle, its rests relaxed: readings by their share, not by whole numbers."""
         frame, lasting = self.frame, self.lasting()
         xp = namespace(cycle, frame)
@@ -182,7 +182,7 @@ class Coordinates(eqx.Module):
         share = left[:, None] * weight / xp.maximum(xp.sum(weight, axis=1, keepdims=True), 1.0)
         return self.least + xp.sum(share, axis=0)
 
-    def _turned(self, durations, z_rates, z_ramps) -> Cycle:
+    def _turned(self, durations, z_rates, z_ramps) -> CycleNumbers:
         """Turns at the share of the largest possible rate that is wanted, and less where the travel ends."""
         cap = self._cap(durations)
         xp = namespace(cap, z_rates)
@@ -206,7 +206,7 @@ class Coordinates(eqx.Module):
     def _of_shape(self, table: np.ndarray):
         return namespace(self.shape).asarray(table)[self.shape]
 
-    def _ramps(self, durations, peak, z_ramps) -> Cycle:
+    def _ramps(self, durations, peak, z_ramps) -> CycleNumbers:
         xp = namespace(durations, peak, z_ramps)
         least = self._of_shape(_STEEP) * xp.abs(peak) / self.limits.max_acceleration
         ramp, ramped = self.nominal.ramps, self.ramped
@@ -215,9 +215,9 @@ class Coordinates(eqx.Module):
             ramp = put(ramp, ramped, least[ramped] + room * _sigmoid(z_ramps))
         else:
             ramp = xp.clip(ramp, least, 0.5 * durations)
-        return Cycle(durations, peak, ramp, self.nominal.steps)
+        return CycleNumbers(durations, peak, ramp, self.nominal.steps)
 
-    def _within_travel(self, wanted: Cycle, fastest: Cycle) -> Cycle:
+    def _within_travel(self, wanted: CycleNumbers, fastest: CycleNumbers) -> CycleNumbers:
         """Each turn takes its share of what may be turned that way from where the axis stands.
 
         A cycle that is made again must end where it began: what no later turn could undo is left out, too, and where
@@ -276,12 +276,12 @@ class Coordinates(eqx.Module):
         mix = xp.clip(xp.min(room), 0.0, 1.0)
         return even + mix * (uneven - even)
 
-    def angles(self, cycle: Cycle) -> Float[AnyArray, " k"]:
+    def angles(self, cycle: CycleNumbers) -> Float[AnyArray, " k"]:
         """How far each move turns, rad."""
         by_duration, by_ramp = (self._of_shape(column) for column in _ANGLE)
         return cycle.peak_rates * (by_duration * cycle.durations + by_ramp * cycle.ramps)
 
-    def vector(self, cycle: Cycle) -> Float[np.ndarray, " size"]:
+    def vector(self, cycle: CycleNumbers) -> Float[np.ndarray, " size"]:
         """Free numbers whose cycle is nearly the given one: bounds can only be approached."""
         durations, peaks, ramps = (np.asarray(v) for v in cycle[:3])
         spare = np.maximum(durations - self.least, 1e-4)
@@ -295,7 +295,7 @@ class Coordinates(eqx.Module):
         parts = (np.log(spare), np.arctanh(np.clip(rates, -1 + 1e-4, 1 - 1e-4)), z_ramps, np.log(steps))
         return np.concatenate([p for p, size in zip(parts, self._sizes, strict=True) if size])
 
-    def _shares(self, cycle: Cycle, z_ramps: np.ndarray) -> np.ndarray:
+    def _shares(self, cycle: CycleNumbers, z_ramps: np.ndarray) -> np.ndarray:
         """Which share of the largest rate each turn has; with limited travel, the share that makes its angle."""
         turns, cap = self.turns, self._cap(np.asarray(cycle.durations))
         if not self.travels:
@@ -306,7 +306,7 @@ class Coordinates(eqx.Module):
             peaks = put(np.zeros(len(cap)), turns, shares * cap[turns])
             return self.angles(self._ramps(np.asarray(cycle.durations), peaks, ramps))[turns]
 
-        made, reach = self.angles(Cycle(*map(np.asarray, cycle)))[turns], at_shares(np.ones(len(turns)))
+        made, reach = self.angles(CycleNumbers(*map(np.asarray, cycle)))[turns], at_shares(np.ones(len(turns)))
         at = np.concatenate([[0.0], np.cumsum(made)[:-1]])
         room = np.minimum(reach, np.maximum(float(self.limits.travel) - np.sign(made) * at, 0.0))
         wanted = reach * np.abs(made) / np.where(room > 0.0, room, 1.0)
@@ -318,7 +318,7 @@ class Coordinates(eqx.Module):
             low, high = np.where(short, middle, low), np.where(short, high, middle)
         return np.sign(made) * 0.5 * (low + high)
 
-    def pruned(self, cycle: Cycle) -> "tuple[Coordinates, Cycle]":
+    def pruned(self, cycle: CycleNumbers) -> "tuple[Coordinates, CycleNumbers]":
         """The structure without the turns that the search has shrunk to nothing, their time given to the longest."""
         durations, elements = np.array(cycle.durations), self.elements()
         keep = np.ones(len(elements), bool)
@@ -345,10 +345,10 @@ class Coordinates(eqx.Module):
             if longest is not None:
                 durations[longest] += spare
         peaks, ramps = (np.asarray(v)[keep] for v in cycle[1:3])
-        left = Cycle(durations[keep], peaks, ramps, np.asarray(cycle.steps))
+        left = CycleNumbers(durations[keep], peaks, ramps, np.asarray(cycle.steps))
         return self.with_elements(tuple(e for e, k in zip(elements, keep, strict=True) if k), left), left
 
-    def with_elements(self, elements: tuple[Element, ...], nominal: Cycle) -> "Coordinates":
+    def with_elements(self, elements: tuple[Element, ...], nominal: CycleNumbers) -> "Coordinates":
         """Other moves in the same frame."""
         cycles, tail = int(self.visits) // self.groups, bool(len(self.template.fill_move))
         structure = _Structure(cycles, self.others_read, self.free, self.parts, tail)
@@ -360,7 +360,7 @@ class Coordinates(eqx.Module):
         steps = size_class(len(self.nominal.steps))
         longer = lambda values, filling=0.0: filled(values, count, filling)  # noqa: E731
         none = lambda places: filled(places, size_class(len(places)), count)  # noqa: E731
-        nominal = Cycle._make([*map(longer, self.nominal[:3]), filled(self.nominal.steps, steps, 0.0)])
+        nominal = CycleNumbers._make([*map(longer, self.nominal[:3]), filled(self.nominal.steps, steps, 0.0)])
         groups = size_class(self.groups)
         return replace(
             self,
@@ -420,7 +420,7 @@ def make_coordinates(
     cycles: int,
     others_read: bool,
     free: frozenset[str],
-    nominal: Cycle | None = None,
+    nominal: CycleNumbers | None = None,
     longest_piece: float = np.inf,
 ) -> Coordinates:
     """Coordinates from plain numbers. `nominal` None: every visit's time shared evenly, nothing turning.
@@ -452,7 +452,7 @@ def make_coordinates(
     if nominal is None:
         share = [float(frame.own_time) / sum(o.group == e.group for o in elements) for e in elements]
         zeros = np.zeros(len(elements))
-        nominal = Cycle(np.array(share), zeros, zeros, np.zeros(cycles * groups))
+        nominal = CycleNumbers(np.array(share), zeros, zeros, np.zeros(cycles * groups))
     parts = max(1, int(np.ceil(float(frame.own_time) / longest_piece)))
     tail = bool(frame.motion_time - used > 1e-6)
     return _coordinates(elements, limits, frame, nominal, _Structure(cycles, others_read, free, parts, tail))
@@ -469,7 +469,7 @@ class _Structure(NamedTuple):
 
 
 def _coordinates(
-    elements: tuple[Element, ...], limits: Limits, frame: Frame, nominal: Cycle, structure: _Structure
+    elements: tuple[Element, ...], limits: Limits, frame: Frame, nominal: CycleNumbers, structure: _Structure
 ) -> Coordinates:
     cycles, others_read, free, parts, tail = structure
     groups, count = elements[-1].group + 1, len(elements)

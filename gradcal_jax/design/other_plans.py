@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
-from gradcal_jax.design.search import Linear
+from gradcal_jax.design.search import LinearLimits
 from gradcal_jax.trajectory import Programme, Schedule, standard_plan
 from gradcal_jax.trajectory.motion import even_division, standing
 from gradcal_jax.trajectory.schedule import Points, make_schedule
@@ -127,7 +127,7 @@ class ProgrammeKnots(_Programmes):
         return np.concatenate([durations / np.sum(durations), np.clip(z[self.stretches :], 0.0, 1.0)])
 
     @property
-    def limits(self) -> Linear:
+    def limits(self) -> LinearLimits:
         """Least durations, both slopes of every stretch, the range at every knot; the durations fill the time."""
         n = self.stretches
         size, span = 2 * n + 1, float(self.warmest - self.coldest) / float(self.time)
@@ -142,7 +142,7 @@ class ProgrammeKnots(_Programmes):
         rows = np.concatenate([timed, heating / fastest, cooling / fastest, eye[n:], -eye[n:], np.eye(1, size) * 0.0])
         rows[-1, :n] = 1.0
         least = np.concatenate([np.full(n, _LEAST_SHARE / n), np.zeros(2 * n), np.zeros(n + 1), -np.ones(n + 1), [1.0]])
-        return Linear(rows, least, np.arange(len(rows)) == len(rows) - 1)
+        return LinearLimits(rows, least, np.arange(len(rows)) == len(rows) - 1)
 
 
 class StandardCoordinates(eqx.Module):

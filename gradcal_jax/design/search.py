@@ -131,7 +131,7 @@ class Compiled:
         return Slopes(logs, of_z[:, self._places], of_eased)
 
 
-class State(NamedTuple):
+class SearchState(NamedTuple):
     """All that a search needs to go on: where every start is, what it reached, how many descents are done, the best.
 
     A start that did not go on to a later stage stays where it was.
@@ -152,10 +152,10 @@ class Progress(NamedTuple):
     best: float
     step: int
     steps: int
-    state: State
+    state: SearchState
 
 
-class Linear(NamedTuple):
+class LinearLimits(NamedTuple):
     """Limits on a vector: `rows @ z >= least`, and exactly equal where `equal` says so."""
 
     rows: np.ndarray
@@ -186,7 +186,7 @@ def search(
     steps: int = 240,
     hops: int = 8,
     quick: bool = False,
-    state: State | None = None,
+    state: SearchState | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Progress]:
     """Yield `Progress` after every descent; the last one's state holds the best point.
@@ -208,7 +208,7 @@ def search(
                 "no random start gives a finite residual: the plan's structure cannot observe the parameters"
             )
         at = int(np.argmin(values))
-        state = State(points, values, 0, float(values[at]), float(values[at]), points[at])
+        state = SearchState(points, values, 0, float(values[at]), float(values[at]), points[at])
         yield Progress(state.first, state.best, 0, total, state)
     done, without_gain, hop_from = 0, 0, np.inf
     for number, level in enumerate(plan):
@@ -236,7 +236,7 @@ def search(
                 best, best_point = value, reached
             points, values = state.points.copy(), state.values.copy()
             points[at], values[at] = reached, value
-            state = State(points, values, state.step + 1, state.first, best, best_point)
+            state = SearchState(points, values, state.step + 1, state.first, best, best_point)
             yield Progress(state.first, state.best, state.step, total, state)
             if stop():
                 return
@@ -289,7 +289,7 @@ def polish(
     *,
     steps: int = 300,
     rounds: int = _POLISHES,
-    linear: Linear | None = None,
+    linear: LinearLimits | None = None,
     names: Sequence[str] = (),
 ) -> Optimum:
     """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly.
@@ -427,7 +427,7 @@ def multipliers(compiled: Compiled, point: np.ndarray) -> Float[np.ndarray, " k"
     return costs
 
 
-def _beyond(linear: Linear | None, point: np.ndarray) -> float:
+def _beyond(linear: LinearLimits | None, point: np.ndarray) -> float:
     """By how much a point exceeds the worst of its linear limits."""
     if linear is None:
         return 0.0
@@ -435,7 +435,7 @@ def _beyond(linear: Linear | None, point: np.ndarray) -> float:
     return float(np.max(np.where(linear.equal, np.abs(room), -room), initial=0.0))
 
 
-def _projected(values: np.ndarray, rows: np.ndarray, point: np.ndarray, linear: Linear | None) -> float:
+def _projected(values: np.ndarray, rows: np.ndarray, point: np.ndarray, linear: LinearLimits | None) -> float:
     """Largest component of the gradient, less its best combination of the gradients of the limits that bind."""
     gradient, binding = rows[0], rows[1:][values[1:] > -_BINDING]
     if linear is not None:

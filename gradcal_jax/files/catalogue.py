@@ -123,7 +123,7 @@ class CatalogueFile(Section):
 
 
 @dataclass(frozen=True)
-class Case:
+class CatalogueCase:
     """One combination. `spec` is its spec, or None with the `failure` that says why it has none."""
 
     names: tuple[str, str, str, str]
@@ -142,7 +142,7 @@ class Catalogue:
 
     file: CatalogueFile
     text: str
-    cases: tuple[Case, ...]
+    cases: tuple[CatalogueCase, ...]
 
 
 def slug(name: str) -> str:
@@ -172,7 +172,7 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
         return Catalogue(file, text, tuple(_cases(file, Path(folder), source)))
 
 
-def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Case]:
+def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[CatalogueCase]:
     bases: dict[str, Spec] = {}
 
     def base_of(name: str) -> Spec:
@@ -220,9 +220,9 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Case]:
             "design": design,
         }
         try:
-            yield Case(names, spec_of(document))
+            yield CatalogueCase(names, spec_of(document))
         except SpecError as error:
-            yield Case(names, None, " ".join(str(error).split()))
+            yield CatalogueCase(names, None, " ".join(str(error).split()))
 
 
 def _problems_of(tables: Mapping[str, Any]) -> Sequence[Problem]:

@@ -150,7 +150,7 @@ class DeviceLimits(Section):
     """How far a spin may go."""
 
 
-class Question(Section):
+class LineQuestion(Section):
     """`[ask.NAME]`. `last`: the line that ends a reply of several; `bare`: nothing ends the question."""
 
     send: Text
@@ -169,7 +169,7 @@ class Question(Section):
         return {match[1]: match[2] or "number" for match in found if match[1]}
 
     @model_validator(mode="after")
-    def _ends(self) -> "Question":
+    def _ends(self) -> "LineQuestion":
         if len(self.reply) > 1 and self.last is None:
             refuse(Problem(("last",), "this key is missing; it ends a reply of several lines", kind="missing"))
         return self
@@ -254,7 +254,7 @@ class LineProtocol(Section):
     """What the device's own numbers are in."""
     limits: DeviceLimits = DeviceLimits()
     """What it can do."""
-    ask: dict[str, Question]
+    ask: dict[str, LineQuestion]
     """What can be read, by name."""
     tell: dict[str, Command]
     """What can be told, by name."""

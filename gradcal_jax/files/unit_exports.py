@@ -117,7 +117,7 @@ def _renamed(term: CalibratedTerm, letter: str) -> dict[str, float]:
     return {letter + name.removeprefix(letter).rjust(1, "0"): value for name, value in term.coefficients.items()}
 
 
-class Linear(NamedTuple):
+class LinearUnit(NamedTuple):
     """A unit at one temperature, turned slowly: measured rate = `gyro` ω + `sensitivity` f + `gyro_bias`, measured
     force = `accelerometer` f + `accelerometer_bias`; SI.
     """
@@ -129,10 +129,10 @@ class Linear(NamedTuple):
     accelerometer_bias: Floats
 
 
-def linear_at(calibration: UnitCalibration, temperature_c: float) -> Linear:
+def linear_at(calibration: UnitCalibration, temperature_c: float) -> LinearUnit:
     """The linear part of every channel at one temperature; what a unit has not is taken as perfect."""
     matrix, bias = linear_part(calibration.channel, temperature_c)
-    return Linear(matrix[:3, :3], bias[:3], matrix[:3, 3:], matrix[3:, 3:], bias[3:])
+    return LinearUnit(matrix[:3, :3], bias[:3], matrix[:3, 3:], matrix[3:, 3:], bias[3:])
 
 
 def _lost(calibration: UnitCalibration, carried: Callable[[CalibratedTerm], bool]) -> list[Loss]:
@@ -272,7 +272,7 @@ class KalibrForm(NamedTuple):
     frame: Floats
 
 
-def kalibr_form(linear: Linear) -> KalibrForm:
+def kalibr_form(linear: LinearUnit) -> KalibrForm:
     """The same matrices with their rotations taken apart: lower triangular times rotation, positive diagonals."""
     accelerometer, frame = _triangular(linear.accelerometer)
     gyro, rotation = _triangular(linear.gyro @ frame.T)

@@ -15,7 +15,7 @@ from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove
 from ..formulas import reading_times, shape_pieces
 from ..units import to_unit
 from .errors import HardwareError
-from .track import Course, Move, Stable, Step, Track
+from .track import AxisCommand, Course, Stable, Track, TrackStep
 
 _LONGEST_STAND_S = 600.0
 _SPLINE_PIECE_S = 0.5
@@ -32,7 +32,7 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
     names = _names(recipe, axes)
     segments = recipe.chamber.programme
     blocks = {block.begins_with: block for block in recipe.motion}
-    steps: list[Step] = []
+    steps: list[TrackStep] = []
     place = 0
     while place < len(segments):
         segment = segments[place]
@@ -73,10 +73,10 @@ def _course(segment: ChamberSegment, start_s: float) -> Course:
     return Course(start_s, float(segment.temperature_end), ramp)
 
 
-def _unused(segment: ChamberSegment, stability: Stability, *, first: bool) -> Step:
+def _unused(segment: ChamberSegment, stability: Stability, *, first: bool) -> TrackStep:
     course = _course(segment, 0.0)
     waits = segment.begins == "when stable"
-    return Step(
+    return TrackStep(
         segment.name,
         float(segment.duration),
         course.temperature_c,
@@ -97,14 +97,14 @@ class _Piece:
     name: str
     start_s: float
     duration_s: float
-    moves: list[Move] = field(default_factory=list[Move])
+    moves: list[AxisCommand] = field(default_factory=list[AxisCommand])
     read_at_s: list[float] = field(default_factory=list[float])
     slack_s: float = 0.0
 
 
 def _stretch(
     block: MotionBlock, segments: Sequence[ChamberSegment], stability: Stability, names: dict[str, str], *, first: bool
-) -> list[Step]:
+) -> list[TrackStep]:
     waits = segments[0].begins == "when stable"
     total = math.fsum(float(segment.duration) for segment in segments)
     pieces = _pieces(block, total, names)
@@ -115,7 +115,7 @@ def _stretch(
         clock += float(segment.duration)
     at = dict.fromkeys(names.values(), 0.0)
     at |= {names[name]: to_unit(float(angle), "deg") for name, angle in block.start.items()}
-    steps: list[Step] = []
+    steps: list[TrackStep] = []
     for number, piece in enumerate(pieces):
         end = piece.start_s + piece.duration_s
         told = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
@@ -125,7 +125,7 @@ def _stretch(
             if piece.start_s - 1e-6 <= course.start_s < end - 1e-6
         )
         steps.append(
-            Step(
+            TrackStep(
                 piece.name,
                 piece.duration_s,
                 told.temperature_c,
@@ -214,11 +214,11 @@ def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
     for number, move in enumerate(block.moves, 1):
         rate = to_unit(float(move.rate or 0.0), "deg/s")
         duration = float(move.duration)
-        moves: list[Move] = []
+        moves: list[AxisCommand] = []
         if rate and axis:
-            moves.append(Move(0.0, axis, "spin", rate_dps=rate, acceleration_dps2=_SPIN_ACCELERATION_DPS2))
+            moves.append(AxisCommand(0.0, axis, "spin", rate_dps=rate, acceleration_dps2=_SPIN_ACCELERATION_DPS2))
         elif axis and number > 1:
-            moves.append(Move(0.0, axis, "stop"))
+            moves.append(AxisCommand(0.0, axis, "stop"))
         reads = [0.0, *reading_times(duration, 1.0)] if number == 1 else reading_times(duration, 1.0)
         name = f"{block.begins_with}, rate {number} of {len(block.moves)}"
         pieces.append(_Piece(name, float(move.start), duration, moves, reads))
@@ -238,7 +238,7 @@ def _add(piece: _Piece, move: TrackMove, names: dict[str, str]) -> None:
             piece.read_at_s.append(start + duration)
 
 
-def _commands(move: TrackMove, start: float, axis: str) -> list[Move]:
+def _commands(move: TrackMove, start: float, axis: str) -> list[AxisCommand]:
     assert move.angle is not None
     assert move.rate is not None
     assert move.acceleration is not None
@@ -257,11 +257,13 @@ def _commands(move: TrackMove, start: float, axis: str) -> list[Move]:
     return _spline(move, start, axis, angle, rate, acceleration)
 
 
-def _turn(start: float, axis: str, angle: float, rate: float, acceleration: float) -> Move:
-    return Move(start, axis, "turn", rate_dps=abs(rate), acceleration_dps2=acceleration, angle_deg=angle)
+def _turn(start: float, axis: str, angle: float, rate: float, acceleration: float) -> AxisCommand:
+    return AxisCommand(start, axis, "turn", rate_dps=abs(rate), acceleration_dps2=acceleration, angle_deg=angle)
 
 
-def _spline(move: TrackMove, start: float, axis: str, angle: float, peak: float, acceleration: float) -> list[Move]:
+def _spline(
+    move: TrackMove, start: float, axis: str, angle: float, peak: float, acceleration: float
+) -> list[AxisCommand]:
     """Stretches of constant acceleration through the spline's rates; a last small turn makes the angle exact."""
     controls = tuple(math.degrees(float(rate)) / peak for rate in move.rates or ())
     spans = [c for _, _, c in shape_pieces("spline", controls=controls)]
@@ -275,15 +277,15 @@ def _spline(move: TrackMove, start: float, axis: str, angle: float, peak: float,
         c = spans[span]
         return peak * (c[0] + u * (c[1] + u * (c[2] + u * c[3])))
 
-    moves: list[Move] = []
+    moves: list[AxisCommand] = []
     before = 0.0
     for number in range(1, count):
         rate = rate_at(number / count)
         slope = abs(rate - before) / width
         if slope > 1e-6 and abs(rate) > 1e-6:
             at = start + (number - 1) * width
-            moves.append(Move(at, axis, "spin", rate_dps=rate, acceleration_dps2=min(slope, acceleration)))
+            moves.append(AxisCommand(at, axis, "spin", rate_dps=rate, acceleration_dps2=min(slope, acceleration)))
             before = rate
-    moves.append(Move(start + (count - 1) * width, axis, "stop"))
+    moves.append(AxisCommand(start + (count - 1) * width, axis, "stop"))
     moves.append(_turn(start + duration, axis, angle, max(1.0, 0.1 * abs(peak)), acceleration))
     return moves

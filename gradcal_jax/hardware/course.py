@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from .clock import Clock
 from .errors import Disconnected, HardwareError
 from .journal import JournalFull, plain
-from .roles import Chamber, ChamberReading
+from .roles import ChamberReading, TemperatureChamber
 from .track import Course, Stable
 
 _SOFT_STEP_S = 5.0
@@ -77,7 +77,7 @@ class Expected:
 class ChamberDuty:
     """Tells the chamber its course and remembers what it says, from any thread: one command after the other."""
 
-    def __init__(self, chamber: Chamber, clock: Clock, event: Tell) -> None:
+    def __init__(self, chamber: TemperatureChamber, clock: Clock, event: Tell) -> None:
         self.chamber = chamber
         self._clock = clock
         self._event = event

@@ -12,7 +12,7 @@ from .clock import Clock
 from .errors import HardwareError
 from .roles import AxisLimits, ChamberLimits, ImuSettings
 from .setup import Bench
-from .track import Course, Move, Track, beyond_limits
+from .track import AxisCommand, Course, Track, beyond_limits
 
 _STREAM_S, _LONGEST_S = 3.0, 12.0
 _RATE_OFF = 0.05
@@ -95,7 +95,7 @@ def rate_as_made(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> 
     return rate_k_per_min
 
 
-def _moves(name: str, moves: list[Move], at: dict[str, float]) -> str:
+def _moves(name: str, moves: list[AxisCommand], at: dict[str, float]) -> str:
     fastest = max(abs(move.rate_dps) for move in moves)
     places = [at.get(name, 0.0)]
     for move in moves:

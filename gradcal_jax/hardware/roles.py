@@ -79,7 +79,7 @@ class SafeReport:
 
 
 @runtime_checkable
-class Chamber(Protocol):
+class TemperatureChamber(Protocol):
     """Every command returns only after the read-back has shown it; else it raises `NotVerified`."""
 
     def identify(self) -> Identity: ...

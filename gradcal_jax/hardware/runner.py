@@ -33,11 +33,11 @@ from .losses import ExecutedStep, SampleLosses, StepNotDone
 from .roles import AxisReading, ChamberReading, MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
-from .track import Course, Stable, Step, Track, beyond_limits
+from .track import Course, Stable, Track, TrackStep, beyond_limits
 from .turning import AxesDuty
 
 
-class State(Enum):
+class RunState(Enum):
     IDLE = "idle"
     RUNNING = "running"
     PAUSING = "pausing"
@@ -48,15 +48,15 @@ class State(Enum):
     FAILED = "failed"
 
 
-WAYS: Mapping[State, frozenset[State]] = {
-    State.IDLE: frozenset({State.RUNNING, State.ABORTING}),
-    State.RUNNING: frozenset({State.PAUSING, State.STOPPING, State.ABORTING}),
-    State.PAUSING: frozenset({State.RUNNING, State.PAUSED, State.STOPPING, State.ABORTING}),
-    State.PAUSED: frozenset({State.RUNNING, State.STOPPING, State.ABORTING}),
-    State.STOPPING: frozenset({State.SAFE, State.FAILED}),
-    State.ABORTING: frozenset({State.SAFE, State.FAILED}),
-    State.SAFE: frozenset(),
-    State.FAILED: frozenset(),
+WAYS: Mapping[RunState, frozenset[RunState]] = {
+    RunState.IDLE: frozenset({RunState.RUNNING, RunState.ABORTING}),
+    RunState.RUNNING: frozenset({RunState.PAUSING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.PAUSING: frozenset({RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.ABORTING}),
+    RunState.PAUSED: frozenset({RunState.RUNNING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.STOPPING: frozenset({RunState.SAFE, RunState.FAILED}),
+    RunState.ABORTING: frozenset({RunState.SAFE, RunState.FAILED}),
+    RunState.SAFE: frozenset(),
+    RunState.FAILED: frozenset(),
 }
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
@@ -88,7 +88,7 @@ class RunProgress:
     """For whoever shows it: handed to `on_progress` once a chamber reading, in the run's own thread: the run waits for
     whoever does not return at once."""
 
-    state: State
+    state: RunState
     step: str
     steps_done: int
     steps: int
@@ -135,7 +135,7 @@ class Runner:
     """How a unit stands at angles (deg) of the axes, in a mounting: for whoever turns them by hand."""
 
     def __post_init__(self) -> None:
-        self.state = State.IDLE
+        self.state = RunState.IDLE
         self._requests: deque[tuple[Request, str]] = deque()
         self._pause_first = False
         self._duty: ChamberDuty | None = None
@@ -179,9 +179,9 @@ class Runner:
                 self._watching.set()
                 self._start_helpers(helpers)
                 self._obey_requests()
-                self._enter(State.RUNNING)
+                self._enter(RunState.RUNNING)
                 if self._pause_first:
-                    self._enter(State.PAUSING)
+                    self._enter(RunState.PAUSING)
                     self._wait_paused()
                 self._execute()
             except _Ended as end:
@@ -285,7 +285,7 @@ class Runner:
                 again = False
                 self._steps_done += 1
                 self._confirm_steps()
-                if self.state is State.PAUSING and self._steps_done < len(self.track.steps):
+                if self.state is RunState.PAUSING and self._steps_done < len(self.track.steps):
                     self._pause_between(step)
                     after = self.track.steps[self._steps_done]
                     if after.follows:
@@ -315,14 +315,14 @@ class Runner:
         self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
         self._event("seam", step=name, why="the step is made again; it was not executed as written")
 
-    def _pause_between(self, step: Step) -> None:
+    def _pause_between(self, step: TrackStep) -> None:
         """Nothing turns while a run is paused, also what the next step would have gone on with."""
         try:
             self._axes.end_spins(step.name, step.duration_s)
             self._axes.settle_all(self._duties)
         except _Interrupted:
             pass  # every axis was stopped
-        if self.state is State.PAUSING:
+        if self.state is RunState.PAUSING:
             self._wait_paused()
 
     def _confirm_steps(self) -> None:
@@ -355,7 +355,7 @@ class Runner:
                 raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: see the units.")
             self.clock.sleep(_SLICE_S)
 
-    def _run_step(self, step: Step, again: bool) -> ExecutedStep:
+    def _run_step(self, step: TrackStep, again: bool) -> ExecutedStep:
         self._event("step", step=step.name, number=self._steps_done)
         flows, axes = step.follows and not again, self._axes
         latest_s = self.interlocks.limits.latest_s
@@ -423,7 +423,7 @@ class Runner:
         if self._axes.amiss:
             raise StepNotDone(self._steps_done, "; ".join(dict.fromkeys(self._axes.amiss)))
 
-    def _begin(self, step: Step, again: bool) -> float:
+    def _begin(self, step: TrackStep, again: bool) -> float:
         """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
         if step.mounting and step.mounting != self.mounting:
             self._hang(step)
@@ -442,7 +442,7 @@ class Runner:
             duty.follow(course)
         return self.clock.now()
 
-    def _hang(self, step: Step) -> None:
+    def _hang(self, step: TrackStep) -> None:
         """Have somebody hang the units as the step says; a person takes the time that a person takes."""
         console, duty = self.bench.console, self._duty
         if console is None:
@@ -463,7 +463,7 @@ class Runner:
         self.mounting = step.mounting
         self._event("hung", step=step.name, mounting=step.mounting, how=step.hang)
 
-    def _await(self, step: Step, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
+    def _await(self, step: TrackStep, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
         began = self.clock.now()
         while (value := duty.stable_at(at_c, ready)) is None:
             self._duties()
@@ -494,7 +494,7 @@ class Runner:
         now = self.clock.now()
         ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
         free = free_space_bytes(self.journal.path.parent)
-        duty, paused = self._duty, self.state is State.PAUSED
+        duty, paused = self._duty, self.state is RunState.PAUSED
         newest, before = (None, None) if duty is None else (duty.newest, duty.before)
         lag_s = self.interlocks.limits.temperature_lag_s
         course_c = None if duty is None or paused else duty.expected.of_late(now, lag_s)
@@ -504,7 +504,7 @@ class Runner:
             return
         rule, text = tripped
         self._event("interlock", rule=rule.name, action=rule.action, text=text)
-        if rule.action == "abort" or not self.wait_when_paused or self.state is State.IDLE:
+        if rule.action == "abort" or not self.wait_when_paused or self.state is RunState.IDLE:
             raise _Ended("aborted", f"Interlock '{rule.name}': {text}.")
         if self.on_alarm is not None:
             self.on_alarm(f"The run is paused. Interlock '{rule.name}': {text}.")
@@ -513,8 +513,8 @@ class Runner:
     def _stop_and_pause(self) -> None:
         self.interlocks.forget()
         self._axes.stop()
-        if self.state is State.RUNNING:
-            self._enter(State.PAUSING)
+        if self.state is RunState.RUNNING:
+            self._enter(RunState.PAUSING)
         raise _Interrupted
 
     def _obey_requests(self) -> None:
@@ -523,25 +523,25 @@ class Runner:
             self._event("request", what=what, reason=reason)
             if what in ("stop", "abort"):
                 raise _Ended("stopped" if what == "stop" else "aborted", reason)
-            if self.state is State.IDLE:
+            if self.state is RunState.IDLE:
                 # The references are found first.
                 self._pause_first = what != "resume"
-            elif what == "resume" and self.state in (State.PAUSING, State.PAUSED):
-                self._enter(State.RUNNING)
-            elif what == "soft pause" and self.state is State.RUNNING:
-                self._enter(State.PAUSING)
-            elif what == "pause" and self.state is not State.PAUSED:
+            elif what == "resume" and self.state in (RunState.PAUSING, RunState.PAUSED):
+                self._enter(RunState.RUNNING)
+            elif what == "soft pause" and self.state is RunState.RUNNING:
+                self._enter(RunState.PAUSING)
+            elif what == "pause" and self.state is not RunState.PAUSED:
                 self._stop_and_pause()
 
     def _wait_paused(self) -> None:
-        self._enter(State.PAUSED)
+        self._enter(RunState.PAUSED)
         while True:
             if self.clock.now() - self._shown_s >= self.chamber_every_s:
                 self._shown_s = self.clock.now()
                 self._show(None)
             self.ticked_s = time.monotonic()
             self._obey_requests()
-            if self.state is not State.PAUSED:
+            if self.state is not RunState.PAUSED:
                 break
             self._confirm_steps()
             self._watch()
@@ -569,17 +569,17 @@ class Runner:
         self._watching.clear()
         duty = self._duty
         waits = None if duty is None else lambda: duty.end(0.5 * self.safe_deadline_s)
-        self._enter(State.ABORTING if status == "aborted" else State.STOPPING, quietly=True)
+        self._enter(RunState.ABORTING if status == "aborted" else RunState.STOPPING, quietly=True)
         self._event("ending", quietly=True, exit_status=status, reason=reason)
         outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, before_chamber=waits))
         for outcome in outcomes:
             self._event("made safe", quietly=True, **plain(outcome))
         good = all(outcome.verified for outcome in outcomes)
-        self._enter(State.SAFE if good else State.FAILED, quietly=True)
+        self._enter(RunState.SAFE if good else RunState.FAILED, quietly=True)
         return outcomes
 
-    def _enter(self, state: State, *, quietly: bool = False) -> None:
-        if state not in WAYS[self.state] and not (self.state is State.IDLE and state is State.STOPPING):
+    def _enter(self, state: RunState, *, quietly: bool = False) -> None:
+        if state not in WAYS[self.state] and not (self.state is RunState.IDLE and state is RunState.STOPPING):
             raise AssertionError(f"There is no way from {self.state.value} to {state.value}.")
         self.state = state
         self._shown_s = -math.inf

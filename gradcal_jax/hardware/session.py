@@ -22,7 +22,7 @@ from .interlocks import InterlockLimits, Interlocks, standard_rules
 from .journal import Journal, Recorder
 from .pose import drawing_of
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
-from .runner import Runner, RunProgress, RunResult, State
+from .runner import Runner, RunProgress, RunResult, RunState
 from .setup import open_rig
 from .supervision import Knows, StatusFile, sound_alarm
 from .terminal import Terminal
@@ -159,7 +159,9 @@ def signals_to(runner: Runner) -> Generator[None, None, None]:
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         # Twice at once counts as twice even where the first has not been noticed yet.
-        again = runner.state in (State.IDLE, State.PAUSING, State.PAUSED) or time.monotonic() - paused_s[0] < 2.0
+        again = (
+            runner.state in (RunState.IDLE, RunState.PAUSING, RunState.PAUSED) or time.monotonic() - paused_s[0] < 2.0
+        )
         paused_s[0] = time.monotonic()
         runner.request("abort" if again else "soft pause", "Ctrl-C")
 

@@ -22,7 +22,7 @@ from .clock import Clock
 from .drivers.operator import Console, OperatorConfig
 from .errors import HardwareError, WrongIdentity
 from .journal import Recorder
-from .roles import AxisLimits, Chamber, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis
+from .roles import AxisLimits, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis, TemperatureChamber
 from .settings import KeptSettings
 from .terminal import Terminal, TextLine
 from .transport import Transport
@@ -245,7 +245,7 @@ class Bench:
     """The open devices of a rig. Closing it closes every port; it does not make anything safe (see `safety`)."""
 
     rig: RigFile
-    chamber: Chamber | None = None
+    chamber: TemperatureChamber | None = None
     axes: dict[str, MotionAxis] = field(default_factory=dict[str, MotionAxis])
     imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
     console: Console | None = None
@@ -257,9 +257,9 @@ class Bench:
         """What the drivers of axes and units have changed, by device."""
         return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
 
-    def devices(self) -> list[tuple[str, Device, MotionAxis | Chamber | ImuStream]]:
+    def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
-        found: list[tuple[str, Device, MotionAxis | Chamber | ImuStream]] = []
+        found: list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]] = []
         found += [(entry.name, entry, self.axes[entry.name]) for entry in self.rig.axis]
         if self.chamber is not None and self.rig.chamber is not None:
             found.append(("chamber", self.rig.chamber, self.chamber))
@@ -391,7 +391,7 @@ def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
     return reports
 
 
-def _report(name: str, entry: Device, device: MotionAxis | Chamber | ImuStream) -> DeviceReport:
+def _report(name: str, entry: Device, device: MotionAxis | TemperatureChamber | ImuStream) -> DeviceReport:
     identity = None
     try:
         identity = device.identify()

@@ -23,7 +23,7 @@ class Stable:
 
 
 @dataclass(frozen=True)
-class Move:
+class AxisCommand:
     """One command to one axis, `start_s` after the step's own time began.
 
     "go" moves to the absolute `position_deg`; "turn" moves by `angle_deg` from where the last "go" or "turn" was to
@@ -60,7 +60,7 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Step:
+class TrackStep:
     """`temperature_c` None leaves the chamber alone; `ramp_k_per_min` None goes there as fast as it can.
 
     With `ready` the step waits until the temperature is stable at `start_c` (None: at `temperature_c`), and only then
@@ -84,7 +84,7 @@ class Step:
     temperature_c: float | None = None
     ramp_k_per_min: float | None = None
     ready: Stable | None = None
-    moves: tuple[Move, ...] = ()
+    moves: tuple[AxisCommand, ...] = ()
     read_every_s: float = 1.0
     start_c: float | None = None
     courses: tuple[Course, ...] = ()
@@ -107,7 +107,7 @@ class Step:
 class Track:
     """The whole run. Errors: ValueError for times that cannot be."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[TrackStep, ...]
 
     def __post_init__(self) -> None:
         if not self.steps:
@@ -176,7 +176,7 @@ def _beyond_chamber(course: Course, limits: ChamberLimits) -> list[str]:
     return found
 
 
-def _beyond_axis(move: Move, goal: float, limits: AxisLimits) -> list[str]:
+def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str]:
     if move.kind == "stop":
         return []
     found: list[str] = []

@@ -16,7 +16,7 @@ from .clock import Clock
 from .errors import HardwareError
 from .journal import plain
 from .roles import AxisLimits, AxisReading, DrawnAxis, MotionAxis
-from .track import Move
+from .track import AxisCommand
 
 _POLL_S = 0.05
 _POLL_BY_HAND_S = 0.25
@@ -107,11 +107,11 @@ class AxesDuty:
             goal = position % 360.0 if endless else position
             if not self._stands_at(name, goal):
                 rate, acceleration = min(limits.max_rate_dps, 60.0), min(limits.max_acceleration_dps2, 60.0)
-                goes = Move(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
+                goes = AxisCommand(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
                 self._command(step, goes)
                 self.settle(name, meanwhile)
 
-    def move(self, step: str, move: Move, due_s: float, meanwhile: Callable[[], None]) -> None:
+    def move(self, step: str, move: AxisCommand, due_s: float, meanwhile: Callable[[], None]) -> None:
         """A turn waits until the turn before it has ended, of whichever axis: one turns at a time, the others hold. How
         late that makes it is in the journal."""
         name = move.axis
@@ -188,7 +188,7 @@ class AxesDuty:
 
     def end_spins(self, step: str, at_s: float) -> None:
         for name in sorted(self._spinning):
-            self._command(step, Move(at_s, name, "stop"))
+            self._command(step, AxisCommand(at_s, name, "stop"))
 
     def stop(self) -> None:
         """Stop every axis now."""
@@ -210,7 +210,7 @@ class AxesDuty:
             return newest is not None and not newest.moving and abs(newest.position_deg - goal_deg) <= _NEAR_BY_HAND_DEG
         return newest is None and abs(self._goal_deg.get(name, 0.0) - goal_deg) <= 1e-9
 
-    def _command(self, step: str, move: Move) -> None:
+    def _command(self, step: str, move: AxisCommand) -> None:
         axis, name = self._axes[move.axis], move.axis
         self._asks(name, abs(move.rate_dps), move.acceleration_dps2)
         self._due_end_s.pop(name, None)

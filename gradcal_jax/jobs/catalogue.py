@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from gradcal_jax.files import tables_of
-from gradcal_jax.files.catalogue import Case, Catalogue
+from gradcal_jax.files.catalogue import Catalogue, CatalogueCase
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.jobs.pool import JobProgress, Report, Task, TaskRunner, borrowed, unwatched
 from gradcal_jax.jobs.sweep import versions
@@ -82,7 +82,7 @@ def recipes(
     return table
 
 
-def identity_of(case: Case) -> str:
+def identity_of(case: CatalogueCase) -> str:
     """The same for the same case, computed by the same versions."""
     tables = None if case.spec is None else tables_of(case.spec)
     text = json.dumps([tables, versions()], sort_keys=True, ensure_ascii=False)
@@ -97,12 +97,12 @@ def _kept(path: Path, identity: str) -> dict[str, Any] | None:
         return None
 
 
-def _row(case: Case, **values: Any) -> dict[str, Any]:
+def _row(case: CatalogueCase, **values: Any) -> dict[str, Any]:
     named = dict(zip(("sensor", "rig", "requirement", "plan"), case.names, strict=True))
     return {column: {**named, **values}.get(column) for column in _COLUMNS}
 
 
-def _failed(case: Case, reason: str) -> dict[str, Any]:
+def _failed(case: CatalogueCase, reason: str) -> dict[str, Any]:
     return _row(case, recipe="", remark=reason, verdict="", limited_by="", objective="", unit="")
 
 

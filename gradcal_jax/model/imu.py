@@ -22,7 +22,7 @@ from gradcal_jax.model.bases import Basis, Polynomial
 from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes
 from gradcal_jax.model.sensor import SensorModel
-from gradcal_jax.model.terms import BiasTemperatureGradient, Map, SignalMap, block_diagonal
+from gradcal_jax.model.terms import GradientOfBias, Map, SignalMap, block_diagonal
 
 ChannelKind = Literal["gyro", "accelerometer"]
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
@@ -168,7 +168,7 @@ class UnitModel(PytreeModule):
                 if (key := (basis.degree, basis.centre, basis.scale, basis.internal)) not in known:
                     known[key] = basis.shifts(by)[:, None]
                 result[:, places[:, :, None], places[:, None, :]] = known[key]
-            elif not isinstance(term, BiasTemperatureGradient):
+            elif not isinstance(term, GradientOfBias):
                 return None
             begin += term.size
         return result

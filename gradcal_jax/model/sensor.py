@@ -15,8 +15,8 @@ from gradcal_jax.model.noise import Processes, Reference, angle_reference, no_pr
 from gradcal_jax.model.terms import (
     BIAS,
     SCALE_FACTOR,
-    BiasTemperatureGradient,
     EncoderHarmonics,
+    GradientOfBias,
     Map,
     SignalMap,
     Term,
@@ -85,7 +85,7 @@ class SensorModel(PytreeModule):
     @property
     def calibrated(self) -> int:
         """How many parameters, the first ones, a calibration holds; those after are of the rig and of structure."""
-        return sum(term.size for term in self.terms if isinstance(term, Map | BiasTemperatureGradient))
+        return sum(term.size for term in self.terms if isinstance(term, Map | GradientOfBias))
 
     @property
     def to_reported(self) -> np.ndarray:
@@ -128,7 +128,7 @@ def gyro_model(
     terms: list[Term] = list(maps)
     if temperature_gradient_std is not None:
         std = np.asarray(temperature_gradient_std, dtype=float)
-        terms.append(BiasTemperatureGradient(std=std, has_prior=bool(np.isfinite(std))))
+        terms.append(GradientOfBias(std=std, has_prior=bool(np.isfinite(std))))
     if harmonics:
         terms.append(
             EncoderHarmonics(amplitudes=np.array(list(harmonics.values()), dtype=float), orders=tuple(harmonics))

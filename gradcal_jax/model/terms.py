@@ -328,7 +328,7 @@ class SignalMap(Term):
         return product[..., None]
 
 
-class BiasTemperatureGradient(Term):
+class GradientOfBias(Term):
     """Sensitivity of the bias to dT/dt, (rad/s)/(K/s): its column is the change of temperature. `std` `inf`: flat."""
 
     std: Float[AnyArray, ""]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import SESSION, RunFolder, exit_status, sessions, steps_done
-from gradcal_jax.hardware.track import Move
+from gradcal_jax.hardware.track import AxisCommand
 
 Floats = NDArray[np.float64]
 _INSTANT_S = 0.05
@@ -143,7 +143,7 @@ def _turned(moves: list[tuple[float, Mapping[str, Any]]], angles: list[tuple[flo
     for began, move in moves:
         peak, steep = float(move["rate_dps"]), float(move["acceleration_dps2"])
         if move["kind"] == "turn":
-            turned = Move(0.0, "", "turn", 0.0, peak, steep, float(move["angle_deg"]))
+            turned = AxisCommand(0.0, "", "turn", 0.0, peak, steep, float(move["angle_deg"]))
             signed = math.copysign(min(abs(peak), math.sqrt(abs(turned.angle_deg) * steep)), turned.angle_deg)
             ramp, end = abs(signed) / steep, turned.duration_s
             points += [(began, 0.0), (began + ramp, signed), (began + end - ramp, signed), (began + end, 0.0)]

@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from gradcal_jax.design import Coordinates, Cycle, Element, Frame, Limits, make_coordinates
+from gradcal_jax.design import Coordinates, CycleNumbers, Element, Frame, Limits, make_coordinates
 from gradcal_jax.formulas import RAMPED_SHAPES
 
 DEG = np.pi / 180.0
@@ -48,7 +48,7 @@ def test_any_vector_is_executed_by_the_rig(limited):
     executed()
 
 
-def check(cycle: Cycle, limited: bool) -> None:
+def check(cycle: CycleNumbers, limited: bool) -> None:
     durations, peaks, ramps, steps = (np.asarray(f) for f in cycle)
     assert all(np.isfinite(f).all() for f in (durations, peaks, ramps, steps))
     for group in (0, 1):

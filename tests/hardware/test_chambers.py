@@ -41,7 +41,7 @@ from gradcal_jax.hardware.errors import (
     ReplyTimeout,
 )
 from gradcal_jax.hardware.exchange import NotThisReply
-from gradcal_jax.hardware.roles import Chamber, ChamberSafe
+from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
 from gradcal_jax.hardware.setup import DRIVERS
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
 from gradcal_jax.hardware.simulate.faults import Faults
@@ -70,7 +70,7 @@ def bench(request: pytest.FixtureRequest):
 def test_every_chamber_holds_settles_and_goes_safe(bench) -> None:
     clock = VirtualClock()
     with bench(clock) as (chamber, _, port):
-        assert isinstance(chamber, Chamber)
+        assert isinstance(chamber, TemperatureChamber)
         assert chamber.identify().driver in DRIVERS
         limits = chamber.limits()
         assert limits.lowest_c <= -40.0

@@ -41,7 +41,7 @@ from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
-from gradcal_jax.hardware.track import Move, Step, Track
+from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
 
 RATE_HZ, BAUDRATE = 2000.0, 1_843_200
 UNITS = ("unit1", "unit2", "unit3")
@@ -83,12 +83,14 @@ def serve(folder: Path) -> None:
 
 def run(folder: Path, seconds: float) -> None:
     clock = RealClock()
-    turn = Move(1.0, "table", "turn", angle_deg=360.0, rate_dps=120.0, acceleration_dps2=120.0)
-    back = Move(10.0, "table", "turn", angle_deg=-360.0, rate_dps=120.0, acceleration_dps2=120.0)
+    turn = AxisCommand(1.0, "table", "turn", angle_deg=360.0, rate_dps=120.0, acceleration_dps2=120.0)
+    back = AxisCommand(10.0, "table", "turn", angle_deg=-360.0, rate_dps=120.0, acceleration_dps2=120.0)
     reads = tuple(np.arange(0.0, CYCLE_S, 1.0).tolist())
     count = round(seconds / CYCLE_S)
     steps = [
-        Step(f"cycle {k + 1}", CYCLE_S, 25.0 if k == 0 else None, moves=(turn, back), read_at_s=reads, follows=k > 0)
+        TrackStep(
+            f"cycle {k + 1}", CYCLE_S, 25.0 if k == 0 else None, moves=(turn, back), read_at_s=reads, follows=k > 0
+        )
         for k in range(count)
     ]
     resident: list[int] = []

@@ -29,7 +29,7 @@ from gradcal_jax.hardware.drivers import stim300
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
 from gradcal_jax.hardware.setup import config_of
-from gradcal_jax.hardware.track import Step, Track
+from gradcal_jax.hardware.track import Track, TrackStep
 
 SPEED = 20.0
 RATE_HZ = 125.0
@@ -158,7 +158,7 @@ def overflows(contents: JournalContents, folder: RunFolder) -> list[float]:
     return found
 
 
-def step_data(log: Log, step: Step, begins_s: float, torn_s: list[float]) -> StepData:
+def step_data(log: Log, step: TrackStep, begins_s: float, torn_s: list[float]) -> StepData:
     assert log.host_time_s is not None
     assert log.standstill is not None
     assert log.table_angle_rad is not None

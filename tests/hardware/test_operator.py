@@ -35,7 +35,7 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
 from gradcal_jax.hardware.terminal import Terminal
-from gradcal_jax.hardware.track import Move, Step, Track, beyond_limits
+from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, beyond_limits
 from gradcal_jax.units import UnitError
 
 # ------------------------------------------------------------------------------------------------------------ words
@@ -271,8 +271,8 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
         assert axis.safe(AxisSafe.HOLD).verified
         with pytest.raises(HardwareError, match="no terminal at which somebody could be asked"):
             axis.home()
-        spin = Move(0.0, "x", "spin", rate_dps=10.0, acceleration_dps2=10.0)
-        (problem,) = beyond_limits(Track((Step("rates", 5.0, moves=(spin,)),)), None, {"x": axis.limits()})
+        spin = AxisCommand(0.0, "x", "spin", rate_dps=10.0, acceleration_dps2=10.0)
+        (problem,) = beyond_limits(Track((TrackStep("rates", 5.0, moves=(spin,)),)), None, {"x": axis.limits()})
     assert "it is turned by hand" in problem
 
 

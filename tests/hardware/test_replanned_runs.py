@@ -20,9 +20,11 @@ from gradcal_jax.hardware.journal import Event, JournalContents
 from gradcal_jax.hardware.run_folder import SESSION, RunFolder, RunFolderError
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.stretches import adopt, stretches_done, stretches_of
-from gradcal_jax.hardware.track import Step, Track
+from gradcal_jax.hardware.track import Track, TrackStep
 
-TRACK = Track((Step("soak", 60.0), *(Step(f"cycle {k}", 100.0, follows=k > 1, read_at_s=(0.0,)) for k in (1, 2, 3))))
+TRACK = Track(
+    (TrackStep("soak", 60.0), *(TrackStep(f"cycle {k}", 100.0, follows=k > 1, read_at_s=(0.0,)) for k in (1, 2, 3)))
+)
 
 
 def journal(*events: tuple[float, str, dict[str, Any]]) -> JournalContents:

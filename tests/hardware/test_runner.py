@@ -18,21 +18,21 @@ from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import ChamberLimits
-from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, State
+from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, RunState
 from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, SensorTruth
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.track import Course, Move, Stable, Step, Track, beyond_limits
+from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep, beyond_limits
 
-TURN = Move(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
-BACK = Move(12.0, "table", "go", position_deg=0.0, rate_dps=60.0, acceleration_dps2=240.0)
-SPIN = Move(20.0, "table", "spin", rate_dps=-90.0, acceleration_dps2=180.0)
-STOP = Move(26.0, "table", "stop")
+TURN = AxisCommand(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
+BACK = AxisCommand(12.0, "table", "go", position_deg=0.0, rate_dps=60.0, acceleration_dps2=240.0)
+SPIN = AxisCommand(20.0, "table", "spin", rate_dps=-90.0, acceleration_dps2=180.0)
+STOP = AxisCommand(26.0, "table", "stop")
 TRACK = Track(
     (
-        Step("soak", 5.0, temperature_c=25.0, ready=Stable(0.3, 20.0, 3600.0)),
-        Step("ramp", 35.0, temperature_c=26.0, ramp_k_per_min=1.0, moves=(TURN, BACK, SPIN, STOP)),
+        TrackStep("soak", 5.0, temperature_c=25.0, ready=Stable(0.3, 20.0, 3600.0)),
+        TrackStep("ramp", 35.0, temperature_c=26.0, ramp_k_per_min=1.0, moves=(TURN, BACK, SPIN, STOP)),
     )
 )
 
@@ -112,11 +112,11 @@ def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path
 
 
 def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path: Path) -> None:
-    wrong = Move(1.0, "table", "spin", rate_dps=1000.0, acceleration_dps2=100.0)
+    wrong = AxisCommand(1.0, "table", "spin", rate_dps=1000.0, acceleration_dps2=100.0)
     track = Track(
         (
-            Step("hot", 10.0, temperature_c=190.0),
-            Step("fast", 10.0, moves=(wrong, Move(2.0, "tilt", "stop"))),
+            TrackStep("hot", 10.0, temperature_c=190.0),
+            TrackStep("fast", 10.0, moves=(wrong, AxisCommand(2.0, "tilt", "stop"))),
         )
     )
     with lab(tmp_path) as (rig, runner):
@@ -136,12 +136,12 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
 
     axis = AxisLimits(100.0, 100.0, -180.0, 180.0, 0.001, False)
     chamber = ChamberLimits(-40.0, 85.0, 0.1, True, 0.1, 3.0)
-    good = Move(0.0, "a", "go", position_deg=170.0, rate_dps=50.0, acceleration_dps2=50.0)
-    track = Track((Step("one", 5.0, temperature_c=20.0, ramp_k_per_min=1.0, moves=(good,)),))
+    good = AxisCommand(0.0, "a", "go", position_deg=170.0, rate_dps=50.0, acceleration_dps2=50.0)
+    track = Track((TrackStep("one", 5.0, temperature_c=20.0, ramp_k_per_min=1.0, moves=(good,)),))
     assert beyond_limits(track, chamber, {"a": axis}) == []
     far = dataclasses.replace(good, position_deg=200.0)
     spin = dataclasses.replace(good, kind="spin")
-    steep = Track((Step("one", 5.0, temperature_c=20.0, ramp_k_per_min=5.0, moves=(far, spin)),))
+    steep = Track((TrackStep("one", 5.0, temperature_c=20.0, ramp_k_per_min=5.0, moves=(far, spin)),))
     found = " ".join(beyond_limits(steep, chamber, {"a": axis}))
     assert "ramps at 5 K/min" in found
     assert "its travel is -180 to 180" in found
@@ -151,13 +151,13 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
 @pytest.mark.parametrize(
     ("step", "words"),
     [
-        (Step("a", 1.0, moves=(Move(2.0, "x", "stop"),)), "within the step"),
-        (Step("a", -1.0), "not negative"),
-        (Step("a", 1.0, ready=Stable(1.0, 1.0, 1.0)), "sets none"),
-        (Step("a", 1.0, temperature_c=1.0, ramp_k_per_min=-1.0), "above zero"),
+        (TrackStep("a", 1.0, moves=(AxisCommand(2.0, "x", "stop"),)), "within the step"),
+        (TrackStep("a", -1.0), "not negative"),
+        (TrackStep("a", 1.0, ready=Stable(1.0, 1.0, 1.0)), "sets none"),
+        (TrackStep("a", 1.0, temperature_c=1.0, ramp_k_per_min=-1.0), "above zero"),
     ],
 )
-def test_impossible_tracks_are_refused(step: Step, words: str) -> None:
+def test_impossible_tracks_are_refused(step: TrackStep, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         Track((step,))
 
@@ -171,7 +171,7 @@ def test_soft_pause_waits_for_the_end_of_the_step_and_goes_on(tmp_path: Path) ->
             threading.Thread(target=resume_later, daemon=True).start()
 
         def resume_later() -> None:
-            while runner.state is not State.PAUSED:
+            while runner.state is not RunState.PAUSED:
                 runner.clock.sleep(1.0)
             runner.request("resume")
 
@@ -195,7 +195,7 @@ def test_pause_now_stops_the_table_and_does_the_step_again(tmp_path: Path) -> No
         def resume_later() -> None:
             runner.clock.sleep(10.0)
             rates.append(rig.table.axes[0].plant.state(runner.clock.now())[1])
-            assert runner.state is State.PAUSED
+            assert runner.state is RunState.PAUSED
             runner.request("resume")
 
         when_step_begins(runner, 1, pause)
@@ -253,7 +253,7 @@ def test_silent_unit_pauses_the_run_until_it_is_resumed(tmp_path: Path) -> None:
             threading.Thread(target=mend, daemon=True).start()
 
         def mend() -> None:
-            while runner.state is not State.PAUSED:
+            while runner.state is not RunState.PAUSED:
                 runner.clock.sleep(1.0)
             rig.ports[2].faults.mute = False
             runner.clock.sleep(5.0)
@@ -270,7 +270,7 @@ def test_silent_unit_pauses_the_run_until_it_is_resumed(tmp_path: Path) -> None:
 @pytest.mark.evidence
 def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path: Path) -> None:
     with lab(tmp_path) as (_, runner):
-        runner.track = Track((Step("soak", 10.0, temperature_c=120.0, ready=Stable(0.2, 60.0, 300.0)),))
+        runner.track = Track((TrackStep("soak", 10.0, temperature_c=120.0, ready=Stable(0.2, 60.0, 300.0)),))
         result = runner.run()
         assert result.exit_status == "aborted"
         assert "not stable within 0.2 K of 120 degC after 300 s" in result.reason
@@ -306,11 +306,11 @@ def test_signals_pause_first_and_abort_second(tmp_path: Path) -> None:
 
 
 def test_every_state_can_end_safe() -> None:
-    for state in State:
+    for state in RunState:
         reachable = {state}
-        for _ in State:
+        for _ in RunState:
             reachable |= {after for before in reachable for after in WAYS[before]}
-        assert State.SAFE in reachable or state in (State.SAFE, State.FAILED)
+        assert RunState.SAFE in reachable or state in (RunState.SAFE, RunState.FAILED)
 
 
 # --- what a pause, an end and a step that follows must do -------------------------------------------------------------
@@ -320,7 +320,7 @@ def once_paused(runner: Runner, act) -> None:
     """Call `act` from another thread when the run has been paused for a second."""
 
     def wait() -> None:
-        while runner.state is not State.PAUSED:
+        while runner.state is not RunState.PAUSED:
             runner.clock.sleep(0.5)
         runner.clock.sleep(1.0)
         act()
@@ -330,8 +330,8 @@ def once_paused(runner: Runner, act) -> None:
 
 def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path: Path) -> None:
     with lab(tmp_path) as (rig, runner):
-        warm = Step("warmer", 5.0, temperature_c=30.0, courses=(Course(0.0, 30.0),), follows=True)
-        runner.track = Track((Step("soak", 5.0, temperature_c=25.0, ready=Stable(0.5, 5.0, 3600.0)), warm))
+        warm = TrackStep("warmer", 5.0, temperature_c=30.0, courses=(Course(0.0, 30.0),), follows=True)
+        runner.track = Track((TrackStep("soak", 5.0, temperature_c=25.0, ready=Stable(0.5, 5.0, 3600.0)), warm))
         assert runner.run().exit_status == "success"
         assert rig.chamber.constant_c == 30.0
     told = [e for e in read_journal(tmp_path / "journal").events if e.name == "chamber told"]
@@ -348,8 +348,12 @@ def test_nothing_turns_while_a_run_is_paused_between_two_rates(tmp_path: Path) -
             rates.append(rig.table.axes[0].plant.state(runner.clock.now())[1])
             runner.request("resume")
 
-        there, back = ((Move(0.0, "table", "spin", rate_dps=rate, acceleration_dps2=180.0),) for rate in (90.0, -90.0))
-        runner.track = Track((Step("rate 1", 8.0, moves=there), Step("rate 2", 8.0, moves=back, follows=True)))
+        there, back = (
+            (AxisCommand(0.0, "table", "spin", rate_dps=rate, acceleration_dps2=180.0),) for rate in (90.0, -90.0)
+        )
+        runner.track = Track(
+            (TrackStep("rate 1", 8.0, moves=there), TrackStep("rate 2", 8.0, moves=back, follows=True))
+        )
         when_step_begins(runner, 0, lambda: runner.request("soft pause"))
         once_paused(runner, resume)
         assert runner.run().exit_status == "success"
@@ -359,7 +363,7 @@ def test_nothing_turns_while_a_run_is_paused_between_two_rates(tmp_path: Path) -
 
 def test_an_interlock_pauses_a_run_that_was_to_pause_anyway(tmp_path: Path) -> None:
     with lab(tmp_path) as (_, runner):
-        runner.track = Track((Step("stand", 20.0),))
+        runner.track = Track((TrackStep("stand", 20.0),))
         begun: list[float] = []
 
         def wrong(now: Situation) -> str:
@@ -388,7 +392,7 @@ def test_an_alarm_ends_a_paused_run(tmp_path: Path) -> None:
 
 def test_a_pause_asked_for_while_the_references_are_found_comes_before_the_first_step(tmp_path: Path) -> None:
     with lab(tmp_path) as (_, runner):
-        runner.track = Track((Step("stand", 2.0, moves=(Move(0.0, "table", "go", 0.0, 60.0, 60.0),)),))
+        runner.track = Track((TrackStep("stand", 2.0, moves=(AxisCommand(0.0, "table", "go", 0.0, 60.0, 60.0),)),))
         runner.request("soft pause")
         runner.request("pause")
         once_paused(runner, lambda: runner.request("resume"))
@@ -405,7 +409,7 @@ def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path) -> No
         folder.mkdir()
         with lab(folder) as (rig, runner):
             ramp = Course(10.0, 40.0, 1.0)
-            runner.track = Track((Step("ramp", 60.0, temperature_c=25.0, courses=(ramp,)),))
+            runner.track = Track((TrackStep("ramp", 60.0, temperature_c=25.0, courses=(ramp,)),))
             runner.chamber_every_s = 0.1
 
             def look(progress: RunProgress, runner=runner, seconds=seconds) -> None:

@@ -27,7 +27,7 @@ from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.settings import KeptSettings
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.track import Move
+from gradcal_jax.hardware.track import AxisCommand
 from gradcal_jax.hardware.turning import AxesDuty
 
 
@@ -94,7 +94,7 @@ def test_a_turn_waits_for_the_one_of_another_axis() -> None:
     with clock.party():
         duty = AxesDuty(stages, clock, told)
         for axis in ("tilt", "spin", "tilt"):
-            turn = Move(0.0, axis, "turn", rate_dps=60.0, acceleration_dps2=60.0, angle_deg=90.0)
+            turn = AxisCommand(0.0, axis, "turn", rate_dps=60.0, acceleration_dps2=60.0, angle_deg=90.0)
             duty.move("a step", turn, clock.now(), lambda: None)
             clock.sleep(turn.duration_s)
     assert moving == [False, False, False]

@@ -9,7 +9,7 @@ from simulated_devices.weiss import SimulatedWeiss, WeissOptions
 
 from gradcal_jax.hardware.drivers.weiss import WeissConfig, parse_description
 from gradcal_jax.hardware.errors import NotVerified
-from gradcal_jax.hardware.roles import Chamber, ChamberSafe
+from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 CONFIG = WeissConfig(reply_timeout_s=0.3, acknowledge_timeout_s=0.1, description_silence_s=0.1, product_channel="MV01")
@@ -29,7 +29,7 @@ def harmed(device: SimulatedWeiss, letter: str, change: Callable[[bytes], bytes]
     return hit
 
 
-def slope_k_per_min(chamber: Chamber, clock: VirtualClock) -> float:
+def slope_k_per_min(chamber: TemperatureChamber, clock: VirtualClock) -> float:
     clock.sleep(60.0)
     before = chamber.read()
     clock.sleep(300.0)

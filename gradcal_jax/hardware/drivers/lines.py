@@ -21,7 +21,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from ... import units
-from ...files.line_protocol import LineProtocol, Question, formatted, protocol_of, reply_pattern, shows
+from ...files.line_protocol import LineProtocol, LineQuestion, formatted, protocol_of, reply_pattern, shows
 from ..checksums import xor8
 from ..clock import Clock
 from ..errors import (
@@ -161,7 +161,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
             found |= self._ask(self._said.ask[question])
         return found
 
-    def _ask(self, question: Question) -> Texts:
+    def _ask(self, question: LineQuestion) -> Texts:
         heard: Texts = {}
 
         def parse(frame: bytes) -> Texts:

@@ -26,7 +26,7 @@ from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, SafeReport
 from ..settings import KeptSettings
 from ..terminal import TextLine
-from ..track import Move
+from ..track import AxisCommand
 
 _BELL = "\a"
 
@@ -176,7 +176,7 @@ class OperatorAxis:
         how = to
         if self._stands is not None:
             angle = position_deg - self._goal_deg
-            turn = Move(0.0, "", "turn", rate_dps=rate_dps, acceleration_dps2=acceleration_dps2, angle_deg=angle)
+            turn = AxisCommand(0.0, "", "turn", rate_dps=rate_dps, acceleration_dps2=acceleration_dps2, angle_deg=angle)
             how = f"by {angle:+.6g} deg in {turn.duration_s:.3g} s, {to}"
         self._goal_deg = position_deg
         self._ask(f"{self._name}: turn {how}")

@@ -390,9 +390,9 @@ def _equal_curvature(at: _At, point: np.ndarray) -> np.ndarray:
     directions = np.linalg.qr(drawn)[0]
     gradient = at(point)[1][0]
     bent = np.stack([at(point + _DIFFERENCE * d)[1][0] - gradient for d in directions.T], axis=1) / _DIFFERENCE
-    if not np.any(bent) or not np.all(np.isfinite(bent)):
-        return np.eye(size)
     within = directions.T @ bent
+    if not np.any(within) or not np.all(np.isfinite(bent)):
+        return np.eye(size)
     curvature, turned = np.linalg.eigh((within + within.T) / 2.0)
     curvature = np.abs(curvature)
     seen = curvature > _ROUNDING * np.max(curvature)

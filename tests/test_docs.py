@@ -18,7 +18,7 @@ from gradcal_jax.files import schemas
 from gradcal_jax.files.recipe import read_recipe
 
 ROOT = Path(__file__).parents[1]
-GENERATED = {f"docs/reference/{name}.md" for name in schemas.names()}
+GENERATED = {f"docs/reference/{name}.md" for name in schemas.schema_names()}
 FILES = ["README.md", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))]
 TEXTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in FILES}
 WRITTEN = {name: text for name, text in TEXTS.items() if name not in GENERATED}

@@ -120,7 +120,7 @@ def _model(spec: Spec, processes: Processes) -> SensorModel:
     )
     return model.gyro_model(
         None if sensor.bias is None else bias_map(sensor.bias, float(sensor.turn_on_bias or 0.0)),
-        None if sensor.scale_factor is None else scale_factor_map(sensor.scale_factor),
+        None if sensor.scale_factor is None else scale_factor_term(sensor.scale_factor),
         float(sensor.angle_random_walk),
         processes,
         reference,
@@ -150,7 +150,7 @@ def bias_map(section: Bias, turn_on_std: float = 0.0) -> Map:
     )
 
 
-def scale_factor_map(section: ScaleFactor) -> Map:
+def scale_factor_term(section: ScaleFactor) -> Map:
     """`M(T, ω)` with its priors, from a spec."""
     beyond = section.discrepancy
     return model.make_map(

@@ -14,7 +14,7 @@ from gradcal_jax.files.writing import whole
 _FORMAT = "gradcal-search/1"
 
 
-def write(path: Path, spec: Spec, checkpoint: Checkpoint) -> None:
+def write_checkpoint(path: Path, spec: Spec, checkpoint: Checkpoint) -> None:
     """Keep a checkpoint: whole or not at all."""
     arrays: dict[str, np.ndarray] = {"format": np.array(_FORMAT), "spec": np.array(_fingerprint(spec))}
     arrays["at"] = np.array([checkpoint.structure, checkpoint.best_structure])

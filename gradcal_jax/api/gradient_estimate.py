@@ -8,7 +8,7 @@ from scipy import optimize
 from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import Rows, count_rows, followed
+from gradcal_jax.api.log_rows import Rows, count_rows, temperature_followed
 from gradcal_jax.api.tested_maps import hidden_maps
 from gradcal_jax.api.unit_channel import (
     LONGEST_LAG_S,
@@ -75,7 +75,7 @@ def gradient_channels(
         columns = []
         for k, unit in enumerate(members):
             one = rows[unit]
-            temperature_of_maps = followed(one, lag)
+            temperature_of_maps = temperature_followed(one, lag)
             rates = one.rate - (rest_bias if parameters is None else options.earth_rate)
             if parameters is not None:
                 rates[turning] = estimation.true_rate(

@@ -360,6 +360,6 @@ def finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def axes_of(log: Log, wanted: Sequence[str]) -> list[str]:
+def axes_asked_for(log: Log, wanted: Sequence[str]) -> list[str]:
     """The axes asked for, or all of the log's. **Raises:** `LogError` for one that is not there."""
     return [log.axes[log.axis_index(axis)] for axis in wanted] or list(log.axes)

@@ -164,7 +164,7 @@ def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
     )
 
 
-def followed(rows: Rows, lag: float) -> np.ndarray:
+def temperature_followed(rows: Rows, lag: float) -> np.ndarray:
     """The temperature that the maps follow."""
     return correction.followed(rows.temperature, rows.time, rows.starts, lag)
 

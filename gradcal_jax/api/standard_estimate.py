@@ -5,7 +5,7 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import Rows, count_rows, followed
+from gradcal_jax.api.log_rows import Rows, count_rows, temperature_followed
 from gradcal_jax.api.tested_maps import hidden_maps
 from gradcal_jax.api.unit_channel import (
     UnitChannel,
@@ -114,7 +114,7 @@ def _of_points(
 ) -> UnitChannel:
     model, (line, edges, broken) = built.model, done
     lag = 0.0 if options.lag == "fit" else float(options.lag)
-    temperature_of_maps = followed(rows, lag)
+    temperature_of_maps = temperature_followed(rows, lag)
     if options.lag == "fit":
         messages.append("at stable temperatures there is no lag to be found: it is taken as zero")
     nodes = estimation.sample_nodes(

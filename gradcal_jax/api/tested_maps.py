@@ -14,7 +14,7 @@ from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.sensor import ScaleFactor
 from gradcal_jax.information import (
     SquareRootInformation,
-    gains,
+    gains_of_shares,
     information,
     kept,
     noticed_from,
@@ -117,7 +117,7 @@ def noticing(built: Assembled) -> tuple[NoticeRow, ...]:
             # The other map counts as the spec has it: a hidden one that was only added to be tested is not there.
             others = [q for q in tested if q != quantity and where_hidden(built.model, q) is None]
             term, where, believed = _without(info, asked, others, quantity)
-            rows.append(_row(quantity, channel, of, gains(kept(believed, where, term.std), float(term.std))))
+            rows.append(_row(quantity, channel, of, gains_of_shares(kept(believed, where, term.std), float(term.std))))
     return tuple(rows)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from gradcal_jax import estimation
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import Rows, followed
+from gradcal_jax.api.log_rows import Rows, temperature_followed
 from gradcal_jax.estimation import Estimate, Observations, Smoothness, StructureTest, Whitened
 from gradcal_jax.information import whiten
 from gradcal_jax.model import SCALE_FACTOR, Discrepancy, SensorModel
@@ -156,7 +156,9 @@ def _fastest(
     turning = ~rows.standing & rows.usable & integrated
     if rows.angle is None or not turning.any():
         return 0.0, 0.0
-    rates = estimation.true_rate(model, found.parameters[0], rows.rate[turning], followed(rows, lag)[turning])
+    rates = estimation.true_rate(
+        model, found.parameters[0], rows.rate[turning], temperature_followed(rows, lag)[turning]
+    )
     return covered_rates(rates)
 
 

@@ -73,7 +73,7 @@ def unit_sensitivities(spec: UnitSpec) -> Sensitivities:
         names = ", ".join(hidden)
         raise ValueError(f"the plan cannot observe {names}, so nothing can be said of its sensitivity: see check")
     rows: list[Elasticity] = []
-    for figure, powers in figures_of(spec).items():
+    for figure, powers in sensitive_figures(spec).items():
         percent = _elasticity(spec, powers, nominal)
         if percent is not None:
             rows += [Elasticity(r.name, figure, float(p)) for r, p in zip(spec.requirement, percent, strict=True)]
@@ -83,7 +83,7 @@ def unit_sensitivities(spec: UnitSpec) -> Sensitivities:
     return Sensitivities(tuple(rows), residuals)
 
 
-def figures_of(spec: UnitSpec) -> dict[str, dict[str, int]]:
+def sensitive_figures(spec: UnitSpec) -> dict[str, dict[str, int]]:
     """The figures that a spec has, by the names that people use; of each its keys, with powers of the factor."""
     found: dict[str, dict[str, int]] = {}
     time = {f"rig.table.axis[{k}].angle.read_every": 1 for k in range(len(spec.rig.table.axis))}

@@ -41,7 +41,7 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
         return check_unit(found, str(spec), files_only=files_only, json=json)
     if json:
         too = too_large(found)
-        blind = None if files_only or too else unobservable(found)
+        blind = None if files_only or too else unobservable_of(found)
         print(as_json(numbers(found) | {"memory_bytes": needed_bytes(found), "unobservable": blind}))
         return NOT_AS_WISHED if too else DONE
     print(strong(found.title or str(spec)))
@@ -51,14 +51,14 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
     if too := too_large(found):
         print(f"too large: {too}")
         return NOT_AS_WISHED
-    blind = [] if files_only else unobservable(found)
+    blind = [] if files_only else unobservable_of(found)
     for sentence in blind:
         print(f"cannot be observed: {sentence}")
     print("the spec is sound" + ("; see what it cannot observe" if blind else ""))
     return DONE
 
 
-def unobservable(spec: "Spec") -> list[str]:
+def unobservable_of(spec: "Spec") -> list[str]:
     """A sentence for each combination of parameters that the plan cannot observe."""
     use_float64()
     from gradcal_jax import api

@@ -98,7 +98,7 @@ def instability(
     )
     found: list[Instability] = []
     parts: list[list[tuple[tuple[float, float], Instability | str]]] = []
-    for name in work.axes_of(recorded, axis):
+    for name in work.axes_asked_for(recorded, axis):
         rest = work.at_rest(
             recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
         )
@@ -228,7 +228,7 @@ def allan(
     from gradcal_jax.api import instability as work
 
     drawn = []
-    for name in work.axes_of(recorded, axis):
+    for name in work.axes_asked_for(recorded, axis):
         rest = work.at_rest(
             recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
         )

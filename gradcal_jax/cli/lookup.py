@@ -30,10 +30,10 @@ def schema(
     from gradcal_jax.files import schemas
 
     if listing:
-        print("\n".join(schemas.names()))
+        print("\n".join(schemas.schema_names()))
         return DONE
     if name is None:
-        raise ValueError(f"which one? Known: {', '.join(schemas.names())}")
+        raise ValueError(f"which one? Known: {', '.join(schemas.schema_names())}")
     if markdown:
         from gradcal_jax.pages.reference import reference
 

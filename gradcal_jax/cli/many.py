@@ -130,7 +130,7 @@ def sweep(
 
     results = read_dataset(output)
     summary = summary_of(results)
-    print(as_json({"output": str(output), **summary}) if json else text(summary, job, str(output)))
+    print(as_json({"output": str(output), **summary}) if json else sweep_text(summary, job, str(output)))
     save_figure(lambda plots: plots.draw_sweep(results), plot, quiet=json)
     return NOT_AS_WISHED if summary["failed"] else DONE
 
@@ -203,7 +203,7 @@ def _plain(value: Any) -> Any:
     return float(value) if hasattr(value, "dtype") and value.dtype.kind == "f" else str(value)
 
 
-def text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
+def sweep_text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
     """The summary as people read it."""
     points, failed = summary["points"], summary["failed"]
     lines = [strong(job.file.title or output), f"{points} points, {failed} of them failed"]

@@ -99,7 +99,7 @@ def optimise(
                 best = event
                 continue
             if not shortest:
-                checkpoints.write(kept, found, event.checkpoint)
+                checkpoints.write_checkpoint(kept, found, event.checkpoint)
             line.show(progress_of(event), event.share)
         assert best is not None
     status = best.sentence if not interrupt.asked else f"interrupted, the best so far: {best.sentence}"
@@ -110,7 +110,7 @@ def optimise(
     if json:
         print(as_json(room.record_of(best) | {"status": status, "recipe": str(output)}))
     else:
-        print(text(best))
+        print(optimum_text(best))
         print(f"wrote {output}; read it with: gradcal show {output}")
     drawn = [("before", found), ("optimised", made.axis_spec)]
     save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
@@ -120,7 +120,7 @@ def optimise(
     return DONE if best.converged else NOT_AS_WISHED
 
 
-def text(best: "Optimised") -> str:
+def optimum_text(best: "Optimised") -> str:
     """An optimised plan as people read it."""
     from gradcal_jax.api.optimise import belief_of
 

@@ -63,7 +63,7 @@ def predict(
     elif json:
         print(prediction.model_dump_json(indent=2))
     else:
-        print(text(prediction, str(spec)))
+        print(prediction_text(prediction, str(spec)))
         said = [] if isinstance(found, UnitSpec) else counted_as_zero(found, prediction)
         print("\n".join(["", *said])) if said else None
         if monte_carlo is not None:
@@ -112,7 +112,7 @@ def compare(
     return DONE
 
 
-def text(prediction: "Prediction", name: str) -> str:
+def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction as people read it: ppm, deg/h, hours."""
     times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
     lines = [strong(prediction.title or name), times, ""]

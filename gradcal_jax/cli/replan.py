@@ -39,7 +39,14 @@ def replan(
     json
         Print the result for other programs.
     """
-    from gradcal_jax.cli.optimise import gain_of_unit, progress_of, record_of_unit, search_unit, text, text_of_unit
+    from gradcal_jax.cli.optimise import (
+        gain_of_unit,
+        optimum_text,
+        progress_of,
+        record_of_unit,
+        search_unit,
+        text_of_unit,
+    )
     from gradcal_jax.files import write_toml
     from gradcal_jax.files.unit_spec import UnitSpec
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
@@ -68,7 +75,7 @@ def replan(
         with MovingLine(sys.stderr) as line:
             watch = lambda step: line.show(progress_of(step), step.share)  # noqa: E731
             plan = search(recipe.spec, spans, left_s=left_s, pause_s=pause_s, quick=quick, watch=watch)
-        record, table, code = record_of(plan), text(plan), DONE if plan.converged else NOT_AS_WISHED
+        record, table, code = record_of(plan), optimum_text(plan), DONE if plan.converged else NOT_AS_WISHED
     seconds = sum(end - begin for begin, end in spans)
     said = f"after {time_text(float(round(seconds)))} with data were done; its prediction counts them"
     notes = (f"the rest of a run, {said}",)

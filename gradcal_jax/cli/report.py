@@ -79,7 +79,11 @@ def report(
 
             write_dcc(made, read, dcc)
         room.write_certificate(made, output)
-        print(as_json(room.as_tables(made)) if json else f"wrote {output}" + (f" and {dcc}" if dcc is not None else ""))
+        print(
+            as_json(room.certificate_tables(made))
+            if json
+            else f"wrote {output}" + (f" and {dcc}" if dcc is not None else "")
+        )
         return DONE
     if rig is not None or dcc is not None or number or customer or operator or performed:
         raise ValueError("--rig, --number, --customer, --operator, --performed and --dcc belong to --certificate")

@@ -118,7 +118,7 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.binding import track_of
     from gradcal_jax.hardware.clock import RealClock
-    from gradcal_jax.hardware.dry_run import dry_run
+    from gradcal_jax.hardware.dry_run import dry_run_of
     from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
     from gradcal_jax.hardware.setup import check_each
 
@@ -127,7 +127,7 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     reports = check_each(bench, RealClock())
     chamber = next((report.limits for report in reports if isinstance(report.limits, ChamberLimits)), None)
     axes = {report.name: report.limits for report in reports if isinstance(report.limits, AxisLimits)}
-    found = dry_run(track, chamber, axes)
+    found = dry_run_of(track, chamber, axes)
     silent = [f"{report.name}: {report.problem}" for report in reports if report.problem]
     problems = [*silent, *found.problems]
     if json:

@@ -19,7 +19,7 @@ from scipy import optimize, special
 
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.solve import Whitened
-from gradcal_jax.information import seen
+from gradcal_jax.information import not_negligible
 from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import Discrepancy
 
@@ -79,7 +79,7 @@ def components(white: Whitened, extra: np.ndarray, keep: np.ndarray | None = Non
     both = both - known @ (known.T @ both)
     hidden, data = both[:, : int(keep.sum())], both[:, int(keep.sum()) :]
     directions, sizes, _ = np.linalg.svd(hidden, full_matrices=False)
-    used = seen(sizes**2)
+    used = not_negligible(sizes**2)
     return Components(directions[:, used].T @ data, sizes[used] ** 2)
 
 

@@ -17,7 +17,7 @@ _ROUNDS = 8
 _GRID = 41
 
 
-def write(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list[tuple[str, str, float, str]]]:
+def header_text(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list[tuple[str, str, float, str]]]:
     """The header's text, and for each axis the largest error of its float32 against the calibration itself."""
     errors: list[tuple[str, str, float, str]] = []
     body: list[str] = []

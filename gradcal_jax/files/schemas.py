@@ -44,7 +44,7 @@ def _version(plain: str) -> str:
     return _VERSIONS.get(plain, "1")
 
 
-def names() -> tuple[str, ...]:
+def schema_names() -> tuple[str, ...]:
     """The names that `schema` knows."""
     return tuple(_MODELS)
 

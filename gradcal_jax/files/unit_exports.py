@@ -56,7 +56,7 @@ def export_unit(
 # --- parts that serve the targets of single axes ----------------------------------------------------------------------
 
 
-def axes_of(calibration: UnitCalibration, kind: str) -> Calibration | None:
+def single_axes_of(calibration: UnitCalibration, kind: str) -> Calibration | None:
     """The biases and scale factors of one kind, as a calibration of single axes; None where there is no such channel.
 
     Of accelerometers rates stand for specific forces: rad/s for m/s².
@@ -169,7 +169,7 @@ def _both(
     calibration: UnitCalibration, target: str, options: Mapping[str, Any]
 ) -> tuple[list[str], list[Loss], list[str]]:
     """What a target of single axes takes of the gyros, where there are any."""
-    gyros = axes_of(calibration, "gyro")
+    gyros = single_axes_of(calibration, "gyro")
     if gyros is None:
         return [], [], []
     done = exports.export(
@@ -190,7 +190,7 @@ def _ardupilot(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expo
     number = int(options["instance"])
     forces = [c for c in calibration.channel if c.kind == "accelerometer"]
     if forces:
-        parts = axes_of(calibration, "accelerometer")
+        parts = single_axes_of(calibration, "accelerometer")
         assert parts is not None
         low = max(float(calibration.valid_temperature[0]), -70.0)
         high = min(float(calibration.valid_temperature[1]), 80.0)
@@ -242,7 +242,7 @@ def _scale_left(calibration: UnitCalibration, channel: CalibratedChannel, at: fl
 
 def _px4(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
     lines, losses, notes = _both(calibration, "px4", options)
-    parts = axes_of(calibration, "accelerometer")
+    parts = single_axes_of(calibration, "accelerometer")
     if parts is not None:
         number, identity = int(options["instance"]), options["device_id"]
         low, high = (float(t) for t in calibration.valid_temperature)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from .clock import Clock
 from .errors import Disconnected, HardwareError
-from .journal import JournalFull, plain
+from .journal import JournalFull, record_of
 from .roles import ChamberReading, TemperatureChamber
 from .track import Course, Stable
 
@@ -198,7 +198,7 @@ class ChamberDuty:
                     reading = self.chamber.read()
                     self.heard(reading)
                     failures = 0
-                    self._event("chamber", at_once=False, **plain(reading))
+                    self._event("chamber", at_once=False, **record_of(reading))
                 except HardwareError as problem:
                     failures += 1
                     self._event("chamber not read", quietly=True, problem=str(problem))

@@ -42,7 +42,7 @@ class DryRun:
     problems: tuple[str, ...]
 
 
-def dry_run(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> DryRun:
+def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> DryRun:
     """What a track tells devices that have these limits."""
     steps: list[PlannedStep] = []
     rounded: list[str] = []

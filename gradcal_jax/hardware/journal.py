@@ -327,7 +327,7 @@ def json_of(item: Any) -> Any:
     return None if isinstance(item, float) and not math.isfinite(item) else item
 
 
-def plain(value: Any) -> dict[str, Any]:
+def record_of(value: Any) -> dict[str, Any]:
     """A record of this room as JSON has it; its `name` is that of a device."""
     fields = {name: json_of(getattr(value, name)) for name in value.__dataclass_fields__}
     if "name" in fields:

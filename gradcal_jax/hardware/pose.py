@@ -31,16 +31,16 @@ def drawn(spec: UnitSpec, angles_deg: Mapping[str, float], mounting: int) -> str
     """
     attitude = np.eye(3)
     for axis in spec.rig.table.axis:
-        attitude = attitude @ rotation(axis.unit_vector, np.radians(angles_deg.get(axis.name, 0.0)))
+        attitude = attitude @ turn_about(axis.unit_vector, np.radians(angles_deg.get(axis.name, 0.0)))
     hung = spec.rig.table.mounting[max(mounting - 1, 0)]
     attitude = attitude @ np.array(hung.columns).T
     if hung.rotation is not None and (size := float(np.linalg.norm(hung.rotation))) > 0.0:
-        attitude = attitude @ rotation([float(angle) / size for angle in hung.rotation], size)
+        attitude = attitude @ turn_about([float(angle) / size for angle in hung.rotation], size)
     said = {name: f"{name}: body {_seen(np.array(world) @ attitude)}" for name, world in _WORLD.items()}
     return f"  {said['up']}\n  |  {said['north']}\n  | /\n  o---- {said['east']}"
 
 
-def rotation(axis: tuple[float, ...] | list[float], angle: float) -> NDArray[np.float64]:
+def turn_about(axis: tuple[float, ...] | list[float], angle: float) -> NDArray[np.float64]:
     """The matrix of a turn by `angle` (rad) about a unit vector (Rodrigues)."""
     x, y, z = axis
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

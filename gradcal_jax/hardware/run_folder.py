@@ -107,7 +107,7 @@ def new_folder(
     notes: dict[str, Any] = {
         "format": FORMAT,
         "recipe": recipe.fingerprint,
-        "rig": tables_of(rig),
+        "rig": rig_tables(rig),
         "version": version("gradcal_jax"),
         "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "simulated": simulated is not None,
@@ -118,7 +118,7 @@ def new_folder(
     return folder
 
 
-def tables_of(rig: RigFile) -> dict[str, Any]:
+def rig_tables(rig: RigFile) -> dict[str, Any]:
     """A rig as its file has it."""
     return rig.model_dump(mode="json", exclude_unset=True)
 
@@ -139,7 +139,7 @@ def begin_session(
 ) -> None:
     """The event that begins a part of a run; the wall clock stands beside the monotonic one."""
     part: dict[str, Any] = {"number": number, "first_step": first_step, "recipe": recipe, "wall_clock_s": time.time()}
-    journal.event(now_s, SESSION, **part, simulated=simulated, version=version("gradcal_jax"), rig=tables_of(rig))
+    journal.event(now_s, SESSION, **part, simulated=simulated, version=version("gradcal_jax"), rig=rig_tables(rig))
 
 
 def sessions(contents: JournalContents) -> int:
@@ -188,7 +188,7 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
         )
     then: Any = notes.get("rig")
     for now in (folder.rig(), rig):
-        if now is not None and isinstance(then, dict) and (found := _differences(then, tables_of(now))):
+        if now is not None and isinstance(then, dict) and (found := _differences(then, rig_tables(now))):
             raise RunFolderError(
                 f"The rig is not the one that the run in {folder.path} began with: {'; '.join(found)}. Put it back, or "
                 "begin a new run."

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 
 from .clock import Clock
 from .errors import HardwareError
-from .journal import plain
+from .journal import record_of
 from .roles import AxisLimits, AxisReading, DrawnAxis, MotionAxis
 from .track import AxisCommand
 
@@ -240,14 +240,14 @@ class AxesDuty:
             axis.stop()
             self._spinning.discard(name)
             self._turning[name] = began
-        self._event("move", at_once=False, step=step, began_s=began, **plain(move))
+        self._event("move", at_once=False, step=step, began_s=began, **record_of(move))
 
     def _read(self, name: str) -> AxisReading:
         before, reading = self.newest.get(name), self._axes[name].read()
         self.newest[name] = reading
         # An angle that nobody knows is no reading, and one that was typed is one reading however often it is asked for.
         if not math.isnan(reading.position_deg) and before != reading:
-            self._event("angle", at_once=False, axis=name, **plain(reading))
+            self._event("angle", at_once=False, axis=name, **record_of(reading))
         if not reading.moving:
             self._turning.pop(name, None)
             planned_s = self._planned_end_s.pop(name, math.inf)

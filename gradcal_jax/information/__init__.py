@@ -3,7 +3,16 @@
 from gradcal_jax.information.adjoint import gram, whitened_factor
 from gradcal_jax.information.montecarlo import Twin, WishartTest, monte_carlo_errors, simulate_noise, wishart_test
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
-from gradcal_jax.information.noticing import gains, kept, missed, noticed_from, power, quantiles, seen, where_hidden
+from gradcal_jax.information.noticing import (
+    gains_of_shares,
+    kept,
+    missed,
+    not_negligible,
+    noticed_from,
+    power,
+    quantiles,
+    where_hidden,
+)
 from gradcal_jax.information.observability import unobservable_combinations
 from gradcal_jax.information.posterior import (
     Posterior,

@@ -48,13 +48,13 @@ def kept(info: SquareRootInformation, where: slice, std) -> Float[AnyArray, " k"
     return xp.clip(xp.sum(vectors * (covariance @ vectors), axis=0), 0.0, 1.0)
 
 
-def gains(share: Float[np.ndarray, " k"], std: float) -> Float[np.ndarray, " s"]:
+def gains_of_shares(share: Float[np.ndarray, " k"], std: float) -> Float[np.ndarray, " s"]:
     """`m_i` of the components that the test takes, per squared unit of a coefficient, from what is `kept`."""
     every = (1.0 / np.asarray(share) - 1.0) / std**2
-    return every[seen(every)]
+    return every[not_negligible(every)]
 
 
-def seen(gain: Float[np.ndarray, " k"]) -> np.ndarray:
+def not_negligible(gain: Float[np.ndarray, " k"]) -> np.ndarray:
     """Which components the test takes: all whose gain is not negligible beside the largest."""
     largest = np.max(gain, initial=0.0)
     return gain > max(SEEN * largest, np.finfo(float).tiny)

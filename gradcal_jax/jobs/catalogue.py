@@ -47,7 +47,7 @@ def recipes(
         kept_in.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"{folder} cannot be a folder for recipes: {error.strerror}") from None
-    identities = [identity_of(case) for case in job.cases]
+    identities = [identity_of_case(case) for case in job.cases]
     rows: dict[int, dict[str, Any]] = {}
     for number, case in enumerate(job.cases):
         if case.spec is None:
@@ -82,7 +82,7 @@ def recipes(
     return table
 
 
-def identity_of(case: CatalogueCase) -> str:
+def identity_of_case(case: CatalogueCase) -> str:
     """The same for the same case, computed by the same versions."""
     tables = None if case.spec is None else tables_of(case.spec)
     text = json.dumps([tables, versions()], sort_keys=True, ensure_ascii=False)

@@ -35,7 +35,7 @@ def dataset_of(
     import xarray
 
     grid = job.file.samples is None
-    names = [slug(axis.label) for axis in job.file.axis]
+    names = [variable_name(axis.label) for axis in job.file.axis]
     dims = tuple(names) if grid else ("point",)
     shape = points.shape
     values = [points.values(i) for i in range(len(points))]
@@ -66,7 +66,7 @@ def dataset_of(
     tables = [{(row.requirement, row.channel): row for row in result.residuals} for result in results]
     taken: set[str] = set()
     for i, requirement in enumerate(job.base.requirement):
-        name = slug(requirement.name)
+        name = variable_name(requirement.name)
         if name in taken:
             name = f"{name}_{i}"
         taken.add(name)
@@ -85,7 +85,7 @@ def dataset_of(
                 "decisive": decisive,
                 "verdict": f"{name}_verdict",
             }
-            add(f"{name}_{slug(statistic)}", column, attributes, extra)
+            add(f"{name}_{variable_name(statistic)}", column, attributes, extra)
         verdicts = [[row.verdict if (row := t.get((i, c))) else "" for c in channels] for t in tables]
         what = f"{requirement.name}: against its target, if it has one"
         add(f"{name}_verdict", verdicts, {"long_name": what}, extra)
@@ -116,7 +116,7 @@ def _number(row: Any, statistic: int) -> float:
     return np.nan if value is None else value
 
 
-def slug(text: str) -> str:
+def variable_name(text: str) -> str:
     """A name that programs can use: letters, digits and underscores."""
     plain = re.sub(r"\W+", "_", text.strip()).strip("_")
     return plain if plain and not plain[0].isdigit() else f"v_{plain}"

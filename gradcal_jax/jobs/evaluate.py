@@ -98,7 +98,7 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
     made = recipe(best)
     wanted = None if spec.design is None else spec.design.minimise
     decisive = next((row for row in made.prediction.requirements if row.name == wanted), None)
-    limit = limit_of(spec)
+    limit = least_possible(spec)
     return {
         "toml": to_toml(made, header=_HEADER),
         "objective": best.name,
@@ -115,7 +115,7 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def limit_of(spec: Spec) -> float | None:
+def least_possible(spec: Spec) -> float | None:
     """What no plan on this rig in this time can beat, in the objective's unit; None where there is no such proof."""
     from gradcal_jax.api.limit import limits
 

@@ -242,7 +242,7 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else value
 
 
-def as_tables(certificate: Certificate) -> dict[str, Any]:
+def certificate_tables(certificate: Certificate) -> dict[str, Any]:
     """The certificate as plain numbers and texts, for `--json`."""
     return certificate._asdict() | {
         "heading": dict(certificate.heading),

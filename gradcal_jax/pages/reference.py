@@ -33,7 +33,7 @@ def _schema(name: str) -> Body:
 def _pages() -> dict[str, tuple[str, Body]]:
     """On which page each table stands, the first that has it, and the table."""
     pages: dict[str, tuple[str, Body]] = {}
-    for page in schemas.names():
+    for page in schemas.schema_names():
         for title, body in _tables(_schema(page)):
             if pages.setdefault(title, (page, body))[1] != body:
                 raise AssertionError(f"two different tables are called {title}")

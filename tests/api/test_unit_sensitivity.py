@@ -6,7 +6,7 @@ import math
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.unit_sensitivity import RATES, TIME, figures_of
+from gradcal_jax.api.unit_sensitivity import RATES, TIME, sensitive_figures
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
 
@@ -68,7 +68,7 @@ def test_a_figure_s_row_is_what_the_prediction_says_of_it():
 
 
 def test_figures_are_those_that_the_spec_has_and_keys_of_one_kind_go_together():
-    figures = figures_of(gj.parse_unit_spec(presets.text("heat-and-cool")))
+    figures = sensitive_figures(gj.parse_unit_spec(presets.text("heat-and-cool")))
     assert {"gyro: angle random walk", "thermal lag", "sample clock error", "accuracy of gravity", TIME} <= set(figures)
     assert list(figures["table: reading noise"]) == [f"rig.table.axis[{k}].angle.reading_noise" for k in (0, 1)]
     assert figures[TIME]["plan.programme[1].rate"] == -1
@@ -76,7 +76,7 @@ def test_figures_are_those_that_the_spec_has_and_keys_of_one_kind_go_together():
     assert figures[TIME]["rig.table.axis[0].max_acceleration"] == -2
     assert figures[RATES]["rig.table.axis[0].max_acceleration"] == 2
     assert not [key for key in figures[RATES] if "programme" in key or "chamber" in key or key.endswith("rest")]
-    by_hand = figures_of(gj.parse_unit_spec(presets.text("gimbal-by-hand")))
+    by_hand = sensitive_figures(gj.parse_unit_spec(presets.text("gimbal-by-hand")))
     assert by_hand[RATES]["plan.cycle.moves[1].duration"] == -1
 
 

@@ -15,7 +15,7 @@ from gradcal_jax.api.calibration import estimate_calibration
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.gradient_estimate import _fitted_lag
-from gradcal_jax.api.log_rows import Rows, followed, host_time
+from gradcal_jax.api.log_rows import Rows, host_time, temperature_followed
 from gradcal_jax.files import parse_spec
 from gradcal_jax.files.correction import bias, scale_factor
 from gradcal_jax.files.log import Log, LogError, Reason
@@ -212,7 +212,7 @@ def test_a_lag_does_not_run_across_what_was_not_recorded():
     hour, lag, per_s = np.arange(0.0, 3600.0, 0.1), 120.0, 1.0 / 60.0
     up, down = 20.0 + per_s * hour, 80.0 - per_s * hour
     time = np.concatenate([hour, 3.0 * 3600.0 + hour])
-    late = followed(rows_at(time, np.concatenate([up, down]), [0, len(hour)]), lag)
+    late = temperature_followed(rows_at(time, np.concatenate([up, down]), [0, len(hour)]), lag)
     behind = per_s * lag * -np.expm1(-hour / lag)
     np.testing.assert_allclose(late[: len(hour)], up - behind, atol=1e-9)
     np.testing.assert_allclose(late[len(hour) :], down + behind, atol=1e-9)
@@ -221,12 +221,12 @@ def test_a_lag_does_not_run_across_what_was_not_recorded():
 def test_a_lag_goes_on_over_samples_that_were_lost():
     time = np.arange(0.0, 3600.0, 0.1)
     rows = rows_at(time, 20.0 + time / 60.0, [0])
-    whole = followed(rows, 120.0)
+    whole = temperature_followed(rows, 120.0)
     kept = np.ones(len(time), bool)
     # A row alone among losses, and nine seconds.
     kept[20_000:20_010] = kept[20_011:20_101] = False
     holed = rows_at(time[kept], rows.temperature[kept], [0, 20_000, 20_001])
-    np.testing.assert_allclose(followed(holed, 120.0), whole[kept], atol=1e-9)
+    np.testing.assert_allclose(temperature_followed(holed, 120.0), whole[kept], atol=1e-9)
 
 
 @pytest.mark.parametrize(("at_s", "std_s"), [(-3.0, 4.0), (0.3, 0.5), (40.0, 2.0)])

@@ -87,9 +87,9 @@ PAIRS_14 = weiss.Layout(
 
 def test_weiss_golden_vectors() -> None:
     for value, text in golden.WEISS_NUMBERS.items():
-        assert weiss.number(value) == text
+        assert weiss.value_text(value) == text
     with pytest.raises(LimitExceeded):
-        weiss.number(123456.0)
+        weiss.value_text(123456.0)
     assert weiss.request(0, "I") == golden.WEISS_READ[0]
     assert weiss.request(1, "I") == golden.WEISS_READ_HELP[0]
     assert weiss.request(1, "U", "0001.1 0000.0 0000.0 0000.0") == golden.WEISS_GRADIENT
@@ -165,7 +165,7 @@ def test_modbus_golden_vectors() -> None:
     assert watlow_f4.write_request(1, 300, watlow_f4.unscaled(-40.0, 1)) == golden.MODBUS_WRITE_MINUS_40
     assert watlow_f4.write_request(1, 1217, 1) == golden.MODBUS_TERMINATE
     assert watlow_f4.parse_registers(golden.MODBUS_25, 1, 1) == (250,)
-    assert watlow_f4.scaled(*watlow_f4.parse_registers(golden.MODBUS_MINUS_40, 1, 1), 1) == -40.0
+    assert watlow_f4.with_decimals(*watlow_f4.parse_registers(golden.MODBUS_MINUS_40, 1, 1), 1) == -40.0
     watlow_f4.parse_echo(golden.MODBUS_WRITE_25, golden.MODBUS_WRITE_25)
     with pytest.raises(FramingError):
         watlow_f4.parse_echo(golden.MODBUS_WRITE_MINUS_40, golden.MODBUS_WRITE_25)

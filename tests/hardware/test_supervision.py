@@ -18,7 +18,7 @@ from gradcal_jax.files.rig import RigFile, rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.dry_run import dry_run, rate_as_made
+from gradcal_jax.hardware.dry_run import dry_run_of, rate_as_made
 from gradcal_jax.hardware.roles import ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
@@ -73,8 +73,8 @@ def test_slopes_are_said_as_the_chamber_makes_them() -> None:
     assert rate_as_made(whole, 40.0, 1.5) == pytest.approx(40.0 / 27.0)
     assert rate_as_made(tenths, 40.0, 0.26) == pytest.approx(0.3)
     track = track_of(short_recipe(ramp_k=1.0, changes=SLOWER), ["x"])
-    assert "2 K/min become 1 K/min" in dry_run(track, whole, {}).rounded[0]
-    assert dry_run(track, tenths, {}).rounded == ()
+    assert "2 K/min become 1 K/min" in dry_run_of(track, whole, {}).rounded[0]
+    assert dry_run_of(track, tenths, {}).rounded == ()
 
 
 def test_what_is_said_of_a_slope_is_what_the_driver_makes_of_it() -> None:

@@ -103,7 +103,7 @@ def parse_echo(frame: bytes, sent: bytes) -> None:
         raise FramingError(f"A write was echoed as {printable(frame)!r}; {printable(sent)!r} was sent.")
 
 
-def scaled(raw: int, decimals: int) -> float:
+def with_decimals(raw: int, decimals: int) -> float:
     return raw / 10**decimals
 
 
@@ -213,12 +213,12 @@ class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
         return self._decimals[sensor]
 
     def _temperature(self, register: int, sensor: int) -> float:
-        return scaled(self._read(register)[0], self._places(sensor))
+        return with_decimals(self._read(register)[0], self._places(sensor))
 
     def _range(self) -> tuple[float, float]:
         low, high = self._read(SET_POINT_LOW, 2)
         places = self._places(1)
-        return scaled(low, places), scaled(high, places)
+        return with_decimals(low, places), with_decimals(high, places)
 
     def _event_register(self) -> int:
         return 2000 + 10 * (self._config.conditioning_event - 1)

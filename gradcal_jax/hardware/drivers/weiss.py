@@ -105,7 +105,7 @@ class Record:
     digital: str
 
 
-def number(value: float) -> str:
+def value_text(value: float) -> str:
     """Six characters, one decimal, a sign only when negative: `0023.4`, `-005.5`."""
     text = f"{value:06.1f}"
     if len(text) != 6:
@@ -123,7 +123,7 @@ def write_body(layout: Layout, record: Record, *, temperature_c: float, start: b
         temperature_c if name == layout.temperature else record.numbers[layout.nominal(name)] for name in layout.write
     ]
     digital = record.digital[:start_channel] + ("1" if start else "0") + record.digital[start_channel + 1 :]
-    return " ".join([*map(number, values), digital])
+    return " ".join([*map(value_text, values), digital])
 
 
 def parse_record(frame: bytes, layout: Layout, digital_channels: int = 32) -> Record:
@@ -310,7 +310,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         channel = self._config.start_channel
 
         def shows(now: Record) -> bool:
-            arrived = abs(self._nominal(now) - float(number(temperature_c))) < 0.05
+            arrived = abs(self._nominal(now) - float(value_text(temperature_c))) < 0.05
             return (now.digital[channel] == "1") == start and arrived
 
         until_shown(
@@ -324,10 +324,10 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
     def _tell(self, temperature_c: float, up: float, down: float, *, start: bool) -> None:
         layout, channel = self._layout(), self._config.start_channel
-        self._acknowledged("U", " ".join(map(number, (up, down, 0.0, 0.0))))
+        self._acknowledged("U", " ".join(map(value_text, (up, down, 0.0, 0.0))))
         if not (up or down or self._acknowledges):
             # That a gradient was taken off shows only where the set point has far to go.
-            self._acknowledged("U", " ".join(map(number, (up, down, 0.0, 0.0))))
+            self._acknowledged("U", " ".join(map(value_text, (up, down, 0.0, 0.0))))
         body = write_body(layout, self._record(), temperature_c=temperature_c, start=start, start_channel=channel)
         self._acknowledged("E", body)
 

@@ -158,7 +158,7 @@ def _accelerometer(triad: AccelerometerTriad, names: _Names) -> TriadTruth:
     )
 
 
-def draw_unit(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
+def draw_unit_truth(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
     """The hidden parameters of the unit of this number, in its `names` as the calibration has them, SI."""
     names = _Names(np.random.default_rng([seed, number, 20261]))
     sensor = spec.sensor
@@ -252,7 +252,7 @@ class SimulatedUnitLab(OnPorts):
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         self.units: dict[str, SimulatedUnit] = {
             f"unit{number}": SimulatedUnit(
-                draw_unit(spec, seed, number),
+                draw_unit_truth(spec, seed, number),
                 truth,
                 self.chamber_plant,
                 self.axis_plants,

@@ -117,7 +117,7 @@ def _require_somebody(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
 
 
 def _on_rig(folder: RunFolder, first_step: int, attended: Attended) -> RunResult:
-    return run_session(folder, folder.rig(), RealClock(), first_step=first_step, guard=True, **_alone(attended))
+    return run_session(folder, folder.rig(), RealClock(), first_step=first_step, guard=True, **attended)
 
 
 def _simulated(
@@ -143,9 +143,4 @@ def _simulated(
         if resumed is None:
             folder = new_folder(path, recipe, lab.rig, simulated=dict(simulation), about=about)
             write_whole(path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
-        return run_session(folder, lab.rig, clock, first_step=resumed or 0, simulated=True, **_alone(attended))
-
-
-def _alone(attended: Attended) -> Attended:
-    """Where nobody can answer, what would pause a run ends it, safe."""
-    return Attended(wait_when_paused=False) | attended
+        return run_session(folder, lab.rig, clock, first_step=resumed or 0, simulated=True, **attended)

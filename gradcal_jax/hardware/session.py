@@ -44,7 +44,7 @@ def run_session(
     with_runner: Callable[[Runner], None] | None = None,
     handle_signals: bool = False,
     safe_deadline_s: float = 60.0,
-    wait_when_paused: bool = True,
+    wait_when_paused: bool = False,
     terminal: Terminal | None = None,
     knows: Knows | None = None,
 ) -> RunResult:
@@ -52,6 +52,7 @@ def run_session(
 
     `guard`: a process beside this one makes the rig safe if this one is killed or broken off, and tries again where
     this one ends with a device that is not verified safe. `with_runner` is handed the runner before it starts.
+    Without `wait_when_paused`, which is for somebody who can answer, what would pause the run ends it, safe.
     `terminal` is where somebody is asked to turn what is turned by hand; `knows` says what is known, for the status.
     Raises `HardwareError` for what keeps the run from starting; what happens later is in the result.
     """

@@ -8,10 +8,10 @@ import pytest
 
 from gradcal_jax import files
 from gradcal_jax.files import Prediction, Timeline, presets
-from gradcal_jax.files.schemas import names, schema
+from gradcal_jax.files.schemas import schema, schema_names
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", schema_names())
 def test_schemas_are_valid_and_closed(name):
     found = schema(name)
     jsonschema.Draft202012Validator.check_schema(found)

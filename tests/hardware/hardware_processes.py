@@ -56,7 +56,7 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
     rules = standard_rules(InterlockLimits(imu_stale_s=2.0 * speed, temperature_band_k=None, latest_s=1.0 * speed))
     result = run_session(
         made, made.rig(), clock, first_step=first, guard=guard, interlocks=rules, safe_deadline_s=20.0,
-        wait_when_paused=False, handle_signals=True,
+        handle_signals=True,
     )  # fmt: skip
     print(result.exit_status, result.reason, flush=True)
     return 0 if result.exit_status == "success" and result.verified_safe else 3

@@ -262,7 +262,7 @@ def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path: Path) -> None:
 
 
 def run_of(lab: SimulatedLab, folder: RunFolder, clock: RealClock, **more: Any) -> RunResult:
-    return run_session(folder, lab.rig, clock, guard=True, wait_when_paused=False, **more)
+    return run_session(folder, lab.rig, clock, guard=True, **more)
 
 
 @pytest.mark.parametrize("how", ["broken off", "not verified"])

@@ -184,7 +184,7 @@ def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Pat
             if progress.steps_done == 1:
                 lab.chamber.raise_alarm(18)
 
-        result = run_session(run, rig, clock, simulated=True, on_progress=alarm, wait_when_paused=False)
+        result = run_session(run, rig, clock, simulated=True, on_progress=alarm)
     assert result.exit_status == "aborted"
     heard = wait_for(tmp_path / "heard")
     assert "aborted" in heard

@@ -76,7 +76,8 @@ class SimulatedPort:
         self._send_lock = threading.Lock()
         self._nobody_reads = False
         self._stop = threading.Event()
-        self._speaks = threading.Event()
+        self._speaks, self._heeded = threading.Event(), threading.Event()
+        self._is_silent = True
         self._master = self._slave = -1
         self._listener: socket.socket | None = None
         self._connection: socket.socket | None = None
@@ -164,9 +165,20 @@ class SimulatedPort:
                     replies = self.device.receive(heard)
                 for reply in replies:
                     self._deliver(reply)
-            self._speaks.set()
+            if isinstance(self.device, StreamingDevice):
+                self._speak_up(self.device)
             # Handled only now: virtual time waits until the command has had its effect and its reply is out.
             self._link.change(to_device=-len(data))
+
+    def _speak_up(self, device: StreamingDevice) -> None:
+        """Virtual time must not run on before one that was silent has begun to wait for what it says next."""
+        self._heeded.clear()
+        self._speaks.set()
+        while not self._stop.is_set():
+            with self._device_lock:
+                if not self._is_silent or device.next_emission_s() is None:
+                    return
+            self._heeded.wait(0.5)
 
     def _receive(self) -> bytes:
         if self._listener is not None and self._connection is None:
@@ -201,6 +213,9 @@ class SimulatedPort:
             while not self._stop.is_set():
                 with self._device_lock:
                     due_s = device.next_emission_s()
+                    self._is_silent = due_s is None
+                    if due_s is not None:
+                        self._heeded.set()
                 if due_s is None:
                     with self._clock.aside():
                         self._speaks.wait(0.5)

@@ -60,16 +60,39 @@ def _triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
         rows = jnp.concatenate([rows, jnp.zeros((p - n, p), rows.dtype)])
     if n < _TALL * p:
         return _by_reflections(rows)
-    # Tall rows: Cholesky of the product, once where their columns are far from parallel, or twice, which is as accurate
-    # as QR while the first factor is not too ill conditioned (Yamamoto and others, 2015) and needs a tenth of its time;
-    # otherwise QR.
-    first = jnp.linalg.cholesky(rows.T @ rows).T
+    return _of_tall(rows.T @ rows, lambda: rows)
+
+
+def scaled_factor(rows: Float[Array, "n p"], below: Float[Array, "q p"]) -> tuple[Float[Array, "p p"], Array]:
+    """R of both, one above the other, their columns scaled to unit length, and these lengths `(p,)`, 1 for zero."""
+
+    def scaled(scale: Array) -> Array:
+        return jnp.concatenate([rows, below]) / scale[None, :]
+
+    n, p = rows.shape
+    if n < _TALL * p:
+        scale = column_norms(jnp.concatenate([rows, below]))
+        return triangular_factor(scaled(scale)), scale
+    # The rows are gone through once: their product tells the lengths, too.
+    product = rows.T @ rows + below.T @ below
+    square = jnp.diagonal(product)
+    scale = jnp.where(square > 0.0, jnp.sqrt(square), 1.0)
+    return _of_tall(product / (scale[:, None] * scale[None, :]), lambda: scaled(scale)), scale
+
+
+def _of_tall(product: Float[Array, "p p"], rows: Callable[[], Array]) -> Float[Array, "p p"]:
+    """R of tall rows, of which only the product is asked for where it says enough.
+
+    Cholesky of the product, once where their columns are far from parallel, or twice, which is as accurate as QR while
+    the first factor is not too ill conditioned (Yamamoto and others, 2015) and needs a tenth of its time; otherwise QR.
+    """
+    first, p = jnp.linalg.cholesky(product).T, product.shape[0]
     diagonal = jnp.diagonal(first)
     sound = jnp.min(diagonal) > _SOUND * jnp.max(diagonal)
     inverse = solve_triangular(jnp.where(sound, first, jnp.eye(p, dtype=first.dtype)), jnp.eye(p, dtype=first.dtype))
     good = sound & (jnp.sum(first**2) * jnp.sum(inverse**2) < _WELL_CONDITIONED)
-    ways = [lambda rows, _: _by_reflections(rows), _by_two_products, lambda _, first: first]
-    return jax.lax.switch(sound.astype(int) + good.astype(int), ways, rows, first)
+    ways = [lambda _: _by_reflections(rows()), lambda first: _by_two_products(rows(), first), lambda first: first]
+    return jax.lax.switch(sound.astype(int) + good.astype(int), ways, first)
 
 
 def _by_two_products(rows: Float[Array, "n p"], first: Float[Array, "p p"]) -> Float[Array, "p p"]:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax.linalg import column_norms, linear_with_transpose, solve_transposed, triangular_factor
+from gradcal_jax.linalg import column_norms, linear_with_transpose, scaled_factor, solve_transposed, triangular_factor
 
 
 def rows_of(kind: str) -> np.ndarray:
@@ -34,6 +34,23 @@ def test_the_factor_is_triangular_with_the_same_gram(kind, dtype):
     assert np.all(np.tril(factor, -1) == 0.0)
     assert np.all(np.diagonal(factor) >= 0.0)
     np.testing.assert_allclose(factor.T @ factor, np.asarray(rows.T @ rows), atol=30 * np.finfo(dtype).eps)
+
+
+@pytest.mark.parametrize("apart", [1.0, 1e-2, 1e-4, 1e-7, 0.0])
+@pytest.mark.parametrize("count", [20, 200])
+@pytest.mark.parametrize("second", [0.0, 1.0])
+def test_scaled_rows_keep_their_condition_however_parallel_they_are(count, apart, second):
+    rng = np.random.default_rng(6)
+    rows, below = rng.standard_normal((count, 5)), rng.standard_normal((3, 5))
+    for block in (rows, below):
+        block[:, 4] = block[:, 0] + apart * block[:, 4]
+        block *= [1e6, second, 1e-6, 1e3, 1.0]
+    together = np.concatenate([rows, below])
+    factor, scale = scaled_factor(jnp.asarray(rows), jnp.asarray(below))
+    lengths = np.linalg.norm(together, axis=0)
+    np.testing.assert_allclose(scale, np.where(lengths > 0.0, lengths, 1.0), rtol=1e-14)
+    wanted = np.abs(np.diagonal(np.linalg.qr(together / np.where(lengths > 0.0, lengths, 1.0), mode="r")))
+    np.testing.assert_allclose(np.diagonal(factor), wanted, rtol=1e-7, atol=1e-14)
 
 
 def smooth_function_of_the_gram(rows):

@@ -47,7 +47,7 @@ from gradcal_jax.information.whitening import (
     transposed,
     whiten,
 )
-from gradcal_jax.linalg import column_norms, factor_tangent, linear_with_transpose, triangular_factor
+from gradcal_jax.linalg import factor_tangent, linear_with_transpose, scaled_factor
 
 
 @jax.custom_jvp
@@ -71,24 +71,18 @@ def whitened_factor(
 
     R is found from the rows themselves, which keeps their condition. `scale` counts as a constant.
     """
-    return _factor(whiten(steps, columns), below)
+    return scaled_factor(whiten(steps, columns), below)
 
 
 @whitened_factor.defjvp
 def _whitened_factor_jvp(primals, tangents):
     (steps, columns, below), (d_steps, d_columns, d_below) = primals, tangents
     rows, tangent = _linearised(steps, columns)
-    factor, scale = _factor(rows, below)
+    factor, scale = scaled_factor(rows, below)
     cross = below.T @ d_below
     d_gram = tangent(d_steps, d_columns) + cross + cross.T
     d_factor = factor_tangent(factor, d_gram / (scale[:, None] * scale[None, :]))
     return (factor, scale), (d_factor, jnp.zeros_like(scale))
-
-
-def _factor(rows: Array, below: Array) -> tuple[Array, Array]:
-    everything = jnp.concatenate([rows, below])
-    scale = column_norms(everything)
-    return triangular_factor(everything / scale[None, :]), scale
 
 
 def _linearised(steps: NoiseSteps, columns: Array) -> tuple[Array, Callable[[NoiseSteps, Array], Array]]:

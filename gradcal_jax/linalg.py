@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from gradcal_jax.arrays import AnyArray, namespace
 
@@ -117,15 +117,20 @@ def _triangular_factor_jvp(primals, tangents):
 
 def factor_tangent(factor: Float[Array, "p p"], d_gram: Float[Array, "p p"]) -> Float[Array, "p p"]:
     """`dR` of an upper triangular R for a symmetric `d(RᵀR)`; see `triangular_factor`."""
-    diagonal = jnp.diagonal(factor)
-    dead = diagonal <= factor.shape[1] * jnp.finfo(factor.dtype).eps * jnp.max(diagonal, initial=0.0)
-    safe = factor + jnp.diag(jnp.where(dead, 1.0 - diagonal, 0.0))
+    dead = dead_of(factor)
+    safe = factor + jnp.diag(jnp.where(dead, 1.0 - jnp.diagonal(factor), 0.0))
     half = solve_triangular(safe, d_gram, trans=1, lower=False)
     inner = solve_triangular(safe, half.T, trans=1, lower=False)
     alive = jnp.where(dead, 0.0, 1.0).astype(factor.dtype)
     inner = inner * alive[:, None] * alive[None, :]
     upper = jnp.triu(inner, 1) + 0.5 * jnp.diag(jnp.diagonal(inner))
     return upper @ factor
+
+
+def dead_of(factor: Float[Array, "p p"]) -> Bool[Array, " p"]:
+    """Where an upper triangular R has nothing but rounding on its diagonal."""
+    diagonal = jnp.diagonal(factor)
+    return diagonal <= factor.shape[1] * jnp.finfo(factor.dtype).eps * jnp.max(diagonal, initial=0.0)
 
 
 def solve_transposed(factor: Float[AnyArray, "p p"], right: Float[AnyArray, "p m"]) -> Float[AnyArray, "p m"]:

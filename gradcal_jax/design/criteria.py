@@ -49,9 +49,8 @@ class Criterion(eqx.Module):
             variance = info.deviations(self.rows) ** 2 + self.beyond
         else:
             # cᵀCc − αᵀCα = (c − α)ᵀC(c + α): one product, where solves would take each of many rows by itself, twice.
-            half = solve_transposed(info.factor, xp.diag(1.0 / info.scale))
-            covariance = half.T @ half
-            variance = xp.sum(((self.rows - self.alone) @ covariance) * (self.rows + self.alone), axis=1) + self.beyond
+            half = (self.rows - self.alone) @ info.covariance()
+            variance = xp.sum(half * (self.rows + self.alone), axis=1) + self.beyond
         if self.between is not None:
             of_temperature, of_rate = self.between
             variance = of_temperature @ xp.reshape(variance, (of_temperature.shape[1], -1)) @ of_rate.T

@@ -47,7 +47,7 @@ from gradcal_jax.information.whitening import (
     transposed,
     whiten,
 )
-from gradcal_jax.linalg import factor_tangent, linear_with_transpose, scaled_factor
+from gradcal_jax.linalg import dead_of, factor_tangent, linear_with_transpose, scaled_factor, solve_transposed
 
 
 @jax.custom_jvp
@@ -66,23 +66,33 @@ def _gram_jvp(primals, tangents):
 @jax.custom_jvp
 def whitened_factor(
     steps: NoiseSteps, columns: Float[Array, "N p"], below: Float[Array, "q p"]
-) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
+) -> tuple[Float[Array, "p p"], Float[Array, " p"], Float[Array, "p p"]]:
     """R, upper triangular, and columns' lengths: `diag(scale) RᵀR diag(scale) = columnsᵀ V⁻¹ columns + belowᵀ below`.
 
-    R is found from the rows themselves, which keeps their condition. `scale` counts as a constant.
+    R is found from the rows themselves, which keeps their condition. `scale` counts as a constant. Last `(RᵀR)⁻¹`, not
+    finite where there is none, whose own derivative asks for no solves.
     """
-    return scaled_factor(whiten(steps, columns), below)
+    return _with_inverse(*scaled_factor(whiten(steps, columns), below))[:3]
 
 
 @whitened_factor.defjvp
 def _whitened_factor_jvp(primals, tangents):
     (steps, columns, below), (d_steps, d_columns, d_below) = primals, tangents
     rows, tangent = _linearised(steps, columns)
-    factor, scale = scaled_factor(rows, below)
+    factor, scale, inverse, safe = _with_inverse(*scaled_factor(rows, below))
     cross = below.T @ d_below
     d_gram = tangent(d_steps, d_columns) + cross + cross.T
-    d_factor = factor_tangent(factor, d_gram / (scale[:, None] * scale[None, :]))
-    return (factor, scale), (d_factor, jnp.zeros_like(scale))
+    d_scaled = d_gram / (scale[:, None] * scale[None, :])
+    tangents = factor_tangent(factor, d_scaled), jnp.zeros_like(scale), -safe @ d_scaled @ safe
+    return (factor, scale, inverse), tangents
+
+
+def _with_inverse(factor: Array, scale: Array) -> tuple[Array, Array, Array, Array]:
+    """And `(RᵀR)⁻¹`, also with ones in the place of a zero on the diagonal, so that no derivative is NaN."""
+    dead = dead_of(factor)
+    half = solve_transposed(factor + jnp.diag(jnp.where(dead, 1.0, 0.0)), jnp.eye(len(factor), dtype=factor.dtype))
+    safe = half.T @ half
+    return factor, scale, safe + jnp.diag(jnp.where(dead, jnp.inf, 0.0)), safe
 
 
 def _linearised(steps: NoiseSteps, columns: Array) -> tuple[Array, Callable[[NoiseSteps, Array], Array]]:

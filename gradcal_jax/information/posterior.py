@@ -29,14 +29,23 @@ OBSERVABLE = 1e-11
 
 
 class SquareRootInformation(NamedTuple):
-    """`information = diag(scale) RᵀR diag(scale)`, R upper triangular."""
+    """`information = diag(scale) RᵀR diag(scale)`, R upper triangular; `inverse`: of RᵀR, where it is there."""
 
     factor: Float[AnyArray, "p p"]
     scale: Float[AnyArray, " p"]
+    inverse: Float[AnyArray, "p p"] | None = None
 
     def leading(self, count: int) -> "SquareRootInformation":
         """What is known of the first parameters where all after them are known to be zero."""
         return SquareRootInformation(self.factor[:count, :count], self.scale[:count])
+
+    def covariance(self) -> Float[AnyArray, "p p"]:
+        """Of all parameters; not finite where the plan cannot tell them."""
+        inverse, xp = self.inverse, namespace(self.factor)
+        if inverse is None:
+            half = solve_transposed(self.factor, xp.eye(len(self.scale)))
+            inverse = half.T @ half
+        return inverse / (self.scale[:, None] * self.scale[None, :])
 
     def deviations(self, contrasts: Float[AnyArray, "g p"]) -> Float[AnyArray, " g"]:
         """Standard deviation of each linear combination of the parameters; differentiable, for observable ones."""

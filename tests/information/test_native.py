@@ -14,6 +14,7 @@ import pytest
 from gradcal_jax.information import (
     FilterState,
     NoiseSteps,
+    SquareRootInformation,
     adjoint,
     gram,
     native,
@@ -151,13 +152,39 @@ def test_the_factor_of_the_rows_too(in_blocks):
 
     def all_of_it(values, columns, below):
         def f(v, c, b):
-            factor, scale = whitened_factor(with_floats(steps, v), c, b)
+            factor, scale, _ = whitened_factor(with_floats(steps, v), c, b)
             return jnp.sum(weights(5) * factor * scale[None, :])
 
         return jax.value_and_grad(f, argnums=(0, 1, 2))(values, columns, below)
 
     found = compiled(all_of_it, floats(steps), columns, below)
     close(found, in_blocks(all_of_it, floats(steps), columns, below))
+
+
+def test_the_inverse_has_the_derivative_that_the_factor_tells():
+    steps, columns = system(2, 5, 61)
+    below = jnp.asarray(np.random.default_rng(2).standard_normal((3, 5)))
+
+    def variance(told, columns):
+        info = SquareRootInformation(*whitened_factor(steps, columns, below))
+        info = info if told else info._replace(inverse=None)
+        return jnp.sum(weights(5) * info.covariance())
+
+    by_inverse, by_factor = (compiled(jax.value_and_grad(partial(variance, told)), columns) for told in (True, False))
+    close(by_inverse, by_factor)
+
+
+def test_nothing_finite_is_said_of_what_no_reading_tells():
+    steps, columns = system(2, 5, 61)
+    none = jnp.zeros((0, 5))
+    info = SquareRootInformation(*whitened_factor(steps, columns.at[:, 2].set(0.0), none))
+    assert not np.isfinite(info.covariance()[2, 2])
+
+    def of_others(columns):
+        factor, _, _ = whitened_factor(steps, columns.at[:, 2].set(0.0), none)
+        return jnp.sum(factor**2)
+
+    assert np.all(np.isfinite(jax.grad(of_others)(columns)))
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gradcal_jax import machine
+
 # An array of either library, for annotations: `Float[AnyArray, "n p"]`. What is done with it is the same for both,
 # which a type checker cannot follow; shapes and kinds are checked where the tests run.
 if TYPE_CHECKING:
@@ -107,20 +109,8 @@ def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over:
 
 
 def running_sum(values: Any) -> Any:
-    """Sums of all rows up to each one, that one included.
-
-    JAX's own costs a CPU a window of 128 rows for each; two products with triangles of about √N rows cost little.
-    """
-    if namespace(values) is np:
-        return np.cumsum(values, axis=0)
-    count = values.shape[0]
-    length = max(1, round(count**0.5))
-    blocks = -(-count // length)
-    rest = [(0, 0)] * (values.ndim - 1)
-    cut = jnp.reshape(jnp.pad(values, [(0, blocks * length - count), *rest]), (blocks, length, -1))
-    within = np.tri(length) @ cut
-    before = np.tri(blocks, k=-1) @ within[:, -1]
-    return jnp.reshape(within + before[:, None], (blocks * length, *values.shape[1:]))[:count]
+    """Sums of all rows up to each one, that one included."""
+    return np.cumsum(values, axis=0) if namespace(values) is np else machine.running_sum(values)
 
 
 def size_class(count: int) -> int:

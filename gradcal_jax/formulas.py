@@ -85,64 +85,40 @@ def b_spline(x: Array, knots: tuple[float, ...], degree: int) -> Array:
 MOTION_TERMS = ("1", "u", "u^2", "u^3", "cos pi u", "sin pi u", "cos 2 pi u", "sin 4 pi u", "sin 6 pi u", "sin 8 pi u")
 
 
+def _waves(u: Array) -> tuple[Array, ...]:
+    """Sines and cosines of πu, 2πu, 4πu, 6πu and 8πu: the first of the library, which is dear, the rest of those."""
+    xp = u.__array_namespace__()
+    s1, c1 = xp.sin(pi * u), xp.cos(pi * u)
+    s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
+    s4, c4 = 2.0 * s2 * c2, c2 * c2 - s2 * s2
+    return s1, c1, s2, c2, s4, c4, s4 * c2 + c4 * s2, c4 * c2 - s4 * s2, 2.0 * s4 * c4, c4 * c4 - s4 * s4
+
+
 def motion_rate(u: Array) -> Array:
     """The motion family at the fraction `u` of a piece, `(...) -> (..., 10)`."""
     xp = u.__array_namespace__()
-    return xp.stack(
-        [
-            xp.ones_like(u),
-            u,
-            u * u,
-            u * u * u,
-            xp.cos(pi * u),
-            xp.sin(pi * u),
-            xp.cos(2 * pi * u),
-            xp.sin(4 * pi * u),
-            xp.sin(6 * pi * u),
-            xp.sin(8 * pi * u),
-        ],
-        axis=-1,
-    )
+    s1, c1, _, c2, s4, _, s6, _, s8, _ = _waves(u)
+    return xp.stack([xp.ones_like(u), u, u * u, u * u * u, c1, s1, c2, s4, s6, s8], axis=-1)
 
 
 def motion_angle(u: Array) -> Array:
     """Integral of the motion family from 0 to `u`, `(...) -> (..., 10)`; times the duration it is an angle."""
     xp = u.__array_namespace__()
-    return xp.stack(
-        [
-            u,
-            u * u / 2,
-            u * u * u / 3,
-            u * u * u * u / 4,
-            xp.sin(pi * u) / pi,
-            (1.0 - xp.cos(pi * u)) / pi,
-            xp.sin(2 * pi * u) / (2 * pi),
-            (1.0 - xp.cos(4 * pi * u)) / (4 * pi),
-            (1.0 - xp.cos(6 * pi * u)) / (6 * pi),
-            (1.0 - xp.cos(8 * pi * u)) / (8 * pi),
-        ],
-        axis=-1,
-    )
+    s1, c1, s2, c2, s4, *_ = _waves(u)
+    powers = [u, u * u / 2, u * u * u / 3, u * u * u * u / 4]
+    # 1 − cos 2x = 2 sin² x, which cancels nothing.
+    s3 = s2 * c1 + c2 * s1
+    waves = [s1 / pi, (1.0 - c1) / pi, s2 / (2 * pi), s2 * s2 / (2 * pi), s3 * s3 / (3 * pi), s4 * s4 / (4 * pi)]
+    return xp.stack([*powers, *waves], axis=-1)
 
 
 def motion_acceleration(u: Array) -> Array:
     """Derivative of the motion family, `(...) -> (..., 10)`; over the piece's duration it is an acceleration."""
     xp = u.__array_namespace__()
-    return xp.stack(
-        [
-            xp.zeros_like(u),
-            xp.ones_like(u),
-            2.0 * u,
-            3.0 * u * u,
-            -pi * xp.sin(pi * u),
-            pi * xp.cos(pi * u),
-            -2 * pi * xp.sin(2 * pi * u),
-            4 * pi * xp.cos(4 * pi * u),
-            6 * pi * xp.cos(6 * pi * u),
-            8 * pi * xp.cos(8 * pi * u),
-        ],
-        axis=-1,
-    )
+    s1, c1, s2, _, _, c4, _, c6, _, c8 = _waves(u)
+    powers = [xp.zeros_like(u), xp.ones_like(u), 2.0 * u, 3.0 * u * u]
+    waves = [-pi * s1, pi * c1, -2 * pi * s2, 4 * pi * c4, 6 * pi * c6, 8 * pi * c8]
+    return xp.stack([*powers, *waves], axis=-1)
 
 
 def _terms(**terms: float) -> tuple[float, ...]:

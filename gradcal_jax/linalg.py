@@ -5,13 +5,11 @@ inverts a matrix, and nothing adds an absolute jitter: in radians a diagonal of 
 """
 
 from collections.abc import Callable
-from math import prod
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float
 
@@ -146,26 +144,3 @@ def column_norms(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, " p"]:
     square = xp.sum(rows * rows, axis=0)
     alive = square > 0.0
     return xp.where(alive, xp.sqrt(xp.where(alive, square, 1.0)), 1.0)
-
-
-def linear_with_transpose(linear: Callable, transpose: Callable, argument, result: tuple[int, ...]) -> Array:
-    """`L a` of a linear function whose transpose is told, not derived; `result`: shape of the one array that it gives.
-
-    JAX's one public way to say so that also goes through `vmap` is a linear system: `(a, 0)` is what the matrix
-    `[[1, 0], [−L, 1]]` makes of `(a, L a)`, and its transpose makes `(0, s)` of `(Lᵀs, s)`.
-    """
-    given, structured = ravel_pytree(argument)
-    size, count = given.shape[0], prod(result)
-
-    def system(x):
-        return jnp.concatenate([x[:size], x[size:] - jnp.ravel(linear(structured(x[:size])))])
-
-    def solve(_, b):
-        return jnp.concatenate([b[:size], b[size:] + jnp.ravel(linear(structured(b[:size])))])
-
-    def solve_transposed(_, b):
-        told, _ = ravel_pytree(transpose(jnp.reshape(b[size:], result)))
-        return jnp.concatenate([b[:size] + told, b[size:]])
-
-    both = jnp.concatenate([given, jnp.zeros(count, given.dtype)])
-    return jnp.reshape(jax.lax.custom_linear_solve(system, both, solve, solve_transposed)[size:], result)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax.linalg import column_norms, linear_with_transpose, scaled_factor, solve_transposed, triangular_factor
+from gradcal_jax.linalg import column_norms, scaled_factor, solve_transposed, triangular_factor
 
 
 def rows_of(kind: str) -> np.ndarray:
@@ -102,25 +102,3 @@ def test_solves_and_norms():
     slope = jax.grad(lambda a: jnp.sum(column_norms(a)))(rows)
     assert np.all(np.isfinite(slope))
     assert np.all(np.asarray(slope[:, 1]) == 0.0)
-
-
-def test_a_linear_map_uses_the_transpose_that_it_is_told():
-    """A wrong one on purpose: it must come back from reverse mode, and from nothing else."""
-    rng = np.random.default_rng(6)
-    matrix, told = jnp.asarray(rng.standard_normal((4, 3))), jnp.asarray(rng.standard_normal((3, 4)))
-    argument = (jnp.asarray(rng.standard_normal(2)), jnp.asarray(rng.standard_normal((1, 1))))
-    flat = lambda a: jnp.concatenate([a[0], a[1][0]])  # noqa: E731
-
-    def transpose(s):
-        back = told @ jnp.ravel(s)
-        return back[:2], back[2:, None]
-
-    def apply(a):
-        return linear_with_transpose(lambda x: jnp.reshape(matrix @ flat(x), (2, 2)), transpose, a, (2, 2))
-
-    wanted = jnp.reshape(matrix @ flat(argument), (2, 2))
-    np.testing.assert_allclose(apply(argument), wanted, rtol=1e-14)
-    np.testing.assert_allclose(jax.jvp(apply, (argument,), (argument,))[1], wanted, rtol=1e-14)
-    weight = jnp.asarray(rng.standard_normal((5, 2, 2)))
-    back = jax.vmap(lambda w: flat(jax.vjp(apply, argument)[1](w)[0]))(weight)
-    np.testing.assert_allclose(back, jnp.reshape(weight, (5, 4)) @ told.T, rtol=1e-13)

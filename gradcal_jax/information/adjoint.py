@@ -19,14 +19,13 @@ in the tangents and serves both modes: transposed, it is dense products again, o
 `information.native` where there is some.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from gradcal_jax.information.by_platform import by_platform, like
 from gradcal_jax.information.native import Kept, native
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.whitening import (
@@ -47,7 +46,8 @@ from gradcal_jax.information.whitening import (
     transposed,
     whiten,
 )
-from gradcal_jax.linalg import dead_of, factor_tangent, linear_with_transpose, scaled_factor, solve_transposed
+from gradcal_jax.linalg import dead_of, factor_tangent, scaled_factor, solve_transposed
+from gradcal_jax.machine import by_platform, like, linear_with_transpose
 
 
 @jax.custom_jvp
@@ -103,15 +103,10 @@ def _linearised(steps: NoiseSteps, columns: Array) -> tuple[Array, Callable[[Noi
         return rows, lambda d_steps, d_columns: _tangent(filtered, steps, d_steps, d_columns)
     rows, kept = _kept(steps, columns)
 
-    def cotangents(of_product):
-        results = jax.tree.map(like, (*steps[:4], steps.initial, rows))
-        return _pull_by_platform(results, steps, rows, kept, of_product)
-
     def tangent(d_steps, d_columns):
-        tangents = (*d_steps[:4], d_steps.initial, d_columns)
-        return linear_with_transpose(
-            partial(_tangent_in_blocks, steps, columns), cotangents, tangents, (rows.shape[1],) * 2
-        )
+        tangents = [*d_steps[:4], d_steps.initial, d_columns]
+        product = jax.ShapeDtypeStruct((rows.shape[1],) * 2, rows.dtype)
+        return linear_with_transpose(_tangent_in_blocks, _cotangents, (steps, columns, rows, kept), tangents, product)
 
     return rows, tangent
 
@@ -166,13 +161,13 @@ def _pulled_natively(steps: NoiseSteps, rows: Array, kept: Kept, of_product: Arr
     return code.cotangents(steps, rows, kept, of_product)
 
 
-def _pulled_in_blocks(steps: NoiseSteps, rows: Array, kept: Kept, of_product: Array) -> tuple[Array, ...]:
+def _pulled_in_blocks(steps: NoiseSteps, rows: Array, kept: Kept, of_product: Array) -> list[Array]:
     filtered = _refiltered(steps, rows, kept)
 
     def linear(tangents):
         return _tangent(filtered, steps, _changed(steps, tangents), tangents[-1])
 
-    (told,) = jax.linear_transpose(linear, (*steps[:4], steps.initial, rows))(of_product)
+    (told,) = jax.linear_transpose(linear, [*steps[:4], steps.initial, rows])(of_product)
     return told
 
 
@@ -180,11 +175,18 @@ _pull_by_platform = by_platform("gradcal_pull", _pulled_natively, _pulled_in_blo
 
 
 @jax.jit  # So that it is traced once, and not at every use of `_linearised`.
-def _tangent_in_blocks(steps: NoiseSteps, columns: Array, tangents: tuple[Array, ...]) -> Array:
+def _tangent_in_blocks(known: tuple[NoiseSteps, Array, Array, Kept], tangents: list[Array]) -> Array:
+    steps, columns, *_ = known
     return _tangent(_filtered(steps, columns), steps, _changed(steps, tangents), tangents[-1])
 
 
-def _changed(steps: NoiseSteps, tangents: tuple[Array, ...]) -> NoiseSteps:
+def _cotangents(known: tuple[NoiseSteps, Array, Array, Kept], of_product: Array) -> list[Array]:
+    steps, _, rows, kept = known
+    results = [like(x) for x in (*steps[:4], steps.initial, rows)]
+    return _pull_by_platform(results, steps, rows, kept, of_product)
+
+
+def _changed(steps: NoiseSteps, tangents: Sequence[Array]) -> NoiseSteps:
     transition, covariance, observation, variance, initial, _ = tangents
     return NoiseSteps(transition, covariance, observation, variance, steps.used, initial)
 

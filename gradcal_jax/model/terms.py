@@ -14,8 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
+from gradcal_jax.formulas import legendre
+from gradcal_jax.machine import legendre_sums
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
-from gradcal_jax.model.nodes import NodeGroup, Nodes, SampleNodes, SharedNodes
+from gradcal_jax.model.nodes import GaussNodes, NodeGroup, Nodes, SampleNodes, SharedNodes
 
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
@@ -211,11 +213,15 @@ class Map(Term):
         return (reported - shrink * (np.outer(v, v) / square @ reported)) / self.prior_std
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        return nodes.integrals(
-            lambda g: g.sums(self.temperature(g.temperature), self.drive(g)),
-            self.size,
-            moving_only=self.rate is not None,
-        )
+        t, w = self.temperature, self.rate
+        plain = all(isinstance(basis, Polynomial) and basis.internal == "legendre" for basis in (t, w or t))
+
+        def of_group(g: NodeGroup):
+            if not plain or isinstance(g, SampleNodes):
+                return g.sums(t(g.temperature), self.drive(g))
+            return namespace(g.weight).reshape(_all_products(g, t, t.size, w, w.size if w else 1), (-1, self.size))
+
+        return nodes.integrals(of_group, self.size, moving_only=w is not None)
 
     def columns_with_beyond(self, nodes: Nodes) -> tuple[Float[AnyArray, "P size"], Float[AnyArray, "P extra"]]:
         """The map's columns and the discrepancy's, at once where its polynomials go on where the map's own end."""
@@ -227,9 +233,8 @@ class Map(Term):
         in_t, in_w = beyond.temperature.lowest, 1 if beyond.rate is None else beyond.rate.lowest
 
         def of_group(g: NodeGroup):
-            xp, all_t = namespace(g.weight), beyond.temperature.from_zero(g.temperature)
-            all_w = g.rate[..., None] * beyond.rate.from_zero(g.rate) if beyond.rate else xp.ones((*g.rate.shape, 1))
-            every = xp.reshape(g.sums(all_t, all_w), (-1, all_t.shape[-1], all_w.shape[-1]))
+            xp, w = namespace(g.weight), beyond.rate
+            every = _all_products(g, beyond.temperature, in_t + beyond.temperature.size, w, in_w + w.size if w else 1)
             parts = (every[:, :in_t, :in_w], every[:, in_t:], every[:, :in_t, in_w:])
             return xp.concatenate([xp.reshape(part, (len(every), -1)) for part in parts], axis=1)
 
@@ -272,6 +277,19 @@ def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:
     if not isinstance(own, Polynomial) or own.internal != "legendre":
         return False
     return (own.size, own.centre, own.scale) == (higher.lowest, higher.centre, higher.scale)
+
+
+def _all_products(g: NodeGroup, temperature, most: int, rate, of_rate: int) -> AnyArray:
+    """`(k, most, of_rate)`: integrals over the group's pieces of Legendre polynomials in temperature times those in
+    rate, times the rate itself; without `rate`, of those in temperature. The bases say where they are centred.
+    """
+    x = (g.temperature - temperature.centre) / temperature.scale
+    y, weight = (x, g.weight) if rate is None else ((g.rate - rate.centre) / rate.scale, g.weight * g.rate)
+    xp = namespace(x, y, weight)
+    if isinstance(g, GaussNodes) and xp is not np:
+        return legendre_sums(x, y, xp.asarray(weight), most, of_rate)
+    second = xp.ones((*g.rate.shape, 1)) if rate is None else g.rate[..., None] * legendre(y, of_rate - 1)
+    return xp.reshape(g.sums(legendre(x, most - 1), second), (-1, most, of_rate))
 
 
 def _ordinal(basis: Basis, index: int) -> str:

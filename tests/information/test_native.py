@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from gradcal_jax import machine
 from gradcal_jax.information import (
     FilterState,
     NoiseSteps,
@@ -24,8 +25,9 @@ from gradcal_jax.information import (
     whitening,
 )
 from gradcal_jax.information.whitening import block_length
+from gradcal_jax.machine import compiler
 
-pytestmark = pytest.mark.skipif(native._compiler() is None, reason="this machine has no C++ compiler")
+pytestmark = pytest.mark.skipif(compiler() is None, reason="this machine has no C++ compiler")
 
 # States, columns, readings: one of each; panels that are not full, full, and more than one; more states than columns.
 SHAPES = [(1, 1, 1), (2, 16, 61), (3, 5, 40), (2, 19, 100), (5, 3, 57), (9, 11, 40)]
@@ -332,7 +334,7 @@ def told(cache: Path, **environment: str) -> tuple[bool, float, str]:
 def test_what_is_compiled_once_is_kept_and_a_damaged_file_made_again(tmp_path):
     calls = tmp_path / "calls"
     compiler = tmp_path / "compiler"
-    real = " ".join(native._compiler() or [])
+    real = " ".join(machine.compiler() or [])
     compiler.write_text(f'#!/bin/sh\necho "$*" >> {calls}\nexec {real} "$@"\n')
     compiler.chmod(0o755)
 
@@ -373,11 +375,11 @@ def test_without_a_compiler_jax_does_it_and_a_compiler_that_fails_is_named(tmp_p
 def test_no_number_outside_its_array_is_touched(states, real, tmp_path):
     """The code itself, under the compiler's address and undefined-behaviour sanitisers."""
     here, program = Path(__file__).parent, tmp_path / "every_size"
-    compiler = native._compiler()
-    assert compiler is not None
-    folders = [f"-I{jax.ffi.include_dir()}", f"-I{Path(native.__file__).parent}"]
+    command = compiler()
+    assert command is not None
+    folders = [f"-I{jax.ffi.include_dir()}", *(f"-I{Path(room.__file__).parent}" for room in (native, machine))]
     sanitise = ["-O1", "-w", "-march=native", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    command = [*compiler, "-std=gnu++17", *sanitise, f"-DSTATES={states}", f"-DREAL={real}", *folders]
+    command = [*command, "-std=gnu++17", *sanitise, f"-DSTATES={states}", f"-DREAL={real}", *folders]
     subprocess.run([*command, str(here / "every_size.cc"), "-o", str(program)], check=True)
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "all sizes\n"), done.stderr[-2000:]

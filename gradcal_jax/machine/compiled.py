@@ -1,0 +1,140 @@
+"""C++ that the machine's own compiler makes at first use, and that the user's cache folder keeps.
+
+Without a compiler, in programs for other devices, or with `GRADCAL_NATIVE=0` XLA computes the same: several times
+slower, and equal but for rounding.
+"""
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+import threading
+import warnings
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.dtypes import canonicalize_dtype
+from jaxtyping import Array
+
+from gradcal_jax.cache import cache_folder
+
+# What all sources include.
+_HEADERS = Path(__file__).parent
+# Contractions to fused products stay on; nothing that reorders sums.
+_OPTIONS = ("-std=gnu++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-w", "-shared", "-fPIC")
+_LONGEST_S = 120.0
+# C++'s names of the precisions that there is code for.
+_REAL = {"float32": "float", "float64": "double"}
+_ONE_AT_A_TIME = threading.Lock()
+
+
+class Compiled(NamedTuple):
+    """A loaded library, and the names under which JAX finds the functions that were asked for."""
+
+    library: ctypes.CDLL
+    names: tuple[str, ...]
+
+
+def double_or_single(*arrays) -> str | None:
+    """C++'s name of the precision of all arrays, as JAX makes it of them; None where there are several, or others."""
+    kinds = {canonicalize_dtype(x.dtype).name for x in arrays}
+    return _REAL.get(kinds.pop()) if len(kinds) == 1 else None
+
+
+def compiled(source: Path, *definitions: str, symbols: tuple[str, ...], what: str) -> Compiled | None:
+    """A source's functions. None where there is no compiler, or none that can; then a warning says so of `what`."""
+    if os.environ.get("GRADCAL_NATIVE") == "0" or os.name != "posix":
+        return None
+    with _ONE_AT_A_TIME:
+        return _compiled(source, definitions, symbols, what)
+
+
+@functools.cache
+def _compiled(source: Path, definitions: tuple[str, ...], symbols: tuple[str, ...], what: str) -> Compiled | None:
+    command = compiler()
+    if command is None:
+        return None
+    try:
+        library, key = _library(command, source, definitions)
+    except (OSError, subprocess.SubprocessError) as e:
+        told = getattr(e, "stderr", None)
+        warnings.warn(
+            f"{what} could not be compiled, so JAX computes it, several times slower: {e}"
+            f"{': ' + told.strip()[-500:] if told else ''} (CXX names another compiler; GRADCAL_NATIVE=0 tries none)",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return None
+    names = tuple(f"{symbol}_{key}" for symbol in symbols)
+    for name, symbol in zip(names, symbols, strict=True):
+        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu")
+    return Compiled(library, names)
+
+
+def call(name: str, shapes, arguments) -> list[Array]:
+    """What a registered function makes of arrays: results of these shapes, of the precision of the first argument."""
+    dtype = canonicalize_dtype(arguments[0].dtype)
+    results = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
+    # The code takes bytes as they come: whatever JAX would still convert is converted here.
+    alike = [x if x.dtype == bool else jnp.asarray(x, dtype) for x in arguments]
+    return list(jax.ffi.ffi_call(name, results, vmap_method="broadcast_all")(*alike))
+
+
+def compiler() -> list[str] | None:
+    """The command of the machine's C++ compiler, or None."""
+    if named := os.environ.get("CXX"):
+        return shlex.split(named)
+    found = next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
+    return None if found is None else [found]
+
+
+def _library(command: list[str], source: Path, definitions: tuple[str, ...]) -> tuple[ctypes.CDLL, str]:
+    """The compiled functions, from the cache folder if they are there, and what tells them from all others."""
+    asked = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True, timeout=_LONGEST_S)
+    texts = [path.read_text() for path in (source, *sorted(_HEADERS.glob("*.h")))]
+    parts = (*texts, version("jaxlib"), *command, asked.stdout, *_OPTIONS, *definitions, _processor())
+    key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+    folder = cache_folder()
+    if folder is None:
+        with tempfile.TemporaryDirectory() as alone:
+            return ctypes.CDLL(str(_make(command, source, definitions, Path(alone) / f"{source.stem}.so"))), key
+    path = folder / f"{source.stem}-{key}.so"
+    if path.exists():
+        try:
+            return ctypes.CDLL(str(path)), key
+        except OSError:  # Cut short, by a full disk perhaps: made again.
+            path.unlink(missing_ok=True)
+    return ctypes.CDLL(str(_make(command, source, definitions, path))), key
+
+
+def _make(command: list[str], source: Path, definitions: tuple[str, ...], path: Path) -> Path:
+    """Make `path`, at once and whole. Code for this very processor, unless the compiler does not know how."""
+    with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
+        made = Path(scratch) / path.name
+        folders = [f"-I{jax.ffi.include_dir()}", f"-I{_HEADERS}"]
+        whole = [*command, *_OPTIONS, *definitions, *folders, str(source), "-o", str(made)]
+        for tuned in (["-march=native"], []):
+            done = subprocess.run([*whole, *tuned], capture_output=True, text=True, check=False, timeout=_LONGEST_S)
+            if done.returncode == 0:
+                break
+        done.check_returncode()
+        made.replace(path)
+    return path
+
+
+def _processor() -> str:
+    """What code for this very processor depends on: a home folder may be shared by unlike machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    told = next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+    return f"{platform.system()} {platform.machine()} {told}"

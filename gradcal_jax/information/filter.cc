@@ -3,6 +3,10 @@
 // (REAL) and hands it to JAX. Arrays are as there, row-major; all but `STATES` is known only when it is called, and any
 // number of problems of one shape may stand one after the other.
 
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
 #include "panels.h"
 
 namespace {

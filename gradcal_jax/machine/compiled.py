@@ -98,9 +98,8 @@ def compiler() -> list[str] | None:
 
 def _library(command: list[str], source: Path, definitions: tuple[str, ...]) -> tuple[ctypes.CDLL, str]:
     """The compiled functions, from the cache folder if they are there, and what tells them from all others."""
-    asked = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True, timeout=_LONGEST_S)
     texts = [path.read_text() for path in (source, *sorted(_HEADERS.glob("*.h")))]
-    parts = (*texts, version("jaxlib"), *command, asked.stdout, *_OPTIONS, *definitions, _processor())
+    parts = (*texts, version("jaxlib"), *command, _version(*command), *_OPTIONS, *definitions, _processor())
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
     folder = cache_folder()
     if folder is None:
@@ -128,6 +127,12 @@ def _make(command: list[str], source: Path, definitions: tuple[str, ...], path: 
         done.check_returncode()
         made.replace(path)
     return path
+
+
+@functools.cache
+def _version(*command: str) -> str:
+    asked = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True, timeout=_LONGEST_S)
+    return asked.stdout
 
 
 def _processor() -> str:

@@ -1,10 +1,7 @@
 // Vector registers, and how JAX calls: what all sources of machine code share. `compiled.py` says the precision (REAL).
 
-#include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <cstring>
-#include <memory>
 #include <type_traits>
 
 // XLA's plain C interface: its C++ headers take the compiler four times as long as everything here.

@@ -74,7 +74,7 @@ void pull(const Sums& s, const Real* given, Real* of_x, Real* of_y, Real* of_wei
 // Sums of all rows up to each one, from the first on or, `back`, from the last.
 void running(int64_t count, int64_t columns, bool back, const Real* values, Real* out) {
   const int64_t step = back ? -columns : columns, begin = back ? (count - 1) * columns : 0;
-  std::copy_n(values + begin, columns, out + begin);
+  std::memcpy(out + begin, values + begin, columns * sizeof(Real));
   for (int64_t k = 1; k < count; ++k) {
     const int64_t at = begin + k * step;
     for (int64_t c = 0; c < columns; ++c) out[at + c] = out[at - step + c] + values[at + c];

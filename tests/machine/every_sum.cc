@@ -1,6 +1,7 @@
 // The sums and their derivative at many sizes, each array of exactly the size that is promised, for a sanitiser.
 
 #include <cstdio>
+#include <algorithm>
 #include <memory>
 
 #include "sums.cc"

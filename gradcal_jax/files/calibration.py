@@ -14,8 +14,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.bases import RateBasis, RatePolynomial, TemperatureBasis, TemperaturePolynomial, increasing
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import parsed, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
@@ -294,8 +293,7 @@ def read_calibration(path: str | Path) -> Calibration:
 
 def parse_calibration(text: str, source: str = "") -> Calibration:
     """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
-    with with_lines(text):
-        return model_of(Calibration, read_toml(text, source), FORMAT, source)
+    return parsed(Calibration, text, FORMAT, source)
 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> None:

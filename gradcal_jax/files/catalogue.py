@@ -34,8 +34,7 @@ from typing import Annotated, Any, Final, Literal, cast
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.changes import patched, tables_of
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import parsed, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text
@@ -166,8 +165,7 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
 
     A combination that is no spec (a table too slow for the sensor's range, say) is a case with a failure, not an error.
     """
-    with with_lines(text):
-        file = model_of(CatalogueFile, read_toml(text, source), FORMAT, source)
+    file = parsed(CatalogueFile, text, FORMAT, source)
     with missions_from(Path(folder)):
         return Catalogue(file, text, tuple(_cases(file, Path(folder), source)))
 

@@ -12,7 +12,7 @@ from gradcal_jax.files.bench import Chamber, Rig
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.moves import AXES, ResolvedMove
 from gradcal_jax.files.plan import ChamberCourse, GradientPlan, RampItem, StandardPlan
-from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
+from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import HeadingRequirement, Requirement, ScaleFactorRequirement
 from gradcal_jax.files.schedule import GradientSchedule, TemperatureSegment, gradient_schedule, resolve_cycle
@@ -142,8 +142,7 @@ def _design(design: Design, names: Sequence[str]) -> list[Problem]:
     others = (*TIMES, *OPTIMALITIES)
     if design.minimise in names or design.minimise in others:
         return []
-    close = nearest(design.minimise, [*names, *others])
-    ending = f'; nearest: "{close}"' if close else ""
+    ending = hint(design.minimise, [*names, *others])
     message = f"expected the name of a requirement ({one_of(names)}) or {one_of(others)}{ending}"
     return [Problem(("design", "minimise"), message, design.minimise)]
 

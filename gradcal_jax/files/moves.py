@@ -24,9 +24,9 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax import formulas
-from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
+from gradcal_jax.files.problems import Problem, SpecError, one_of
 from gradcal_jax.files.quantity import Angle, Count, Flag, Number, Rate, Time
-from gradcal_jax.files.section import Section, a_table, choose, refuse
+from gradcal_jax.files.section import Section, a_table, choose, refuse, refuse_misspelt
 
 Axis = Literal["x", "y", "z"]
 AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
@@ -466,11 +466,7 @@ def _choose_move(value: object) -> object:
     if "rest" in table:
         return Rest.model_validate(table)
     if "shape" not in table:
-        for key in table:
-            near = nearest(key, ["rest", "shape"])
-            if near is not None:
-                message = f'this key is unknown; nearest: "{near}"'
-                raise SpecError([Problem((key,), message, table[key], "unknown")])
+        refuse_misspelt(table, ["rest", "shape"])
         message = f'a move is a rest ("rest") or has a "shape": {one_of(SHAPES)}'
         raise SpecError([Problem(("shape",), message, kind="missing")])
     return choose(table, "shape", SHAPES)

@@ -116,6 +116,12 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return close[0] if close else None
 
 
+def hint(word: object, known: Iterable[str], otherwise: str = "") -> str:
+    """``; nearest: "gyro_x"``, or `otherwise` where nothing is near."""
+    close = nearest(word, known) if isinstance(word, str) else None
+    return otherwise if close is None else f'; nearest: "{close}"'
+
+
 def instead(word: str, known: Iterable[str]) -> str:
     """``nearest: 'gyro_x'``, or what there is."""
     names = list(known)
@@ -192,6 +198,5 @@ def _translate(details: ErrorDetails) -> list[Problem]:
 def _enumeration(value: object, expected: str) -> str:
     # pydantic gives "'a', 'b' or 'c'"
     names = expected.split("'")[1::2]
-    close = nearest(value, names) if isinstance(value, str) else None
     listed = f"expected {one_of(names)}" if names else f"expected {expected}"
-    return listed + (f'; nearest: "{close}"' if close and len(names) > 1 else "")
+    return listed + (hint(value, names) if len(names) > 1 else "")

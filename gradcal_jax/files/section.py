@@ -2,7 +2,7 @@
 
 import ast
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationErro
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
+from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint, nearest, one_of
 
 
 class Section(BaseModel):
@@ -96,16 +96,11 @@ def choose(value: object, key: str, classes: Mapping[str, type[Section]]) -> obj
         return value
     table = a_table(value)
     if key not in table:
-        misspelt = next((name for name in table if nearest(name, [key]) == key), None)
-        if misspelt is not None:
-            unknown = Problem((misspelt,), f'this key is unknown; nearest: "{key}"', table[misspelt], "unknown")
-            raise SpecError([unknown])
+        refuse_misspelt(table, [key])
         raise SpecError([Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing")])
     name = table[key]
     if not isinstance(name, str) or name not in classes:
-        close = nearest(name, classes) if isinstance(name, str) else None
-        ending = f'; nearest: "{close}"' if close else ""
-        raise SpecError([Problem((key,), f"expected {one_of(classes)}{ending}", name)])
+        raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
     return classes[name].model_validate(value)
 
 
@@ -114,6 +109,13 @@ def a_table(value: object) -> Mapping[str, object]:
     if not isinstance(value, Mapping):
         raise ValueError("expected a table")
     return cast("Mapping[str, object]", value)
+
+
+def refuse_misspelt(table: Mapping[str, object], known: Iterable[str]) -> None:
+    """Raise the first key of a table that is nearly one of those that it lacks, if there is one."""
+    for key, value in table.items():
+        if ending := hint(key, known):
+            raise SpecError([Problem((key,), f"this key is unknown{ending}", value, "unknown")])
 
 
 def refuse(*problems: Problem) -> None:

@@ -31,8 +31,7 @@ from pydantic import Field, model_validator
 from gradcal_jax import units
 from gradcal_jax.files import presets
 from gradcal_jax.files.changes import any_spec_of, changed, split_key
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Count, Text, Whole
@@ -297,8 +296,7 @@ def read_sweep(path: str | Path) -> Sweep:
 
 def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
-    with with_lines(text):
-        file = model_of(SweepFile, read_toml(text, source), FORMAT, source)
+    file = parsed(SweepFile, text, FORMAT, source)
     tables, place = _named(file.base, Path(folder), source)
     with missions_from(Path(place).parent):
         base = recipe_of(tables, place).spec if is_recipe(tables) else any_spec_of(tables, place)

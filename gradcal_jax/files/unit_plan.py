@@ -18,10 +18,10 @@ from pydantic_core import CoreSchema
 from gradcal_jax.files.bench import TableAxis, UnitRig
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse
-from gradcal_jax.files.problems import Problem, SpecError, nearest
+from gradcal_jax.files.problems import Problem, SpecError, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
-from gradcal_jax.files.section import Section, a_table, refuse
+from gradcal_jax.files.section import Section, a_table, refuse, refuse_misspelt
 
 _SLACK = 1e-6
 # Of a cycle: what a cycle may lack and be whole, for times that a journal says.
@@ -115,10 +115,7 @@ def _choose(value: object) -> object:
     if "rest" not in table and "shape" not in table:
         turns = [key for key in table if key in ("turn", "turns")]
         if not turns:
-            close = next(((key, near) for key in table if (near := nearest(key, ["rest", "turn", "pose"]))), None)
-            if close is not None:
-                message = f'this key is unknown; nearest: "{close[1]}"'
-                raise SpecError([Problem((close[0],), message, table[close[0]], "unknown")])
+            refuse_misspelt(table, ["rest", "turn", "pose"])
             raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
         if not {"duration", "ramp"} & set(table):
             return QuickTurn.model_validate(dict(a_table(value)))
@@ -444,9 +441,8 @@ def _not_made_by(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:
 
 
 def _no_such_axis(key: tuple[str | int, ...], name: str, axes: Mapping[str, int]) -> Problem:
-    close = nearest(name, axes)
-    ending = f'nearest: "{close}"' if close else f"known: {', '.join(axes)}"
-    return Problem(key, f"the table has no axis of this name; {ending}", name)
+    ending = hint(name, axes, f"; known: {', '.join(axes)}")
+    return Problem(key, f"the table has no axis of this name{ending}", name)
 
 
 def _degrees(value: float) -> str:

@@ -30,7 +30,7 @@ of those at the top. Times count from the first row. Raw counts whose scale nobo
 `wrong_units = "keep"`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -39,8 +39,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.column_guess import contradiction
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import parsed, read_text
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 from gradcal_jax.files.problems import Problem
@@ -49,6 +48,7 @@ from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.tables import (
     AngleColumn,
     ForceColumn,
+    Measured,
     Numbers,
     RateColumn,
     Source,
@@ -178,8 +178,7 @@ def parse_column_map(text: str, source: str = "") -> ColumnMap:
 
     Errors: `SpecError` with every fault.
     """
-    with with_lines(text):
-        return model_of(ColumnMap, read_toml(text, source), FORMAT, source)
+    return parsed(ColumnMap, text, FORMAT, source)
 
 
 def read_column_map(path: str | Path) -> ColumnMap:
@@ -221,16 +220,12 @@ def _refuse_contradictions(columns: ColumnMap) -> None:
 
 def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
     sensors = columns.sensors
-    rate, force = (
-        np.stack([np.stack([table.measured(c, dimension) for c in of.values()], axis=-1) for of in columns_of])
-        if columns_of[0]
-        else None
-        for dimension, columns_of in (
-            ("angular rate", [sensor.rate for sensor in sensors]),
-            ("acceleration", [sensor.force for sensor in sensors]),
-        )
-    )
-    assert rate is not None
+
+    def side_by_side(columns: Mapping[str, Measured]) -> Floats:
+        return np.stack([table.measured(column) for column in columns.values()], axis=-1)
+
+    rate = np.stack([side_by_side(sensor.rate) for sensor in sensors])
+    force = np.stack([side_by_side(sensor.force) for sensor in sensors]) if sensors[0].force else None
     rows = rate.shape[1]
     if rows < 2:
         raise LogError(f"there are {rows} rows of numbers; at least two are needed")
@@ -238,14 +233,11 @@ def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
     marked = np.zeros((len(sensors), rows), bool)
     for unit, sensor in enumerate(sensors):
         if sensor.temperature is not None:
-            temperature[unit] = table.measured(sensor.temperature, "temperature")
+            temperature[unit] = table.measured(sensor.temperature)
         if sensor.status is not None:
             marked[unit] = table.numbers(sensor.status) != sensor.status.good
     left_out = np.zeros(rows, bool)
     left_out[: columns.skip_first] = True
-    table_axes = tuple(columns.table_angle or columns.table_rate)
-    angles = [table.measured(column, "angle") for column in columns.table_angle.values()]
-    rates = [table.measured(column, "angular rate") for column in columns.table_rate.values()]
     standstill = None if columns.standstill is None else table.numbers(columns.standstill).astype(np.float64)
     return Columns(
         rate_rad_per_s=rate,
@@ -257,9 +249,9 @@ def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
         specific_force_m_per_s2=force,
         force_axes=tuple(sensors[0].force),
         temperature_c=temperature if any(sensor.temperature for sensor in sensors) else None,
-        table_axes=table_axes,
-        table_angle_rad=np.stack(angles, axis=1) if angles else None,
-        table_rate_rad_per_s=np.stack(rates, axis=1) if rates else None,
+        table_axes=tuple(columns.table_angle or columns.table_rate),
+        table_angle_rad=side_by_side(columns.table_angle) if columns.table_angle else None,
+        table_rate_rad_per_s=side_by_side(columns.table_rate) if columns.table_rate else None,
         standstill=standstill,
         host_time_s=None if columns.host_time is None else table.stamps(columns.host_time),
         marked=marked if any(sensor.status for sensor in sensors) else None,

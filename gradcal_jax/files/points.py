@@ -101,11 +101,11 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
         columns = parse_point_map(read_text(columns), str(columns))
     table = read_table(path, columns.csv, list(columns.sources()), netcdf=True)
     try:
-        temperature = table.measured(columns.temperature, "temperature")
-        reference, output = (table.measured(c, "angular rate") for c in (columns.reference_rate, columns.output))
+        temperature = table.measured(columns.temperature)
+        reference, output = (table.measured(c) for c in (columns.reference_rate, columns.output))
         sigma = None
         if columns.sigma is not None:
-            sigma = table.measured(columns.sigma.model_copy(update={"zero": 0.0}), "angular rate")
+            sigma = table.measured(columns.sigma.model_copy(update={"zero": 0.0}))
             if not np.all(sigma > 0.0):
                 raise LogError(f"sigma of row {int(np.argmin(sigma > 0.0))} is not above zero")
         for words, values in (("temperature", temperature), ("reference rate", reference), ("output", output)):

@@ -185,10 +185,7 @@ class Log:
     @property
     def sample_interval_s(self) -> float:
         """Mean interval within the stretches, s; the median where no stretch has two rows."""
-        interval = np.diff(self.time_s)
-        inside = np.ones(len(interval), bool)
-        inside[self.stretch_starts[1:] - 1] = False
-        return float(interval[inside].mean()) if inside.any() else float(np.median(interval))
+        return mean_interval(self.time_s, intervals_within(self.time_s, self.stretch_starts))
 
     def unit_index(self, unit: str | int) -> int:
         """The number of a unit given by name or number. Raises `LogError`."""
@@ -240,6 +237,19 @@ class Log:
         if self.temperature_c is not None:
             temperature = np.where(there, self.temperature_c[unit_number, row], np.nan)
         return EvenSeries(rate, valid, self.sample_interval_s, temperature, row)
+
+
+def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
+    """The intervals of stamps (s) but for those between two stretches."""
+    interval = np.diff(time_s)
+    inside = np.ones(len(interval), bool)
+    inside[stretch_starts[1:] - 1] = False
+    return interval[inside]
+
+
+def mean_interval(time_s: Floats, within: Floats) -> float:
+    """The mean of the intervals `within` the stretches, s; the median of all where no stretch has two rows."""
+    return float(within.mean()) if len(within) else float(np.median(np.diff(time_s)))
 
 
 def part_of(

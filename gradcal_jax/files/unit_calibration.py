@@ -44,8 +44,8 @@ UNIT_ORDER: Final = (
     "measured = input + sum of map(T) * signals, the signals being the true inputs; subtract the sum at the corrected "
     "values, again until they stay (three rounds for errors of a per cent), before any rotation"
 )
-_SIGNALS: Final = {f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz"}
-_SIGNALS_AND_SIZES: Final = _SIGNALS | {f"|{signal}|" for signal in _SIGNALS}
+SIGNALS: Final = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz")
+"""True inputs of a unit, in the order of its matrices."""
 
 
 class CalibratedTerm(Section):
@@ -68,7 +68,7 @@ class CalibratedTerm(Section):
     def _whole(self) -> "CalibratedTerm":
         problems: list[Problem] = []
         for k, signal in enumerate(self.signals):
-            if signal not in _SIGNALS_AND_SIZES:
+            if signal not in SIGNALS and signal not in [f"|{known}|" for known in SIGNALS]:
                 message = 'is no signal; expected such as "rate x", "force z", "|force z|"'
                 problems.append(Problem(("signals", k), message, signal))
         if len(self.coefficients) != self.size:
@@ -97,6 +97,11 @@ class CalibratedChannel(Section):
     def name(self) -> str:
         """As in `gyro_x`."""
         return f"{self.kind}_{self.axis}"
+
+    @property
+    def place(self) -> int:
+        """The number of its own input among `SIGNALS`."""
+        return SIGNALS.index(f"{'rate' if self.kind == 'gyro' else 'force'} {self.axis}")
 
     def term_of(self, name: str) -> CalibratedTerm | None:
         """The term of that name, if there is one."""

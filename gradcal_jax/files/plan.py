@@ -27,7 +27,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Time,
 )
-from gradcal_jax.files.section import Section, a_table, choose, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, a_table, chosen_by, refuse, refuse_misspelt
 
 
 class Soak(Section):
@@ -254,8 +254,4 @@ class StandardPlan(Section):
         return self
 
 
-def _plan(value: object) -> object:
-    return choose(value, "method", {"gradient": GradientPlan, "standard": StandardPlan})
-
-
-Plan = Annotated[GradientPlan | StandardPlan, BeforeValidator(_plan)]
+Plan = Annotated[GradientPlan | StandardPlan, chosen_by("method", {"gradient": GradientPlan, "standard": StandardPlan})]

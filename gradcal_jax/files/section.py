@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
-from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
@@ -91,7 +91,7 @@ def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: ob
 
 
 def choose(value: object, key: str, classes: Mapping[str, type[Section]]) -> object:
-    """The table read by the class that its `key` names: the before-validator of a field that holds one of several."""
+    """The table read by the class that its `key` names."""
     if isinstance(value, Section):
         return value
     table = a_table(value)
@@ -102,6 +102,11 @@ def choose(value: object, key: str, classes: Mapping[str, type[Section]]) -> obj
     if not isinstance(name, str) or name not in classes:
         raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
     return classes[name].model_validate(value)
+
+
+def chosen_by(key: str, classes: Mapping[str, type[Section]]) -> BeforeValidator:
+    """Marks a field that holds one of several tables: see `choose`."""
+    return BeforeValidator(lambda value: choose(value, key, classes))
 
 
 def a_table(value: object) -> Mapping[str, object]:

@@ -213,21 +213,13 @@ def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSche
     return UnitSchedule(tuple(segments), (stretch,), schedule.steps, angles)
 
 
-@dataclass(frozen=True)
-class _Period:
-    """What the stretches need to know of a cycle."""
-
-    moving: float
-    duration: float
-
-
 def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     """Work a unit's plan out. Raises `SpecError` with every problem found, keys relative to the plan."""
     steps, start, problems = _steps(plan.cycle, rig)
     if problems:
         raise SpecError(problems)
     period = math.fsum(step.move.repeat * step.move.duration for step in steps)
-    segments, stretches = programme_of(plan, rig.chamber, _Period(period, period))
+    segments, stretches = programme_of(plan, rig.chamber, (period, period))
     mountings = len(rig.table.mounting)
     if mountings > 1 and len(stretches) == 1 and plan.programme is None:
         segments, stretches = _once_each(segments, stretches, mountings, rig)

@@ -16,7 +16,6 @@ from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import (
-    GyroScaleFactorRequirement,
     MisalignmentRequirement,
     PositionRequirement,
     TiltRequirement,
@@ -173,26 +172,19 @@ def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:
 
 def _needs(requirement: UnitRequirement) -> tuple[str, ...]:
     """What a requirement's quantity needs of [sensor]."""
-    if isinstance(requirement, MisalignmentRequirement):
-        kind = requirement.quantity.removesuffix("_misalignment")
-        both = (f"{kind}.misalignment",)
-        if requirement.relative_to == "internal" and kind == "accelerometer":
-            return (*both, "gyro.misalignment")
-        return both
-    if isinstance(requirement, GyroScaleFactorRequirement):
-        return ("gyro.scale_factor",)
-    if isinstance(requirement, PositionRequirement):
-        return ("gyro.bias", "accelerometer.bias")
-    if isinstance(requirement, TiltRequirement):
-        return ("accelerometer.bias",)
-    if isinstance(requirement, TurnRequirement):
-        return ("gyro.scale_factor",)
+    both = requirement.quantity == "accelerometer_misalignment" and requirement.relative_to == "internal"
     return {
         "gyro_bias": ("gyro.bias",),
+        "gyro_scale_factor": ("gyro.scale_factor",),
+        "gyro_misalignment": ("gyro.misalignment",),
         "g_sensitivity": ("gyro.g_sensitivity",),
         "accelerometer_bias": ("accelerometer.bias",),
         "accelerometer_scale_factor": ("accelerometer.scale_factor",),
+        "accelerometer_misalignment": ("accelerometer.misalignment", *(["gyro.misalignment"] if both else [])),
         "second_order": ("accelerometer.second_order",),
+        "position": ("gyro.bias", "accelerometer.bias"),
+        "tilt": ("accelerometer.bias",),
+        "heading": ("gyro.scale_factor",),
     }[requirement.quantity]
 
 

@@ -265,16 +265,14 @@ def convert(value: float, from_unit: str, to: str) -> float:
 
 
 def _written(number: Decimal, digits: int) -> str:
-    rounded = Context(prec=digits).create_decimal(number)
+    context = Context(prec=digits)
+    rounded = context.create_decimal(number).normalize(context)
     if rounded == 0:
         return "0"
     exponent = rounded.adjusted()
     if -5 < exponent < 9:
-        text = format(rounded, "f")
-        return text.rstrip("0").rstrip(".") if "." in text else text
-    mantissa = format(rounded.scaleb(-exponent), "f")
-    mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-    return f"{mantissa}e{exponent}"
+        return format(rounded, "f")
+    return f"{rounded.scaleb(-exponent, context):f}e{exponent}"
 
 
 def format_quantity(value: float, unit: str) -> str:

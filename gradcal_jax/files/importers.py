@@ -160,15 +160,11 @@ class ColumnMap(Section):
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""
-        for source in (self.time, self.host_time, self.standstill):
-            if source is not None:
-                yield source
+        yield from filter(None, (self.time, self.host_time, self.standstill))
         for sensor in self.sensors:
             yield from sensor.rate.values()
             yield from sensor.force.values()
-            for source in (sensor.temperature, sensor.status):
-                if source is not None:
-                    yield source
+            yield from filter(None, (sensor.temperature, sensor.status))
         yield from self.table_angle.values()
         yield from self.table_rate.values()
 

@@ -302,14 +302,9 @@ def write_log(log: Log, path: str | Path) -> None:
         for name, variable in _VARIABLES.items()
         if (values := getattr(log, variable.field)) is not None
     }
-    coordinates: dict[str, Any] = {
-        "time": variables.pop("time"),
-        "unit": ("unit", list(log.units)),
-        "axis": ("axis", list(log.axes)),
-    }
-    for name, labels in (("force_axis", log.force_axes), ("table_axis", log.table_axes)):
-        if labels:
-            coordinates[name] = (name, list(labels))
+    labels = {"unit": log.units, "axis": log.axes, "force_axis": log.force_axes, "table_axis": log.table_axes}
+    coordinates: dict[str, Any] = {"time": variables.pop("time")}
+    coordinates |= {name: (name, list(of)) for name, of in labels.items() if of or name == "axis"}
     attributes = {
         "format": FORMAT,
         "rows_read": log.rows_read,

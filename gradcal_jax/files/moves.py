@@ -112,7 +112,6 @@ class Rest(_Move):
     """Whether the table turns other axes meanwhile."""
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        del max_acceleration
         return self.resolved("rest", float(self.rest), other_axes=self.other_axes)
 
 
@@ -289,7 +288,6 @@ class _WholeTurn(_PeakedTurn):
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """Complete (θ, A, D) by θ = fullness·A·D; both shapes peak at πA/D."""
-        del max_acceleration
         _, angle, peak, duration = self.sizes()
         if sum(value is not None for value in (angle, peak, duration)) < 2:
             message = "the motion is not determined; give two of turn, peak_rate and duration"
@@ -347,7 +345,6 @@ class Sinusoid(_Move):
         return self
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        del max_acceleration
         peak, period = float(self.peak_rate), float(self.period)
         swing = peak * period / math.pi
         return self.resolved(
@@ -380,7 +377,6 @@ class Spline(_Move):
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """Maxima are exact, from the cubic pieces."""
-        del max_acceleration
         peak = max(abs(rate) for rate in self.rates)
         controls = tuple(rate / peak for rate in self.rates)
         pieces = [c[:4] for _, _, c in formulas.shape_pieces("spline", controls=controls)]
@@ -426,7 +422,6 @@ class Hand(_Turn):
         return self
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        del max_acceleration
         angle = self.angle
         if angle is None or self.duration is None:
             missing = "turn" if angle is None else "duration"

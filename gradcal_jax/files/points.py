@@ -70,9 +70,7 @@ class PointMap(Section):
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""
-        yield from (self.temperature, self.reference_rate, self.output)
-        if self.sigma is not None:
-            yield self.sigma
+        yield from filter(None, (self.temperature, self.reference_rate, self.output, self.sigma))
 
 
 @dataclass(frozen=True)

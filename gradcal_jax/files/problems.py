@@ -1,7 +1,7 @@
 """What is wrong with a file: every problem at once, each with its key, its value and what was expected."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -120,6 +120,11 @@ def hint(word: object, known: Iterable[str], otherwise: str = "") -> str:
     """``; nearest: "gyro_x"``, or `otherwise` where nothing is near."""
     close = nearest(word, known) if isinstance(word, str) else None
     return otherwise if close is None else f'; nearest: "{close}"'
+
+
+def repeated(of: str, name: str, values: Sequence[str], message: str) -> list[Problem]:
+    """A problem for the `name` of every entry `of` which has the value of one before it."""
+    return [Problem((of, i, name), message, value) for i, value in enumerate(values) if value in values[:i]]
 
 
 def instead(word: str, known: Iterable[str]) -> str:

@@ -33,7 +33,7 @@ from gradcal_jax.files import presets
 from gradcal_jax.files.changes import any_spec_of, changed, split_key
 from gradcal_jax.files.document import parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
-from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.files.problems import Problem, SpecError, repeated
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import is_recipe, recipe_of, spec_inside
 from gradcal_jax.files.section import Section, refuse
@@ -108,8 +108,7 @@ class Axis(Section):
         """What the axis is called in the results: its name, or the last word of its key."""
         if self.name is not None:
             return self.name
-        words = [part for part in split_key(self.changes[0]) if isinstance(part, str)]
-        return words[-1]
+        return next(part for part in reversed(split_key(self.changes[0])) if isinstance(part, str))
 
     @property
     def unit(self) -> str | None:
@@ -249,12 +248,8 @@ class SweepFile(Section):
 
     @model_validator(mode="after")
     def _distinct(self) -> "SweepFile":
-        problems: list[Problem] = []
-        labels = [axis.label for axis in self.axis]
-        for i, label in enumerate(labels):
-            if label in labels[:i]:
-                message = 'two axes are called this; give one of them another "name"'
-                problems.append(Problem(("axis", i, "name"), message, label))
+        message = 'two axes are called this; give one of them another "name"'
+        problems = repeated("axis", "name", [axis.label for axis in self.axis], message)
         seen: set[str] = set()
         for i, axis in enumerate(self.axis):
             for key in axis.changes:

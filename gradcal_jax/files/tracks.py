@@ -193,7 +193,7 @@ def _block(
     number: int, begins_with: str, moves: Sequence[TrackMove], period: float, after: float = 0.0, **more: Any
 ) -> MotionBlock:
     """A block of `period` s, after which the axis stands for `after` s."""
-    times = {"repeat": 1, "period": _in("s", period), "standing_after": _in("s", after)}
+    times: dict[str, Any] = {"repeat": 1, "period": _in("s", period), "standing_after": _in("s", after)}
     return MotionBlock(name=f"motion {number}", begins_with=begins_with, moves=tuple(moves), **times | more)
 
 
@@ -226,7 +226,7 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
             stand = _line(0.0, stretch.duration, do="rest", **_reading(every))
             blocks.append(_block(number, first, [stand], stretch.duration))
         else:
-            more = after | {"repeat": stretch.cycles}
+            more: dict[str, Any] = after | {"repeat": stretch.cycles}
             blocks.append(_block(number, first, moves, cycle.duration, stretch.leftover, **more))
     return tuple(blocks)
 
@@ -252,7 +252,12 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
         if len(hung) > 1:
             hang = {"mounting": where + 1, "hang": hanging(hung[where], where + 1)}
         start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
-        more = hang | {"start": start, "read_every_after": every["read_every"], "repeat": max(stretch.cycles, 1)}
+        more: dict[str, Any] = {
+            **hang,
+            "start": start,
+            "read_every_after": every["read_every"],
+            "repeat": max(stretch.cycles, 1),
+        }
         first, standing = _first(stretch, segments), [_line(0.0, stretch.duration, do="rest", **every)]
         if stretch.cycles:
             blocks.append(_block(number + 1, first, moves, schedule.period, stretch.leftover, **more))

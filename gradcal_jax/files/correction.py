@@ -25,7 +25,7 @@ from gradcal_jax.files.bases import (
     TemperaturePolynomial,
     TemperatureSpline,
 )
-from gradcal_jax.files.calibration import AxisCalibration, Calibration, bias_names, scale_factor_names
+from gradcal_jax.files.calibration import AxisCalibration, Calibration, ScaleFactorMap, bias_names, scale_factor_names
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.unit_calibration import UnitCalibration
 
@@ -73,13 +73,12 @@ def scale_factor(axis: AxisCalibration, temperature_c: Floats, rate_rad_per_s: F
         return np.zeros_like(rate_rad_per_s)
     at_temperature = basis_values(part.temperature, _within(temperature_c, axis.valid_temperature))
     return formulas.scale_factor_map(
-        at_temperature, basis_values(part.rate, _within(rate_rad_per_s, axis.valid_rate)), _table(axis)
+        at_temperature, basis_values(part.rate, _within(rate_rad_per_s, axis.valid_rate)), scale_factor_table(part)
     )
 
 
-def _table(axis: AxisCalibration) -> Floats:
-    part = axis.scale_factor
-    assert part is not None
+def scale_factor_table(part: ScaleFactorMap) -> Floats:
+    """The coefficients of a map M, `(n_T, n_ω)`."""
     names = scale_factor_names(part.temperature, part.rate)
     return np.array([part.coefficients[name] for name in names]).reshape(part.temperature.size, part.rate.size)
 
@@ -110,7 +109,7 @@ def _correct(axis: AxisCalibration, said: Floats, temperature: Floats) -> Floats
     scale = axis.scale_factor
     if scale is None:
         return without_bias
-    by_rate = basis_values(scale.temperature, _within(temperature, axis.valid_temperature)) @ _table(axis)
+    by_rate = basis_values(scale.temperature, _within(temperature, axis.valid_temperature)) @ scale_factor_table(scale)
     rate = without_bias.copy()
     left = np.arange(len(rate))
     tolerance = 4.0 * np.finfo(np.float64).eps

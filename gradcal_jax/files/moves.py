@@ -70,6 +70,11 @@ class ResolvedMove:
         return self.shape == "rest"
 
     @property
+    def words(self) -> str:
+        """As problems say it."""
+        return f"{self.shape}, {self.duration:.4g} s"
+
+    @property
     def readings(self) -> int:
         """Readings in one execution: at `k·read_every`, k = 1, 2, … ≤ duration/read_every, or the one at the end."""
         every = self.read_every
@@ -167,7 +172,8 @@ class _PeakedTurn(_Turn):
         angle, peak = self.angle, _number(self.peak_rate)
         leading = angle if angle is not None else peak
         direction = -1.0 if leading is not None and leading < 0.0 else 1.0
-        return direction, _size(angle), _size(peak), _number(self.duration)
+        size, fastest = (None if value is None else abs(value) for value in (angle, peak))
+        return direction, size, fastest, _number(self.duration)
 
     def motion(self, *, angle: float, peak: float, duration: float, acceleration: float, ramp: float) -> ResolvedMove:
         """A one-way turn from sizes."""
@@ -234,7 +240,7 @@ class _RampedTurn(_PeakedTurn):
     def _from_three(self, angle: float, peak: float, duration: float, ramp: float | None) -> float:
         found = duration - angle / peak
         if ramp is not None and abs(peak * (duration - ramp) - angle) > AGREEMENT * angle:
-            turned = _degrees(peak * (duration - ramp))
+            turned = f"{math.degrees(peak * (duration - ramp)):.5g} deg"
             message = f"contradicts the others: peak_rate × (duration − ramp) is {turned}; leave one of the four out"
             raise SpecError([Problem((self.angle_key,), message, self._written_angle())])
         if found <= 0.0 or found > 0.5 * duration * (1.0 + AGREEMENT):
@@ -471,10 +477,6 @@ def _number(value: float | None) -> float | None:
     return None if value is None else float(value)
 
 
-def _size(value: float | None) -> float | None:
-    return None if value is None else abs(value)
-
-
 def _roots(a: float, b: float, c: float) -> list[float]:
     """Real roots of a·u² + b·u + c, the stable way round."""
     if a == 0.0:
@@ -500,10 +502,6 @@ def _uneven_maxima(unevenness: float) -> tuple[float, float]:
 
 def _seconds(value: float) -> str:
     return f"{value:.4g} s"
-
-
-def _degrees(value: float) -> str:
-    return f"{math.degrees(value):.5g} deg"
 
 
 def _round_rate(value: float) -> str:

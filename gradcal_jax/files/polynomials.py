@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from gradcal_jax.files import correction
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
-from gradcal_jax.files.calibration import AxisCalibration, bias_names, scale_factor_names
+from gradcal_jax.files.calibration import AxisCalibration, bias_names
 
 Floats = NDArray[np.float64]
 _POINTS = 201
@@ -66,9 +66,8 @@ def normalised_scale_factor(axis: AxisCalibration) -> tuple[tuple[float, float],
         return (0.0, 1.0), (0.0, 1.0), np.zeros((1, 1))
     of_t, of_w = part.temperature, part.rate
     if isinstance(of_t, TemperaturePolynomial) and isinstance(of_w, RatePolynomial):
-        names = scale_factor_names(of_t, of_w)
-        table = np.array([part.coefficients[name] for name in names]).reshape(of_t.size, of_w.size)
-        return (float(of_t.centre), float(of_t.scale)), (float(of_w.centre), float(of_w.scale)), table
+        sides = (float(of_t.centre), float(of_t.scale)), (float(of_w.centre), float(of_w.scale))
+        return *sides, correction.scale_factor_table(part)
     sides: list[tuple[float, float]] = []
     for low, high in (axis.valid_temperature, axis.valid_rate):
         sides.append((0.5 * (float(low) + float(high)), max(0.5 * (float(high) - float(low)), 1e-9)))

@@ -379,13 +379,14 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
 
 def _limits(move: ResolvedMove, axis: TableAxis) -> list[Problem]:
     problems: list[Problem] = []
-    said = f"{move.shape}, {move.duration:.4g} s"
     if move.fastest > axis.max_rate * (1.0 + _SLACK):
         message = f'reaches {math.degrees(move.fastest):.5g} deg/s; axis "{axis.name}" goes up to {axis.max_rate}'
-        problems.append(Problem((), message, said))
+        problems.append(Problem((), message, move.words))
     if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
         reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
-        problems.append(Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', said))
+        problems.append(
+            Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', move.words)
+        )
     return problems
 
 

@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_serializer, model_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, model_serializer, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from gradcal_jax.files.bench import TableAxis, UnitRig
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse
-from gradcal_jax.files.problems import Problem, SpecError, hint
+from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, a_table, refuse, refuse_misspelt
@@ -123,13 +123,10 @@ def _choose(value: object) -> object:
     tables: dict[str, Any] = {"move": table}
     try:
         return AxisMove.model_validate(tables if axis is None else {**tables, "axis": axis})
-    except SpecError as error:
-        raise SpecError([_without_wrapping(p) for p in error.problems]) from None
-
-
-def _without_wrapping(problem: Problem) -> Problem:
-    """The move's keys stand in the file beside "axis"."""
-    return replace(problem, key=problem.key[1:]) if problem.key[:1] == ("move",) else problem
+    except ValidationError as error:
+        # The move's keys stand in the file beside "axis".
+        problems = from_validation(error)
+        raise SpecError(replace(p, key=p.key[1:]) if p.key[:1] == ("move",) else p for p in problems) from None
 
 
 UnitMove = Annotated[Pose | QuickTurn | AxisMove, BeforeValidator(_choose)]

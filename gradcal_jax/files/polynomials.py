@@ -66,8 +66,8 @@ def normalised_scale_factor(axis: AxisCalibration) -> tuple[tuple[float, float],
         return (0.0, 1.0), (0.0, 1.0), np.zeros((1, 1))
     of_t, of_w = part.temperature, part.rate
     if isinstance(of_t, TemperaturePolynomial) and isinstance(of_w, RatePolynomial):
-        sides = (float(of_t.centre), float(of_t.scale)), (float(of_w.centre), float(of_w.scale))
-        return *sides, correction.scale_factor_table(part)
+        table = correction.scale_factor_table(part)
+        return (float(of_t.centre), float(of_t.scale)), (float(of_w.centre), float(of_w.scale)), table
     sides: list[tuple[float, float]] = []
     for low, high in (axis.valid_temperature, axis.valid_rate):
         sides.append((0.5 * (float(low) + float(high)), max(0.5 * (float(high) - float(low)), 1e-9)))

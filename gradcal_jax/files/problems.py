@@ -145,11 +145,8 @@ def from_validation(error: ValidationError) -> list[Problem]:
     """Every problem in what pydantic found, nested ones and ours among them, in our words."""
     found = [problem for details in error.errors(include_url=False) for problem in _translate(details)]
     # A list of which every entry was refused is also "too short": that is no fault of its own.
-    return [p for p in found if p.kind != "short" or not any(_below(p.key, other.key) for other in found)]
-
-
-def _below(key: Key, other: Key) -> bool:
-    return len(other) > len(key) and other[: len(key)] == key
+    above = {other.key[:n] for other in found for n in range(len(other.key))}
+    return [p for p in found if p.kind != "short" or p.key not in above]
 
 
 # Pydantic's own kinds of error -> what was expected, in our words; the braces take the error's context.

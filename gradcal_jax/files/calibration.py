@@ -143,10 +143,8 @@ class AxisCalibration(Section):
         problems: list[Problem] = []
         if self.bias is None and self.scale_factor is None:
             problems.append(Problem((), 'holds nothing; give "bias", "scale_factor" or both'))
-        if self.valid_temperature[0] != self.valid_temperature[1]:
-            problems += increasing(self.valid_temperature, "valid_temperature")
-        if self.valid_rate[0] != self.valid_rate[1]:
-            problems += increasing(self.valid_rate, "valid_rate")
+        for key, span in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
+            problems += increasing(span, key) if span[0] != span[1] else []
         if self.covariance is not None:
             known = self.values()
             strange = [name for name in self.covariance.names if name not in known]

@@ -63,10 +63,9 @@ def format_problem(document: Mapping[str, Any], expected: str) -> Problem | None
     found = document["format"]
     if found == expected:
         return None
-    kind = expected.split("/")[0]
-    if isinstance(found, str) and found.split("/")[0] == kind:
-        return Problem(("format",), f'this version of the program reads "{expected}"', found)
-    return Problem(("format",), f'expected "{expected}"', found)
+    of_kind = isinstance(found, str) and found.split("/")[0] == expected.split("/")[0]
+    wanted = "this version of the program reads" if of_kind else "expected"
+    return Problem(("format",), f'{wanted} "{expected}"', found)
 
 
 def model_of(

@@ -41,6 +41,7 @@ from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_plan import UnitSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.units import dimension_of
 
 Begins = Literal["at its time", "when stable"]
 Doing = Literal["rest", "turn", "spin", "oscillate", "spline", "turn by hand", "wait"]
@@ -346,17 +347,7 @@ def _standard(plan: StandardPlan) -> tuple[ChamberTrack, tuple[MotionBlock, ...]
     return ChamberTrack(programme=tuple(segments)), tuple(blocks)
 
 
-_DIMENSION: Final = {
-    "s": "time",
-    "deg": "angle",
-    "deg/s": "angular rate",
-    "deg/s^2": "angular acceleration",
-    "degC": "temperature",
-    "K/min": "temperature slope",
-}
-
-
 def _in(unit: str, number: float) -> Quantity:
     """A number that was worked out, without the digits that rounding left behind (a billionth of the unit)."""
     text = format(Decimal(repr(round(number, 9) + 0.0)).normalize(), "f")
-    return Quantity.read(f"{text} {unit}", _DIMENSION[unit])
+    return Quantity.read(f"{text} {unit}", dimension_of(unit))

@@ -1,5 +1,6 @@
 """Commented specs to start from. Sensor figures are typical of a class of devices, of no vendor's."""
 
+import tomllib
 from importlib import resources
 from importlib.resources.abc import Traversable
 
@@ -32,7 +33,4 @@ def text(name: str) -> str:
 
 def title(name: str) -> str:
     """The title of a preset."""
-    for line in text(name).splitlines():
-        if line.startswith("title"):
-            return line.split("=", 1)[1].strip().strip('"')
-    return ""
+    return str(tomllib.loads(text(name)).get("title", ""))

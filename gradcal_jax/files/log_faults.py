@@ -169,6 +169,7 @@ class _Examination:
         self.raw = columns
         self.policy = policy
         self.findings: list[Finding] = []
+        self.status = np.zeros((0, 0), np.uint16)
         outside = columns.rows_before + columns.rows_after
         self.removed: dict[str, int] = {Reason.LEFT_OUT.words: outside} if outside else {}
 
@@ -178,26 +179,26 @@ class _Examination:
         kept = self.raw.of_rows(rows_kept)
         rate, force = kept.rate_rad_per_s, kept.specific_force_m_per_s2
         starts = self.stretches(time)
-        status = np.zeros(rate.shape[:2], np.uint16)
+        self.status = np.zeros(rate.shape[:2], np.uint16)
         if kept.left_out is not None:
-            status[:, kept.left_out] |= Reason.LEFT_OUT.value
-        self.rates(rate, status)
+            self.status[:, kept.left_out] |= Reason.LEFT_OUT.value
+        self.rates(rate)
         if force is not None:
             missing = np.any(~(np.abs(force) < _ABSURD), axis=2)
-            self.mask(status, missing, Reason.MISSING_FORCE, self.policy.missing_forces, "without a specific force")
-            self.force_sizes(force, status)
+            self.mask(missing, Reason.MISSING_FORCE, self.policy.missing_forces, "without a specific force")
+            self.force_sizes(force)
         if kept.marked is not None:
-            self.mask(status, kept.marked, Reason.MARKED, self.policy.marked, "marked bad by the device")
+            self.mask(kept.marked, Reason.MARKED, self.policy.marked, "marked bad by the device")
         if kept.temperature_c is not None:
-            self.temperatures(time, kept.temperature_c, starts, status)
-        self.sizes(time, kept, status)
+            self.temperatures(time, kept.temperature_c, starts)
+        self.sizes(time, kept)
         self.clock(time, starts, kept.host_time_s)
         of_log = {field_.name for field_ in fields(Log)}
         as_it_is = {field_.name: getattr(kept, field_.name) for field_ in fields(kept) if field_.name in of_log}
         examined: dict[str, Any] = {
             "time_s": time,
             "standstill": _numbered(kept.standstill),
-            "status": status,
+            "status": self.status,
             "stretch_starts": starts,
             "rows_read": rows + kept.rows_before + kept.rows_after,
             "rows_removed": self.removed,
@@ -215,7 +216,7 @@ class _Examination:
     def wrong_unit(self, question: str) -> None:
         self.found("wrong unit", self.policy.wrong_units, 0, question)
 
-    def mask(self, status: NDArray[np.uint16], where: Bools, reason: Reason, action: str, words: str) -> None:
+    def mask(self, where: Bools, reason: Reason, action: str, words: str) -> None:
         count = int(np.count_nonzero(where))
         if count == 0:
             return
@@ -223,7 +224,7 @@ class _Examination:
         named = f" of unit {self.raw.units[unit]}" if len(self.raw.units) > 1 else ""
         self.found(reason.words, action, count, f"{_rows(count)} {words}, first row {row}{named}")
         if action == "mask":
-            status[where] |= reason.value
+            self.status[where] |= reason.value
 
     def ordered(self, rows: int) -> tuple[Floats, Bools]:
         """The times that increase, and which rows of the source they are."""
@@ -286,18 +287,16 @@ class _Examination:
             seconds = float(np.sum(interval[gaps])) - usual * len(gaps)
             dropped = round(seconds / usual)
             longest = float(np.max(interval[gaps]))
-            self.found(
-                "gap",
-                self.policy.gaps,
-                len(gaps),
+            text = (
                 f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
-                f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept",
+                f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept"
             )
+            self.found("gap", self.policy.gaps, len(gaps), text)
         return np.concatenate([[0], gaps + 1]).astype(np.int64)
 
-    def rates(self, rate: Floats, status: NDArray[np.uint16]) -> None:
+    def rates(self, rate: Floats) -> None:
         missing = np.any(~(np.abs(rate) < _ABSURD), axis=2)
-        self.mask(status, missing, Reason.MISSING_RATE, self.policy.missing_rates, "without a rate")
+        self.mask(missing, Reason.MISSING_RATE, self.policy.missing_rates, "without a rate")
         full = self.raw.full_scale_rad_per_s
         if full is not None:
             where = np.asarray(np.any(np.abs(rate) >= full * (1 - 1e-9), axis=2))
@@ -307,37 +306,24 @@ class _Examination:
             for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
                 where[unit] |= _stuck_at_extreme(rate[unit, :, axis])
             words = "stuck at the largest or least rate of the record"
-        self.mask(status, where, Reason.SATURATED, self.policy.saturated, words)
+        self.mask(where, Reason.SATURATED, self.policy.saturated, words)
 
-    def temperatures(
-        self, time: Floats, temperature: Floats, starts: NDArray[np.int64], status: NDArray[np.uint16]
-    ) -> None:
-        missing = ~(np.abs(temperature) < _ABSURD)
-        self.mask(
-            status, missing, Reason.MISSING_TEMPERATURE, self.policy.missing_temperatures, "without a temperature"
-        )
+    def temperatures(self, time: Floats, temperature: Floats, starts: NDArray[np.int64]) -> None:
+        missing, policy = ~(np.abs(temperature) < _ABSURD), self.policy
+        self.mask(missing, Reason.MISSING_TEMPERATURE, policy.missing_temperatures, "without a temperature")
         known = np.where(missing, np.nan, temperature)
         frozen = np.stack([_frozen(time, values, starts) for values in known])
         whole = [name for name, rows in zip(self.raw.units, frozen, strict=True) if rows.all()]
         if whole:
-            self.found(
-                "constant temperature",
-                "keep",
-                0,
-                f"the temperature of {', '.join(whole)} never changes: constant, or not connected?",
-            )
+            text = f"the temperature of {', '.join(whole)} never changes: constant, or not connected?"
+            self.found("constant temperature", "keep", 0, text)
             frozen[frozen.all(axis=1)] = False
-        self.mask(
-            status,
-            frozen,
-            Reason.FROZEN_TEMPERATURE,
-            self.policy.frozen_temperatures,
-            "with a temperature that stands still while others of the record move",
-        )
+        words = "with a temperature that stands still while others of the record move"
+        self.mask(frozen, Reason.FROZEN_TEMPERATURE, policy.frozen_temperatures, words)
 
-    def sizes(self, time: Floats, kept: Columns, status: NDArray[np.uint16]) -> None:
+    def sizes(self, time: Floats, kept: Columns) -> None:
         rate, temperature, table_rate = kept.rate_rad_per_s, kept.temperature_c, kept.table_rate_rad_per_s
-        usable = status == 0
+        usable = self.status == 0
         for unit, name in enumerate(self.raw.units):
             rows = usable[unit]
             if not rows.any():
@@ -375,10 +361,10 @@ class _Examination:
         if table_rate is not None:
             self.against_table(rate, table_rate, usable)
 
-    def force_sizes(self, force: Floats, status: NDArray[np.uint16]) -> None:
+    def force_sizes(self, force: Floats) -> None:
         """Specific forces that no accelerometer of a gyro's unit says, or that are those of g."""
         for unit, name in enumerate(self.raw.units):
-            if not (rows := status[unit] == 0).any():
+            if not (rows := self.status[unit] == 0).any():
                 continue
             usual = float(np.median(np.linalg.norm(force[unit, rows], axis=1)))
             if usual > _LARGEST_FORCE or (force.shape[2] == 3 and 0.5 < usual < 2.0):

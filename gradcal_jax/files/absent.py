@@ -12,10 +12,10 @@ from importlib import resources
 from typing import Any, Final, NamedTuple, cast
 
 from gradcal_jax import units
-from gradcal_jax.files.changes import tables_of
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.sensor import Sensor
-from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.spec import Spec
 
 # Terms that act through one of the maps alone, or through motion or temperature.
 _OF_BIAS: Final = frozenset({"turn_on_bias", "bias_temperature_gradient"})
@@ -62,14 +62,7 @@ def absent_terms(spec: Spec) -> list[AbsentTerm]:
 
 def with_typical(spec: Spec) -> Spec:
     """The spec with every absent term at its typical value. Errors: `SpecError` where the two contradict each other."""
-    tables = tables_of(spec)
-    for term in absent_terms(spec):
-        *path, last = term.key.split(".")
-        here = tables
-        for part in path:
-            here = here.setdefault(part, {})
-        here[last] = term.value
-    return spec_of(tables)
+    return changed(spec, {term.key: term.value for term in absent_terms(spec)})
 
 
 def sensor_grade(sensor: Sensor) -> Grade:

@@ -143,8 +143,7 @@ class Catalogue:
 def slug(name: str) -> str:
     """A name for files: small letters, digits, hyphens; units' signs in words."""
     words = {"°": " deg", "″": " arcsec", "′": " arcmin", "√": " sqrt ", "µ": "u"}
-    for sign, word in words.items():
-        name = name.replace(sign, word)
+    name = name.translate(str.maketrans(words))
     return re.sub(r"[^a-z0-9.]+", "-", name.casefold()).strip("-.") or "case"
 
 

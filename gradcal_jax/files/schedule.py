@@ -197,6 +197,7 @@ def gradient_schedule(plan: GradientPlan, rig: Rig) -> GradientSchedule:
     segments, stretches = programme_of(plan, rig.chamber, times)
     result = GradientSchedule(segments, stretches, cycle, None if plan.read_every is None else float(plan.read_every))
     problems: list[Problem] = []
+    key = ("cycle",) if cycle is not None else ("read_every",)
     if cycle is not None and result.cycles == 0:
         longest = max(stretch.duration for stretch in stretches)
         message = f"its moves take {cycle.moving:.4g} s; the longest stretch of used data is {longest:.4g} s"
@@ -205,9 +206,9 @@ def gradient_schedule(plan: GradientPlan, rig: Rig) -> GradientSchedule:
         problems.append(Problem(("cycle",), f"repeats {result.cycles} times; at most {MOST_CYCLES}"))
     elif result.readings > MOST_READINGS:
         message = f"the plan has {result.readings} readings; at most {MOST_READINGS}: read less often"
-        problems.append(Problem(("cycle",) if cycle is not None else ("read_every",), message))
+        problems.append(Problem(key, message))
     elif result.readings == 0:
-        problems.append(Problem(("cycle",) if cycle is not None else ("read_every",), "the plan has no readings"))
+        problems.append(Problem(key, "the plan has no readings"))
     if problems:
         raise SpecError(problems)
     return result

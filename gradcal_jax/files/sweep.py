@@ -185,8 +185,7 @@ class Axis(Section):
         unit = self.unit
         if not isinstance(step, str) or unit is None:
             return self._number("step", step)
-        kind = units.dimension_of(unit)
-        if kind == "temperature":
+        if units.dimension_of(unit) == "temperature":
             # A step between temperatures is a difference: of kelvins, as many degrees Celsius.
             return units.parse(step, "temperature difference")
         return _in(step, unit)

@@ -89,6 +89,7 @@ def _finite(value: Decimal) -> float:
 _DURATION: Final = (("h", "hr"), ("min",), ("s", "sec"))
 _ARC: Final = (("°", "deg"), ("′", "'", "arcmin"), ("″", '"', "arcsec"))
 _PART: Final = re.compile(r" *([0-9]+(?:\.[0-9]+)?) *([A-Za-z]+|[°′'″\"])")
+_PARTS: Final = re.compile(f"(?:{_PART.pattern})+")
 
 
 def _compound(text: str, dimension: Dimension) -> Decimal | None:
@@ -98,14 +99,7 @@ def _compound(text: str, dimension: Dimension) -> Decimal | None:
         return None
     negative = text[:1] == "-"
     body = text[1:] if text[:1] in ("-", "+") else text
-    parts: list[tuple[str, str]] = []
-    at = 0
-    while at < len(body):
-        match = _PART.match(body, at)
-        if match is None:
-            return None
-        parts.append((match.group(1), match.group(2)))
-        at = match.end()
+    parts: list[tuple[str, str]] = _PART.findall(body) if _PARTS.fullmatch(body) else []
     if len(parts) < 2:
         return None
     total = Decimal(0)

@@ -262,7 +262,7 @@ def _bias_only(
     for name, axis in triad.items():
         t = range_temperatures(axis)
         losses.append(Loss(axis.name, "bias", bias_left(axis, taken_off(name, t)) * DEG_PER_H, "deg/h"))
-        if axis.scale_factor is not None and (lost := _lost_scale_factor(axis)) is not None:
+        if (lost := _lost_scale_factor(axis)) is not None:
             losses.append(lost)
             notes.append(f"axis {axis.name}: the target takes no gyro scale factor: up to {lost.value:.4g} ppm stay")
         if low > t[0] + 1e-6 or high < t[-1] - 1e-6:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gradcal_jax.files import exports, unit_c_header
 from gradcal_jax.files.bases import TemperaturePolynomial
-from gradcal_jax.files.calibration import AxisCalibration, BiasMap, Calibration, Noise, ScaleFactorMap
+from gradcal_jax.files.calibration import AxisCalibration, BiasMap, Calibration, ScaleFactorMap
 from gradcal_jax.files.exports import Export, Loss
 from gradcal_jax.files.unit_calibration import CalibratedChannel, CalibratedTerm, UnitCalibration
 from gradcal_jax.files.unit_correction import linear_part, term_values
@@ -57,23 +57,14 @@ def export_unit(
 
 
 def single_axes_of(calibration: UnitCalibration, kind: str) -> Calibration | None:
-    """The biases and scale factors of one kind, as a calibration of single axes; None where there is no such channel.
+    """The biases and scale factors of one kind, as a calibration of single axes without their noise; None where there
+    is no such channel.
 
     Of accelerometers rates stand for specific forces: rad/s for m/s².
     """
     axes = [_axis(calibration, c) for c in calibration.channel if c.kind == kind]
     if not axes:
         return None
-    noise = calibration.noise
-    given: dict[str, Any] = {}
-    if kind == "gyro" and noise is not None and noise.angle_random_walk is not None:
-        given["noise"] = Noise(
-            **{
-                key: value
-                for key in ("angle_random_walk", "rate_random_walk", "sample_rate")
-                if (value := getattr(noise, key)) is not None
-            }
-        )
     return Calibration(
         format="gradcal-calibration/1",
         serial_number=calibration.serial_number,
@@ -83,23 +74,23 @@ def single_axes_of(calibration: UnitCalibration, kind: str) -> Calibration | Non
         order=calibration.order,
         axis=tuple(axes),
         provenance=calibration.provenance,
-        **given,
     )
 
 
 def _axis(calibration: UnitCalibration, channel: CalibratedChannel) -> AxisCalibration:
     maps: dict[str, Any] = {}
     if (bias := channel.term_of("bias")) is not None:
-        maps["bias"] = BiasMap(temperature=_basis(bias), coefficients=_renamed(bias, "a"))
+        # A constant has no number in a unit's file.
+        named = {"a" + name.removeprefix("a").rjust(1, "0"): value for name, value in bias.coefficients.items()}
+        maps["bias"] = BiasMap(temperature=_basis(bias), coefficients=named)
     scale = channel.term_of("scale_factor")
     if scale is not None and scale.rate is not None:
         maps["scale_factor"] = ScaleFactorMap(
             temperature=_basis(scale), rate=scale.rate, coefficients=dict(scale.coefficients)
         )
-    if calibration.thermal_lag is not None:
-        maps["thermal_lag"] = calibration.thermal_lag
     return AxisCalibration(
         name=channel.axis,
+        thermal_lag=calibration.thermal_lag,
         valid_temperature=calibration.valid_temperature,
         valid_rate=calibration.valid_rate,
         **maps,
@@ -110,11 +101,6 @@ def _basis(term: CalibratedTerm) -> Any:
     if term.temperature is not None:
         return term.temperature
     return TemperaturePolynomial.model_validate({"basis": "polynomial", "degree": 0, "scale": "50 K"})
-
-
-def _renamed(term: CalibratedTerm, letter: str) -> dict[str, float]:
-    """A constant has no number in a unit's file."""
-    return {letter + name.removeprefix(letter).rjust(1, "0"): value for name, value in term.coefficients.items()}
 
 
 class LinearUnit(NamedTuple):

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from gradcal_jax.files import correction
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.log import Floats
 from gradcal_jax.files.polynomials import normalised_bias, normalised_scale_factor
 from gradcal_jax.files.unit_calibration import UnitCalibration
 from gradcal_jax.units import DEG_PER_H
 
-Floats = NDArray[np.float64]
 _ROUNDS = 8
 _GRID = 41
 

@@ -19,9 +19,8 @@ from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
     Flag,
+    Frequency,
     Number,
-    Of,
-    Quantity,
     Rate,
     RateRandomWalk,
     Temperature,
@@ -34,7 +33,6 @@ from gradcal_jax.files.writing import write_toml
 
 FORMAT: Final = "gradcal-calibration/1"
 ORDER: Final = "measured = (1 + M(T, rate)) * rate + B(T); on each axis alone, in the frame above, before any rotation"
-Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
 Coefficients = Annotated[dict[str, Number], Field(min_length=1, max_length=40_000)]
 
 

@@ -104,6 +104,3 @@ def _dressed(old: object, value: object) -> object:
     if isinstance(value, float | int) and not isinstance(value, bool) and isinstance(old, str):
         return units.format_quantity(float(value), units.unit_of(old))
     return copy.deepcopy(value)
-
-
-__all__ = ["any_spec_of", "changed", "dotted", "patched", "split_key", "tables_of"]

@@ -26,10 +26,9 @@ from gradcal_jax.files.bases import (
     TemperatureSpline,
 )
 from gradcal_jax.files.calibration import AxisCalibration, Calibration, ScaleFactorMap, bias_names, scale_factor_names
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log import Floats, Log, LogError
 from gradcal_jax.files.unit_calibration import UnitCalibration
 
-Floats = NDArray[np.float64]
 _ROUNDS = 200
 _ROWS_AT_ONCE = 1 << 16
 _SLOPE_WINDOW_S = 60.0

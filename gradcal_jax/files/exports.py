@@ -16,15 +16,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax.files import c_header, correction
 from gradcal_jax.files.calibration import AxisCalibration, Calibration, Covariance, Noise
+from gradcal_jax.files.log import Floats
 from gradcal_jax.files.polynomials import bias_polynomial
 from gradcal_jax.files.unit_calibration import UnitCalibration, UnitNoise
 from gradcal_jax.units import DEG_PER_H, PPM
 
-Floats = NDArray[np.float64]
 _GRID: Final = 201
 _TRIAD: Final = ("x", "y", "z")
 

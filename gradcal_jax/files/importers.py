@@ -32,23 +32,23 @@ of those at the top. Times count from the first row. Raw counts whose scale nobo
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.column_guess import contradiction
 from gradcal_jax.files.document import parsed, read_text
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log import Floats, Log, LogError
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.quantity import Flag, Number, Of, PositiveRate, Quantity, Text, Whole
+from gradcal_jax.files.quantity import Flag, Frequency, Number, PositiveRate, Whole
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.tables import (
     AngleColumn,
     ForceColumn,
     Measured,
+    Name,
     Numbers,
     RateColumn,
     Source,
@@ -59,10 +59,6 @@ from gradcal_jax.files.tables import (
 )
 
 FORMAT: Final = "gradcal-columns/1"
-Array = NDArray[Any]
-Floats = NDArray[np.float64]
-Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
-Name = Annotated[Text, Field(max_length=100)]
 
 
 class StatusColumn(Source):

@@ -25,11 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax import formulas
-from gradcal_jax.files.log import Finding, Log, LogError, Reason, intervals_within, mean_interval
+from gradcal_jax.files.log import Bools, Finding, Floats, Log, LogError, Reason, intervals_within, mean_interval
 from gradcal_jax.files.section import Section
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""

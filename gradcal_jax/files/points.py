@@ -15,21 +15,17 @@ A row a point; text, .npz, .npy, .mat or netCDF (.nc), where columns are variabl
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
 
 from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.log import LogError
-from gradcal_jax.files.quantity import Flag, Text
+from gradcal_jax.files.log import Floats, LogError
+from gradcal_jax.files.quantity import Flag
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.tables import RateColumn, Source, TemperatureColumn, TextTable, read_table
+from gradcal_jax.files.tables import Name, RateColumn, Source, TemperatureColumn, TextTable, read_table
 
 FORMAT: Final = "gradcal-points/1"
-Floats = NDArray[np.float64]
-Name = Annotated[Text, Field(max_length=100)]
 
 EXAMPLE: Final = """\
 format         = "gradcal-points/1"

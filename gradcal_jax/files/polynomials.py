@@ -2,13 +2,12 @@
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
 from gradcal_jax.files import correction
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.calibration import AxisCalibration, bias_names
+from gradcal_jax.files.log import Floats
 
-Floats = NDArray[np.float64]
 _POINTS = 201
 _FIT_DEGREE = 7
 _SMALL_GRID = 41

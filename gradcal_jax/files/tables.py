@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from gradcal_jax import units
-from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log import Floats, LogError
 from gradcal_jax.files.matlab_file import read_matlab
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.problems import Problem, instead
@@ -25,7 +25,7 @@ from gradcal_jax.files.quantity import Flag, Number, Text, Whole
 from gradcal_jax.files.section import Section, refuse
 
 Array = NDArray[Any]
-Floats = NDArray[np.float64]
+Name = Annotated[Text, Field(max_length=100)]
 _Result = TypeVar("_Result")
 
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")

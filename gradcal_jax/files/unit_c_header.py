@@ -1,15 +1,14 @@
 """A whole unit's calibration as a C header: tables of terms, and a pure function in float32 with a self-test."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.c_header import CLIP, c_array, comment, header_head, header_self_test, in_powers, literal
+from gradcal_jax.files.log import Floats
 from gradcal_jax.files.unit_calibration import SIGNALS, CalibratedTerm, UnitCalibration
 from gradcal_jax.files.unit_correction import correct_unit, linear_part
 from gradcal_jax.units import DEG_PER_H, G
 
-Floats = NDArray[np.float64]
 _ROUNDS = 6
 _POINTS = 200
 _NONE, _SIZE = 6, 8

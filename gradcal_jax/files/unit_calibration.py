@@ -19,8 +19,6 @@ from gradcal_jax.files.calibration import (
     Coefficients,
     Covariance,
     FitTest,
-    Frequency,
-    parse_calibration,
 )
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
@@ -28,6 +26,7 @@ from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
     Flag,
+    Frequency,
     Number,
     Rate,
     RateRandomWalk,
@@ -225,9 +224,8 @@ def parse_any_calibration(text: str, source: str = "") -> Calibration | UnitCali
     """The calibration of a gyro's axes, or of a whole unit, in a TOML text. Raises `SpecError` with every fault."""
     with with_lines(text):
         document = read_toml(text, source)
-        if document.get("quantity") == "unit":
-            return model_of(UnitCalibration, document, FORMAT, source)
-    return parse_calibration(text, source)
+        kind = UnitCalibration if document.get("quantity") == "unit" else Calibration
+        return model_of(kind, document, FORMAT, source)
 
 
 def read_any_calibration(path: str | Path) -> Calibration | UnitCalibration:

@@ -10,7 +10,6 @@ size of what is not linear, or differs from its value at the middle of the tempe
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax.files.correction import (
     Corrected,
@@ -20,10 +19,9 @@ from gradcal_jax.files.correction import (
     known_temperature,
     log_corrected,
 )
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log import Floats, Log, LogError
 from gradcal_jax.files.unit_calibration import SIGNALS, CalibratedChannel, CalibratedTerm, UnitCalibration
 
-Floats = NDArray[np.float64]
 _ROWS_AT_ONCE = 1 << 15
 _ROUNDS = 60
 _SETTLED = 1e-14

@@ -14,17 +14,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax.files import exports, unit_c_header
 from gradcal_jax.files.bases import TemperaturePolynomial
 from gradcal_jax.files.calibration import AxisCalibration, BiasMap, Calibration, ScaleFactorMap
 from gradcal_jax.files.exports import Export, Loss
+from gradcal_jax.files.log import Floats
 from gradcal_jax.files.unit_calibration import CalibratedChannel, CalibratedTerm, UnitCalibration
 from gradcal_jax.files.unit_correction import linear_part, term_values
 from gradcal_jax.units import DEG_PER_H, G
 
-Floats = NDArray[np.float64]
 _GRID: Final = 201
 _TRIAD: Final = ("x", "y", "z")
 _MICRO_G: Final = 1e6 / G

@@ -21,12 +21,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log import Floats, LogError
 from gradcal_jax.files.vehicle.streams import GyroStream, library
 
-Floats = NDArray[np.float64]
 _REFERENCE_C: Final = 35.0
 _UNSET_BELOW_C: Final = -80.0
 _STRUCT: Final = {

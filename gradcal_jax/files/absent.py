@@ -4,6 +4,7 @@ The figures and their sources are data, `typical.toml`; a term that the file nam
 not absent. Only terms that the spec's own plan could feel are listed.
 """
 
+import math
 import tomllib
 from collections.abc import Mapping
 from functools import cache
@@ -11,10 +12,10 @@ from importlib import resources
 from typing import Any, Final, NamedTuple, cast
 
 from gradcal_jax import units
-from gradcal_jax.files.changes import tables_of
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.sensor import Sensor
-from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.spec import Spec
 
 # Terms that act through one of the maps alone, or through motion or temperature.
 _OF_BIAS: Final = frozenset({"turn_on_bias", "bias_temperature_gradient"})
@@ -61,14 +62,7 @@ def absent_terms(spec: Spec) -> list[AbsentTerm]:
 
 def with_typical(spec: Spec) -> Spec:
     """The spec with every absent term at its typical value. Errors: `SpecError` where the two contradict each other."""
-    tables = tables_of(spec)
-    for term in absent_terms(spec):
-        *path, last = term.key.split(".")
-        here = tables
-        for part in path:
-            here = here.setdefault(part, {})
-        here[last] = term.value
-    return spec_of(tables)
+    return changed(spec, {term.key: term.value for term in absent_terms(spec)})
 
 
 def sensor_grade(sensor: Sensor) -> Grade:
@@ -80,23 +74,22 @@ def sensor_grade(sensor: Sensor) -> Grade:
     if size == 0.0:
         size, key, dimension = float(sensor.angle_random_walk), "walk", "angle random walk"
         shown = "its angle random walk"
-    for row in _table()["sensor"]:
-        if size >= units.parse(row[key], dimension):
-            return Grade(row["grade"], row["like"], shown)
-    raise AssertionError("the last grade begins at zero")
+    return _grade("sensor", size, key, dimension, shown)
 
 
 def table_grade(spec: Spec) -> Grade:
     """The class of a rate table, by the angle errors that are named; without any, that of the worst."""
     angle = spec.rig.table.angle
     size = max(float(angle.reading_noise), float(angle.standstill_offset))
-    rows = _table()["table"]
     if size == 0.0:
-        return Grade(rows[0]["grade"], rows[0]["like"], "the worst: no angle error is named")
-    for row in rows:
-        if size >= units.parse(row["angle"], "angle"):
-            return Grade(row["grade"], row["like"], "its angle errors")
-    raise AssertionError("the last grade begins at zero")
+        return _grade("table", math.inf, "angle", "angle", "the worst: no angle error is named")
+    return _grade("table", size, "angle", "angle", "its angle errors")
+
+
+def _grade(kind: str, size: float, key: str, dimension: str, reason: str) -> Grade:
+    """The first class, of the worst at the head, that begins at or below a size; the last one begins at zero."""
+    row = next(row for row in _table()[kind] if size >= units.parse(row[key], dimension))
+    return Grade(row["grade"], row["like"], reason)
 
 
 def grades() -> tuple[str, ...]:

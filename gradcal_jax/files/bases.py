@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
@@ -14,7 +14,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Whole,
 )
-from gradcal_jax.files.section import Section, choose, refuse
+from gradcal_jax.files.section import Section, chosen_by, refuse
 
 Degree = Annotated[Whole, Field(le=15)]
 SplineDegree = Annotated[int, Field(strict=True, ge=0, le=5)]
@@ -140,17 +140,11 @@ class RateBins(_Bins):
     """Rates between which the value is constant, rising."""
 
 
-def _temperature_basis(value: object) -> object:
-    return choose(
-        value, "basis", {"polynomial": TemperaturePolynomial, "b-spline": TemperatureSpline, "bins": TemperatureBins}
-    )
-
-
-def _rate_basis(value: object) -> object:
-    return choose(value, "basis", {"polynomial": RatePolynomial, "b-spline": RateSpline, "bins": RateBins})
-
-
 TemperatureBasis = Annotated[
-    TemperaturePolynomial | TemperatureSpline | TemperatureBins, BeforeValidator(_temperature_basis)
+    TemperaturePolynomial | TemperatureSpline | TemperatureBins,
+    chosen_by("basis", {"polynomial": TemperaturePolynomial, "b-spline": TemperatureSpline, "bins": TemperatureBins}),
 ]
-RateBasis = Annotated[RatePolynomial | RateSpline | RateBins, BeforeValidator(_rate_basis)]
+RateBasis = Annotated[
+    RatePolynomial | RateSpline | RateBins,
+    chosen_by("basis", {"polynomial": RatePolynomial, "b-spline": RateSpline, "bins": RateBins}),
+]

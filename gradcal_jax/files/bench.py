@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal, cast
 from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax.files.bases import increasing
-from gradcal_jax.files.problems import Problem
+from gradcal_jax.files.problems import Problem, repeated
 from gradcal_jax.files.quantity import (
     Angle,
     Count,
@@ -55,10 +55,8 @@ class AngleReference(Section):
 
     @model_validator(mode="after")
     def _once_each(self) -> "AngleReference":
-        orders = [harmonic.order for harmonic in self.harmonics]
-        again = [i for i, order in enumerate(orders) if order in orders[:i]]
         message = "this order stands above already: give one amplitude for each order"
-        refuse(*(Problem(("harmonics", i, "order"), message, str(orders[i])) for i in again))
+        refuse(*repeated("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message))
         return self
 
 
@@ -262,16 +260,11 @@ class UnitTable(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> "UnitTable":
-        names = [axis.name for axis in self.axis]
-        problems = [
-            Problem(("axis", i, "name"), "two axes have this name", name)
-            for i, name in enumerate(names)
-            if name in names[:i]
-        ]
+        problems = repeated("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
         if self.axis[-1].orthogonality:
             message = "is told to the next axis inside, and there is none; leave it out of the innermost one"
             problems.append(
-                Problem(("axis", len(names) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
+                Problem(("axis", len(self.axis) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
             )
         every = [axis.angle.read_every for axis in self.axis]
         if self.standing == "read" and any(e != every[0] for e in every):

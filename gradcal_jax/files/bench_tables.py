@@ -21,19 +21,17 @@ def clock_text(seconds: float) -> str:
 
 def chamber_rows(recipe: Recipe) -> list[tuple[str, ...]]:
     """A row of `CHAMBER_HEAD` for each segment of the chamber's track."""
-    rows: list[tuple[str, ...]] = []
-    for segment in recipe.chamber.programme:
-        rows.append(
-            (
-                segment.name,
-                "when stable" if segment.begins == "when stable" else "at once",
-                clock_text(segment.start),
-                time_text(segment.duration),
-                _course(segment),
-                "used" if segment.used else "",
-            )
+    return [
+        (
+            segment.name,
+            "when stable" if segment.begins == "when stable" else "at once",
+            clock_text(segment.start),
+            time_text(segment.duration),
+            _course(segment),
+            "used" if segment.used else "",
         )
-    return rows
+        for segment in recipe.chamber.programme
+    ]
 
 
 def chamber_words(recipe: Recipe) -> list[str]:

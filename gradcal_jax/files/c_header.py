@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from gradcal_jax.files import correction
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.log import Floats
 from gradcal_jax.files.polynomials import normalised_bias, normalised_scale_factor
 from gradcal_jax.files.unit_calibration import UnitCalibration
 from gradcal_jax.units import DEG_PER_H
 
-Floats = NDArray[np.float64]
 _ROUNDS = 8
 _GRID = 41
 
@@ -21,8 +21,11 @@ def header_text(calibration: Calibration, left_out: Sequence[str]) -> tuple[str,
     """The header's text, and for each axis the largest error of its float32 against the calibration itself."""
     errors: list[tuple[str, str, float, str]] = []
     body: list[str] = []
+    tables = ["static const struct gradcal_axis gradcal_axes[GRADCAL_AXES] = {"]
     for number, axis in enumerate(calibration.axis):
-        body += _constants(axis, number)
+        constants, entry = _of_axis(axis, number)
+        body += constants
+        tables.append(entry)
         temperature, rate = _grid(axis)
         said = correction.measured(axis, rate, temperature)
         off = np.abs(corrected(axis, said, temperature) - rate)
@@ -40,9 +43,6 @@ def header_text(calibration: Calibration, left_out: Sequence[str]) -> tuple[str,
     said.append("temperature in degC, rates in rad/s. Outside its range the calibration holds its value at the edge.")
     head = header_head(calibration, "gyro calibration of", said, "GRADCAL_CALIBRATION_H")
     head += [f"#define GRADCAL_AXES {count}", "", _STRUCT]
-    tables = ["static const struct gradcal_axis gradcal_axes[GRADCAL_AXES] = {"]
-    for k, axis in enumerate(calibration.axis):
-        tables += _initialiser(axis, k)
     tables += ["};", ""]
     test = header_self_test(temperature, raw, out, "GRADCAL_AXES", max(2e-6 * float(np.max(np.abs(out))), 1e-9))
     return "\n".join([*head, *body, *tables, _FUNCTION, *test]) + "\n", errors
@@ -146,30 +146,27 @@ def corrected(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: 
     slow, fast = (single(v) for v in axis.valid_rate)
     t = np.clip(temperature_c.astype(single), low, high)
     tb, tm = (t - single(bt0)) / single(bts), (t - single(mt0)) / single(mts)
-    bias: Any = np.zeros(t.shape, single)
-    for value in b[::-1]:
-        bias = bias * tb + single(value)
-    unbiased = measured_rad_per_s.astype(single) - bias
+    unbiased = measured_rad_per_s.astype(single) - in_powers(b[:, None], tb, tb)
     rate: Any = unbiased
     for _ in range(_ROUNDS):
         w = (np.clip(rate, slow, fast) - single(mw0)) / single(mws)
-        scale: Any = np.zeros(t.shape, single)
-        for line in table[::-1]:
-            row: Any = np.zeros(t.shape, single)
-            for value in line[::-1]:
-                row = row * w + single(value)
-            scale = scale * tm + row
-        rate = unbiased / (single(1.0) + scale)
+        rate = unbiased / (single(1.0) + in_powers(table, tm, w))
     return rate.astype(np.float64)
 
 
-def _constants(axis: AxisCalibration, number: int) -> list[str]:
-    _, _, b = normalised_bias(axis)
-    *_, table = normalised_scale_factor(axis)
-    return [c_array(f"gradcal_b{number}[]", b), c_array(f"gradcal_m{number}[]", table.ravel())]
+def in_powers(table: NDArray[Any], x: Any, w: Any) -> Any:
+    """Σ table[i, j] xⁱ wʲ in float32, step by step as the headers' loops go."""
+    total: Any = np.zeros(x.shape, np.float32)
+    for line in table[::-1]:
+        row: Any = np.zeros(x.shape, np.float32)
+        for value in line[::-1]:
+            row = row * w + np.float32(value)
+        total = total * x + row
+    return total
 
 
-def _initialiser(axis: AxisCalibration, number: int) -> list[str]:
+def _of_axis(axis: AxisCalibration, number: int) -> tuple[list[str], str]:
+    """An axis's constants, and its entry in the table of axes."""
     bt0, bts, b = normalised_bias(axis)
     (mt0, mts), (mw0, mws), table = normalised_scale_factor(axis)
     t, w = axis.valid_temperature, axis.valid_rate
@@ -179,7 +176,8 @@ def _initialiser(axis: AxisCalibration, number: int) -> list[str]:
         ", ".join(literal(v) for v in (mt0, mts, mw0, mws))
         + f", {table.shape[0]}, {table.shape[1]}, gradcal_m{number}",
     ]
-    return ["    {" + ",\n     ".join(row) + "},"]
+    constants = [c_array(f"gradcal_b{number}[]", b), c_array(f"gradcal_m{number}[]", table.ravel())]
+    return constants, "    {" + ",\n     ".join(row) + "},"
 
 
 def _grid(axis: AxisCalibration) -> tuple[Floats, Floats]:

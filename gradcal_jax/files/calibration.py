@@ -14,15 +14,13 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.bases import RateBasis, RatePolynomial, TemperatureBasis, TemperaturePolynomial, increasing
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import parsed, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
     Flag,
+    Frequency,
     Number,
-    Of,
-    Quantity,
     Rate,
     RateRandomWalk,
     Temperature,
@@ -35,7 +33,6 @@ from gradcal_jax.files.writing import write_toml
 
 FORMAT: Final = "gradcal-calibration/1"
 ORDER: Final = "measured = (1 + M(T, rate)) * rate + B(T); on each axis alone, in the frame above, before any rotation"
-Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
 Coefficients = Annotated[dict[str, Number], Field(min_length=1, max_length=40_000)]
 
 
@@ -144,10 +141,8 @@ class AxisCalibration(Section):
         problems: list[Problem] = []
         if self.bias is None and self.scale_factor is None:
             problems.append(Problem((), 'holds nothing; give "bias", "scale_factor" or both'))
-        if self.valid_temperature[0] != self.valid_temperature[1]:
-            problems += increasing(self.valid_temperature, "valid_temperature")
-        if self.valid_rate[0] != self.valid_rate[1]:
-            problems += increasing(self.valid_rate, "valid_rate")
+        for key, span in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
+            problems += increasing(span, key) if span[0] != span[1] else []
         if self.covariance is not None:
             known = self.values()
             strange = [name for name in self.covariance.names if name not in known]
@@ -294,8 +289,7 @@ def read_calibration(path: str | Path) -> Calibration:
 
 def parse_calibration(text: str, source: str = "") -> Calibration:
     """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
-    with with_lines(text):
-        return model_of(Calibration, read_toml(text, source), FORMAT, source)
+    return parsed(Calibration, text, FORMAT, source)
 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> None:

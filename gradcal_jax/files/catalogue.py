@@ -26,18 +26,17 @@ A plan is where a search begins: it says how long, from where to where, and what
 
 import itertools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.changes import patched, tables_of
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import parsed, read_text
 from gradcal_jax.files.mission import missions_from
-from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.files.problems import Problem, SpecError, repeated
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec import Spec, spec_of
@@ -111,11 +110,7 @@ class CatalogueFile(Section):
         for kind in kinds:
             names = [slug(entry.name) for entry in getattr(self, kind)]
             count *= len(names)
-            problems += [
-                Problem((kind, i, "name"), "another one is called this, or nearly this", name)
-                for i, name in enumerate(names)
-                if name in names[:i]
-            ]
+            problems += repeated(kind, "name", names, "another one is called this, or nearly this")
         if count > MOST_CASES:
             problems.append(Problem((), f"makes {count} recipes; at most {MOST_CASES}"))
         refuse(*problems)
@@ -148,8 +143,7 @@ class Catalogue:
 def slug(name: str) -> str:
     """A name for files: small letters, digits, hyphens; units' signs in words."""
     words = {"°": " deg", "″": " arcsec", "′": " arcmin", "√": " sqrt ", "µ": "u"}
-    for sign, word in words.items():
-        name = name.replace(sign, word)
+    name = name.translate(str.maketrans(words))
     return re.sub(r"[^a-z0-9.]+", "-", name.casefold()).strip("-.") or "case"
 
 
@@ -166,8 +160,7 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
 
     A combination that is no spec (a table too slow for the sensor's range, say) is a case with a failure, not an error.
     """
-    with with_lines(text):
-        file = model_of(CatalogueFile, read_toml(text, source), FORMAT, source)
+    file = parsed(CatalogueFile, text, FORMAT, source)
     with missions_from(Path(folder)):
         return Catalogue(file, text, tuple(_cases(file, Path(folder), source)))
 
@@ -181,12 +174,12 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
         return bases[name]
 
     def section(entry: Entry, kind: str, place: int) -> Any:
-        base = base_of(entry.base)
+        base, tables, problems = base_of(entry.base), dict[str, Any](), ()
         try:
             tables = patched(base, {f"{kind}.{key}": value for key, value in entry.change.items()})
-            problems = _problems_of(tables)
+            spec_of(tables)
         except SpecError as error:
-            tables, problems = {}, error.problems
+            problems = error.problems
         # What does not go with the base's other sections may go with others of the catalogue.
         own = [p for p in problems if p.key[:1] == (kind,)]
         if own:
@@ -198,9 +191,8 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
     )
     requirements: list[Any] = []
     for i, entry in enumerate(file.requirement):
-        rows = (
-            [dict(row) for row in entry.of] if entry.of is not None else _requirements(base_of(cast("str", entry.base)))
-        )
+        of_base = tables_of(base_of(entry.base)).get("requirement", []) if entry.base is not None else ()
+        rows = [dict(row) for row in entry.of or of_base]
         names = [row.get("name") for row in rows]
         if entry.minimise not in names:
             said = f"is none of its requirements: {', '.join(map(str, names)) or 'there are none'}"
@@ -223,15 +215,3 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
             yield CatalogueCase(names, spec_of(document))
         except SpecError as error:
             yield CatalogueCase(names, None, " ".join(str(error).split()))
-
-
-def _problems_of(tables: Mapping[str, Any]) -> Sequence[Problem]:
-    try:
-        spec_of(tables)
-    except SpecError as error:
-        return error.problems
-    return ()
-
-
-def _requirements(base: Spec) -> list[dict[str, Any]]:
-    return [dict(row) for row in tables_of(base).get("requirement", [])]

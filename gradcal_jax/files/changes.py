@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any, Final, TypeVar, cast
 
 from gradcal_jax import units
-from gradcal_jax.files.problems import Key, Problem, SpecError, dotted, nearest
+from gradcal_jax.files.problems import Key, Problem, SpecError, dotted
 from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 
@@ -96,11 +96,7 @@ def _inside(here: Any, part: str | int, key: Key) -> Any:
         return entries[part]
     if not isinstance(here, dict):
         raise SpecError([Problem(key, "there is no table here")])
-    table = cast("dict[str, Any]", here)
-    if part not in table:  # pragma: no cover - tables are made on the way
-        close = nearest(part, table)
-        raise SpecError([Problem(key, "there is no such key" + (f'; nearest: "{close}"' if close else ""))])
-    return table[part]
+    return cast("dict[str, Any]", here)[part]
 
 
 def _dressed(old: object, value: object) -> object:
@@ -108,6 +104,3 @@ def _dressed(old: object, value: object) -> object:
     if isinstance(value, float | int) and not isinstance(value, bool) and isinstance(old, str):
         return units.format_quantity(float(value), units.unit_of(old))
     return copy.deepcopy(value)
-
-
-__all__ = ["any_spec_of", "changed", "dotted", "patched", "split_key", "tables_of"]

@@ -4,6 +4,7 @@ Every section may be None, where it could not be read; then what depends on it i
 says all that can be known.
 """
 
+import contextlib
 import math
 from collections.abc import Iterator, Sequence
 
@@ -12,7 +13,7 @@ from gradcal_jax.files.bench import Chamber, Rig
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.moves import AXES, ResolvedMove
 from gradcal_jax.files.plan import ChamberCourse, GradientPlan, RampItem, StandardPlan
-from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
+from gradcal_jax.files.problems import Key, Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import HeadingRequirement, Requirement, ScaleFactorRequirement
 from gradcal_jax.files.schedule import GradientSchedule, TemperatureSegment, gradient_schedule, resolve_cycle
@@ -126,9 +127,7 @@ def _requirements(requirements: Sequence[Requirement], sensor: Sensor | None) ->
             yield from _inside(requirement.rate, sensor.scale_factor.rate.span, (*key, "rate"))
 
 
-def _inside(
-    box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: tuple[str | int, ...]
-) -> list[Problem]:
+def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: Key) -> list[Problem]:
     if span is None:
         return []
     return [
@@ -142,8 +141,7 @@ def _design(design: Design, names: Sequence[str]) -> list[Problem]:
     others = (*TIMES, *OPTIMALITIES)
     if design.minimise in names or design.minimise in others:
         return []
-    close = nearest(design.minimise, [*names, *others])
-    ending = f'; nearest: "{close}"' if close else ""
+    ending = hint(design.minimise, [*names, *others])
     message = f"expected the name of a requirement ({one_of(names)}) or {one_of(others)}{ending}"
     return [Problem(("design", "minimise"), message, design.minimise)]
 
@@ -151,9 +149,8 @@ def _design(design: Design, names: Sequence[str]) -> list[Problem]:
 def _standard(plan: StandardPlan, rig: Rig | None, sensor: Sensor | None) -> Iterator[Problem]:
     rates = plan.rates or ()
     if rig is not None:
-        low, high = rig.chamber.range
         for i, temperature in enumerate(plan.temperatures):
-            yield from _in_chamber(temperature, low, high, ("temperatures", i), temperature.text)
+            yield from _in_chamber(temperature, rig.chamber, ("temperatures", i))
         for before, after in zip(plan.temperatures, plan.temperatures[1:], strict=False):
             slope = rig.chamber.max_heating if after > before else rig.chamber.max_cooling
             needed = abs(after - before) / slope
@@ -176,22 +173,16 @@ def _standard(plan: StandardPlan, rig: Rig | None, sensor: Sensor | None) -> Ite
 def _gradient(plan: GradientPlan, rig: Rig, sensor: Sensor | None) -> list[Problem]:
     problems: list[Problem] = []
     schedule: GradientSchedule | None = None
-    moves: Sequence[ResolvedMove] | None = None
     try:
         schedule = gradient_schedule(plan, rig)
     except SpecError as error:
         problems += error.problems
-    if schedule is not None and schedule.cycle is not None:
-        moves = schedule.cycle.moves
-    elif plan.cycle is not None:
-        try:
+    if plan.cycle is not None:
+        with contextlib.suppress(SpecError):  # said above
             moves = resolve_cycle(plan.cycle, rig).moves
-        except SpecError:  # said above
-            moves = None
-    if moves is not None:
-        problems += _motion(moves, rig, sensor)
-        if schedule is not None:
-            problems += _travel(moves, schedule.cycles, rig)
+            problems += _motion(moves, rig, sensor)
+            if schedule is not None:
+                problems += _travel(moves, schedule.cycles, rig)
     problems += course_within(plan, rig.chamber, None if schedule is None else schedule.segments)
     return problems
 
@@ -200,28 +191,24 @@ def course_within(
     plan: ChamberCourse, chamber: Chamber, segments: tuple[TemperatureSegment, ...] | None
 ) -> Iterator[Problem]:
     """Where a course leaves the chamber's range or exceeds its slopes; keys relative to the plan."""
-    low, high = chamber.range
     if plan.programme is not None:
-        heating, cooling = chamber.max_heating, chamber.max_cooling
         here: Quantity | None = None
         for i, item in enumerate(plan.programme):
-            key = next(name for name in ("soak", "ramp_to", "step_to") if name in type(item).model_fields)
-            goal = getattr(item, "at" if key == "soak" else key)
+            key = next(name for name in ("at", "ramp_to", "step_to") if name in type(item).model_fields)
+            goal: Quantity | None = getattr(item, key)
             if goal is None:
                 continue
-            named = "at" if key == "soak" else key
-            yield from _in_chamber(goal, low, high, ("programme", i, named), goal.text)
+            yield from _in_chamber(goal, chamber, ("programme", i, key))
             if isinstance(item, RampItem) and here is not None:
-                limit = heating if goal > here else cooling
-                yield from _slope(float(item.rate), limit, goal > here, ("programme", i, "rate"), item.rate.text)
+                yield from _slope(item.rate, goal > here, chamber, ("programme", i, "rate"))
             here = goal
         return
     for i, temperature in enumerate(plan.temperature or ()):
-        yield from _in_chamber(temperature, low, high, ("temperature", i), temperature.text)
+        yield from _in_chamber(temperature, chamber, ("temperature", i))
     if isinstance(plan.gradient, tuple):
+        low, high = chamber.range
         for i, slope in enumerate(plan.gradient):
-            limit = chamber.max_heating if slope > 0 else chamber.max_cooling
-            yield from _slope(abs(slope), limit, slope > 0, ("gradient", i), slope.text)
+            yield from _slope(slope, slope > 0, chamber, ("gradient", i))
         if segments is not None:
             for i, segment in enumerate(s for s in segments if s.kind == "ramp"):
                 end = segment.temperature_end
@@ -230,27 +217,23 @@ def course_within(
                     yield Problem(("gradient", i), message, plan.gradient[i].text)
                     break
     elif plan.gradient is not None and plan.temperature is not None and len(plan.temperature) == 2:
-        heats = plan.temperature[1] > plan.temperature[0]
-        limit = chamber.max_heating if heats else chamber.max_cooling
-        yield from _slope(float(plan.gradient), limit, heats, ("gradient",), plan.gradient.text)
+        yield from _slope(plan.gradient, plan.temperature[1] > plan.temperature[0], chamber, ("gradient",))
 
 
-def _in_chamber(
-    value: float, low: Quantity, high: Quantity, key: tuple[str | int, ...], text: str
-) -> Iterator[Problem]:
+def _in_chamber(value: Quantity, chamber: Chamber, key: Key) -> Iterator[Problem]:
+    low, high = chamber.range
     if not low <= value <= high:
-        yield Problem(key, f"lies outside the chamber's range, {low} to {high}", text)
+        yield Problem(key, f"lies outside the chamber's range, {low} to {high}", value.text)
 
 
-def _slope(size: float, limit: Quantity, heats: bool, key: tuple[str | int, ...], text: str) -> Iterator[Problem]:
-    if size > limit * (1.0 + _SLACK):
-        name = "max_heating" if heats else "max_cooling"
-        yield Problem(key, f"exceeds rig.chamber.{name}, {limit}", text)
+def _slope(slope: Quantity, heats: bool, chamber: Chamber, key: Key) -> Iterator[Problem]:
+    name = "max_heating" if heats else "max_cooling"
+    limit: Quantity = getattr(chamber, name)
+    if abs(slope) > limit * (1.0 + _SLACK):
+        yield Problem(key, f"exceeds rig.chamber.{name}, {limit}", slope.text)
 
 
-def _rate_limits(
-    rate: float, rig: Rig | None, sensor: Sensor | None, key: tuple[str | int, ...], text: str
-) -> Iterator[Problem]:
+def _rate_limits(rate: float, rig: Rig | None, sensor: Sensor | None, key: Key, text: str) -> Iterator[Problem]:
     if rig is not None and rate > rig.table.max_rate * (1.0 + _SLACK):
         message = f"reaches {math.degrees(rate):.5g} deg/s and exceeds rig.table.max_rate, {rig.table.max_rate}"
         yield Problem(key, message, text)
@@ -273,17 +256,13 @@ def _motion(moves: Sequence[ResolvedMove], rig: Rig, sensor: Sensor | None) -> I
             message = f'{wrong}; rig.table.drive is "{rig.table.drive}"'
             yield Problem((*key, "shape"), message, move.shape)
         # Of the peak's share: a ramp written to hundredths of a second may miss a limit by its rounding.
-        yield from _rate_limits(move.fastest, rig, sensor, key, _described(move))
+        yield from _rate_limits(move.fastest, rig, sensor, key, move.words)
         if move.peak_acceleration > limit * (1.0 + _SLACK):
             message = (
                 f"accelerates at up to {math.degrees(move.peak_acceleration):.5g} deg/s^2 and exceeds "
                 f"rig.table.max_acceleration, {limit}"
             )
-            yield Problem(key, message, _described(move))
-
-
-def _described(move: ResolvedMove) -> str:
-    return f"{move.shape}, {move.duration:.4g} s"
+            yield Problem(key, message, move.words)
 
 
 def _travel(moves: Sequence[ResolvedMove], cycles: int, rig: Rig) -> Iterator[Problem]:
@@ -306,6 +285,6 @@ def _travel(moves: Sequence[ResolvedMove], cycles: int, rig: Rig) -> Iterator[Pr
                     if first > 0:
                         message += f" in cycle {first + 1} (each cycle ends {math.degrees(net):.6g} deg further)"
                     message += f"; rig.table.travel is {travel} each way"
-                    yield Problem(("cycle", "moves", i), message, _described(move))
+                    yield Problem(("cycle", "moves", i), message, move.words)
                     return
                 at += move.repeat * move.angle

@@ -1,7 +1,6 @@
 """A column map for a recording that has none: by example, and guessed from a header that speaks for itself."""
 
 import re
-from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -120,14 +119,9 @@ def _names(path: Path) -> tuple[list[str], str | None]:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
             return list(opened.files), None
     with path.open(encoding="utf-8-sig") as opened:
-        for line in _first_lines(opened):
+        for line in (line[:2000].lstrip("# ").strip() for line in islice(opened, 20)):
             for delimiter, mark in ((";", ";"), ("tab", "\t"), (",", ","), ("whitespace", None)):
                 names = [name.strip().strip('"') for name in line.split(mark)]
                 if len(names) > 1 and any(_RATE.fullmatch(name) for name in names):
                     return names, delimiter
     return [], None
-
-
-def _first_lines(opened: Iterator[str]) -> Iterator[str]:
-    for line in islice(opened, 20):
-        yield line[:2000].lstrip("# ").strip()

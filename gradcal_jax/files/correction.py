@@ -25,10 +25,10 @@ from gradcal_jax.files.bases import (
     TemperaturePolynomial,
     TemperatureSpline,
 )
-from gradcal_jax.files.calibration import AxisCalibration, Calibration, bias_names, scale_factor_names
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.calibration import AxisCalibration, Calibration, ScaleFactorMap, bias_names, scale_factor_names
+from gradcal_jax.files.log import Floats, Log, LogError
+from gradcal_jax.files.unit_calibration import UnitCalibration
 
-Floats = NDArray[np.float64]
 _ROUNDS = 200
 _ROWS_AT_ONCE = 1 << 16
 _SLOPE_WINDOW_S = 60.0
@@ -72,13 +72,12 @@ def scale_factor(axis: AxisCalibration, temperature_c: Floats, rate_rad_per_s: F
         return np.zeros_like(rate_rad_per_s)
     at_temperature = basis_values(part.temperature, _within(temperature_c, axis.valid_temperature))
     return formulas.scale_factor_map(
-        at_temperature, basis_values(part.rate, _within(rate_rad_per_s, axis.valid_rate)), _table(axis)
+        at_temperature, basis_values(part.rate, _within(rate_rad_per_s, axis.valid_rate)), scale_factor_table(part)
     )
 
 
-def _table(axis: AxisCalibration) -> Floats:
-    part = axis.scale_factor
-    assert part is not None
+def scale_factor_table(part: ScaleFactorMap) -> Floats:
+    """The coefficients of a map M, `(n_T, n_ω)`."""
     names = scale_factor_names(part.temperature, part.rate)
     return np.array([part.coefficients[name] for name in names]).reshape(part.temperature.size, part.rate.size)
 
@@ -109,7 +108,7 @@ def _correct(axis: AxisCalibration, said: Floats, temperature: Floats) -> Floats
     scale = axis.scale_factor
     if scale is None:
         return without_bias
-    by_rate = basis_values(scale.temperature, _within(temperature, axis.valid_temperature)) @ _table(axis)
+    by_rate = basis_values(scale.temperature, _within(temperature, axis.valid_temperature)) @ scale_factor_table(scale)
     rate = without_bias.copy()
     left = np.arange(len(rate))
     tolerance = 4.0 * np.finfo(np.float64).eps
@@ -216,22 +215,31 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
         found[readable] = correct(axis, said[readable], at[readable])
         rates[:, column] = found
         if needs_temperature(calibration):
-            outside_temperature += _outside(at[usable], axis.valid_temperature)
-        outside_rate += _outside(found[usable & readable], axis.valid_rate)
-    corrected = replace(
+            outside_temperature += count_outside(at[usable], axis.valid_temperature)
+        outside_rate += count_outside(found[usable & readable], axis.valid_rate)
+    forces = None if log.specific_force_m_per_s2 is None else log.specific_force_m_per_s2[number]
+    corrected = log_corrected(log, number, calibration, rates, forces)
+    alone = tuple(name for name in log.axes if name not in common)
+    return Corrected(corrected, outside_temperature, outside_rate, alone)
+
+
+def log_corrected(
+    log: Log, number: int, calibration: Calibration | UnitCalibration, rates: Floats, forces: Floats | None
+) -> Log:
+    """The log of one unit alone, with these rates and specific forces `(n, axes)`."""
+    return replace(
         log,
         rate_rad_per_s=rates[None],
+        specific_force_m_per_s2=None if forces is None else forces[None],
         units=(log.units[number],),
         temperature_c=None if log.temperature_c is None else log.temperature_c[number][None],
         status=None if log.status is None else log.status[number][None],
         simulated=log.simulated or calibration.simulated,
         provenance={**log.provenance, "corrected": f"by the calibration of {calibration.serial_number}"},
     )
-    alone = tuple(name for name in log.axes if name not in common)
-    return Corrected(corrected, outside_temperature, outside_rate, alone)
 
 
-def _outside(values: Floats, bounds: tuple[float, float]) -> int:
+def count_outside(values: Floats, bounds: tuple[float, float]) -> int:
     low, high = float(bounds[0]), float(bounds[1])
     slack = 1e-9 * max(abs(low), abs(high))
     return int(np.count_nonzero((values < low - slack) | (values > high + slack)))

@@ -1,14 +1,15 @@
 """Reading a TOML document from a path or a text, with one clean sentence for whatever is wrong with it as a whole."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest
-from gradcal_jax.files.section import Section, with_spelling
+from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
+from gradcal_jax.files.section import Section
 
 Model = TypeVar("Model", bound=Section)
 _LARGEST = 20_000_000
@@ -43,8 +44,7 @@ def _neighbour(path: Path) -> str:
         names = [entry.name for entry in path.parent.iterdir() if entry.suffix == (path.suffix or ".toml")]
     except (OSError, ValueError):
         return ""
-    close = nearest(path.name, names)
-    return f'; nearest: "{close}"' if close else ""
+    return hint(path.name, names)
 
 
 def read_toml(text: str, source: str = "") -> dict[str, Any]:
@@ -63,20 +63,36 @@ def format_problem(document: Mapping[str, Any], expected: str) -> Problem | None
     found = document["format"]
     if found == expected:
         return None
-    kind = expected.split("/")[0]
-    if isinstance(found, str) and found.split("/")[0] == kind:
-        return Problem(("format",), f'this version of the program reads "{expected}"', found)
-    return Problem(("format",), f'expected "{expected}"', found)
+    of_kind = isinstance(found, str) and found.split("/")[0] == expected.split("/")[0]
+    wanted = "this version of the program reads" if of_kind else "expected"
+    return Problem(("format",), f'{wanted} "{expected}"', found)
 
 
-def model_of(kind: type[Model], document: Mapping[str, Any], expected: str, source: str) -> Model:
-    """A document of the format `expected` as the model of it. Raises `SpecError` that lists everything wrong."""
+def model_of(
+    kind: type[Model],
+    document: Mapping[str, Any],
+    expected: str,
+    source: str,
+    further: Callable[[list[Problem]], Sequence[Problem]] | None = None,
+) -> Model:
+    """A document of the format `expected` as the model of it. Raises `SpecError` that lists everything wrong.
+
+    Another kind or version of file is said alone: the rest would only be noise. With `further`, which adds to the
+    problems that it is given, that holds of a `format` that is there; without it, of one that is missing, too.
+    """
     problem = format_problem(document, expected)
-    if problem is not None:
+    if problem is not None and (further is None or isinstance(document.get("format"), str)):
         raise SpecError([problem], source)
     try:
         return kind.model_validate(document)
     except ValidationError as error:
-        raise SpecError(with_spelling(from_validation(error), kind, document), source) from None
-    except SpecError as error:
-        raise SpecError(error.problems, source) from None
+        problems = [p for p in from_validation(error) if p.key != ("format",)]
+    if problem is not None:
+        problems.insert(0, problem)
+    raise SpecError([*problems, *(further(problems) if further else ())], source)
+
+
+def parsed(kind: type[Model], text: str, expected: str, source: str) -> Model:
+    """As `model_of`, of a TOML text; problems say on which of its lines they are."""
+    with with_lines(text):
+        return model_of(kind, read_toml(text, source), expected, source)

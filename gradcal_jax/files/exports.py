@@ -16,15 +16,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax.files import c_header, correction
 from gradcal_jax.files.calibration import AxisCalibration, Calibration, Covariance, Noise
+from gradcal_jax.files.log import Floats
 from gradcal_jax.files.polynomials import bias_polynomial
 from gradcal_jax.files.unit_calibration import UnitCalibration, UnitNoise
 from gradcal_jax.units import DEG_PER_H, PPM
 
-Floats = NDArray[np.float64]
 _GRID: Final = 201
 _TRIAD: Final = ("x", "y", "z")
 
@@ -262,7 +261,7 @@ def _bias_only(
     for name, axis in triad.items():
         t = range_temperatures(axis)
         losses.append(Loss(axis.name, "bias", bias_left(axis, taken_off(name, t)) * DEG_PER_H, "deg/h"))
-        if axis.scale_factor is not None and (lost := _lost_scale_factor(axis)) is not None:
+        if (lost := _lost_scale_factor(axis)) is not None:
             losses.append(lost)
             notes.append(f"axis {axis.name}: the target takes no gyro scale factor: up to {lost.value:.4g} ppm stay")
         if low > t[0] + 1e-6 or high < t[-1] - 1e-6:

@@ -30,25 +30,25 @@ of those at the top. Times count from the first row. Raw counts whose scale nobo
 `wrong_units = "keep"`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.column_guess import contradiction
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.document import parsed, read_text
+from gradcal_jax.files.log import Floats, Log, LogError
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.quantity import Flag, Number, Of, PositiveRate, Quantity, Text, Whole
+from gradcal_jax.files.quantity import Flag, Frequency, Number, PositiveRate, Whole
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.tables import (
     AngleColumn,
     ForceColumn,
+    Measured,
+    Name,
     Numbers,
     RateColumn,
     Source,
@@ -59,10 +59,6 @@ from gradcal_jax.files.tables import (
 )
 
 FORMAT: Final = "gradcal-columns/1"
-Array = NDArray[Any]
-Floats = NDArray[np.float64]
-Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
-Name = Annotated[Text, Field(max_length=100)]
 
 
 class StatusColumn(Source):
@@ -160,15 +156,11 @@ class ColumnMap(Section):
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""
-        for source in (self.time, self.host_time, self.standstill):
-            if source is not None:
-                yield source
+        yield from filter(None, (self.time, self.host_time, self.standstill))
         for sensor in self.sensors:
             yield from sensor.rate.values()
             yield from sensor.force.values()
-            for source in (sensor.temperature, sensor.status):
-                if source is not None:
-                    yield source
+            yield from filter(None, (sensor.temperature, sensor.status))
         yield from self.table_angle.values()
         yield from self.table_rate.values()
 
@@ -178,8 +170,7 @@ def parse_column_map(text: str, source: str = "") -> ColumnMap:
 
     Errors: `SpecError` with every fault.
     """
-    with with_lines(text):
-        return model_of(ColumnMap, read_toml(text, source), FORMAT, source)
+    return parsed(ColumnMap, text, FORMAT, source)
 
 
 def read_column_map(path: str | Path) -> ColumnMap:
@@ -221,16 +212,12 @@ def _refuse_contradictions(columns: ColumnMap) -> None:
 
 def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
     sensors = columns.sensors
-    rate, force = (
-        np.stack([np.stack([table.measured(c, dimension) for c in of.values()], axis=-1) for of in columns_of])
-        if columns_of[0]
-        else None
-        for dimension, columns_of in (
-            ("angular rate", [sensor.rate for sensor in sensors]),
-            ("acceleration", [sensor.force for sensor in sensors]),
-        )
-    )
-    assert rate is not None
+
+    def side_by_side(columns: Mapping[str, Measured]) -> Floats:
+        return np.stack([table.measured(column) for column in columns.values()], axis=-1)
+
+    rate = np.stack([side_by_side(sensor.rate) for sensor in sensors])
+    force = np.stack([side_by_side(sensor.force) for sensor in sensors]) if sensors[0].force else None
     rows = rate.shape[1]
     if rows < 2:
         raise LogError(f"there are {rows} rows of numbers; at least two are needed")
@@ -238,14 +225,11 @@ def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
     marked = np.zeros((len(sensors), rows), bool)
     for unit, sensor in enumerate(sensors):
         if sensor.temperature is not None:
-            temperature[unit] = table.measured(sensor.temperature, "temperature")
+            temperature[unit] = table.measured(sensor.temperature)
         if sensor.status is not None:
             marked[unit] = table.numbers(sensor.status) != sensor.status.good
     left_out = np.zeros(rows, bool)
     left_out[: columns.skip_first] = True
-    table_axes = tuple(columns.table_angle or columns.table_rate)
-    angles = [table.measured(column, "angle") for column in columns.table_angle.values()]
-    rates = [table.measured(column, "angular rate") for column in columns.table_rate.values()]
     standstill = None if columns.standstill is None else table.numbers(columns.standstill).astype(np.float64)
     return Columns(
         rate_rad_per_s=rate,
@@ -257,9 +241,9 @@ def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
         specific_force_m_per_s2=force,
         force_axes=tuple(sensors[0].force),
         temperature_c=temperature if any(sensor.temperature for sensor in sensors) else None,
-        table_axes=table_axes,
-        table_angle_rad=np.stack(angles, axis=1) if angles else None,
-        table_rate_rad_per_s=np.stack(rates, axis=1) if rates else None,
+        table_axes=tuple(columns.table_angle or columns.table_rate),
+        table_angle_rad=side_by_side(columns.table_angle) if columns.table_angle else None,
+        table_rate_rad_per_s=side_by_side(columns.table_rate) if columns.table_rate else None,
         standstill=standstill,
         host_time_s=None if columns.host_time is None else table.stamps(columns.host_time),
         marked=marked if any(sensor.status for sensor in sensors) else None,

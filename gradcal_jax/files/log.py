@@ -185,10 +185,7 @@ class Log:
     @property
     def sample_interval_s(self) -> float:
         """Mean interval within the stretches, s; the median where no stretch has two rows."""
-        interval = np.diff(self.time_s)
-        inside = np.ones(len(interval), bool)
-        inside[self.stretch_starts[1:] - 1] = False
-        return float(interval[inside].mean()) if inside.any() else float(np.median(interval))
+        return mean_interval(self.time_s, intervals_within(self.time_s, self.stretch_starts))
 
     def unit_index(self, unit: str | int) -> int:
         """The number of a unit given by name or number. Raises `LogError`."""
@@ -242,6 +239,19 @@ class Log:
         return EvenSeries(rate, valid, self.sample_interval_s, temperature, row)
 
 
+def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
+    """The intervals of stamps (s) but for those between two stretches."""
+    interval = np.diff(time_s)
+    inside = np.ones(len(interval), bool)
+    inside[stretch_starts[1:] - 1] = False
+    return interval[inside]
+
+
+def mean_interval(time_s: Floats, within: Floats) -> float:
+    """The mean of the intervals `within` the stretches, s; the median of all where no stretch has two rows."""
+    return float(within.mean()) if len(within) else float(np.median(np.diff(time_s)))
+
+
 def part_of(
     log: Log, *, begin_s: float | None = None, end_s: float | None = None, rows: tuple[int, int | None] | None = None
 ) -> Log:
@@ -292,14 +302,9 @@ def write_log(log: Log, path: str | Path) -> None:
         for name, variable in _VARIABLES.items()
         if (values := getattr(log, variable.field)) is not None
     }
-    coordinates: dict[str, Any] = {
-        "time": variables.pop("time"),
-        "unit": ("unit", list(log.units)),
-        "axis": ("axis", list(log.axes)),
-    }
-    for name, labels in (("force_axis", log.force_axes), ("table_axis", log.table_axes)):
-        if labels:
-            coordinates[name] = (name, list(labels))
+    labels = {"unit": log.units, "axis": log.axes, "force_axis": log.force_axes, "table_axis": log.table_axes}
+    coordinates: dict[str, Any] = {"time": variables.pop("time")}
+    coordinates |= {name: (name, list(of)) for name, of in labels.items() if of or name == "axis"}
     attributes = {
         "format": FORMAT,
         "rows_read": log.rows_read,

@@ -1,6 +1,6 @@
 """What a gradcal-log/1 holds, for other programs: the netCDF's dimensions, variables with their units, attributes."""
 
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Generic, Literal, TypeVar
 
 from pydantic import Field
 
@@ -130,31 +130,3 @@ class LogContents(Section):
     """1 where no real sensor made the data."""
     provenance: dict[str, str] = Field(default_factory=dict)
     """Texts by name (JSON in the file)."""
-
-
-def contents(dataset: Any) -> LogContents:
-    """The description of an opened log (an xarray dataset). Raises `ValueError` where it is none."""
-    import json
-
-    names = ["time", *map(str, dataset.data_vars)]
-    variables = {
-        name: {"dimensions": tuple(map(str, dataset[name].dims)), "units": str(dataset[name].attrs.get("units", "1"))}
-        for name in names
-    }
-    labels = {
-        name: tuple(str(label) for label in dataset[name].values)
-        for name in ("unit", "axis", "force_axis", "table_axis")
-        if name in dataset.coords
-    }
-    return LogContents.model_validate(
-        {
-            "format": str(dataset.attrs.get("format")),
-            "labels": labels,
-            "variables": variables,
-            "rows": int(dataset.sizes["time"]),
-            "rows_read": int(dataset.attrs.get("rows_read", 0)),
-            "rows_removed": json.loads(str(dataset.attrs.get("rows_removed", "{}"))),
-            "simulated": int(dataset.attrs.get("simulated", 0)),
-            "provenance": json.loads(str(dataset.attrs.get("provenance", "{}"))),
-        }
-    )

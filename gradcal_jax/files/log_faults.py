@@ -25,11 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax import formulas
-from gradcal_jax.files.log import Finding, Log, LogError, Reason
+from gradcal_jax.files.log import Bools, Finding, Floats, Log, LogError, Reason, intervals_within, mean_interval
 from gradcal_jax.files.section import Section
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""
@@ -60,6 +57,7 @@ _NOISIEST: Final = np.radians(300.0) / 60.0
 _FROZEN_S: Final = 30.0
 _DRIFT: Final = 50e-6
 """Clock errors smaller than this are those of any crystal."""
+_BLOCKS: Final = 50
 _ABSURD: Final = 1e12
 """No time (s), rate or temperature is as large: such a number was never a reading."""
 _FACTORS: Final[Mapping[str, float]] = {
@@ -137,14 +135,17 @@ class Columns:
         first, last = rows[0], count if rows[1] is None else min(rows[1], count)
         if last - first < 2:
             raise LogError(f"of {count} rows fewer than two lie from row {first} on, as asked for")
-        kept = slice(first, last)
+        return replace(self.of_rows(slice(first, last)), rows_before=first, rows_after=count - last)
+
+    def of_rows(self, kept: slice | Bools) -> "Columns":
+        """The same of some rows."""
         cut: dict[str, Any] = {}
         for field_ in fields(self):
             array: Any = getattr(self, field_.name)
             if isinstance(array, np.ndarray):
                 by_unit = field_.name in ("rate_rad_per_s", "specific_force_m_per_s2", "temperature_c", "marked")
                 cut[field_.name] = array[:, kept] if by_unit else array[kept]
-        return replace(self, **cut, rows_before=first, rows_after=count - last)
+        return replace(self, **cut)
 
 
 def examine(columns: Columns, policy: Policy | None = None) -> Log:
@@ -165,59 +166,43 @@ class _Examination:
         self.raw = columns
         self.policy = policy
         self.findings: list[Finding] = []
+        self.status = np.zeros((0, 0), np.uint16)
         outside = columns.rows_before + columns.rows_after
         self.removed: dict[str, int] = {Reason.LEFT_OUT.words: outside} if outside else {}
 
     def log(self) -> Log:
-        raw = self.raw
-        rows = raw.rate_rad_per_s.shape[1]
-        time, kept = self.ordered(rows)
-
-        def of(values: Floats | None) -> Floats | None:
-            """The kept rows of an array over [time, …]."""
-            return None if values is None else values[kept]
-
-        rate = raw.rate_rad_per_s[:, kept]
-        force = None if raw.specific_force_m_per_s2 is None else raw.specific_force_m_per_s2[:, kept]
-        temperature = None if raw.temperature_c is None else raw.temperature_c[:, kept]
-        marked = None if raw.marked is None else raw.marked[:, kept]
-        table_angle, table_rate, host = of(raw.table_angle_rad), of(raw.table_rate_rad_per_s), of(raw.host_time_s)
+        rows = self.raw.rate_rad_per_s.shape[1]
+        time, rows_kept = self.ordered(rows)
+        kept = self.raw.of_rows(rows_kept)
+        rate, force = kept.rate_rad_per_s, kept.specific_force_m_per_s2
         starts = self.stretches(time)
-        status = np.zeros(rate.shape[:2], np.uint16)
-        if raw.left_out is not None:
-            status[:, raw.left_out[kept]] |= Reason.LEFT_OUT.value
-        self.rates(rate, status)
+        self.status = np.zeros(rate.shape[:2], np.uint16)
+        if kept.left_out is not None:
+            self.status[:, kept.left_out] |= Reason.LEFT_OUT.value
+        self.rates(rate)
         if force is not None:
             missing = np.any(~(np.abs(force) < _ABSURD), axis=2)
-            self.mask(status, missing, Reason.MISSING_FORCE, self.policy.missing_forces, "without a specific force")
-            self.force_sizes(force, status)
-        if marked is not None:
-            self.mask(status, marked, Reason.MARKED, self.policy.marked, "marked bad by the device")
-        if temperature is not None:
-            self.temperatures(time, temperature, starts, status)
-        self.sizes(time, rate, temperature, table_angle, table_rate, status)
-        self.clock(time, starts, host)
-        return Log(
-            time_s=time,
-            rate_rad_per_s=rate,
-            units=raw.units,
-            axes=raw.axes,
-            specific_force_m_per_s2=force,
-            force_axes=raw.force_axes,
-            temperature_c=temperature,
-            table_axes=raw.table_axes,
-            table_angle_rad=table_angle,
-            table_rate_rad_per_s=table_rate,
-            standstill=_numbered(of(raw.standstill)),
-            host_time_s=host,
-            status=status,
-            stretch_starts=starts,
-            rows_read=rows + raw.rows_before + raw.rows_after,
-            rows_removed=self.removed,
-            findings=tuple(self.findings),
-            simulated=raw.simulated,
-            provenance=dict(raw.provenance),
-        )
+            self.mask(missing, Reason.MISSING_FORCE, self.policy.missing_forces, "without a specific force")
+            self.force_sizes(force)
+        if kept.marked is not None:
+            self.mask(kept.marked, Reason.MARKED, self.policy.marked, "marked bad by the device")
+        if kept.temperature_c is not None:
+            self.temperatures(time, kept.temperature_c, starts)
+        self.sizes(time, kept)
+        self.clock(time, starts, kept.host_time_s)
+        of_log = {field_.name for field_ in fields(Log)}
+        as_it_is = {field_.name: getattr(kept, field_.name) for field_ in fields(kept) if field_.name in of_log}
+        examined: dict[str, Any] = {
+            "time_s": time,
+            "standstill": _numbered(kept.standstill),
+            "status": self.status,
+            "stretch_starts": starts,
+            "rows_read": rows + kept.rows_before + kept.rows_after,
+            "rows_removed": self.removed,
+            "findings": tuple(self.findings),
+            "provenance": dict(kept.provenance),
+        }
+        return Log(**as_it_is | examined)
 
     def found(self, kind: str, action: str, count: int, message: str) -> None:
         """Note a fault, or raise where it is to be refused."""
@@ -225,7 +210,10 @@ class _Examination:
             raise LogError(f"{message} (the policy refuses that: see [policy] of the column map)")
         self.findings.append(Finding(kind, action, count, message))
 
-    def mask(self, status: NDArray[np.uint16], where: Bools, reason: Reason, action: str, words: str) -> None:
+    def wrong_unit(self, question: str) -> None:
+        self.found("wrong unit", self.policy.wrong_units, 0, question)
+
+    def mask(self, where: Bools, reason: Reason, action: str, words: str) -> None:
         count = int(np.count_nonzero(where))
         if count == 0:
             return
@@ -233,7 +221,7 @@ class _Examination:
         named = f" of unit {self.raw.units[unit]}" if len(self.raw.units) > 1 else ""
         self.found(reason.words, action, count, f"{_rows(count)} {words}, first row {row}{named}")
         if action == "mask":
-            status[where] |= reason.value
+            self.status[where] |= reason.value
 
     def ordered(self, rows: int) -> tuple[Floats, Bools]:
         """The times that increase, and which rows of the source they are."""
@@ -296,18 +284,16 @@ class _Examination:
             seconds = float(np.sum(interval[gaps])) - usual * len(gaps)
             dropped = round(seconds / usual)
             longest = float(np.max(interval[gaps]))
-            self.found(
-                "gap",
-                self.policy.gaps,
-                len(gaps),
+            text = (
                 f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
-                f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept",
+                f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept"
             )
+            self.found("gap", self.policy.gaps, len(gaps), text)
         return np.concatenate([[0], gaps + 1]).astype(np.int64)
 
-    def rates(self, rate: Floats, status: NDArray[np.uint16]) -> None:
+    def rates(self, rate: Floats) -> None:
         missing = np.any(~(np.abs(rate) < _ABSURD), axis=2)
-        self.mask(status, missing, Reason.MISSING_RATE, self.policy.missing_rates, "without a rate")
+        self.mask(missing, Reason.MISSING_RATE, self.policy.missing_rates, "without a rate")
         full = self.raw.full_scale_rad_per_s
         if full is not None:
             where = np.asarray(np.any(np.abs(rate) >= full * (1 - 1e-9), axis=2))
@@ -317,94 +303,71 @@ class _Examination:
             for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
                 where[unit] |= _stuck_at_extreme(rate[unit, :, axis])
             words = "stuck at the largest or least rate of the record"
-        self.mask(status, where, Reason.SATURATED, self.policy.saturated, words)
+        self.mask(where, Reason.SATURATED, self.policy.saturated, words)
 
-    def temperatures(
-        self, time: Floats, temperature: Floats, starts: NDArray[np.int64], status: NDArray[np.uint16]
-    ) -> None:
-        missing = ~(np.abs(temperature) < _ABSURD)
-        self.mask(
-            status, missing, Reason.MISSING_TEMPERATURE, self.policy.missing_temperatures, "without a temperature"
-        )
+    def temperatures(self, time: Floats, temperature: Floats, starts: NDArray[np.int64]) -> None:
+        missing, policy = ~(np.abs(temperature) < _ABSURD), self.policy
+        self.mask(missing, Reason.MISSING_TEMPERATURE, policy.missing_temperatures, "without a temperature")
         known = np.where(missing, np.nan, temperature)
         frozen = np.stack([_frozen(time, values, starts) for values in known])
         whole = [name for name, rows in zip(self.raw.units, frozen, strict=True) if rows.all()]
         if whole:
-            self.found(
-                "constant temperature",
-                "keep",
-                0,
-                f"the temperature of {', '.join(whole)} never changes: constant, or not connected?",
-            )
+            text = f"the temperature of {', '.join(whole)} never changes: constant, or not connected?"
+            self.found("constant temperature", "keep", 0, text)
             frozen[frozen.all(axis=1)] = False
-        self.mask(
-            status,
-            frozen,
-            Reason.FROZEN_TEMPERATURE,
-            self.policy.frozen_temperatures,
-            "with a temperature that stands still while others of the record move",
-        )
+        words = "with a temperature that stands still while others of the record move"
+        self.mask(frozen, Reason.FROZEN_TEMPERATURE, policy.frozen_temperatures, words)
 
-    def sizes(
-        self,
-        time: Floats,
-        rate: Floats,
-        temperature: Floats | None,
-        table_angle: Floats | None,
-        table_rate: Floats | None,
-        status: NDArray[np.uint16],
-    ) -> None:
-        action = self.policy.wrong_units
-        usable = status == 0
+    def sizes(self, time: Floats, kept: Columns) -> None:
+        rate, temperature, table_rate = kept.rate_rad_per_s, kept.temperature_c, kept.table_rate_rad_per_s
+        usable = self.status == 0
         for unit, name in enumerate(self.raw.units):
             rows = usable[unit]
             if not rows.any():
                 continue
             large = float(np.percentile(np.abs(rate[unit, rows]), 99))
             if large > _FASTEST_RATE:
-                text = f"the rates of {name} reach {np.degrees(large):.3g} deg/s: are they stated in too large a unit?"
-                self.found("wrong unit", action, 0, text)
+                reached = f"{np.degrees(large):.3g} deg/s"
+                self.wrong_unit(f"the rates of {name} reach {reached}: are they stated in too large a unit?")
             if temperature is not None:
                 known = temperature[unit, rows & np.isfinite(temperature[unit])]
                 middle = float(np.median(known)) if len(known) else 20.0
                 if not -100.0 < middle < 200.0:
-                    text = f"the temperature of {name} is about {middle:.0f} degC: is its unit K, degF, or counts?"
-                    self.found("wrong unit", action, 0, text)
+                    about = f"{middle:.0f} degC"
+                    self.wrong_unit(f"the temperature of {name} is about {about}: is its unit K, degF, or counts?")
         interval = float(np.median(np.diff(time)))
         stated = self.raw.sample_rate_hz
         if stated is not None:
             ratio = interval * stated
             decimal = round(float(np.clip(np.log10(ratio), -300, 300)))
             if decimal != 0 and abs(ratio / 10.0**decimal - 1) < 0.1:
-                text = f"stamps are {ratio:.3g} times as far apart as at the stated rate: are they in another unit?"
-                self.found("wrong unit", action, 0, text)
+                apart = f"{ratio:.3g} times as far apart"
+                self.wrong_unit(f"stamps are {apart} as at the stated rate: are they in another unit?")
         elif not (_INTERVALS[0] < interval < _INTERVALS[1] and time[-1] - time[0] < _LONGEST_S):
-            text = f"stamps are {interval:.3g} s apart, {time[-1] - time[0]:.3g} s in all: are they in another unit?"
-            self.found("wrong unit", action, 0, text)
+            whole = f"{time[-1] - time[0]:.3g} s in all"
+            self.wrong_unit(f"stamps are {interval:.3g} s apart, {whole}: are they in another unit?")
         for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
             walk = _least_walk(rate[unit, usable[unit], axis], interval)
             if walk > _NOISIEST:
-                text = (
+                self.wrong_unit(
                     f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} is noisier than {np.degrees(walk) * 60:.3g} "
                     "deg/sqrt(h), which no gyro is: are deg/s stated as rad/s, or ms as s?"
                 )
-                self.found("wrong unit", action, 0, text)
-        if table_rate is None and table_angle is not None:
-            table_rate = np.gradient(table_angle, time, axis=0)
+        if table_rate is None and kept.table_angle_rad is not None:
+            table_rate = np.gradient(kept.table_angle_rad, time, axis=0)
         if table_rate is not None:
-            self.against_table(rate, table_rate, usable, action)
+            self.against_table(rate, table_rate, usable)
 
-    def force_sizes(self, force: Floats, status: NDArray[np.uint16]) -> None:
+    def force_sizes(self, force: Floats) -> None:
         """Specific forces that no accelerometer of a gyro's unit says, or that are those of g."""
         for unit, name in enumerate(self.raw.units):
-            if not (rows := status[unit] == 0).any():
+            if not (rows := self.status[unit] == 0).any():
                 continue
             usual = float(np.median(np.linalg.norm(force[unit, rows], axis=1)))
             if usual > _LARGEST_FORCE or (force.shape[2] == 3 and 0.5 < usual < 2.0):
-                text = f"the specific force of {name} is usually {usual:.3g} m/s²: is its unit g, or counts?"
-                self.found("wrong unit", self.policy.wrong_units, 0, text)
+                self.wrong_unit(f"the specific force of {name} is usually {usual:.3g} m/s²: is its unit g, or counts?")
 
-    def against_table(self, rate: Floats, table_rate: Floats, usable: Bools, action: str) -> None:
+    def against_table(self, rate: Floats, table_rate: Floats, usable: Bools) -> None:
         """A table axis and a sensor axis that move as one, but by a factor that is one of units."""
         for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
             for table_axis in range(table_rate.shape[1]):
@@ -419,19 +382,15 @@ class _Examination:
                 slope = abs(float(x @ y / (x @ x)))
                 for words, factor in _FACTORS.items():
                     if abs(slope / factor - 1) < 0.05 or abs(slope * factor - 1) < 0.05:
-                        text = (
+                        self.wrong_unit(
                             f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} shows {slope:.4g} times the rate of "
                             f"table axis {self.raw.table_axes[table_axis]}: a wrong unit ({words})?"
                         )
-                        self.found("wrong unit", action, 0, text)
 
     def clock(self, time: Floats, starts: NDArray[np.int64], host: Floats | None) -> None:
         action = self.policy.clock_drift
-        interval = np.diff(time)
-        inside = np.ones(len(interval), bool)
-        inside[starts[1:] - 1] = False
-        stated = self.raw.sample_rate_hz
-        mean = float(interval[inside].mean()) if inside.any() else float(np.median(interval))
+        within = intervals_within(time, starts)
+        stated, mean = self.raw.sample_rate_hz, mean_interval(time, within)
         if stated is not None and self.raw.time_s is not None:
             error = mean * stated - 1
             if _DRIFT < abs(error) < 0.2:
@@ -445,7 +404,7 @@ class _Examination:
             if abs(slope - 1) > _DRIFT + 3 * uncertain and slope > 0:
                 text = f"the sensor's clock runs {(1 / slope - 1) * 1e6:+.0f} ppm fast against the host's"
                 self.found("clock drift", action, 0, text)
-        wander = _wander(interval[inside])
+        wander = _wander(within)
         if wander > _DRIFT:
             text = f"the sample interval wanders by {wander * 1e6:.0f} ppm (rms) in the course of the record"
             self.found("clock drift", action, 0, text)
@@ -507,12 +466,12 @@ def _frozen(time: Floats, values: Floats, starts: NDArray[np.int64]) -> Bools:
     return result
 
 
-def _wander(interval: Floats, blocks: int = 50) -> float:
+def _wander(interval: Floats) -> float:
     """How far block means of the interval stray from their mean, beyond what jitter explains; relative rms."""
-    size = len(interval) // blocks
+    size = len(interval) // _BLOCKS
     if size < 4:
         return 0.0
-    table = interval[: size * blocks].reshape(blocks, size)
+    table = interval[: size * _BLOCKS].reshape(_BLOCKS, size)
     means = table.mean(axis=1)
     # Jitter of stamps cancels in a block but for its ends.
     jitter = np.sqrt(2) * float(np.std(table - means[:, None])) / size

@@ -9,6 +9,7 @@ some damaged files, and a lab computer's files are sometimes damaged.
     matrix   an element made of elements: flags and class, dimensions, name, real part, imaginary part
 """
 
+import math
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -90,9 +91,7 @@ def _matrix(data: memoryview, order: Order) -> tuple[str, NDArray[Any] | None]:
     if kind is None or int(flags[0]) >> 8 & _COMPLEX:
         return name, None
     values = _numbers(next(parts, None), order)
-    size = 1
-    for length in shape.tolist():
-        size *= length
+    size = math.prod(shape.tolist())
     if len(shape) < 2 or len(values) != size:
         raise ValueError(f"matrix '{name}' holds {len(values)} numbers where its shape needs {size}")
     # Whole numbers may be stored more narrowly than their class.

@@ -24,9 +24,9 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax import formulas
-from gradcal_jax.files.problems import Problem, SpecError, nearest, one_of
+from gradcal_jax.files.problems import Problem, SpecError, one_of
 from gradcal_jax.files.quantity import Angle, Count, Flag, Number, Rate, Time
-from gradcal_jax.files.section import Section, a_table, choose, refuse
+from gradcal_jax.files.section import Section, a_table, choose, refuse, refuse_misspelt
 
 Axis = Literal["x", "y", "z"]
 AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
@@ -68,6 +68,11 @@ class ResolvedMove:
     def is_rest(self) -> bool:
         """Whether the axis stands still."""
         return self.shape == "rest"
+
+    @property
+    def words(self) -> str:
+        """As problems say it."""
+        return f"{self.shape}, {self.duration:.4g} s"
 
     @property
     def readings(self) -> int:
@@ -112,7 +117,6 @@ class Rest(_Move):
     """Whether the table turns other axes meanwhile."""
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        del max_acceleration
         return self.resolved("rest", float(self.rest), other_axes=self.other_axes)
 
 
@@ -168,7 +172,8 @@ class _PeakedTurn(_Turn):
         angle, peak = self.angle, _number(self.peak_rate)
         leading = angle if angle is not None else peak
         direction = -1.0 if leading is not None and leading < 0.0 else 1.0
-        return direction, _size(angle), _size(peak), _number(self.duration)
+        size, fastest = (None if value is None else abs(value) for value in (angle, peak))
+        return direction, size, fastest, _number(self.duration)
 
     def motion(self, *, angle: float, peak: float, duration: float, acceleration: float, ramp: float) -> ResolvedMove:
         """A one-way turn from sizes."""
@@ -235,7 +240,7 @@ class _RampedTurn(_PeakedTurn):
     def _from_three(self, angle: float, peak: float, duration: float, ramp: float | None) -> float:
         found = duration - angle / peak
         if ramp is not None and abs(peak * (duration - ramp) - angle) > AGREEMENT * angle:
-            turned = _degrees(peak * (duration - ramp))
+            turned = f"{math.degrees(peak * (duration - ramp)):.5g} deg"
             message = f"contradicts the others: peak_rate × (duration − ramp) is {turned}; leave one of the four out"
             raise SpecError([Problem((self.angle_key,), message, self._written_angle())])
         if found <= 0.0 or found > 0.5 * duration * (1.0 + AGREEMENT):
@@ -289,7 +294,6 @@ class _WholeTurn(_PeakedTurn):
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """Complete (θ, A, D) by θ = fullness·A·D; both shapes peak at πA/D."""
-        del max_acceleration
         _, angle, peak, duration = self.sizes()
         if sum(value is not None for value in (angle, peak, duration)) < 2:
             message = "the motion is not determined; give two of turn, peak_rate and duration"
@@ -347,7 +351,6 @@ class Sinusoid(_Move):
         return self
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        del max_acceleration
         peak, period = float(self.peak_rate), float(self.period)
         swing = peak * period / math.pi
         return self.resolved(
@@ -380,7 +383,6 @@ class Spline(_Move):
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """Maxima are exact, from the cubic pieces."""
-        del max_acceleration
         peak = max(abs(rate) for rate in self.rates)
         controls = tuple(rate / peak for rate in self.rates)
         pieces = [c[:4] for _, _, c in formulas.shape_pieces("spline", controls=controls)]
@@ -426,7 +428,6 @@ class Hand(_Turn):
         return self
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
-        del max_acceleration
         angle = self.angle
         if angle is None or self.duration is None:
             missing = "turn" if angle is None else "duration"
@@ -466,11 +467,7 @@ def _choose_move(value: object) -> object:
     if "rest" in table:
         return Rest.model_validate(table)
     if "shape" not in table:
-        for key in table:
-            near = nearest(key, ["rest", "shape"])
-            if near is not None:
-                message = f'this key is unknown; nearest: "{near}"'
-                raise SpecError([Problem((key,), message, table[key], "unknown")])
+        refuse_misspelt(table, ["rest", "shape"])
         message = f'a move is a rest ("rest") or has a "shape": {one_of(SHAPES)}'
         raise SpecError([Problem(("shape",), message, kind="missing")])
     return choose(table, "shape", SHAPES)
@@ -478,10 +475,6 @@ def _choose_move(value: object) -> object:
 
 def _number(value: float | None) -> float | None:
     return None if value is None else float(value)
-
-
-def _size(value: float | None) -> float | None:
-    return None if value is None else abs(value)
 
 
 def _roots(a: float, b: float, c: float) -> list[float]:
@@ -509,10 +502,6 @@ def _uneven_maxima(unevenness: float) -> tuple[float, float]:
 
 def _seconds(value: float) -> str:
     return f"{value:.4g} s"
-
-
-def _degrees(value: float) -> str:
-    return f"{math.degrees(value):.5g} deg"
 
 
 def _round_rate(value: float) -> str:

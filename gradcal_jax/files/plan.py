@@ -17,7 +17,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from gradcal_jax.files.moves import Move
-from gradcal_jax.files.problems import Problem, SpecError, nearest
+from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     Flag,
     Of,
@@ -27,7 +27,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Time,
 )
-from gradcal_jax.files.section import Section, a_table, choose, refuse
+from gradcal_jax.files.section import Section, a_table, chosen_by, refuse, refuse_misspelt
 
 
 class Soak(Section):
@@ -81,10 +81,7 @@ def _choose_item(value: object) -> object:
     if len(kinds) == 1:
         return _ITEMS[kinds[0]].model_validate(item)
     if not kinds:
-        misspelt = [(key, near) for key in item if (near := nearest(key, _ITEMS)) is not None]
-        if misspelt:
-            key, near = misspelt[0]
-            raise SpecError([Problem((key,), f'this key is unknown; nearest: "{near}"', item[key], "unknown")])
+        refuse_misspelt(item, _ITEMS)
     raise ValueError("expected one of { soak = …, at = … }, { ramp_to = …, rate = … } or { step_to = … }")
 
 
@@ -257,8 +254,4 @@ class StandardPlan(Section):
         return self
 
 
-def _plan(value: object) -> object:
-    return choose(value, "method", {"gradient": GradientPlan, "standard": StandardPlan})
-
-
-Plan = Annotated[GradientPlan | StandardPlan, BeforeValidator(_plan)]
+Plan = Annotated[GradientPlan | StandardPlan, chosen_by("method", {"gradient": GradientPlan, "standard": StandardPlan})]

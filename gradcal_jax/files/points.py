@@ -15,21 +15,17 @@ A row a point; text, .npz, .npy, .mat or netCDF (.nc), where columns are variabl
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
 
 from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.log import LogError
-from gradcal_jax.files.quantity import Flag, Text
+from gradcal_jax.files.log import Floats, LogError
+from gradcal_jax.files.quantity import Flag
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.tables import RateColumn, Source, TemperatureColumn, TextTable, read_table
+from gradcal_jax.files.tables import Name, RateColumn, Source, TemperatureColumn, TextTable, read_table
 
 FORMAT: Final = "gradcal-points/1"
-Floats = NDArray[np.float64]
-Name = Annotated[Text, Field(max_length=100)]
 
 EXAMPLE: Final = """\
 format         = "gradcal-points/1"
@@ -70,9 +66,7 @@ class PointMap(Section):
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""
-        yield from (self.temperature, self.reference_rate, self.output)
-        if self.sigma is not None:
-            yield self.sigma
+        yield from filter(None, (self.temperature, self.reference_rate, self.output, self.sigma))
 
 
 @dataclass(frozen=True)
@@ -101,11 +95,11 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
         columns = parse_point_map(read_text(columns), str(columns))
     table = read_table(path, columns.csv, list(columns.sources()), netcdf=True)
     try:
-        temperature = table.measured(columns.temperature, "temperature")
-        reference, output = (table.measured(c, "angular rate") for c in (columns.reference_rate, columns.output))
+        temperature = table.measured(columns.temperature)
+        reference, output = (table.measured(c) for c in (columns.reference_rate, columns.output))
         sigma = None
         if columns.sigma is not None:
-            sigma = table.measured(columns.sigma.model_copy(update={"zero": 0.0}), "angular rate")
+            sigma = table.measured(columns.sigma.model_copy(update={"zero": 0.0}))
             if not np.all(sigma > 0.0):
                 raise LogError(f"sigma of row {int(np.argmin(sigma > 0.0))} is not above zero")
         for words, values in (("temperature", temperature), ("reference rate", reference), ("output", output)):

@@ -2,13 +2,12 @@
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
 from gradcal_jax.files import correction
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
-from gradcal_jax.files.calibration import AxisCalibration, bias_names, scale_factor_names
+from gradcal_jax.files.calibration import AxisCalibration, bias_names
+from gradcal_jax.files.log import Floats
 
-Floats = NDArray[np.float64]
 _POINTS = 201
 _FIT_DEGREE = 7
 _SMALL_GRID = 41
@@ -66,8 +65,7 @@ def normalised_scale_factor(axis: AxisCalibration) -> tuple[tuple[float, float],
         return (0.0, 1.0), (0.0, 1.0), np.zeros((1, 1))
     of_t, of_w = part.temperature, part.rate
     if isinstance(of_t, TemperaturePolynomial) and isinstance(of_w, RatePolynomial):
-        names = scale_factor_names(of_t, of_w)
-        table = np.array([part.coefficients[name] for name in names]).reshape(of_t.size, of_w.size)
+        table = correction.scale_factor_table(part)
         return (float(of_t.centre), float(of_t.scale)), (float(of_w.centre), float(of_w.scale)), table
     sides: list[tuple[float, float]] = []
     for low, high in (axis.valid_temperature, axis.valid_rate):

@@ -1,7 +1,7 @@
 """What is wrong with a file: every problem at once, each with its key, its value and what was expected."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -116,6 +116,17 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return close[0] if close else None
 
 
+def hint(word: object, known: Iterable[str], otherwise: str = "") -> str:
+    """``; nearest: "gyro_x"``, or `otherwise` where nothing is near."""
+    close = nearest(word, known) if isinstance(word, str) else None
+    return otherwise if close is None else f'; nearest: "{close}"'
+
+
+def repeated(of: str, name: str, values: Sequence[str], message: str) -> list[Problem]:
+    """A problem for the `name` of every entry `of` which has the value of one before it."""
+    return [Problem((of, i, name), message, value) for i, value in enumerate(values) if value in values[:i]]
+
+
 def instead(word: str, known: Iterable[str]) -> str:
     """``nearest: 'gyro_x'``, or what there is."""
     names = list(known)
@@ -134,11 +145,8 @@ def from_validation(error: ValidationError) -> list[Problem]:
     """Every problem in what pydantic found, nested ones and ours among them, in our words."""
     found = [problem for details in error.errors(include_url=False) for problem in _translate(details)]
     # A list of which every entry was refused is also "too short": that is no fault of its own.
-    return [p for p in found if p.kind != "short" or not any(_below(p.key, other.key) for other in found)]
-
-
-def _below(key: Key, other: Key) -> bool:
-    return len(other) > len(key) and other[: len(key)] == key
+    above = {other.key[:n] for other in found for n in range(len(other.key))}
+    return [p for p in found if p.kind != "short" or p.key not in above]
 
 
 # Pydantic's own kinds of error -> what was expected, in our words; the braces take the error's context.
@@ -192,6 +200,5 @@ def _translate(details: ErrorDetails) -> list[Problem]:
 def _enumeration(value: object, expected: str) -> str:
     # pydantic gives "'a', 'b' or 'c'"
     names = expected.split("'")[1::2]
-    close = nearest(value, names) if isinstance(value, str) else None
     listed = f"expected {one_of(names)}" if names else f"expected {expected}"
-    return listed + (f'; nearest: "{close}"' if close and len(names) > 1 else "")
+    return listed + (hint(value, names) if len(names) > 1 else "")

@@ -141,6 +141,7 @@ VelocityRandomWalk = Annotated[Quantity, Of("velocity random walk", above="0 m/s
 PositiveAngle = Annotated[Quantity, Of("angle", above="0 deg")]
 PositiveLength = Annotated[Quantity, Of("length", above="0 m")]
 Latitude = Annotated[Quantity, Of("angle", at_least="-90 deg", at_most="90 deg")]
+Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
 PositiveGradientSensitivity = Annotated[Quantity, Of("bias temperature-gradient sensitivity", above="0 deg/h/(K/min)")]
 
 Whole = Annotated[int, Strict(), Field(ge=0, le=10**9)]

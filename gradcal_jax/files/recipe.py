@@ -186,7 +186,7 @@ def spec_inside(document: Mapping[str, Any], source: str = "") -> Spec:
 def any_spec_in(path: str | Path) -> Spec | UnitSpec:
     """As `spec_in`, and the spec of a whole unit, too."""
     text = read_text(path)
-    with with_lines(text):
+    with missions_from(Path(path).parent), with_lines(text):
         document = read_toml(text, str(path))
         return recipe_of(document, str(path)).spec if is_recipe(document) else any_spec_of(document, str(path))
 

@@ -1,6 +1,7 @@
 """`[[requirement]]`: what the calibration of an axis or a whole unit must serve, and how the residual is summed up."""
 
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, Strict, model_validator
 
@@ -22,7 +23,7 @@ from gradcal_jax.files.quantity import (
     Text,
     Time,
 )
-from gradcal_jax.files.section import Section, choose, refuse
+from gradcal_jax.files.section import Section, chosen_by, refuse
 
 Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 Risk = Annotated[Quantity, Of("scale factor", above="0 %", at_most="50 %")]
@@ -35,17 +36,26 @@ def _rates_only(value: object) -> object:
     return value
 
 
-class ScaleFactorRequirement(Section):
+class _OfAxis(Section):
+    name: Text
+    """Its name, by which verdicts and [design] speak of it."""
+    quantity: Any
+    """What must be good."""
+
+
+def _ordered(section: Any) -> Any:
+    refuse(*increasing(section.temperature, "temperature"))
+    return section
+
+
+class ScaleFactorRequirement(_OfAxis):
     """What a calibration must serve: the scale factor's error over a box of temperature and rate.
 
     The target is met where `coverage` times the statistic is within it (simple acceptance); with `risk` it is guarded:
     met where the error at the worst place of the box is beyond it with no more than that chance.
     """
 
-    name: Text
-    """Its name, by which verdicts and [design] speak of it."""
     quantity: Literal["scale_factor"]
-    """What must be good."""
     temperature: tuple[Temperature, Temperature]
     """Lowest and highest temperature of the box."""
     rate: tuple[Rate, Rate]
@@ -74,13 +84,10 @@ class ScaleFactorRequirement(Section):
         return self
 
 
-class BiasRequirement(Section):
+class BiasRequirement(_OfAxis):
     """What a calibration must serve: the bias's error over a range of temperature. Targets as of a scale factor."""
 
-    name: Text
-    """Its name, by which verdicts and [design] speak of it."""
     quantity: Literal["bias"]
-    """What must be good."""
     temperature: tuple[Temperature, Temperature]
     """Lowest and highest temperature."""
     statistic: Annotated[Literal["max", "mean", "rms"], BeforeValidator(_rates_only)] = "mean"
@@ -94,23 +101,17 @@ class BiasRequirement(Section):
     grid: tuple[Points] = (101,)
     """Number of temperatures at which the range is evaluated, ends included."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "BiasRequirement":
-        refuse(*increasing(self.temperature, "temperature"))
-        return self
+    _rising = model_validator(mode="after")(_ordered)
 
 
-class HeadingRequirement(Section):
+class HeadingRequirement(_OfAxis):
     """What the calibration leaves of the integrated rate at the end of a `mission`, or `after` a time in it.
 
     Of several missions the root mean square by their weights, or the "max". `target` limits the calibration's part
     alone: the unit's own noise no calibration takes off. `coverage`, `risk`: as of a scale factor.
     """
 
-    name: Text
-    """Its name, by which verdicts and [design] speak of it."""
     quantity: Literal["heading"]
-    """What must be good."""
     mission: Missions
     """Tables of rate and temperature over time, with weights."""
     after: Time | None = None
@@ -157,16 +158,13 @@ class HeadingRequirement(Section):
         return Quantity.of(min(every), "deg/s"), Quantity.of(max(every), "deg/s")
 
 
-class NorthRequirement(Section):
+class NorthRequirement(_OfAxis):
     """The error of a gyrocompass: of the bias, over the Earth's rate across the meridian at the `latitude`.
 
     `after`: how long it stands to find north, of which the unit's own noise depends. The rest as of a bias.
     """
 
-    name: Text
-    """Its name, by which verdicts and [design] speak of it."""
     quantity: Literal["north"]
-    """What must be good."""
     latitude: Annotated[Quantity, Of("angle", at_least="-89 deg", at_most="89 deg")]
     """Where north is sought."""
     after: Time
@@ -184,24 +182,17 @@ class NorthRequirement(Section):
     grid: tuple[Points] = (101,)
     """Number of temperatures at which the range is evaluated, ends included."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "NorthRequirement":
-        refuse(*increasing(self.temperature, "temperature"))
-        return self
+    _rising = model_validator(mode="after")(_ordered)
 
 
-def _requirement(value: object) -> object:
-    classes: dict[str, type[Section]] = {
-        "scale_factor": ScaleFactorRequirement,
-        "bias": BiasRequirement,
-        "heading": HeadingRequirement,
-        "north": NorthRequirement,
-    }
-    return choose(value, "quantity", classes)
-
-
+_CLASSES: Final[Mapping[str, type[Section]]] = {
+    "scale_factor": ScaleFactorRequirement,
+    "bias": BiasRequirement,
+    "heading": HeadingRequirement,
+    "north": NorthRequirement,
+}
 Requirement = Annotated[
-    ScaleFactorRequirement | BiasRequirement | HeadingRequirement | NorthRequirement, BeforeValidator(_requirement)
+    ScaleFactorRequirement | BiasRequirement | HeadingRequirement | NorthRequirement, chosen_by("quantity", _CLASSES)
 ]
 
 
@@ -370,23 +361,19 @@ class TurnRequirement(_OfUnit):
     """Limit on the standard deviation, which gives a verdict."""
 
 
-def _unit_requirement(value: object) -> object:
-    classes: dict[str, type[Section]] = {
-        "gyro_bias": GyroBiasRequirement,
-        "gyro_scale_factor": GyroScaleFactorRequirement,
-        "gyro_misalignment": MisalignmentRequirement,
-        "g_sensitivity": SensitivityRequirement,
-        "accelerometer_bias": AccelerometerBiasRequirement,
-        "accelerometer_scale_factor": AccelerometerScaleFactorRequirement,
-        "accelerometer_misalignment": MisalignmentRequirement,
-        "second_order": SecondOrderRequirement,
-        "position": PositionRequirement,
-        "tilt": TiltRequirement,
-        "heading": TurnRequirement,
-    }
-    return choose(value, "quantity", classes)
-
-
+_UNIT_CLASSES: Final[Mapping[str, type[Section]]] = {
+    "gyro_bias": GyroBiasRequirement,
+    "gyro_scale_factor": GyroScaleFactorRequirement,
+    "gyro_misalignment": MisalignmentRequirement,
+    "g_sensitivity": SensitivityRequirement,
+    "accelerometer_bias": AccelerometerBiasRequirement,
+    "accelerometer_scale_factor": AccelerometerScaleFactorRequirement,
+    "accelerometer_misalignment": MisalignmentRequirement,
+    "second_order": SecondOrderRequirement,
+    "position": PositionRequirement,
+    "tilt": TiltRequirement,
+    "heading": TurnRequirement,
+}
 UnitRequirement = Annotated[
     GyroBiasRequirement
     | GyroScaleFactorRequirement
@@ -398,6 +385,6 @@ UnitRequirement = Annotated[
     | PositionRequirement
     | TiltRequirement
     | TurnRequirement,
-    BeforeValidator(_unit_requirement),
+    chosen_by("quantity", _UNIT_CLASSES),
 ]
 UnitRequirements = Annotated[tuple[UnitRequirement, ...], Field(max_length=100)]

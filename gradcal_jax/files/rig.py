@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
-from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Flag, PositiveTemperatureDifference, Quantity, Temperature, Text, Time
 from gradcal_jax.files.section import Section, refuse
 
@@ -244,18 +244,7 @@ def parse_rig(text: str, source: str = "") -> RigFile:
 
 def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:
     """A rig from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    problem = format_problem(document, FORMAT)
-    if problem is not None and isinstance(document.get("format"), str):
-        raise SpecError([problem], source)
-    try:
-        return RigFile.model_validate(document)
-    except ValidationError as error:
-        problems = from_validation(error)
-    except SpecError as error:
-        problems = list(error.problems)
-    if problem is not None:
-        problems = [problem, *(p for p in problems if p.key != ("format",))]
-    raise SpecError(problems, source)
+    return model_of(RigFile, document, FORMAT, source, lambda _: ())
 
 
 TEMPLATE: Final = """\

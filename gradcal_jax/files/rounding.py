@@ -25,7 +25,7 @@ from gradcal_jax.files.quantity import (
     Quantity,
     Time,
 )
-from gradcal_jax.files.schedule import GradientSchedule, resolve_cycle
+from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, resolve_cycle
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.tracks import trapezoid_acceleration
@@ -78,33 +78,37 @@ def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes:
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
-    rounder = _Rounder(steps or steps_of(spec))
+    rounder = _Rounder(steps or steps_of(spec), keep_shapes)
     tables = tables_of(spec)
-    notes: list[str] = []
+    plan: Table = tables["plan"]
     made: Spec | UnitSpec
     if isinstance(spec, UnitSpec):
-        _temperatures(tables["plan"], rounder, ROUND_HALF_EVEN)
-        _unit_cycle(spec, tables["plan"]["cycle"], rounder, keep_shapes, notes)
-        made = _keep_cycles(spec, tables, rounder, notes)
+        _temperatures(plan, rounder)
+        _unit_cycle(spec, plan["cycle"], rounder)
+        made = _keep_cycles(spec, tables, rounder)
     elif isinstance(schedule := spec.schedule, GradientSchedule):
-        made = _gradient(spec, tables, schedule, rounder, keep_shapes, notes)
+        _temperatures(plan, rounder)
+        if "read_every" in plan:
+            plan["read_every"] = rounder.time(plan["read_every"])
+        if schedule.cycle is not None:
+            _cycle(spec, plan["cycle"], schedule, schedule.cycle, rounder)
+        made = _keep_cycles(spec, tables, rounder)
     else:
-        plan = tables["plan"]
         plan["temperatures"] = [rounder.temperature(text) for text in plan["temperatures"]]
         plan["soak"], plan["integration"] = rounder.time_up(plan["soak"]), rounder.time(plan["integration"])
         if "rates" in plan:
             plan["rates"] = [rounder.rate(text) for text in plan["rates"]]
         made = any_spec_of(tables)
-    return Rounded(
-        cast("AnySpec", made), tuple(_changes(tables_of(spec)["plan"], tables_of(made)["plan"], "plan")), tuple(notes)
-    )
+    changes = _changes(tables_of(spec)["plan"], tables_of(made)["plan"], "plan")
+    return Rounded(cast("AnySpec", made), tuple(changes), tuple(rounder.notes))
 
 
 class _Rounder:
     """Texts to texts. A text that lies on its grid is kept as it was written."""
 
-    def __init__(self, steps: ControllerSteps) -> None:
-        self.steps = steps
+    def __init__(self, steps: ControllerSteps, keep_shapes: bool) -> None:
+        self.steps, self.keep_shapes = steps, keep_shapes
+        self.notes: list[str] = []
         split = {name: getattr(steps, name).text.split(" ", 1) for name in type(steps).model_fields}
         self._grid = {name: (Decimal(number), unit) for name, (number, unit) in split.items()}
 
@@ -157,23 +161,19 @@ class _Rounder:
             return 2.0 * math.pi * round(turns)
         return units.parse(self.to("angle", "angle", angle), "angle")
 
+    def shape(self, move: ResolvedMove) -> str:
+        """Of the ramps that a turn is made with; noted where they are not the plan's."""
+        shape = "cosine ramps" if self.keep_shapes and move.shape == "cosine ramps" else "linear ramps"
+        note = f'turns of shape "{move.shape}" are made as trapezoids of the same angle, peak rate and duration'
+        if move.shape != shape and note not in self.notes:
+            self.notes.append(note)
+        return shape
+
 
 # ------------------------------------------------------------------------------------------------- gradient method
 
 
-def _gradient(
-    spec: Spec, tables: Table, schedule: GradientSchedule, rounder: _Rounder, keep_shapes: bool, notes: list[str]
-) -> Spec:
-    plan: Table = tables["plan"]
-    _temperatures(plan, rounder, ROUND_HALF_EVEN)
-    if "read_every" in plan:
-        plan["read_every"] = rounder.time(plan["read_every"])
-    if schedule.cycle is not None:
-        _cycle(spec, plan["cycle"], schedule, rounder, keep_shapes, notes)
-    return _keep_cycles(spec, tables, rounder, notes)
-
-
-def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder, notes: list[str]) -> AnySpec:
+def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder) -> AnySpec:
     """The spec of rounded tables, its slope the next slower one where a repetition of the cycle would be lost."""
     plan = tables["plan"]
     made, before = any_spec_of(tables), _cycles(spec)
@@ -182,7 +182,7 @@ def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder, notes: list[st
         again = any_spec_of({**tables, "plan": {**plan, "gradient": slope}})
         made = again if _cycles(again) > _cycles(made) else made
     if _cycles(made) < before:
-        notes.append(f"rounding leaves room for {_cycles(made)} cycles instead of {before}")
+        rounder.notes.append(f"rounding leaves room for {_cycles(made)} cycles instead of {before}")
     return cast("AnySpec", made)
 
 
@@ -192,13 +192,13 @@ def _cycles(spec: Spec | UnitSpec) -> int:
     return spec.gradient_schedule.cycles
 
 
-def _temperatures(plan: Table, rounder: _Rounder, way: str) -> None:
+def _temperatures(plan: Table, rounder: _Rounder) -> None:
     if "temperature" in plan:
         plan["temperature"] = [rounder.temperature(text) for text in plan["temperature"]]
     if isinstance(plan.get("gradient"), list):
-        plan["gradient"] = [rounder.slope(text, way) for text in plan["gradient"]]
+        plan["gradient"] = [rounder.slope(text) for text in plan["gradient"]]
     elif "gradient" in plan:
-        plan["gradient"] = rounder.slope(plan["gradient"], way)
+        plan["gradient"] = rounder.slope(plan["gradient"])
     if "soak" in plan:
         plan["soak"]["duration"] = rounder.time_up(plan["soak"]["duration"])
     ways: dict[str, Callable[[str], str]] = {
@@ -213,15 +213,12 @@ def _temperatures(plan: Table, rounder: _Rounder, way: str) -> None:
             item[key] = ways[key](item[key])
 
 
-def _cycle(
-    spec: Spec, cycle: Table, schedule: GradientSchedule, rounder: _Rounder, keep_shapes: bool, notes: list[str]
-) -> None:
-    assert schedule.cycle is not None
+def _cycle(spec: Spec, cycle: Table, schedule: GradientSchedule, planned: ResolvedCycle, rounder: _Rounder) -> None:
     fastest = min(float(spec.rig.table.max_rate), spec.sensor.usable_rate or math.inf)
     steepest = float(spec.rig.table.max_acceleration)
     moves: list[Table] = []
-    for table, move in zip(cycle["moves"], schedule.cycle.moves, strict=True):
-        moves += _moves(table, move, steepest, fastest, rounder, keep_shapes, notes)
+    for table, move in zip(cycle["moves"], planned.moves, strict=True):
+        moves += _moves(table, move, steepest, fastest, rounder)
     if len(moves) > _MOST_MOVES:
         message = f"as turns to and fro these are {len(moves)} moves, at most {_MOST_MOVES}: make fewer cycles"
         raise SpecError([Problem(("plan", "cycle", "moves"), message)])
@@ -233,10 +230,10 @@ def _cycle(
                 other[key] = rounder.time(other[key])
     if "duration" in cycle:
         cycle["duration"] = rounder.time(cycle["duration"])
-    _keep_period(cycle, spec, schedule, rounder)
+    _keep_period(cycle, spec, schedule, planned, rounder)
 
 
-def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder, keep_shapes: bool, notes: list[str]) -> None:
+def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
     """Every rest and turn of a unit's cycle, written out, and from where the axes begin."""
     schedule, axes = spec.schedule, spec.rig.table.axis
     gyro = spec.sensor.gyro
@@ -260,23 +257,17 @@ def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder, keep_shapes: bo
             message = "the controllers of a whole unit's table turn by ramps; expected another shape"
             raise SpecError([Problem(("plan", "cycle", "moves", step.source, "shape"), message, move.shape)])
         if move.shape in ("hand", "sinusoid"):
-            made = _moves(dict(given[step.source]), move, steepest, fastest, rounder, keep_shapes, notes)
+            made = _moves(dict(given[step.source]), move, steepest, fastest, rounder)
             moves += [{name: value for name, value in table.items() if name != "read"} for table in made]
             at[k] += move.repeat * move.angle
             continue
-        shape = move.shape if keep_shapes and move.shape == "cosine ramps" else "linear ramps"
-        if move.shape != shape:
-            note = f'turns of shape "{move.shape}" are made as trapezoids of the same angle, peak rate and duration'
-            notes += [note] if note not in notes else []
+        shape = rounder.shape(move)
         angle = rounder.on_grid(before[k]) - at[k] if move.repeat == 1 else move.angle
         if angle == 0.0:
             # Less than a step of the controller: nothing turns.
             moves.append({"rest": rounder.to("time", "time", move.duration, ROUND_CEILING)})
             continue
-        ramp = abs(move.peak_rate) / trapezoid_acceleration(move)
-        steepness = math.pi / 2.0 if shape == "cosine ramps" else 1.0
-        peak = abs(move.peak_rate)
-        moves.append(_turn(angle, peak, ramp, shape, steepness, steepest, fastest, rounder) | kept)
+        moves.append(_turn(angle, move, shape, steepest, fastest, rounder) | kept)
         at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle") if "turn" in moves[-1] else move.repeat * angle
     cycle["moves"] = moves
     over = math.fsum(_duration(move) for move in moves) - schedule.period
@@ -292,10 +283,11 @@ def _duration(move: Table) -> float:
     return int(move.get("repeat", 1)) * units.parse(move["rest" if "rest" in move else "duration"], "time")
 
 
-def _keep_period(cycle: Table, spec: Spec, schedule: GradientSchedule, rounder: _Rounder) -> None:
+def _keep_period(
+    cycle: Table, spec: Spec, schedule: GradientSchedule, planned: ResolvedCycle, rounder: _Rounder
+) -> None:
     """Take what rounding added from the longest standing, so that as many repetitions fit as before."""
-    assert schedule.cycle is not None
-    own, period = schedule.cycle.moving, schedule.cycle.duration
+    own, period = planned.moving, planned.duration
     rests = [(units.parse(move["rest"], "time"), move, "rest") for move in cycle["moves"] if "rest" in move]
     if "other_axes" in cycle:
         other = cycle["other_axes"]
@@ -314,15 +306,7 @@ def _keep_period(cycle: Table, spec: Spec, schedule: GradientSchedule, rounder: 
         table[key] = rounder.to("time", "time", longest - over, ROUND_FLOOR)
 
 
-def _moves(
-    table: Table,
-    move: ResolvedMove,
-    steepest: float,
-    fastest: float,
-    rounder: _Rounder,
-    keep_shapes: bool,
-    notes: list[str],
-) -> list[Table]:
+def _moves(table: Table, move: ResolvedMove, steepest: float, fastest: float, rounder: _Rounder) -> list[Table]:
     if "read_every" in table:
         table["read_every"] = rounder.time(table["read_every"])
     if move.is_rest:
@@ -334,40 +318,27 @@ def _moves(
     if move.shape == "spline":
         table["duration"] = rounder.time_up(table["duration"])
         table["rates"] = [rounder.to("rate", "angular rate", units.parse(r, "angular rate")) for r in table["rates"]]
-        notes.append("a free-form motion is made of short stretches of constant acceleration")
+        rounder.notes.append("a free-form motion is made of short stretches of constant acceleration")
         return [table]
     kept = {key: table[key] for key in ("axis", "read", "read_every") if key in table}
     if move.shape == "sinusoid":
-        return _oscillation(table, move, kept, steepest, fastest, rounder, keep_shapes, notes)
-    if keep_shapes and move.shape not in ("cosine ramps", "linear ramps"):
-        peak = "peak_rate"
-        table = {**table, "duration": rounder.time_up(table.get("duration") or _seconds(move.duration))}
-        if peak in table and ("turn" in table or "turns" in table):
-            del table[peak]
+        return _oscillation(table, move, kept, steepest, fastest, rounder)
+    if rounder.keep_shapes and move.shape not in ("cosine ramps", "linear ramps"):
+        duration = table.get("duration") or units.format_quantity(move.duration, "s")
+        table = {**table, "duration": rounder.time_up(duration)}
+        if "turn" in table or "turns" in table:
+            table.pop("peak_rate", None)
         return [table]
-    if move.shape != "linear ramps" and not keep_shapes:
-        note = f'turns of shape "{move.shape}" are made as trapezoids of the same angle, peak rate and duration'
-        if note not in notes:
-            notes.append(note)
     if "repeat" in table:
         kept["repeat"] = table["repeat"]
-    shape = move.shape if keep_shapes else "linear ramps"
-    steepness = math.pi / 2.0 if shape == "cosine ramps" else 1.0
-    ramp = abs(move.peak_rate) / trapezoid_acceleration(move)
-    return [_turn(move.angle, abs(move.peak_rate), ramp, shape, steepness, steepest, fastest, rounder) | kept]
+    return [_turn(move.angle, move, rounder.shape(move), steepest, fastest, rounder) | kept]
 
 
-def _turn(
-    angle: float,
-    peak: float,
-    ramp: float,
-    shape: str,
-    steepness: float,
-    steepest: float,
-    fastest: float,
-    rounder: _Rounder,
-) -> Table:
-    """A ramped turn on the grids of angle, rate and time, no steeper than the table may."""
+def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest: float, rounder: _Rounder) -> Table:
+    """A turn by `angle` with a move's peak rate and ramps, on the grids of angle, rate and time, no steeper than the
+    table may."""
+    peak = abs(move.peak_rate)
+    ramp = peak / trapezoid_acceleration(move)
     turns = angle / (2.0 * math.pi)
     if abs(turns - round(turns)) <= 1e-9 * abs(turns):
         written: Table = {"turns": float(round(turns))}
@@ -386,7 +357,7 @@ def _turn(
     if peak <= 0.0:
         text = rounder.to("rate", "angular rate", float(rounder.steps.rate))
         peak = units.parse(text, "angular rate")
-    least = steepness * peak / steepest
+    least = (math.pi / 2.0 if shape == "cosine ramps" else 1.0) * peak / steepest
     duration_text = rounder.to("time", "time", size / peak + max(ramp, least), ROUND_CEILING)
     duration = units.parse(duration_text, "time")
     if peak > 2.0 * size / duration:
@@ -400,36 +371,21 @@ def _turn(
 
 
 def _oscillation(
-    table: Table,
-    move: ResolvedMove,
-    kept: Table,
-    steepest: float,
-    fastest: float,
-    rounder: _Rounder,
-    keep_shapes: bool,
-    notes: list[str],
+    table: Table, move: ResolvedMove, kept: Table, steepest: float, fastest: float, rounder: _Rounder
 ) -> list[Table]:
-    if keep_shapes:
+    if rounder.keep_shapes:
         table["peak_rate"] = rounder.rate(table["peak_rate"])
         table["period"] = rounder.time_up(table["period"])
         return [table]
-    notes.append("an oscillation is made as turns to and fro of the same angle, peak rate and duration")
+    rounder.notes.append("an oscillation is made as turns to and fro of the same angle, peak rate and duration")
     swing = 0.5 * move.duration / move.cycles
     angle = 2.0 * move.peak_rate * swing / math.pi
-    ramp = abs(move.peak_rate) / trapezoid_acceleration(move)
-    halves = [
-        _turn(way * angle, abs(move.peak_rate), ramp, "linear ramps", 1.0, steepest, fastest, rounder) | kept
-        for way in (1.0, -1.0)
-    ]
+    halves = [_turn(way * angle, move, "linear ramps", steepest, fastest, rounder) | kept for way in (1.0, -1.0)]
     made = [dict(half) for _ in range(move.cycles * move.repeat) for half in halves]
     if move.read_every is None:
         for place, half in enumerate(made):
             half["read"] = "end" if move.read_end and (place + 1) % (2 * move.cycles) == 0 else "none"
     return made
-
-
-def _seconds(value: float) -> str:
-    return units.format_quantity(value, "s")
 
 
 # ----------------------------------------------------------------------------------------------------- what changed

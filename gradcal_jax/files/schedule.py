@@ -7,7 +7,7 @@ Temperatures are the *chamber's*; a sensor's thermal lag is the core's affair.
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 from gradcal_jax.files.bench import Chamber, Rig
 from gradcal_jax.files.moves import ResolvedMove
@@ -193,9 +193,11 @@ def standard_schedule(plan: StandardPlan) -> StandardSchedule:
 def gradient_schedule(plan: GradientPlan, rig: Rig) -> GradientSchedule:
     """Work a gradient plan out. Raises `SpecError` with every problem found, keys relative to the plan."""
     cycle = None if plan.cycle is None else resolve_cycle(plan.cycle, rig)
-    segments, stretches = programme_of(plan, rig.chamber, cycle)
+    times = None if cycle is None else (cycle.moving, cycle.duration)
+    segments, stretches = programme_of(plan, rig.chamber, times)
     result = GradientSchedule(segments, stretches, cycle, None if plan.read_every is None else float(plan.read_every))
     problems: list[Problem] = []
+    key = ("cycle",) if cycle is not None else ("read_every",)
     if cycle is not None and result.cycles == 0:
         longest = max(stretch.duration for stretch in stretches)
         message = f"its moves take {cycle.moving:.4g} s; the longest stretch of used data is {longest:.4g} s"
@@ -204,9 +206,9 @@ def gradient_schedule(plan: GradientPlan, rig: Rig) -> GradientSchedule:
         problems.append(Problem(("cycle",), f"repeats {result.cycles} times; at most {MOST_CYCLES}"))
     elif result.readings > MOST_READINGS:
         message = f"the plan has {result.readings} readings; at most {MOST_READINGS}: read less often"
-        problems.append(Problem(("cycle",) if cycle is not None else ("read_every",), message))
+        problems.append(Problem(key, message))
     elif result.readings == 0:
-        problems.append(Problem(("cycle",) if cycle is not None else ("read_every",), "the plan has no readings"))
+        problems.append(Problem(key, "the plan has no readings"))
     if problems:
         raise SpecError(problems)
     return result
@@ -246,26 +248,17 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
     return ResolvedCycle(tuple(moves), moving, other, every, idle)
 
 
-@runtime_checkable
-class _Repeats(Protocol):
-    """What a course must know of a cycle (s): its moves, and all of it."""
-
-    @property
-    def moving(self) -> float: ...
-
-    @property
-    def duration(self) -> float: ...
-
-
 def programme_of(
-    plan: ChamberCourse, chamber: Chamber, cycle: _Repeats | None
+    plan: ChamberCourse, chamber: Chamber, cycle: tuple[float, float] | None
 ) -> tuple[tuple[TemperatureSegment, ...], tuple[Stretch, ...]]:
-    """The chamber's segments, and the stretches of used data with the cycles that fit. Raises `SpecError`."""
+    """The chamber's segments, and the stretches of used data with the cycles that fit; of a cycle what its moves take,
+    and all of it (s). Raises `SpecError`.
+    """
     segments = _programme(plan, chamber) if plan.programme is not None else _ramp(plan, cycle)
     return segments, _stretches(segments, cycle)
 
 
-def _ramp(plan: ChamberCourse, cycle: _Repeats | None) -> tuple[TemperatureSegment, ...]:
+def _ramp(plan: ChamberCourse, cycle: tuple[float, float] | None) -> tuple[TemperatureSegment, ...]:
     assert plan.temperature is not None
     assert plan.gradient is not None
     segments: list[TemperatureSegment] = []
@@ -276,9 +269,9 @@ def _ramp(plan: ChamberCourse, cycle: _Repeats | None) -> tuple[TemperatureSegme
     if isinstance(plan.gradient, tuple):
         assert cycle is not None
         for slope in plan.gradient:
-            end = here + slope * cycle.duration
-            segments.append(TemperatureSegment("ramp", clock, cycle.duration, here, end, True))
-            clock, here = clock + cycle.duration, end
+            end = here + slope * cycle[1]
+            segments.append(TemperatureSegment("ramp", clock, cycle[1], here, end, True))
+            clock, here = clock + cycle[1], end
     else:
         end = float(plan.temperature[1])
         segments.append(TemperatureSegment("ramp", clock, abs(end - here) / plan.gradient, here, end, True))
@@ -300,26 +293,22 @@ def _programme(plan: ChamberCourse, chamber: Chamber) -> tuple[TemperatureSegmen
                 message = f"the chamber is at {here:.6g} degC by then; ramp or step there first"
                 problems.append(Problem(("programme", i, "at"), message, item.at.text))
             segments.append(TemperatureSegment("soak", clock, float(item.soak), here, here, item.used))
-        elif isinstance(item, RampItem):
-            end = float(item.ramp_to)
-            if end == here:
-                problems.append(Problem(("programme", i, "ramp_to"), "the chamber is there already", str(item.ramp_to)))
-                continue
-            segments.append(TemperatureSegment("ramp", clock, abs(end - here) / item.rate, here, end, item.used))
         else:
-            end = float(item.step_to)
+            kind, goal = ("ramp", item.ramp_to) if isinstance(item, RampItem) else ("step", item.step_to)
+            end = float(goal)
             if end == here:
-                problems.append(Problem(("programme", i, "step_to"), "the chamber is there already", str(item.step_to)))
+                problems.append(Problem(("programme", i, f"{kind}_to"), "the chamber is there already", str(goal)))
                 continue
             fastest = chamber.max_heating if end > here else chamber.max_cooling
-            segments.append(TemperatureSegment("step", clock, abs(end - here) / fastest, here, end, item.used))
+            slope = item.rate if isinstance(item, RampItem) else fastest
+            segments.append(TemperatureSegment(kind, clock, abs(end - here) / slope, here, end, item.used))
         clock, here = segments[-1].end, segments[-1].temperature_end
     if problems:
         raise SpecError(problems)
     return tuple(segments)
 
 
-def _stretches(segments: tuple[TemperatureSegment, ...], cycle: _Repeats | None) -> tuple[Stretch, ...]:
+def _stretches(segments: tuple[TemperatureSegment, ...], cycle: tuple[float, float] | None) -> tuple[Stretch, ...]:
     bounds: list[list[float]] = []
     for before, segment in pairwise((None, *segments)):
         assert segment is not None
@@ -329,9 +318,6 @@ def _stretches(segments: tuple[TemperatureSegment, ...], cycle: _Repeats | None)
             bounds[-1][1] += segment.duration
         else:
             bounds.append([segment.start, segment.duration])
-    return tuple(Stretch(start, duration, *_repeats(duration, cycle)) for start, duration in bounds)
-
-
-def _repeats(duration: float, cycle: _Repeats | None) -> tuple[int, float]:
-    """Whole repetitions of the cycle's moves that fit, and the standing time after the last one's moves."""
-    return (0, duration) if cycle is None else repetitions(duration, cycle.moving, cycle.duration)
+    return tuple(
+        Stretch(start, lasts, *((0, lasts) if cycle is None else repetitions(lasts, *cycle))) for start, lasts in bounds
+    )

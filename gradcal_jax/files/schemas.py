@@ -6,7 +6,7 @@ from typing import Any, Final, cast
 
 from pydantic.json_schema import GenerateJsonSchema
 
-from gradcal_jax.files.problems import nearest
+from gradcal_jax.files.problems import hint
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.section import Section
 
@@ -62,6 +62,5 @@ def schema(name: str) -> dict[str, Any]:
         return {"$schema": _DIALECT, "$id": f"gradcal-{plain}/{_version(plain)}", **body}
     if plain in _MODELS:
         raise ValueError(f'this program writes gradcal-{plain}/{_version(plain)}; there is no schema of "{name}" here')
-    close = nearest(plain, _MODELS)
-    ending = f'; nearest: "{close}"' if close else f"; known: {', '.join(_MODELS)}"
+    ending = hint(plain, _MODELS, f"; known: {', '.join(_MODELS)}")
     raise ValueError(f'there is no file or contract named "{name}"{ending}')

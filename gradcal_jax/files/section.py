@@ -2,16 +2,16 @@
 
 import ast
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
-from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
+from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint, nearest, one_of
 
 
 class Section(BaseModel):
@@ -91,22 +91,22 @@ def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: ob
 
 
 def choose(value: object, key: str, classes: Mapping[str, type[Section]]) -> object:
-    """The table read by the class that its `key` names: the before-validator of a field that holds one of several."""
+    """The table read by the class that its `key` names."""
     if isinstance(value, Section):
         return value
     table = a_table(value)
     if key not in table:
-        misspelt = next((name for name in table if nearest(name, [key]) == key), None)
-        if misspelt is not None:
-            unknown = Problem((misspelt,), f'this key is unknown; nearest: "{key}"', table[misspelt], "unknown")
-            raise SpecError([unknown])
+        refuse_misspelt(table, [key])
         raise SpecError([Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing")])
     name = table[key]
     if not isinstance(name, str) or name not in classes:
-        close = nearest(name, classes) if isinstance(name, str) else None
-        ending = f'; nearest: "{close}"' if close else ""
-        raise SpecError([Problem((key,), f"expected {one_of(classes)}{ending}", name)])
+        raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
     return classes[name].model_validate(value)
+
+
+def chosen_by(key: str, classes: Mapping[str, type[Section]]) -> BeforeValidator:
+    """Marks a field that holds one of several tables: see `choose`."""
+    return BeforeValidator(lambda value: choose(value, key, classes))
 
 
 def a_table(value: object) -> Mapping[str, object]:
@@ -114,6 +114,13 @@ def a_table(value: object) -> Mapping[str, object]:
     if not isinstance(value, Mapping):
         raise ValueError("expected a table")
     return cast("Mapping[str, object]", value)
+
+
+def refuse_misspelt(table: Mapping[str, object], known: Iterable[str]) -> None:
+    """Raise the first key of a table that is nearly one of those that it lacks, if there is one."""
+    for key, value in table.items():
+        if ending := hint(key, known):
+            raise SpecError([Problem((key,), f"this key is unknown{ending}", value, "unknown")])
 
 
 def refuse(*problems: Problem) -> None:

@@ -33,35 +33,34 @@ from gradcal_jax.files.quantity import (
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.uncertain import UncertainSection, figures_of
 
-PROCESS = ("standard_deviation", "correlation_time")
+
+class _Process(UncertainSection):
+    FIGURES = ("standard_deviation", "correlation_time")
+
+    standard_deviation: Quantity
+    """Stationary standard deviation."""
+    correlation_time: Time
+    """Time constant of its autocorrelation."""
 
 
-class Drift(UncertainSection):
+class Drift(_Process):
     """In-run bias instability: a first-order Gauss–Markov process (stationary standard deviation, correlation time)."""
-
-    FIGURES: ClassVar[tuple[str, ...]] = PROCESS
 
     standard_deviation: PositiveRate
     """Stationary standard deviation of the rate error."""
-    correlation_time: Time
-    """Time constant of its autocorrelation."""
 
 
-class ScaleFactorInstability(UncertainSection):
+class ScaleFactorInstability(_Process):
     """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate."""
-
-    FIGURES: ClassVar[tuple[str, ...]] = PROCESS
 
     standard_deviation: PositiveScaleFactor
     """Stationary standard deviation of the scale factor's error, a ratio."""
-    correlation_time: Time
-    """Time constant of its autocorrelation."""
 
 
 class TemperatureError(UncertainSection):
     """Error of the temperature measurement; the maps' slopes in temperature turn it into rate error."""
 
-    FIGURES: ClassVar[tuple[str, ...]] = PROCESS
+    FIGURES = _Process.FIGURES
 
     standard_deviation: PositiveTemperatureDifference
     """Standard deviation of the temperature's error."""
@@ -214,20 +213,13 @@ class Sensor(UncertainSection):
 
     @model_validator(mode="after")
     def _something_to_find(self) -> "Sensor":
-        problems: list[Problem] = []
         if self.bias is None and self.scale_factor is None:
-            message = "there is nothing to calibrate; add [sensor.bias], [sensor.scale_factor] or both"
-            problems.append(Problem((), message))
-        refuse(*problems)
+            refuse(Problem((), "there is nothing to calibrate; add [sensor.bias], [sensor.scale_factor] or both"))
         return self
 
     def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
         """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
-        tables: list[tuple[str, UncertainSection | None]] = [("sensor", self)]
-        tables += [(f"sensor.drift[{i}]", d) for i, d in enumerate(self.drift)]
-        tables += [(f"sensor.scale_factor_instability[{i}]", d) for i, d in enumerate(self.scale_factor_instability)]
-        tables.append(("sensor.temperature_error", self.temperature_error))
-        return figures_of(tables)
+        return figures_of("sensor", self)
 
     @property
     def usable_rate(self) -> float | None:
@@ -264,15 +256,10 @@ class SquaredSensitivity(_ErrorTerm):
     prior: PositiveSquareSensitivity | None = None
 
 
-class SpecificForceDrift(UncertainSection):
+class SpecificForceDrift(_Process):
     """Instability of an accelerometer's bias: a first-order Gauss–Markov process."""
 
-    FIGURES: ClassVar[tuple[str, ...]] = PROCESS
-
     standard_deviation: PositiveSpecificForce
-    """Stationary standard deviation."""
-    correlation_time: Time
-    """Time constant of its autocorrelation."""
 
 
 class SpecificForceBias(_ErrorTerm):
@@ -422,11 +409,4 @@ class UnitSensor(Section):
 
     def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
         """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
-        tables: list[tuple[str, UncertainSection]] = []
-        for key, triad in (("sensor.gyro", self.gyro), ("sensor.accelerometer", self.accelerometer)):
-            if triad is not None:
-                tables += [(key, triad), *((f"{key}.drift[{i}]", d) for i, d in enumerate(triad.drift))]
-        if self.gyro is not None:
-            instabilities = self.gyro.scale_factor_instability
-            tables += [(f"sensor.gyro.scale_factor_instability[{i}]", d) for i, d in enumerate(instabilities)]
-        return figures_of(tables)
+        return figures_of("sensor", self)

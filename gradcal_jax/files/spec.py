@@ -1,5 +1,6 @@
 """gradcal-spec/1: sensor, rig, requirements, plan. What people write and every command reads."""
 
+import contextlib
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -10,11 +11,11 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.checks import between_sections
 from gradcal_jax.files.design import Design
-from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.plan import GradientPlan, Plan, StandardPlan
-from gradcal_jax.files.problems import Problem, SpecError, from_validation
+from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import GradientSchedule, Schedule, gradient_schedule, standard_schedule
@@ -145,19 +146,13 @@ def parse_spec(text: str, source: str = "") -> Spec:
 
 def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
     """A spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    problem = format_problem(document, FORMAT)
-    if problem is not None and isinstance(document.get("format"), str):
-        # Another kind or version of file: the rest would only be noise.
-        raise SpecError([problem], source)
-    if is_of_unit(document):
-        raise of_one_axis(source)
-    try:
-        return Spec.model_validate(document)
-    except ValidationError as error:
-        problems = [p for p in from_validation(error) if p.key != ("format",)]
-    if problem is not None:
-        problems.insert(0, problem)
-    raise SpecError([*problems, *_still_visible(document, problems)], source)
+
+    def further(problems: list[Problem]) -> list[Problem]:
+        if is_of_unit(document):
+            raise of_one_axis(source)
+        return _still_visible(document, problems)
+
+    return model_of(Spec, document, FORMAT, source, further)
 
 
 def of_one_axis(source: str = "") -> SpecError:
@@ -174,20 +169,12 @@ def is_of_unit(document: Mapping[str, Any]) -> bool:
 
 def _still_visible(document: Mapping[str, Any], problems: list[Problem]) -> list[Problem]:
     """Problems between the sections that could be read by themselves, when another section could not."""
-    if any(problem.kind == "between" for problem in problems):
-        return []
-    sections: dict[str, Any] = {}
-    pruned = _without_unknown_keys(document, problems)
-    for name, adapter in _SECTIONS.items():
-        try:
-            sections[name] = adapter.validate_python(pruned[name]) if name in pruned else None
-        except ValidationError:
-            sections[name] = None
-    if "requirement" not in pruned:
-        sections["requirement"] = ()
-    found = between_sections(
-        sections["sensor"], sections["rig"], sections["requirement"], sections["plan"], sections["design"]
-    )
+    sections: dict[str, Any] = dict.fromkeys(_SECTIONS)
+    pruned = {"requirement": (), **_without_unknown_keys(document, problems)}
+    for name in _SECTIONS.keys() & pruned.keys():
+        with contextlib.suppress(ValidationError):
+            sections[name] = _SECTIONS[name].validate_python(pruned[name])
+    found = between_sections(*sections.values())
     said = {problem.key for problem in problems}
     return [problem for problem in found if problem.key not in said]
 

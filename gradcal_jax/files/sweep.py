@@ -31,10 +31,9 @@ from pydantic import Field, model_validator
 from gradcal_jax import units
 from gradcal_jax.files import presets
 from gradcal_jax.files.changes import any_spec_of, changed, split_key
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
-from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.files.problems import Problem, SpecError, repeated
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import is_recipe, recipe_of, spec_inside
 from gradcal_jax.files.section import Section, refuse
@@ -109,8 +108,7 @@ class Axis(Section):
         """What the axis is called in the results: its name, or the last word of its key."""
         if self.name is not None:
             return self.name
-        words = [part for part in split_key(self.changes[0]) if isinstance(part, str)]
-        return words[-1]
+        return next(part for part in reversed(split_key(self.changes[0])) if isinstance(part, str))
 
     @property
     def unit(self) -> str | None:
@@ -187,8 +185,7 @@ class Axis(Section):
         unit = self.unit
         if not isinstance(step, str) or unit is None:
             return self._number("step", step)
-        kind = units.dimension_of(unit)
-        if kind == "temperature":
+        if units.dimension_of(unit) == "temperature":
             # A step between temperatures is a difference: of kelvins, as many degrees Celsius.
             return units.parse(step, "temperature difference")
         return _in(step, unit)
@@ -250,12 +247,8 @@ class SweepFile(Section):
 
     @model_validator(mode="after")
     def _distinct(self) -> "SweepFile":
-        problems: list[Problem] = []
-        labels = [axis.label for axis in self.axis]
-        for i, label in enumerate(labels):
-            if label in labels[:i]:
-                message = 'two axes are called this; give one of them another "name"'
-                problems.append(Problem(("axis", i, "name"), message, label))
+        message = 'two axes are called this; give one of them another "name"'
+        problems = repeated("axis", "name", [axis.label for axis in self.axis], message)
         seen: set[str] = set()
         for i, axis in enumerate(self.axis):
             for key in axis.changes:
@@ -297,8 +290,7 @@ def read_sweep(path: str | Path) -> Sweep:
 
 def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
-    with with_lines(text):
-        file = model_of(SweepFile, read_toml(text, source), FORMAT, source)
+    file = parsed(SweepFile, text, FORMAT, source)
     tables, place = _named(file.base, Path(folder), source)
     with missions_from(Path(place).parent):
         base = recipe_of(tables, place).spec if is_recipe(tables) else any_spec_of(tables, place)

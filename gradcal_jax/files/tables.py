@@ -10,14 +10,14 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TextIO, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Literal, TextIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from gradcal_jax import units
-from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log import Floats, LogError
 from gradcal_jax.files.matlab_file import read_matlab
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.problems import Problem, instead
@@ -25,7 +25,7 @@ from gradcal_jax.files.quantity import Flag, Number, Text, Whole
 from gradcal_jax.files.section import Section, refuse
 
 Array = NDArray[Any]
-Floats = NDArray[np.float64]
+Name = Annotated[Text, Field(max_length=100)]
 _Result = TypeVar("_Result")
 
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
@@ -62,6 +62,8 @@ class Source(Section):
 class Measured(Source):
     """A quantity: (number - zero) × scale, in the unit."""
 
+    DIMENSION: ClassVar[str]
+
     unit: Text
     """Unit of the values."""
     scale: Number = 1.0
@@ -76,48 +78,43 @@ class Measured(Source):
             raise ValueError("must not be zero")
         return value
 
-
-class _Of:
-    """A validator for a column's unit."""
-
-    def __init__(self, dimension: str) -> None:
-        self.dimension = dimension
-
-    def __call__(self, unit: str) -> str:
-        if self.dimension == "temperature" and unit.strip().lower() in ("k", "kelvin", "kelvins"):
+    @field_validator("unit")
+    @classmethod
+    def _measures(cls, unit: str) -> str:
+        if cls.DIMENSION == "temperature" and unit.strip().lower() in ("k", "kelvin", "kelvins"):
             raise ValueError('for a column in kelvins write unit = "degC" and zero = 273.15')
-        units.parse(f"1 {unit}", self.dimension)
+        units.parse(f"1 {unit}", cls.DIMENSION)
         return unit
 
 
 class TimeColumn(Measured):
     """Stamps."""
 
-    _unit = field_validator("unit")(_Of("time"))
+    DIMENSION = "time"
 
 
 class RateColumn(Measured):
     """An angular rate."""
 
-    _unit = field_validator("unit")(_Of("angular rate"))
+    DIMENSION = "angular rate"
 
 
 class ForceColumn(Measured):
     """A specific force."""
 
-    _unit = field_validator("unit")(_Of("acceleration"))
+    DIMENSION = "acceleration"
 
 
 class AngleColumn(Measured):
     """An angle."""
 
-    _unit = field_validator("unit")(_Of("angle"))
+    DIMENSION = "angle"
 
 
 class TemperatureColumn(Measured):
     """An absolute temperature."""
 
-    _unit = field_validator("unit")(_Of("temperature"))
+    DIMENSION = "temperature"
 
 
 class TextTable(Section):
@@ -159,7 +156,7 @@ class TextTable(Section):
         return value
 
 
-def read_table(path: Path, layout: "TextTable", sources: Sequence["Source"], *, netcdf: bool = False) -> "Numbers":
+def read_table(path: Path, layout: TextTable, sources: Sequence[Source], *, netcdf: bool = False) -> "Numbers":
     """The columns of a file, whose ending tells its kind: .csv, .txt, .tsv, .dat, .log, .asc (text), .npz, .npy, .mat
     (MATLAB up to version 7), and .nc where `netcdf`. Errors: `LogError` that names the file.
     """
@@ -207,8 +204,9 @@ class Numbers:
             raise LogError(f"{source.words()} has {len(values)} rows, the columns before it {self.rows}")
         return values
 
-    def measured(self, source: Measured, dimension: str) -> Floats:
+    def measured(self, source: Measured) -> Floats:
         """One column in SI."""
+        dimension = source.DIMENSION
         values = self.numbers(source).astype(np.float64)
         at_zero = units.parse(f"0 {source.unit}", dimension)  # not 0 for degF
         factor = units.parse(f"1 {source.unit}", dimension) - at_zero

@@ -41,6 +41,7 @@ from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_plan import UnitSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.units import dimension_of
 
 Begins = Literal["at its time", "when stable"]
 Doing = Literal["rest", "turn", "spin", "oscillate", "spline", "turn by hand", "wait"]
@@ -156,8 +157,7 @@ def tracks_of(spec: Spec | UnitSpec) -> tuple[ChamberTrack, tuple[MotionBlock, .
         return ChamberTrack(programme=tuple(segments)), _unit_blocks(spec.schedule, spec.rig, segments)
     if isinstance(schedule, GradientSchedule):
         segments = _course(schedule.segments)
-        blocks = [_block(schedule, stretch, number, segments) for number, stretch in enumerate(schedule.stretches, 1)]
-        return ChamberTrack(programme=tuple(segments)), tuple(blocks)
+        return ChamberTrack(programme=tuple(segments)), _blocks(schedule, segments)
     assert isinstance(spec.plan, StandardPlan)
     return _standard(spec.plan)
 
@@ -190,48 +190,46 @@ def _course(course: Sequence[TemperatureSegment]) -> list[ChamberSegment]:
     return segments
 
 
-def _first(stretch: Stretch, segments: list[ChamberSegment]) -> ChamberSegment:
-    return min(segments, key=lambda segment: abs(segment.start - stretch.start))
+def _block(
+    number: int, begins_with: str, moves: Sequence[TrackMove], period: float, after: float = 0.0, **more: Any
+) -> MotionBlock:
+    """A block of `period` s, after which the axis stands for `after` s."""
+    times: dict[str, Any] = {"repeat": 1, "period": _in("s", period), "standing_after": _in("s", after)}
+    return MotionBlock(name=f"motion {number}", begins_with=begins_with, moves=tuple(moves), **times | more)
 
 
-def _block(schedule: GradientSchedule, stretch: Stretch, number: int, segments: list[ChamberSegment]) -> MotionBlock:
-    first = _first(stretch, segments)
-    name = f"motion {number}"
-    cycle = schedule.cycle
-    if cycle is None or not stretch.cycles:
-        every = schedule.read_every if cycle is None else cycle.other_read_every
-        stand = TrackMove(start=_in("s", 0.0), do="rest", duration=_in("s", stretch.duration), **_reading(every))
-        return MotionBlock(
-            name=name,
-            begins_with=first.name,
-            repeat=1,
-            period=_in("s", stretch.duration),
-            standing_after=_in("s", 0.0),
-            moves=(stand,),
-        )
-    moves: list[TrackMove] = []
-    clock = 0.0
-    for move in cycle.moves:
-        moves.append(_move(move, clock))
-        clock += move.repeat * move.duration
-    if cycle.other > 0.0:
-        reading = _reading(cycle.other_read_every)
-        moves.append(TrackMove(start=_in("s", clock), do="wait", duration=_in("s", cycle.other), **reading))
-        clock += cycle.other
-    if cycle.idle > 0.0:
-        moves.append(TrackMove(start=_in("s", clock), do="wait", duration=_in("s", cycle.idle), read="none"))
-    after: dict[str, Any] = (
-        {} if cycle.other_read_every is None else {"read_every_after": _in("s", cycle.other_read_every)}
-    )
-    return MotionBlock(
-        name=name,
-        begins_with=first.name,
-        repeat=stretch.cycles,
-        period=_in("s", cycle.duration),
-        standing_after=_in("s", stretch.leftover),
-        moves=tuple(moves),
-        **after,
-    )
+def _line(start: float, duration: float, **what: Any) -> TrackMove:
+    return TrackMove(start=_in("s", start), duration=_in("s", duration), **what)
+
+
+def _first(stretch: Stretch, segments: list[ChamberSegment]) -> str:
+    return min(segments, key=lambda segment: abs(segment.start - stretch.start)).name
+
+
+def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
+    cycle, moves = schedule.cycle, list[TrackMove]()
+    every = schedule.read_every if cycle is None else cycle.other_read_every
+    if cycle is not None:
+        clock = 0.0
+        for move in cycle.moves:
+            moves.append(_move(move, clock))
+            clock += move.repeat * move.duration
+        if cycle.other > 0.0:
+            moves.append(_line(clock, cycle.other, do="wait", **_reading(every)))
+            clock += cycle.other
+        if cycle.idle > 0.0:
+            moves.append(_line(clock, cycle.idle, do="wait", read="none"))
+    after: dict[str, Any] = {} if every is None else {"read_every_after": _in("s", every)}
+    blocks: list[MotionBlock] = []
+    for number, stretch in enumerate(schedule.stretches, 1):
+        first = _first(stretch, segments)
+        if cycle is None or not stretch.cycles:
+            stand = _line(0.0, stretch.duration, do="rest", **_reading(every))
+            blocks.append(_block(number, first, [stand], stretch.duration))
+        else:
+            more: dict[str, Any] = after | {"repeat": stretch.cycles}
+            blocks.append(_block(number, first, moves, cycle.duration, stretch.leftover, **more))
+    return tuple(blocks)
 
 
 # ---------------------------------------------------------------------------------------------------- a whole unit
@@ -246,7 +244,7 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
         own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(step.move)}
         if step.move.repeat > 1:
             own["repeat"] = step.move.repeat
-        moves.append(TrackMove(start=_in("s", clock), duration=_in("s", step.move.duration), **own, **every))
+        moves.append(_line(clock, step.move.duration, **own, **every))
         clock += step.move.repeat * step.move.duration
     blocks: list[MotionBlock] = []
     for number, stretch in enumerate(schedule.stretches):
@@ -255,20 +253,17 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
         if len(hung) > 1:
             hang = {"mounting": where + 1, "hang": hanging(hung[where], where + 1)}
         start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
-        standing = (TrackMove(start=_in("s", 0.0), do="rest", duration=_in("s", stretch.duration), **every),)
-        blocks.append(
-            MotionBlock(
-                name=f"motion {number + 1}",
-                begins_with=_first(stretch, segments).name,
-                repeat=max(stretch.cycles, 1),
-                period=_in("s", schedule.period if stretch.cycles else stretch.duration),
-                standing_after=_in("s", stretch.leftover if stretch.cycles else 0.0),
-                read_every_after=every["read_every"],
-                **hang,
-                start=start,
-                moves=tuple(moves) if stretch.cycles else standing,
-            )
-        )
+        more: dict[str, Any] = {
+            **hang,
+            "start": start,
+            "read_every_after": every["read_every"],
+            "repeat": max(stretch.cycles, 1),
+        }
+        first, standing = _first(stretch, segments), [_line(0.0, stretch.duration, do="rest", **every)]
+        if stretch.cycles:
+            blocks.append(_block(number + 1, first, moves, schedule.period, stretch.leftover, **more))
+        else:
+            blocks.append(_block(number + 1, first, standing, stretch.duration, **more))
     return tuple(blocks)
 
 
@@ -292,7 +287,7 @@ def _move(move: ResolvedMove, start: float) -> TrackMove:
         own |= _motion(move)
     elif "do" not in own:
         own["do"] = "rest"
-    return TrackMove(start=_in("s", start), duration=_in("s", move.duration), axis=move.axis, **own)
+    return _line(start, move.duration, axis=move.axis, **own)
 
 
 def _motion(move: ResolvedMove) -> dict[str, Any]:
@@ -337,47 +332,22 @@ def _standard(plan: StandardPlan) -> tuple[ChamberTrack, tuple[MotionBlock, ...]
     for number, temperature in enumerate(plan.temperatures, 1):
         at: dict[str, Any] = {"kind": "soak", "temperature_start": temperature, "temperature_end": temperature}
         soak: Begins = "when stable" if number == 1 else "at its time"
-        segments.append(
-            ChamberSegment(
-                name=f"soak {number}", begins=soak, start=_in("s", clock), duration=plan.soak, used=False, **at
-            )
-        )
+        at |= {"start": _in("s", clock), "duration": plan.soak}
+        segments.append(ChamberSegment(name=f"soak {number}", begins=soak, used=False, **at))
         clock += plan.soak
         points = f"points {number}"
-        segments.append(
-            ChamberSegment(
-                name=points, begins="when stable", start=_in("s", clock), duration=_in("s", stay), used=True, **at
-            )
-        )
+        at |= {"start": _in("s", clock), "duration": _in("s", stay)}
+        segments.append(ChamberSegment(name=points, begins="when stable", used=True, **at))
         clock += stay
         moves: list[TrackMove] = []
         for place, rate in enumerate(rates):
             what: dict[str, Any] = {"do": "spin", "rate": rate} if rate else {"do": "rest", "read": "end"}
             moves.append(TrackMove(start=_in("s", place * plan.integration), duration=plan.integration, **what))
-        blocks.append(
-            MotionBlock(
-                name=f"motion {number}",
-                begins_with=points,
-                repeat=1,
-                period=_in("s", stay),
-                standing_after=_in("s", 0.0),
-                moves=tuple(moves),
-            )
-        )
+        blocks.append(_block(number, points, moves, stay))
     return ChamberTrack(programme=tuple(segments)), tuple(blocks)
-
-
-_DIMENSION: Final = {
-    "s": "time",
-    "deg": "angle",
-    "deg/s": "angular rate",
-    "deg/s^2": "angular acceleration",
-    "degC": "temperature",
-    "K/min": "temperature slope",
-}
 
 
 def _in(unit: str, number: float) -> Quantity:
     """A number that was worked out, without the digits that rounding left behind (a billionth of the unit)."""
     text = format(Decimal(repr(round(number, 9) + 0.0)).normalize(), "f")
-    return Quantity.read(f"{text} {unit}", _DIMENSION[unit])
+    return Quantity.read(f"{text} {unit}", dimension_of(unit))

@@ -8,7 +8,7 @@ uncertain          = { correlation_time = ["1 min", "20 min"] }              # o
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Final, cast
 
 from pydantic import BeforeValidator, model_validator
@@ -89,8 +89,15 @@ class UncertainSection(Section):
         return ends[0], ends[1]
 
 
-def figures_of(tables: Iterable[tuple[str, UncertainSection | None]]) -> dict[str, tuple[Quantity, Quantity]]:
-    """The ranges of several tables, each by its key in the spec, under the keys of the figures."""
-    return {
-        f"{key}.{name}": ends for key, table in tables if table is not None for name, ends in table.ranges().items()
-    }
+def figures_of(key: str, table: object) -> dict[str, tuple[Quantity, Quantity]]:
+    """The least and the largest value (SI) of every uncertain figure of a table and of those in it, by its key."""
+    found: dict[str, tuple[Quantity, Quantity]] = {}
+    if isinstance(table, UncertainSection):
+        found |= {f"{key}.{name}": ends for name, ends in table.ranges().items()}
+    if isinstance(table, Section):
+        for name, value in table:
+            found |= figures_of(f"{key}.{name}", value)
+    elif isinstance(table, tuple):
+        for i, entry in enumerate(cast("tuple[object, ...]", table)):
+            found |= figures_of(f"{key}[{i}]", entry)
+    return found

@@ -1,18 +1,16 @@
 """A whole unit's calibration as a C header: tables of terms, and a pure function in float32 with a self-test."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
-from gradcal_jax.files.c_header import CLIP, c_array, comment, header_head, header_self_test, literal
-from gradcal_jax.files.unit_calibration import CalibratedTerm, UnitCalibration
+from gradcal_jax.files.c_header import CLIP, c_array, comment, header_head, header_self_test, in_powers, literal
+from gradcal_jax.files.log import Floats
+from gradcal_jax.files.unit_calibration import SIGNALS, CalibratedTerm, UnitCalibration
 from gradcal_jax.files.unit_correction import correct_unit, linear_part
 from gradcal_jax.units import DEG_PER_H, G
 
-Floats = NDArray[np.float64]
 _ROUNDS = 6
 _POINTS = 200
-_INPUTS = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz")
 _NONE, _SIZE = 6, 8
 
 
@@ -40,11 +38,12 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
     lines += ["", f"#define GRADCAL_TERMS {len(terms)}"]
     lines += ["static const struct gradcal_term gradcal_terms[GRADCAL_TERMS] = {"]
     for k, (channel, term) in enumerate(terms):
-        out = _INPUTS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")
         signals = [_signal(name) for name in term.signals] + [_NONE] * (3 - len(term.signals))
         t0, ts, nt, w0, ws, nw = _shape(term)
         numbers = ", ".join(literal(v) for v in (t0, 1.0 / ts, w0, 1.0 / ws))
-        lines.append(f"    {{{out}, {{{', '.join(map(str, signals))}}}, {numbers}, {nt}, {nw}, gradcal_c{k}}},")
+        lines.append(
+            f"    {{{channel.place}, {{{', '.join(map(str, signals))}}}, {numbers}, {nt}, {nw}, gradcal_c{k}}},"
+        )
     lines += ["};", "", "/* of the linear part at the middle of the temperatures */"]
     rows = ",\n".join("    {" + ", ".join(literal(v) for v in row) + "}" for row in inverse)
     lines += [f"static const float gradcal_inverse[6][6] = {{\n{rows}\n}};"]
@@ -108,7 +107,7 @@ static inline void gradcal_correct(float temperature, const float raw[6], float 
 
 
 def _signal(name: str) -> int:
-    return _INPUTS.index(name.strip("|")) + (_SIZE if name.startswith("|") else 0)
+    return SIGNALS.index(name.strip("|")) + (_SIZE if name.startswith("|") else 0)
 
 
 def _shape(term: CalibratedTerm) -> tuple[float, float, int, float, float, int]:
@@ -135,22 +134,16 @@ def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c
     for _ in range(_ROUNDS):
         error = np.zeros_like(out)
         for channel in calibration.channel:
-            k = _INPUTS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")
             for term in channel.term:
                 t0, ts, nt, w0, ws, nw = _shape(term)
                 x = (t - f(t0)) * f(1.0 / ts)
-                w = (np.clip(out[:, k], slow, fast) - f(w0)) * f(1.0 / ws)
+                w = (np.clip(out[:, channel.place], slow, fast) - f(w0)) * f(1.0 / ws)
                 table = np.array(list(term.coefficients.values()), f).reshape(nt, nw)
-                value = np.zeros_like(x)
-                for line in table[::-1]:
-                    row = np.zeros_like(x)
-                    for number in line[::-1]:
-                        row = row * w + number
-                    value = value * x + row
+                value = in_powers(table, x, w)
                 for name in term.signals:
-                    signal = out[:, _INPUTS.index(name.strip("|"))]
+                    signal = out[:, SIGNALS.index(name.strip("|"))]
                     value = value * (np.abs(signal) if name.startswith("|") else signal)
-                error[:, k] += value
+                error[:, channel.place] += value
         left = said - out - error
         for j in range(6):
             out += inverse[:, j] * left[:, j : j + 1]
@@ -174,7 +167,6 @@ def _errors(calibration: UnitCalibration) -> tuple[list[tuple[str, str, float, s
     apart = np.max(np.abs(said - np.concatenate([rate, force], axis=1)), axis=0)
     errors: list[tuple[str, str, float, str]] = []
     for channel in calibration.channel:
-        k = _INPUTS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")
         unit, factor = ("deg/h", DEG_PER_H) if channel.kind == "gyro" else ("ug", 1e6 / G)
-        errors.append((f"{channel.kind} {channel.axis}", "rounding", float(apart[k]) * factor, unit))
+        errors.append((f"{channel.kind} {channel.axis}", "rounding", float(apart[channel.place]) * factor, unit))
     return errors, (float(temperature[0]), raw[0], said[0])

@@ -19,8 +19,6 @@ from gradcal_jax.files.calibration import (
     Coefficients,
     Covariance,
     FitTest,
-    Frequency,
-    parse_calibration,
 )
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
@@ -28,6 +26,7 @@ from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
     Flag,
+    Frequency,
     Number,
     Rate,
     RateRandomWalk,
@@ -44,8 +43,8 @@ UNIT_ORDER: Final = (
     "measured = input + sum of map(T) * signals, the signals being the true inputs; subtract the sum at the corrected "
     "values, again until they stay (three rounds for errors of a per cent), before any rotation"
 )
-_SIGNALS: Final = {f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz"}
-_SIGNALS_AND_SIZES: Final = _SIGNALS | {f"|{signal}|" for signal in _SIGNALS}
+SIGNALS: Final = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz")
+"""True inputs of a unit, in the order of its matrices."""
 
 
 class CalibratedTerm(Section):
@@ -68,7 +67,7 @@ class CalibratedTerm(Section):
     def _whole(self) -> "CalibratedTerm":
         problems: list[Problem] = []
         for k, signal in enumerate(self.signals):
-            if signal not in _SIGNALS_AND_SIZES:
+            if signal not in SIGNALS and signal not in [f"|{known}|" for known in SIGNALS]:
                 message = 'is no signal; expected such as "rate x", "force z", "|force z|"'
                 problems.append(Problem(("signals", k), message, signal))
         if len(self.coefficients) != self.size:
@@ -97,6 +96,11 @@ class CalibratedChannel(Section):
     def name(self) -> str:
         """As in `gyro_x`."""
         return f"{self.kind}_{self.axis}"
+
+    @property
+    def place(self) -> int:
+        """The number of its own input among `SIGNALS`."""
+        return SIGNALS.index(f"{'rate' if self.kind == 'gyro' else 'force'} {self.axis}")
 
     def term_of(self, name: str) -> CalibratedTerm | None:
         """The term of that name, if there is one."""
@@ -220,9 +224,8 @@ def parse_any_calibration(text: str, source: str = "") -> Calibration | UnitCali
     """The calibration of a gyro's axes, or of a whole unit, in a TOML text. Raises `SpecError` with every fault."""
     with with_lines(text):
         document = read_toml(text, source)
-        if document.get("quantity") == "unit":
-            return model_of(UnitCalibration, document, FORMAT, source)
-    return parse_calibration(text, source)
+        kind = UnitCalibration if document.get("quantity") == "unit" else Calibration
+        return model_of(kind, document, FORMAT, source)
 
 
 def read_any_calibration(path: str | Path) -> Calibration | UnitCalibration:

@@ -8,20 +8,23 @@ size of what is not linear, or differs from its value at the middle of the tempe
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gradcal_jax.files.correction import Corrected, basis_values, followed, known_temperature
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.unit_calibration import CalibratedChannel, CalibratedTerm, UnitCalibration
+from gradcal_jax.files.correction import (
+    Corrected,
+    basis_values,
+    count_outside,
+    followed,
+    known_temperature,
+    log_corrected,
+)
+from gradcal_jax.files.log import Floats, Log, LogError
+from gradcal_jax.files.unit_calibration import SIGNALS, CalibratedChannel, CalibratedTerm, UnitCalibration
 
-Floats = NDArray[np.float64]
 _ROWS_AT_ONCE = 1 << 15
 _ROUNDS = 60
 _SETTLED = 1e-14
-_SIGNALS = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz")
 
 
 def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
@@ -69,13 +72,12 @@ def linear_part(channels: Sequence[CalibratedChannel], temperature_c: float) -> 
     """
     at, matrix, bias = np.array([temperature_c]), np.eye(6), np.zeros(6)
     for channel in channels:
-        own = _SIGNALS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")
         for term in channel.term:
             value = float(term_values(term, at, np.zeros(1))[0])
             if not term.signals:
-                bias[own] += value
+                bias[channel.place] += value
             elif len(term.signals) == 1 and not term.signals[0].startswith("|"):
-                matrix[own, _SIGNALS.index(term.signals[0])] += value
+                matrix[channel.place, SIGNALS.index(term.signals[0])] += value
     return matrix, bias
 
 
@@ -105,7 +107,7 @@ def correct_unit(
         maps = [[_at_temperatures(term, at) for term in channel.term] for channel in channels]
         now = 0.0 * measured
         for _ in range(_ROUNDS):
-            signals = {name: now[k] for k, name in enumerate(_SIGNALS) if there[k]}
+            signals = {name: now[k] for k, name in enumerate(SIGNALS) if there[k]}
             left = measured - now
             for channel, of_temperature in zip(channels, maps, strict=True):
                 own, name = signals, f"rate {channel.axis}"
@@ -117,7 +119,7 @@ def correct_unit(
                 error = channel_error(channel, at, own, of_temperature)
                 if np.any(beyond) and (scale := channel.term_of("scale_factor")) is not None:
                     error = error + term_values(scale, at, own[name]) * beyond
-                left[_SIGNALS.index(f"{'rate' if channel.kind == 'gyro' else 'force'} {channel.axis}")] -= error
+                left[channel.place] -= error
             moved = 0.0
             for k in np.flatnonzero(there):
                 # Only what acts on it: a reading that is missing takes no other triad with it.
@@ -166,38 +168,25 @@ def apply_unit(calibration: UnitCalibration, log: Log, unit: str | int = 0) -> C
     else:
         at = np.full(len(log.time_s), float(calibration.valid_temperature[0]))
     usable = log.usable(number)
-    low, high = (float(t) for t in calibration.valid_temperature)
-    slow, fast = (float(r) for r in calibration.valid_rate)
+    temperatures, covered = calibration.valid_temperature, calibration.valid_rate
     found_rate, found_force = correct_unit(
-        calibration.channel, rate, force, at, temperatures=(low, high), rates=(slow, fast)
+        calibration.channel, rate, force, at, temperatures=temperatures, rates=covered
     )
     gyros = ["xyz".index(c.axis) for c in calibration.channel if c.kind == "gyro"]
-    outside_rate = int(np.count_nonzero(_outside(found_rate[usable][:, gyros], slow, fast)))
+    outside_rate = count_outside(found_rate[usable][:, gyros], covered)
     known = {(c.kind, c.axis) for c in calibration.channel}
-    alone = [f"gyro {a}" for a in log.axes if ("gyro", a) not in known]
-    alone += [f"accelerometer {a}" for a in log.force_axes if ("accelerometer", a) not in known]
+    alone: list[str] = []
     rates, forces = log.rate_rad_per_s[number].copy(), None
-    for k, label in enumerate(log.axes):
-        if ("gyro", label) in known:
-            rates[:, k] = found_rate[:, "xyz".index(label)]
     if log.specific_force_m_per_s2 is not None:
         forces = log.specific_force_m_per_s2[number].copy()
-        for k, label in enumerate(log.force_axes):
-            if ("accelerometer", label) in known:
-                forces[:, k] = found_force[:, "xyz".index(label)]
-    corrected = replace(
-        log,
-        rate_rad_per_s=rates[None],
-        specific_force_m_per_s2=None if forces is None else forces[None],
-        units=(log.units[number],),
-        temperature_c=None if log.temperature_c is None else log.temperature_c[number][None],
-        status=None if log.status is None else log.status[number][None],
-        simulated=log.simulated or calibration.simulated,
-        provenance={**log.provenance, "corrected": f"by the calibration of {calibration.serial_number}"},
-    )
-    return Corrected(corrected, int(np.count_nonzero(_outside(at[usable], low, high))), outside_rate, tuple(alone))
-
-
-def _outside(values: Floats, low: float, high: float) -> NDArray[np.bool_]:
-    slack = 1e-9 * max(abs(low), abs(high))
-    return (values < low - slack) | (values > high + slack)
+    for kind, labels, into, found in (
+        ("gyro", log.axes, rates, found_rate),
+        ("accelerometer", log.force_axes, forces, found_force),
+    ):
+        for k, label in enumerate(labels):
+            if (kind, label) not in known:
+                alone.append(f"{kind} {label}")
+            elif into is not None:
+                into[:, k] = found[:, "xyz".index(label)]
+    corrected = log_corrected(log, number, calibration, rates, forces)
+    return Corrected(corrected, count_outside(at[usable], temperatures), outside_rate, tuple(alone))

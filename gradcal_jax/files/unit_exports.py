@@ -10,21 +10,20 @@
 What a target cannot carry is said in numbers: the largest error against the calibration itself over its range.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax.files import exports, unit_c_header
 from gradcal_jax.files.bases import TemperaturePolynomial
-from gradcal_jax.files.calibration import AxisCalibration, BiasMap, Calibration, Noise, ScaleFactorMap
+from gradcal_jax.files.calibration import AxisCalibration, BiasMap, Calibration, ScaleFactorMap
 from gradcal_jax.files.exports import Export, Loss
+from gradcal_jax.files.log import Floats
 from gradcal_jax.files.unit_calibration import CalibratedChannel, CalibratedTerm, UnitCalibration
 from gradcal_jax.files.unit_correction import linear_part, term_values
 from gradcal_jax.units import DEG_PER_H, G
 
-Floats = NDArray[np.float64]
 _GRID: Final = 201
 _TRIAD: Final = ("x", "y", "z")
 _MICRO_G: Final = 1e6 / G
@@ -57,23 +56,14 @@ def export_unit(
 
 
 def single_axes_of(calibration: UnitCalibration, kind: str) -> Calibration | None:
-    """The biases and scale factors of one kind, as a calibration of single axes; None where there is no such channel.
+    """The biases and scale factors of one kind, as a calibration of single axes without their noise; None where there
+    is no such channel.
 
     Of accelerometers rates stand for specific forces: rad/s for m/s².
     """
     axes = [_axis(calibration, c) for c in calibration.channel if c.kind == kind]
     if not axes:
         return None
-    noise = calibration.noise
-    given: dict[str, Any] = {}
-    if kind == "gyro" and noise is not None and noise.angle_random_walk is not None:
-        given["noise"] = Noise(
-            **{
-                key: value
-                for key in ("angle_random_walk", "rate_random_walk", "sample_rate")
-                if (value := getattr(noise, key)) is not None
-            }
-        )
     return Calibration(
         format="gradcal-calibration/1",
         serial_number=calibration.serial_number,
@@ -83,23 +73,23 @@ def single_axes_of(calibration: UnitCalibration, kind: str) -> Calibration | Non
         order=calibration.order,
         axis=tuple(axes),
         provenance=calibration.provenance,
-        **given,
     )
 
 
 def _axis(calibration: UnitCalibration, channel: CalibratedChannel) -> AxisCalibration:
     maps: dict[str, Any] = {}
     if (bias := channel.term_of("bias")) is not None:
-        maps["bias"] = BiasMap(temperature=_basis(bias), coefficients=_renamed(bias, "a"))
+        # A constant has no number in a unit's file.
+        named = {"a" + name.removeprefix("a").rjust(1, "0"): value for name, value in bias.coefficients.items()}
+        maps["bias"] = BiasMap(temperature=_basis(bias), coefficients=named)
     scale = channel.term_of("scale_factor")
     if scale is not None and scale.rate is not None:
         maps["scale_factor"] = ScaleFactorMap(
             temperature=_basis(scale), rate=scale.rate, coefficients=dict(scale.coefficients)
         )
-    if calibration.thermal_lag is not None:
-        maps["thermal_lag"] = calibration.thermal_lag
     return AxisCalibration(
         name=channel.axis,
+        thermal_lag=calibration.thermal_lag,
         valid_temperature=calibration.valid_temperature,
         valid_rate=calibration.valid_rate,
         **maps,
@@ -110,11 +100,6 @@ def _basis(term: CalibratedTerm) -> Any:
     if term.temperature is not None:
         return term.temperature
     return TemperaturePolynomial.model_validate({"basis": "polynomial", "degree": 0, "scale": "50 K"})
-
-
-def _renamed(term: CalibratedTerm, letter: str) -> dict[str, float]:
-    """A constant has no number in a unit's file."""
-    return {letter + name.removeprefix(letter).rjust(1, "0"): value for name, value in term.coefficients.items()}
 
 
 class LinearUnit(NamedTuple):
@@ -137,21 +122,25 @@ def linear_at(calibration: UnitCalibration, temperature_c: float) -> LinearUnit:
 
 def _lost(calibration: UnitCalibration, carried: Callable[[CalibratedTerm], bool]) -> list[Loss]:
     """The largest value over its range of every term that a target does not carry: at one g, and its largest rate."""
+    return [loss for term, loss in _left(calibration, lambda _: (0.0, "")) if not carried(term)]
+
+
+def _left(
+    calibration: UnitCalibration, held: Callable[[CalibratedTerm], tuple[float, str]]
+) -> Iterator[tuple[CalibratedTerm, Loss]]:
+    """Every term with its largest difference over its range from what a target holds of it, and what that is over."""
     low, high = (float(t) for t in calibration.valid_temperature)
     fastest = max(abs(float(r)) for r in calibration.valid_rate)
     temperature = np.linspace(low, high, _GRID)
-    losses: list[Loss] = []
     for channel in calibration.channel:
         for term in channel.term:
-            if carried(term):
-                continue
+            value, over = held(term)
             rates = np.linspace(-fastest, fastest, 61) if term.rate is not None else np.zeros(1)
             t, w = (x.ravel() for x in np.meshgrid(temperature, rates, indexing="ij"))
-            largest = float(np.max(np.abs(term_values(term, t, w))))
+            largest = float(np.max(np.abs(term_values(term, t, w) - value)))
             unit, factor = _people(term, channel.kind)
-            words = term.name.replace("_", " ")
-            losses.append(Loss(f"{channel.kind} {channel.axis}", words, largest * factor, unit))
-    return losses
+            what = term.name.replace("_", " ") + over
+            yield term, Loss(f"{channel.kind} {channel.axis}", what, largest * factor, unit)
 
 
 def _people(term: CalibratedTerm, kind: str) -> tuple[str, float]:
@@ -188,10 +177,7 @@ def _both(
 def _ardupilot(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
     lines, losses, notes = _both(calibration, "ardupilot", options)
     number = int(options["instance"])
-    forces = [c for c in calibration.channel if c.kind == "accelerometer"]
-    if forces:
-        parts = single_axes_of(calibration, "accelerometer")
-        assert parts is not None
+    if (parts := single_axes_of(calibration, "accelerometer")) is not None:
         low = max(float(calibration.valid_temperature[0]), -70.0)
         high = min(float(calibration.valid_temperature[1]), 80.0)
         if high - low < 10.0:
@@ -206,8 +192,8 @@ def _ardupilot(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expo
         losses += _accelerometer_bias_losses(
             parts, lambda name, t: exports.ardupilot_correction(span | parameters, name, t, number, "ACC")
         )
-        for c in forces:
-            losses += _scale_left(calibration, c, at)
+        for c in calibration.channel:
+            losses += _scale_left(calibration, c, at) if c.kind == "accelerometer" else []
         notes.append(
             "accelerometers: corrected = (raw - P(T-35) + P(Tcal-35) - OFFS) * SCAL, SCAL at the middle of the range"
         )
@@ -288,22 +274,14 @@ def _triangular(matrix: Floats) -> tuple[Floats, Floats]:
 
 def _one_temperature(calibration: UnitCalibration, at: float) -> list[Loss]:
     """What the other temperatures, and rates, make of terms that are held as they are at one."""
-    low, high = (float(t) for t in calibration.valid_temperature)
-    fastest = max(abs(float(r)) for r in calibration.valid_rate)
-    losses: list[Loss] = []
-    for channel in calibration.channel:
-        for term in channel.term:
-            rates = np.linspace(-fastest, fastest, 61) if term.rate is not None else np.zeros(1)
-            t, w = (x.ravel() for x in np.meshgrid(np.linspace(low, high, _GRID), rates, indexing="ij"))
-            linear = len(term.signals) < 2 and not any(s.startswith("|") for s in term.signals)
-            held = float(term_values(term, np.array([at]), np.zeros(1))[0]) if linear else 0.0
-            apart = float(np.max(np.abs(term_values(term, t, w) - held)))
-            unit, factor = _people(term, channel.kind)
-            if apart * factor > 0.0:
-                over = " over temperature" + (" and rate" if term.rate else "") if linear else ""
-                what = term.name.replace("_", " ") + over
-                losses.append(Loss(f"{channel.kind} {channel.axis}", what, apart * factor, unit))
-    return losses
+
+    def held(term: CalibratedTerm) -> tuple[float, str]:
+        if len(term.signals) > 1 or any(s.startswith("|") for s in term.signals):
+            return 0.0, ""
+        value = float(term_values(term, np.array([at]), np.zeros(1))[0])
+        return value, " over temperature" + (" and rate" if term.rate else "")
+
+    return [loss for _, loss in _left(calibration, held) if loss.value > 0.0]
 
 
 def _kalibr(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:

@@ -11,17 +11,17 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_serializer, model_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, model_serializer, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from gradcal_jax.files.bench import TableAxis, UnitRig
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse
-from gradcal_jax.files.problems import Problem, SpecError, nearest
+from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
-from gradcal_jax.files.section import Section, a_table, refuse
+from gradcal_jax.files.section import Section, a_table, refuse, refuse_misspelt
 
 _SLACK = 1e-6
 # Of a cycle: what a cycle may lack and be whole, for times that a journal says.
@@ -115,10 +115,7 @@ def _choose(value: object) -> object:
     if "rest" not in table and "shape" not in table:
         turns = [key for key in table if key in ("turn", "turns")]
         if not turns:
-            close = next(((key, near) for key in table if (near := nearest(key, ["rest", "turn", "pose"]))), None)
-            if close is not None:
-                message = f'this key is unknown; nearest: "{close[1]}"'
-                raise SpecError([Problem((close[0],), message, table[close[0]], "unknown")])
+            refuse_misspelt(table, ["rest", "turn", "pose"])
             raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
         if not {"duration", "ramp"} & set(table):
             return QuickTurn.model_validate(dict(a_table(value)))
@@ -126,13 +123,10 @@ def _choose(value: object) -> object:
     tables: dict[str, Any] = {"move": table}
     try:
         return AxisMove.model_validate(tables if axis is None else {**tables, "axis": axis})
-    except SpecError as error:
-        raise SpecError([_without_wrapping(p) for p in error.problems]) from None
-
-
-def _without_wrapping(problem: Problem) -> Problem:
-    """The move's keys stand in the file beside "axis"."""
-    return replace(problem, key=problem.key[1:]) if problem.key[:1] == ("move",) else problem
+    except ValidationError as error:
+        # The move's keys stand in the file beside "axis".
+        problems = from_validation(error)
+        raise SpecError(replace(p, key=p.key[1:]) if p.key[:1] == ("move",) else p for p in problems) from None
 
 
 UnitMove = Annotated[Pose | QuickTurn | AxisMove, BeforeValidator(_choose)]
@@ -216,21 +210,13 @@ def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSche
     return UnitSchedule(tuple(segments), (stretch,), schedule.steps, angles)
 
 
-@dataclass(frozen=True)
-class _Period:
-    """What the stretches need to know of a cycle."""
-
-    moving: float
-    duration: float
-
-
 def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     """Work a unit's plan out. Raises `SpecError` with every problem found, keys relative to the plan."""
     steps, start, problems = _steps(plan.cycle, rig)
     if problems:
         raise SpecError(problems)
     period = math.fsum(step.move.repeat * step.move.duration for step in steps)
-    segments, stretches = programme_of(plan, rig.chamber, _Period(period, period))
+    segments, stretches = programme_of(plan, rig.chamber, (period, period))
     mountings = len(rig.table.mounting)
     if mountings > 1 and len(stretches) == 1 and plan.programme is None:
         segments, stretches = _once_each(segments, stretches, mountings, rig)
@@ -390,13 +376,14 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
 
 def _limits(move: ResolvedMove, axis: TableAxis) -> list[Problem]:
     problems: list[Problem] = []
-    said = f"{move.shape}, {move.duration:.4g} s"
     if move.fastest > axis.max_rate * (1.0 + _SLACK):
         message = f'reaches {math.degrees(move.fastest):.5g} deg/s; axis "{axis.name}" goes up to {axis.max_rate}'
-        problems.append(Problem((), message, said))
+        problems.append(Problem((), message, move.words))
     if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
         reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
-        problems.append(Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', said))
+        problems.append(
+            Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', move.words)
+        )
     return problems
 
 
@@ -444,9 +431,8 @@ def _not_made_by(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:
 
 
 def _no_such_axis(key: tuple[str | int, ...], name: str, axes: Mapping[str, int]) -> Problem:
-    close = nearest(name, axes)
-    ending = f'nearest: "{close}"' if close else f"known: {', '.join(axes)}"
-    return Problem(key, f"the table has no axis of this name; {ending}", name)
+    ending = hint(name, axes, f"; known: {', '.join(axes)}")
+    return Problem(key, f"the table has no axis of this name{ending}", name)
 
 
 def _degrees(value: float) -> str:

@@ -6,17 +6,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.checks import course_within
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
-from gradcal_jax.files.document import format_problem, read_text, read_toml
+from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
-from gradcal_jax.files.problems import Problem, SpecError, from_validation, nearest, one_of
+from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import (
-    GyroScaleFactorRequirement,
     MisalignmentRequirement,
     PositionRequirement,
     TiltRequirement,
@@ -119,10 +118,8 @@ class UnitSpec(Section):
             said = str(accelerometer.read_on_moves_below)
             problems.append(Problem(key, message + "leave it out (and the lever arm)", said))
         if self.design is not None and self.design.minimise not in (ALL, WORST, *names):
-            close = nearest(self.design.minimise, [ALL, WORST, *names])
-            message = f"expected {one_of([ALL, WORST])}, or a requirement's name" + (
-                f'; nearest: "{close}"' if close else ""
-            )
+            ending = hint(self.design.minimise, [ALL, WORST, *names])
+            message = f"expected {one_of([ALL, WORST])}, or a requirement's name{ending}"
             problems.append(Problem(("design", "minimise"), message, self.design.minimise))
         several = len(self.rig.table.mounting) > 1
         if several and (frame is None or frame.fixed_by != "case"):
@@ -175,26 +172,19 @@ def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:
 
 def _needs(requirement: UnitRequirement) -> tuple[str, ...]:
     """What a requirement's quantity needs of [sensor]."""
-    if isinstance(requirement, MisalignmentRequirement):
-        kind = requirement.quantity.removesuffix("_misalignment")
-        both = (f"{kind}.misalignment",)
-        if requirement.relative_to == "internal" and kind == "accelerometer":
-            return (*both, "gyro.misalignment")
-        return both
-    if isinstance(requirement, GyroScaleFactorRequirement):
-        return ("gyro.scale_factor",)
-    if isinstance(requirement, PositionRequirement):
-        return ("gyro.bias", "accelerometer.bias")
-    if isinstance(requirement, TiltRequirement):
-        return ("accelerometer.bias",)
-    if isinstance(requirement, TurnRequirement):
-        return ("gyro.scale_factor",)
+    both = requirement.quantity == "accelerometer_misalignment" and requirement.relative_to == "internal"
     return {
         "gyro_bias": ("gyro.bias",),
+        "gyro_scale_factor": ("gyro.scale_factor",),
+        "gyro_misalignment": ("gyro.misalignment",),
         "g_sensitivity": ("gyro.g_sensitivity",),
         "accelerometer_bias": ("accelerometer.bias",),
         "accelerometer_scale_factor": ("accelerometer.scale_factor",),
+        "accelerometer_misalignment": ("accelerometer.misalignment", *(["gyro.misalignment"] if both else [])),
         "second_order": ("accelerometer.second_order",),
+        "position": ("gyro.bias", "accelerometer.bias"),
+        "tilt": ("accelerometer.bias",),
+        "heading": ("gyro.scale_factor",),
     }[requirement.quantity]
 
 
@@ -214,14 +204,4 @@ def parse_unit_spec(text: str, source: str = "") -> UnitSpec:
 
 def unit_spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:
     """A unit's spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    problem = format_problem(document, FORMAT)
-    if problem is not None and isinstance(document.get("format"), str):
-        raise SpecError([problem], source)
-    try:
-        return UnitSpec.model_validate(document)
-    except ValidationError as error:
-        problems = from_validation(error)
-    except SpecError as error:
-        problems = list(error.problems)
-    problems = [p for p in problems if p.key != ("format",)]
-    raise SpecError(problems if problem is None else [problem, *problems], source)
+    return model_of(UnitSpec, document, FORMAT, source, lambda _: ())

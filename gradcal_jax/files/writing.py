@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 import tomlkit
-from tomlkit.items import AoT, Array, InlineTable, Table
+from tomlkit.items import AoT, InlineTable, Table
 
 from gradcal_jax.files.section import Section
 
@@ -94,7 +94,12 @@ def _item(name: str, value: Any) -> Any:
         return _inline(table) if name in _INLINE else _table(table)
     if _is_tables(value):
         entries = cast("list[Mapping[str, Any]]", value)
-        return _list(entries) if name in _LISTED else _tables(entries)
+        if name not in _LISTED:
+            return AoT([_table(entry) for entry in entries])
+        array = tomlkit.array()
+        for entry in entries:
+            array.append(_inline(entry))  # pyright: ignore[reportUnknownMemberType]
+        return array.multiline(True)
     if isinstance(value, str) and "\n" in value:
         return tomlkit.string(value, multiline=True)
     return cast("Any", tomlkit.item(value))  # pyright: ignore[reportUnknownMemberType]
@@ -105,13 +110,6 @@ def _table(value: Mapping[str, Any]) -> Table:
     for name, entry in _scalars_first(value):
         table.add(name, _item(name, entry))
     return table
-
-
-def _tables(entries: list[Mapping[str, Any]]) -> AoT:
-    tables = tomlkit.aot()
-    for entry in entries:
-        tables.append(_table(entry))  # pyright: ignore[reportUnknownMemberType]
-    return tables
 
 
 def _inline(value: Mapping[str, Any]) -> InlineTable:
@@ -125,10 +123,3 @@ def _inline(value: Mapping[str, Any]) -> InlineTable:
 def _short(value: object) -> object:
     """5 for 5.0: numbers without unit count things (turns)."""
     return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 1e9 else value
-
-
-def _list(entries: list[Mapping[str, Any]]) -> Array:
-    array = tomlkit.array()
-    for entry in entries:
-        array.append(_inline(entry))  # pyright: ignore[reportUnknownMemberType]
-    return array.multiline(True)

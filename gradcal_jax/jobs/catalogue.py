@@ -120,10 +120,8 @@ def _ordered(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
 def as_csv(table: RecipeTable) -> str:
     """The rows for other programs: numbers in full."""
     stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for row in table.rows:
-        writer.writerow("" if row[column] is None else row[column] for column in _COLUMNS)
+    rows = ([row[column] for column in _COLUMNS] for row in table.rows)
+    csv.writer(stream, lineterminator="\n").writerows((_COLUMNS, *rows))
     return stream.getvalue()
 
 

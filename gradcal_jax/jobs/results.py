@@ -59,11 +59,8 @@ def results_as_json(results: list[PointResult]) -> str:
 def results_from_json(text: str) -> list[PointResult]:
     """What `results_as_json` wrote."""
     rows = json.loads(text)
-    found: list[PointResult] = []
-    for point, failure, duration, soak, motion, residuals, before, note, spec in rows:
-        of_requirements = tuple(Residual(a, b, tuple(c), d) for a, b, c, d in residuals)
-        found.append(PointResult(point, failure, duration, soak, motion, of_requirements, before, note, spec))
-    return found
+    read = ([*r[:5], tuple(Residual(a, b, tuple(c), d) for a, b, c, d in r[5]), *r[6:]] for r in rows)
+    return [PointResult._make(row) for row in read]
 
 
 def one_line(error: BaseException) -> str:

@@ -3,14 +3,12 @@
     python -m gradcal_jax.jobs.worker
 
 Every sweep is computed in such processes, on one machine as on a cluster, so that the same work gives the same bits.
-Messages are pickles after their length in eight bytes: (name, arguments) in, ("done", result) or ("failed", sentence)
-out.
+Messages are pickles: (name, arguments) in, ("done", result) or ("failed", sentence) out.
 """
 
 import contextlib
 import os
 import pickle
-import struct
 import subprocess
 import sys
 import threading
@@ -56,8 +54,8 @@ class Worker:
         assert process.stdout is not None
         try:
             _send(process.stdin, (name, arguments))
-            what, answer = _receive(process.stdout)
-        except (OSError, EOFError, ValueError) as error:
+            what, answer = pickle.load(process.stdout)
+        except (OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
             self._process = None
             _end(process)
             raise WorkerEnded("a worker's process ended before its work was done") from error
@@ -98,21 +96,9 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def _send(stream: BinaryIO | Any, message: Any) -> None:
-    body = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
-    stream.write(struct.pack("<q", len(body)))
-    stream.write(body)
+    # First all of it: what cannot be pickled leaves no part of a message behind.
+    stream.write(pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL))
     stream.flush()
-
-
-def _receive(stream: BinaryIO | Any) -> Any:
-    head = stream.read(8)
-    if len(head) < 8:
-        raise EOFError
-    (size,) = struct.unpack("<q", head)
-    body = stream.read(size)
-    if len(body) < size:
-        raise EOFError
-    return pickle.loads(body)
 
 
 def main() -> None:
@@ -126,8 +112,8 @@ def main() -> None:
 
     while True:
         try:
-            name, arguments = _receive(questions)
-        except EOFError:
+            name, arguments = pickle.load(questions)
+        except (EOFError, pickle.UnpicklingError):
             return
         try:
             answer = ("done", TASKS[name](*arguments))

@@ -28,12 +28,8 @@ class Dimension:
     powers: Powers
 
 
-def _table(*dimensions: Dimension) -> Mapping[str, Dimension]:
-    return MappingProxyType({dimension.name: dimension for dimension in dimensions})
-
-
 # Temperatures proper and temperature differences share their exponents; `parse` tells them apart by name.
-DIMENSIONS: Final = _table(
+_DIMENSIONS: Final = (
     Dimension("angle", "an angle", "rad", "deg", "30 arcsec", Powers(2)),
     Dimension("angular rate", "an angular rate", "rad/s", "deg/s", "10 deg/s", Powers(2, -2)),
     Dimension("angular acceleration", "an angular acceleration", "rad/s^2", "deg/s^2", "300 deg/s^2", Powers(2, -4)),
@@ -84,6 +80,7 @@ DIMENSIONS: Final = _table(
     Dimension("frequency", "a frequency", "Hz", "Hz", "100 Hz", Powers(0, -2)),
     Dimension("length", "a length", "m", "m", "0.1 m", Powers(0, 0, 0, 2)),
 )  # fmt: skip
+DIMENSIONS: Final[Mapping[str, Dimension]] = MappingProxyType({dimension.name: dimension for dimension in _DIMENSIONS})
 
 PRECISE: Final = Context(prec=60)
 _PI: Final = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")

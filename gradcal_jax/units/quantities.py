@@ -89,6 +89,7 @@ def _finite(value: Decimal) -> float:
 _DURATION: Final = (("h", "hr"), ("min",), ("s", "sec"))
 _ARC: Final = (("°", "deg"), ("′", "'", "arcmin"), ("″", '"', "arcsec"))
 _PART: Final = re.compile(r" *([0-9]+(?:\.[0-9]+)?) *([A-Za-z]+|[°′'″\"])")
+_PARTS: Final = re.compile(f"(?:{_PART.pattern})+")
 
 
 def _compound(text: str, dimension: Dimension) -> Decimal | None:
@@ -98,14 +99,7 @@ def _compound(text: str, dimension: Dimension) -> Decimal | None:
         return None
     negative = text[:1] == "-"
     body = text[1:] if text[:1] in ("-", "+") else text
-    parts: list[tuple[str, str]] = []
-    at = 0
-    while at < len(body):
-        match = _PART.match(body, at)
-        if match is None:
-            return None
-        parts.append((match.group(1), match.group(2)))
-        at = match.end()
+    parts: list[tuple[str, str]] = _PART.findall(body) if _PARTS.fullmatch(body) else []
     if len(parts) < 2:
         return None
     total = Decimal(0)
@@ -265,16 +259,14 @@ def convert(value: float, from_unit: str, to: str) -> float:
 
 
 def _written(number: Decimal, digits: int) -> str:
-    rounded = Context(prec=digits).create_decimal(number)
+    context = Context(prec=digits)
+    rounded = context.create_decimal(number).normalize(context)
     if rounded == 0:
         return "0"
     exponent = rounded.adjusted()
     if -5 < exponent < 9:
-        text = format(rounded, "f")
-        return text.rstrip("0").rstrip(".") if "." in text else text
-    mantissa = format(rounded.scaleb(-exponent), "f")
-    mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-    return f"{mantissa}e{exponent}"
+        return format(rounded, "f")
+    return f"{rounded.scaleb(-exponent, context):f}e{exponent}"
 
 
 def format_quantity(value: float, unit: str) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray
 from calibration_samples import BINS_W, HEAD, POLYNOMIAL_T, POLYNOMIAL_W, SPLINE_T, WHOLE, axis_text
+from described_logs import contents
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +21,6 @@ from gradcal_jax.files.calibration import (
 )
 from gradcal_jax.files.correction import apply, bias, correct, measured, scale_factor
 from gradcal_jax.files.log import Log, LogError, Reason, read_log, write_log
-from gradcal_jax.files.log_contents import contents
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.writing import to_toml

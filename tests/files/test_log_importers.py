@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from described_logs import contents
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
@@ -7,7 +8,6 @@ from scipy.io import savemat
 from gradcal_jax.files.column_guess import EXAMPLE, guess
 from gradcal_jax.files.importers import import_log, parse_column_map, read_column_map
 from gradcal_jax.files.log import LogError, write_log
-from gradcal_jax.files.log_contents import contents
 from gradcal_jax.files.matlab_file import read_matlab
 from gradcal_jax.files.netcdf import load_netcdf
 from gradcal_jax.files.problems import SpecError

@@ -169,6 +169,7 @@ def test_every_fault_is_named_by_its_key_and_said_in_words(where, value, key, wo
         ({"sensor.gyro.axes": ["x", "y"], "requirement": [{"name": "h", "quantity": "gyro_bias", "axis": "z"}]}, "no such axis"),
         ({"requirement": [{"name": "p", "quantity": "position", "after": "60 s", "axis": "z"}]}, "expected"),
         ({"plan.cycle.moves": [{"turn": "360 deg", "axis": "spin"}]}, "never rests"),
+        ({"plan.cycle.moves": [{"turn": "9 deg", "axis": "spin", "ramp": "1 s", "peek_rate": "1 deg/s"}]}, "moves[0].peek_rate"),
     ],
     ids=lambda v: str(v)[:40],
 )  # fmt: skip

@@ -1,9 +1,10 @@
 """Commented specs to start from. Sensor figures are typical of a class of devices, of no vendor's."""
 
+import tomllib
 from importlib import resources
 from importlib.resources.abc import Traversable
 
-from gradcal_jax.files.problems import nearest
+from gradcal_jax.files.problems import hint
 
 
 def names() -> tuple[str, ...]:
@@ -22,18 +23,14 @@ def _in(folder: Traversable) -> tuple[str, ...]:
 
 def text(name: str) -> str:
     """The TOML text of a preset. Raises `ValueError` with the nearest right spelling."""
-    known, of_units = names(), unit_names()
-    if name not in (*known, *of_units):
-        close = nearest(name, (*known, *of_units))
-        ending = f'; nearest: "{close}"' if close else f"; known: {', '.join((*known, *of_units))}"
+    of_axis, every = names(), (*names(), *unit_names())
+    if name not in every:
+        ending = hint(name, every, f"; known: {', '.join(every)}")
         raise ValueError(f'there is no preset named "{name}"{ending}')
     folder = resources.files(__name__)
-    return ((folder if name in known else folder / "units") / f"{name}.toml").read_text(encoding="utf-8")
+    return ((folder if name in of_axis else folder / "units") / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def title(name: str) -> str:
     """The title of a preset."""
-    for line in text(name).splitlines():
-        if line.startswith("title"):
-            return line.split("=", 1)[1].strip().strip('"')
-    return ""
+    return str(tomllib.loads(text(name)).get("title", ""))

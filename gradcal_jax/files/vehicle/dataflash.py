@@ -21,12 +21,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log import Floats, LogError
 from gradcal_jax.files.vehicle.streams import GyroStream, library
 
-Floats = NDArray[np.float64]
 _REFERENCE_C: Final = 35.0
 _UNSET_BELOW_C: Final = -80.0
 _STRUCT: Final = {
@@ -138,17 +136,10 @@ def _table(log: Any, name: str) -> Any:
     """All messages of a name as a structured array."""
     fmt = next(fmt for fmt in log.formats.values() if fmt.name == name)
     kinds = [_STRUCT[letter] for letter in fmt.format]
-    layout = np.dtype(
-        {"names": list(fmt.columns), "formats": kinds, "offsets": _offsets(kinds), "itemsize": fmt.len - 3}
-    )
+    layout = np.dtype({"names": list(fmt.columns), "formats": kinds, "itemsize": fmt.len - 3})
     at = np.asarray(log.offsets[fmt.type], np.int64) + 3
     content = np.frombuffer(bytes(log.data_map), np.uint8)  # a view would keep the map from being closed
     at = at[at + layout.itemsize <= len(content)]
     return (
         content[at[:, None] + np.arange(layout.itemsize)].reshape(-1).view(layout) if len(at) else np.empty(0, layout)
     )
-
-
-def _offsets(kinds: Sequence[str]) -> list[int]:
-    sizes = [np.dtype(kind).itemsize for kind in kinds]
-    return [sum(sizes[:place]) for place in range(len(sizes))]

@@ -23,10 +23,9 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log import Floats, LogError
 from gradcal_jax.files.vehicle.streams import GyroStream, interpolated, library
 
-Floats = NDArray[np.float64]
 _IMU: Final = ("sensor_msgs/msg/Imu", "sensor_msgs/Imu")
 _TEMPERATURE: Final = ("sensor_msgs/msg/Temperature", "sensor_msgs/Temperature")
 _SAME_CLOCK_S: Final = 1.0

@@ -14,12 +14,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gradcal_jax.files.log import Finding, Log, LogError
+from gradcal_jax.files.log import Finding, Floats, Log, LogError
 from gradcal_jax.files.log_faults import Columns, Policy, examine
-
-Floats = NDArray[np.float64]
 
 KINDS: Final = {
     ".ulg": "ulog",

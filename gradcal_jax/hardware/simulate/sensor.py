@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import formulas
+from ..pose import turn_about
 from .plants import AxisPlant, ChamberPlant
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
@@ -217,7 +218,8 @@ class SimulatedSensor(SampledSensor):
         up[:, 2] = 1.0
         for direction, plant in zip(self._mounting.axes, self._axes, strict=True):
             axis = np.array(direction)
-            fixed = _rotated(fixed, axis, -np.radians(plant.position(middles)))
+            # What is fixed outside, as the frame that the axis carries sees it.
+            fixed = np.einsum("kni,nij->knj", fixed, turn_about(axis, np.radians(plant.position(middles))))
             earth, up, turning = fixed
             turning += np.diff(plant.position(ends))[:, None] / self.true_period_s * axis
         matrix = np.array(self._mounting.mounting)
@@ -239,12 +241,3 @@ def markov(draws: Vectors, states: Vectors, sigmas: Vectors, decays: Vectors) ->
         blocks.append(decays ** (steps + 1)[:, None, None] * states + np.einsum("kjp,jap->kap", weights, kicks))
         states = blocks[-1][-1]
     return np.concatenate(blocks), states
-
-
-def _rotated(vectors: Vectors, axis: NDArray[np.float64], angle: NDArray[np.float64]) -> Vectors:
-    """Rodrigues' formula: `vectors` (…, n, 3) turned about the unit vector `axis` by `angle` (n,), rad."""
-    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    x, y, z = axis
-    crossed = vectors @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-    along = (vectors @ axis)[..., None] * axis
-    return along + (vectors - along) * cosine + crossed * sine

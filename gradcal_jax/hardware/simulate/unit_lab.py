@@ -15,6 +15,7 @@ import numpy as np
 from ...files.sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
+from ..pose import turn_by
 from .espec import EspecOptions, SimulatedEspec
 from .lab import OnPorts, axis_tables, chain_of, chamber_truth, lab_rig, rate_truth, temperature_truth, unit_options
 from .operator import OperatorOptions, SimulatedOperator
@@ -26,13 +27,12 @@ from .unit import (
     Coefficients,
     Drifts,
     Hanging,
-    Quaternion,
+    Matrix,
     ScaleFactors,
     SimulatedUnit,
     TableTruth,
     TriadTruth,
     UnitTruth,
-    hung,
 )
 
 _XYZ: Final = "xyz"
@@ -210,12 +210,12 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
             )
         )
     in_case = spec.sensor.frame is not None and spec.sensor.frame.fixed_by == "case"
-    mountings: list[Quaternion] = []
+    mountings: list[Matrix] = []
     for number, mounting in enumerate(table.mounting, start=1):
         size = float(mounting.accuracy) if in_case else 0.0
         off = [draw(size, f"mounting{number}_{axis}") for axis in _XYZ]
         drawn = mounting.rotation or (0.0, 0.0, 0.0)
-        mountings.append(hung(np.array(mounting.columns).T, [float(angle) for angle in drawn], off))
+        mountings.append(np.array(mounting.columns).T @ turn_by([float(angle) for angle in drawn]) @ turn_by(off))
     truth = TableTruth(
         axes=tuple(axis.unit_vector for axis in table.axis),
         latitude=float(site.latitude),

@@ -18,6 +18,7 @@ from hardware_bench import (
     vectornav_bench,
     zaber_bench,
 )
+from simulated_devices.faults import Faults
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 
 from gradcal_jax.hardware.clock import RealClock
@@ -41,7 +42,6 @@ from gradcal_jax.hardware.errors import (
 )
 from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis
 from gradcal_jax.hardware.setup import DRIVERS
-from gradcal_jax.hardware.simulate.faults import Faults
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
@@ -580,7 +580,7 @@ def test_vectornav_register_that_does_not_take_is_noticed() -> None:
 def test_transport_is_named_in_every_message_about_silence() -> None:
     clock = VirtualClock()
     with zaber_bench(clock) as (axis, _, port):
-        port.faults.mute = True
+        port.faults = Faults(mute=True)
         with pytest.raises(ReplyTimeout) as caught:
             axis.read()
         assert port.url in str(caught.value)

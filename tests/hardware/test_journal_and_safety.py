@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hardware_bench import Rig
+from simulated_devices.faults import Faults
 
 from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.hardware.clock import RealClock
@@ -211,7 +212,7 @@ def test_a_device_that_never_answers_keeps_nobody_else_waiting() -> None:
     clock = RealClock()
     with Rig(clock) as rig, open_rig(rig.rig, clock) as bench:
         bench.axes["table"].spin(30.0, 300.0)
-        rig.ports[0].faults.mute = True
+        rig.ports[0].faults = Faults(mute=True)
         began = time.monotonic()
         outcomes = {outcome.name: outcome for outcome in make_safe(bench, clock, deadline_s=4.0)}
         assert time.monotonic() - began < 6.0
@@ -227,7 +228,8 @@ def test_a_bad_line_is_tried_again_until_the_device_is_safe() -> None:
         assert bench.chamber is not None
         bench.chamber.hold(40.0)
         bench.axes["table"].spin(100.0, 300.0)
-        rig.ports[1].faults.once(*["drop"] * 8)
+        rig.ports[1].faults = faults = Faults()
+        faults.once(*["drop"] * 8)
         outcomes = {outcome.name: outcome for outcome in make_safe(bench, clock, deadline_s=20.0)}
         assert outcomes["table"].verified
         assert outcomes["table"].tries > 1

@@ -24,10 +24,10 @@ import struct
 import threading
 import time
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Literal, cast
 
 from .errors import HardwareError
 
@@ -58,6 +58,8 @@ _FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
 
 Direction = Literal[">", "<", "#"]
 """To the device, from it, or a remark."""
+Recorder = Callable[[float, Direction, bytes], None]
+"""Keeps the bytes of a line: when, which way, what."""
 
 
 class JournalFull(HardwareError):
@@ -148,9 +150,9 @@ class Journal:
                 self._append(_EVENT, 0, time_s, note)
             self._append(_RECEIVED if received else _SENT, number, time_s, data)
 
-    def recorder(self, line: str) -> "LineRecorder":
+    def recorder(self, line: str) -> Recorder:
         """For a `Transport`: its bytes go into this journal under the name `line`."""
-        return LineRecorder(self, line)
+        return lambda time_s, direction, data: self.bytes_of(line, time_s, data, received=direction == "<")
 
     def close(self) -> None:
         """Write what waits and close the file; idempotent."""
@@ -224,22 +226,6 @@ class Journal:
                 "was written before is sound and the run can be resumed."
             )
             self._change.notify_all()
-
-
-class Recorder(Protocol):
-    """Whatever keeps the bytes of a line."""
-
-    def record(self, time_s: float, direction: Direction, data: bytes) -> None: ...
-
-
-class LineRecorder:
-    """A `Recorder` that writes to a journal."""
-
-    def __init__(self, journal: Journal, line: str) -> None:
-        self._journal, self._line = journal, line
-
-    def record(self, time_s: float, direction: Direction, data: bytes) -> None:
-        self._journal.bytes_of(self._line, time_s, data, received=direction == "<")
 
 
 def read_journal(path: Path) -> JournalContents:

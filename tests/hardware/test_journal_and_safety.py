@@ -37,7 +37,7 @@ def write_some(path: Path) -> list[Event | Chunk]:
         journal.event(0.0, "start", recipe="abc", note="ünïcode")
         for index in range(6):
             journal.bytes_of("unit1", index + 0.25, bytes([0xA7, 0x4A, index]) * 9, received=True)
-            journal.recorder("chamber").record(index + 0.5, ">", b"TEMP?\r\n")
+            journal.recorder("chamber")(index + 0.5, ">", b"TEMP?\r\n")
         journal.event(9.0, "step", number=3, temperature_c=-30.0)
     return read_journal(path).records
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ..pose import turn_about, turn_by
 from .plants import AxisPlant, ChamberPlant
-from .sensor import SampledSensor, SensorSamples, TruthBasis, Vectors, markov
+from .sensor import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
 
 EARTH_RATE = 7.292115e-5
 _STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
@@ -56,15 +56,6 @@ class ScaleFactors:
 
 
 @dataclass(frozen=True)
-class Drifts:
-    """Gauss–Markov processes, and what of them goes into the scale factor in the place of the bias. SI."""
-
-    sigmas: tuple[float, ...] = ()
-    taus_s: tuple[float, ...] = ()
-    scales: tuple[bool, ...] = ()
-
-
-@dataclass(frozen=True)
 class TriadTruth:
     """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s.
 
@@ -75,7 +66,7 @@ class TriadTruth:
     bias: Coefficients
     white: float
     walk: float = 0.0
-    drifts: Drifts = Drifts()
+    drifts: tuple[Process, ...] = ()
     scale: ScaleFactors | Coefficients | None = None
     misalignment: Coefficients | None = None
     force: Coefficients | None = None
@@ -142,11 +133,8 @@ class SimulatedUnit(SampledSensor):
         self.clock_error = truth.clock_error
         self._chamber, self._axes = chamber, tuple(axes)
         self._random = np.random.default_rng([seed, 20263])
-        self._states: dict[Kind, Vectors] = {}
         self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
-        for kind, triad in self._triads():
-            sigmas = np.array(triad.drifts.sigmas)
-            self._states[kind] = sigmas * self._random.standard_normal((3, len(sigmas)))
+        self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in self._triads()}
         self.restart(start_s, sample_rate_hz)
 
     def _triads(self) -> list[tuple[Kind, TriadTruth]]:
@@ -179,15 +167,12 @@ class SimulatedUnit(SampledSensor):
 
     def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors]:
         """What is added, and what the scale factor is off by, of every sample: `(count, 3)` each."""
-        drifts, dt = triad.drifts, self.true_period_s
-        draws = self._random.standard_normal((count, 3, 2 + len(drifts.sigmas)))
-        sigmas, decays = np.array(drifts.sigmas), np.exp(-dt / np.array(drifts.taus_s))
-        values, self._states[kind] = markov(draws[..., 2:], self._states[kind], sigmas, decays)
-        scales = np.array(drifts.scales, dtype=bool)
+        dt = self.true_period_s
+        draws = self._random.standard_normal((count, 3, 2 + len(triad.drifts)))
+        drift, unsteady = self._drifts[kind].take(draws[..., 2:], dt)
         walk = self._walked[kind] + np.cumsum(triad.walk * dt**0.5 * draws[..., 1], axis=0)
         self._walked[kind] = walk[-1]
-        added = triad.white / dt**0.5 * draws[..., 0] + walk + values[..., ~scales].sum(axis=-1)
-        return added, values[..., scales].sum(axis=-1)
+        return triad.white / dt**0.5 * draws[..., 0] + walk + drift, unsteady
 
     def _motion(self, edges: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
         """Rate against inertial space (rad/s) and specific force (m/s²) in the body, `(n, 3)` between `n + 1` times."""

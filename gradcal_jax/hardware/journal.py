@@ -19,7 +19,6 @@ import errno
 import json
 import math
 import os
-import shutil
 import struct
 import threading
 import time
@@ -297,11 +296,6 @@ def _strange(start: int, why: str) -> HardwareError:
         f"The journal holds a record that no run of this program wrote, at byte {start}: {why}. Take the journal from "
         "where the run was made."
     )
-
-
-def free_space_bytes(folder: Path) -> int:
-    """Room on the disk that holds `folder`, for the interlock that stops a run before the disk is full."""
-    return shutil.disk_usage(folder).free
 
 
 def json_of(item: Any) -> Any:

@@ -29,9 +29,10 @@ from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
 from ..exchange import Exchange, NotThisReply
 from ..framing import LengthFramer
-from ..roles import Identity, ImuBatch, ImuSettings, SafeReport
+from ..roles import Identity, ImuBatch, ImuSettings
 from ..settings import KeptSettings
 from ..transport import Transport
+from .base import ImuDriver
 from .imu_common import STANDARD_GRAVITY, join
 
 ERRORS = {
@@ -221,13 +222,13 @@ def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorN
     return VectorNavDecoder(sample_rate_hz=config.sample_rate_hz)
 
 
-class VectorNavStream:
+class VectorNavStream(ImuDriver[VectorNavConfig]):
     """Role `ImuStream`."""
 
     def __init__(self, transport: Transport, clock: Clock, config: VectorNavConfig) -> None:
-        self._transport = transport
-        self._config = config
-        self._exchange = Exchange(transport, VectorNavFramer(), clock, "The VectorNav unit", config.reply_timeout_s)
+        super().__init__(
+            Exchange(transport, VectorNavFramer(), clock, "The VectorNav unit", config.reply_timeout_s), config
+        )
         self.settings = KeptSettings(
             lambda name: ",".join(self._read(int(name))),
             lambda name, value: self._write(int(name), value),
@@ -261,17 +262,8 @@ class VectorNavStream:
             with suppress(Rejected):
                 self.settings.change(register, ",".join(["0", *self._read(int(register))[1:]]))
 
-    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
-        return self._transport.read_stamped(timeout_s)
-
     def decoder(self) -> VectorNavDecoder:
         return decoder_of(self._config, {})
-
-    def safe(self) -> SafeReport:
-        return SafeReport("left streaming", True, "a VectorNav unit has nothing that can be unsafe")
-
-    def close(self) -> None:
-        self._transport.close()
 
     def _binary_output(self, port: int) -> str:
         return f"{port},{round(self._config.base_rate_hz / self._config.sample_rate_hz)},05,0001,001C"

@@ -63,7 +63,6 @@ class HiddenTruth:
         for axis in axes:
             row = AXES.index(axis)
             bias = {f"a{k}": float(np.radians(v)) for k, v in enumerate(self.sensor.bias_dps[row])}
-            bias["a0"] += float(np.radians(self.sensor.turn_on_dps))
             scale = {
                 f"b{rate}{cold}": value
                 for cold, values in enumerate(self.sensor.scale_factor[row])
@@ -78,13 +77,13 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
     random = np.random.default_rng([seed, 20261])
     sensor, angle = spec.sensor, spec.rig.table.angle
     deg = 180.0 / np.pi
-    bias_basis, bias = _polynomial(0), np.zeros((3, 1))
+    bias_basis, bias = TruthBasis(), np.zeros((3, 1))
     if sensor.bias is not None:
         bias_basis = temperature_truth(sensor.bias.temperature)
         size = _TYPICAL_BIAS_DPS if sensor.bias.prior is None else float(sensor.bias.prior) * deg
         bias = size * random.standard_normal((3, sensor.bias.temperature.size))
     bias[:, 0] += float(sensor.turn_on_bias or 0.0) * deg * random.standard_normal(3)
-    temperature_basis, rate_basis, scale = _polynomial(0), _polynomial(0), np.zeros((3, 1, 1))
+    temperature_basis, rate_basis, scale = TruthBasis(), TruthBasis(), np.zeros((3, 1, 1))
     if (section := sensor.scale_factor) is not None:
         temperature_basis, rate_basis = temperature_truth(section.temperature), rate_truth(section.rate)
         size = _TYPICAL_SCALE if section.prior is None else float(section.prior)
@@ -139,10 +138,6 @@ def processes_of(drift: Sequence[Any], instability: Sequence[Any] = (), unit: fl
     biases = (Process(float(d.standard_deviation) * unit, float(d.correlation_time), 1.0) for d in drift)
     scales = (Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0) for d in instability)
     return (*biases, *scales)
-
-
-def _polynomial(degree: int) -> TruthBasis:
-    return TruthBasis("polynomial", degree)
 
 
 def temperature_truth(section: Any) -> TruthBasis:

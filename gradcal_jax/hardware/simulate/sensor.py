@@ -22,8 +22,6 @@ from .plants import AxisPlant, ChamberPlant
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 
-# Centre and scale of the monomials of a truth without bases: °C and K, deg/s.
-_OF_TEMPERATURE, _OF_RATE = (20.0, 50.0), (0.0, 300.0)
 _BLOCK = 32
 
 Vectors = NDArray[np.float64]
@@ -93,8 +91,7 @@ class SensorTruth:
     bias_dps       (3, nT)      coefficients of B, deg/s
     scale_factor   (3, nT, nω)  coefficients of M, ratio; row index power of temperature, column power of rate
 
-    Without bases of their own they are of monomials of (T − 20 °C)/50 K and ω/(300 deg/s). `gradient_deg_per_k` (3,) is
-    the bias for each K/s.
+    `gradient_deg_per_k` (3,) is the bias for each K/s.
     """
 
     bias_dps: tuple[tuple[float, ...], ...] = ((0.0,), (0.0,), (0.0,))
@@ -104,9 +101,9 @@ class SensorTruth:
     processes: tuple[Process, ...] = ()
     rate_random_walk_dps_sqrt_s: float = 0.0
     gradient_deg_per_k: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    bias_basis: TruthBasis | None = None
-    temperature_basis: TruthBasis | None = None
-    rate_basis: TruthBasis | None = None
+    bias_basis: TruthBasis = TruthBasis()
+    temperature_basis: TruthBasis = TruthBasis()
+    rate_basis: TruthBasis = TruthBasis()
     clock_error: float = 0.0
     temperature_noise_c: float = 0.0
     acceleration_noise_g: float = 0.0
@@ -190,12 +187,6 @@ class SimulatedSensor(SampledSensor):
         self._bias, self._scale = np.array(truth.bias_dps), np.array(truth.scale_factor)
         self._random = np.random.default_rng(seed)
         self._walked = np.zeros(3)
-        degrees = (self._bias.shape[1] - 1, self._scale.shape[1] - 1, self._scale.shape[2] - 1)
-        self._bases = (
-            truth.bias_basis or TruthBasis("polynomial", degrees[0], *_OF_TEMPERATURE),
-            truth.temperature_basis or TruthBasis("polynomial", degrees[1], *_OF_TEMPERATURE),
-            truth.rate_basis or TruthBasis("polynomial", degrees[2], *_OF_RATE),
-        )
         self.restart(start_s, sample_rate_hz)
         self._drifts = Drifts(truth.processes, self._random)
         self.turn_on_dps = truth.turn_on_dps * self._random.standard_normal(3)
@@ -209,8 +200,7 @@ class SimulatedSensor(SampledSensor):
         processes = len(truth.processes)
         draws = self._random.standard_normal((count, 7 + 3 * processes))
         drift, unsteady = self._drifts.take(draws[:, 7:].reshape(count, 3, processes), self.true_period_s)
-        bias_of, temperature_of, rate_of = self._bases
-        bias = bias_of(temperature) @ self._bias.T + self.turn_on_dps + drift
+        bias = truth.bias_basis(temperature) @ self._bias.T + self.turn_on_dps + drift
         if any(truth.gradient_deg_per_k) and count:
             change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
             bias = bias + change[:, None] * np.array(truth.gradient_deg_per_k)
@@ -220,7 +210,7 @@ class SimulatedSensor(SampledSensor):
             bias = bias + walked
             self._walked = walked[-1] if count else self._walked
         factor = formulas.scale_factor_map(
-            temperature_of(temperature)[:, None, None, :], rate_of(rates)[:, :, None, :], self._scale
+            truth.temperature_basis(temperature)[:, None, None, :], truth.rate_basis(rates)[:, :, None, :], self._scale
         )[..., 0]
         factor = factor + unsteady
         walk = truth.angle_random_walk_deg_sqrt_s / self.true_period_s**0.5 * draws[:, :3]

@@ -141,7 +141,7 @@ def log_of_recording(contents: JournalContents, recipe: Recipe, rig: RigFile, re
             laid.append(align(recorded.time_s, rates, tracks))
             samples = _as_samples(recorded, number, rates, laid[-1], session.events)
             part = _laid(session, samples, _clock_of(laid[-1]), axes, recorded.sample_interval_s)
-            parts += [part] if isinstance(part, _Part) else []
+            parts += [] if part is None else [part]
     if not parts:
         raise HardwareError("The recording holds no samples of a stretch of the run with data.")
     who = recorded.units[number]
@@ -286,48 +286,41 @@ def _parts(session: _Session, device: ImuDevice, axes: Sequence[str]) -> tuple[l
     aside = 0
     starts = np.flatnonzero(samples.restarted[1:]) + 1
     for rows in np.split(np.arange(len(samples)), starts):
-        part = _part(session, decoder, _taken(samples, rows), axes, restarted=bool(len(rows) and rows[0]))
-        if isinstance(part, _Part):
-            found.append(part)
+        part = _part(session, decoder, _taken(samples, rows), axes)
+        if part is None:
+            aside += len(rows)
         else:
-            aside += part
+            found.append(replace(part, restarted=bool(rows[0])))
     if found:
         # The decoder counts for the session, and every sum is taken over all parts.
         found[0] = replace(found[0], bad_bytes=decoder.bad_bytes, repeated=decoder.repeated_datagrams)
     return found, aside
 
 
-def _part(
-    session: _Session, decoder: ImuDecoder, samples: ImuBatch, axes: Sequence[str], *, restarted: bool
-) -> _Part | int:
-    """What a unit gave from its start on; where that is nothing, the number of its samples."""
+def _part(session: _Session, decoder: ImuDecoder, samples: ImuBatch, axes: Sequence[str]) -> _Part | None:
+    """What a unit gave from its start on; None where that is nothing."""
     if not _stretches(session.events) or len(np.unique(samples.host_time_s)) < _FEWEST_ARRIVALS:
-        return len(samples)
+        return None
     samples, doubts = rounds_resolved(samples, decoder.round_samples, decoder.sample_s)
     resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
     clock = fit_clock(samples.device_time_s, samples.host_time_s, resolution_s=resolution_s)
     part = _laid(session, samples, clock, axes, decoder.sample_s)
-    if not isinstance(part, _Part):
-        return part
-    begins_s = float(part.host_s[0])
-    host = clock.host_time_s(samples.device_time_s)
-    return replace(
-        part,
-        doubts=tuple((float(host[doubt.row] - begins_s), doubt) for doubt in doubts),
-        restarted=restarted,
-        round_samples=decoder.round_samples,
-    )
+    if part is None:
+        return None
+    after_s = clock.host_time_s(samples.device_time_s) - float(part.host_s[0])
+    placed = tuple((float(after_s[doubt.row]), doubt) for doubt in doubts)
+    return replace(part, doubts=placed, round_samples=decoder.round_samples)
 
 
-def _laid(session: _Session, samples: ImuBatch, clock: ClockMap, axes: Sequence[str], sample_s: float) -> _Part | int:
-    """The samples in stretches with data, with what the table did; where there are none, how many samples."""
+def _laid(session: _Session, samples: ImuBatch, clock: ClockMap, axes: Sequence[str], sample_s: float) -> _Part | None:
+    """The samples in stretches with data, with what the table did; None where there are none."""
     host = clock.host_time_s(samples.device_time_s)
     kept = np.zeros(len(samples), bool)
     for start, end in _stretches(session.events):
         kept |= (host > start) & (host <= end)
     rows = np.flatnonzero(kept)
     if len(rows) < 2:
-        return len(samples)
+        return None
     broken = np.diff(rows, prepend=rows[0] - 2) > 1
     missing = samples.gap_before[rows]
     starts = np.flatnonzero(broken | (missing > 0))

@@ -3,6 +3,7 @@
 Drivers and simulated devices share this module and nothing else, so that a mistake in a codec cannot hide in its twin.
 """
 
+import binascii
 import zlib
 from functools import reduce
 
@@ -46,15 +47,10 @@ def crc8_stim300(data: bytes) -> int:
     return register
 
 
-def crc16_vectornav(data: bytes, register: int = 0) -> int:
-    """CRC-16 of VectorNav binary packets; over a packet with its own CRC (after the sync byte) the result is zero."""
-    for byte in data:
-        register = ((register >> 8) | (register << 8)) & 0xFFFF
-        register ^= byte
-        register ^= (register & 0xFF) >> 4
-        register ^= (register << 12) & 0xFFFF
-        register ^= ((register & 0xFF) << 5) & 0xFFFF
-    return register
+def crc16_vectornav(data: bytes) -> int:
+    """CRC-16 of VectorNav binary packets (polynomial 1021, start 0); over a packet with its own CRC (after the sync
+    byte) the result is zero."""
+    return binascii.crc_hqx(data, 0)
 
 
 def xor8(data: bytes) -> int:

@@ -5,6 +5,7 @@ and does nothing agrees with itself for ever.
 """
 
 import itertools
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Generator
@@ -82,7 +83,7 @@ class ChamberDuty:
         self._clock = clock
         self._event = event
         self._lock = threading.Lock()
-        self._telling = threading.Lock()
+        self._telling = threading.RLock()
         self._ended = False
         self._history: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
         self._soft: _SoftRamp | None = None
@@ -90,12 +91,11 @@ class ChamberDuty:
         self._held_c: float | None = None
         self.expected = Expected()
         self.newest: ChamberReading | None = None
-        self.before: ChamberReading | None = None
 
     def heard(self, reading: ChamberReading) -> None:
         """Remember a reading."""
         with self._lock:
-            self.before, self.newest = self.newest, reading
+            self.newest = reading
             value = reading.product_c if reading.product_c is not None else reading.air_c
             if not self._history or reading.time_s > self._history[-1][0]:
                 self._history.append((reading.time_s, value))
@@ -124,8 +124,13 @@ class ChamberDuty:
     def hold(self, temperature_c: float) -> None:
         """Condition at a temperature, unless that is what it does already."""
         with self._alone() as may:
-            if may:
-                self._hold(temperature_c)
+            if not may:
+                return
+            self._soft = None
+            if self._held_c != temperature_c:
+                self.chamber.hold(temperature_c)
+                self._held_c = temperature_c
+                self._event("chamber told", hold_c=temperature_c)
 
     def expect(self, course: Course, now_s: float) -> None:
         """What the recipe has the air do from now on."""
@@ -137,42 +142,30 @@ class ChamberDuty:
     def follow(self, course: Course) -> None:
         """Go where a course says: by the controller's own ramp where it has one, else by `step_soft_ramp`."""
         with self._alone() as may:
-            if may:
-                self._follow(course)
+            if not may:
+                return
+            if course.ramp_k_per_min is None:
+                self.hold(course.temperature_c)
+                return
+            self._held_c = None
+            told = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
+            if self.chamber.limits().hardware_ramp:
+                self._soft = None
+                rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
+                self._event("chamber told", **told, k_per_min=rate)
+                return
+            start = self.chamber.read().setpoint_c
+            slope = math.copysign(course.ramp_k_per_min / 60.0, course.temperature_c - start)
+            self._next_soft_s = self._clock.now()
+            self._soft = _SoftRamp(self._next_soft_s, start, course.temperature_c, slope)
+            self._event("chamber told", **told, k_per_min=course.ramp_k_per_min, by="steps of the runner")
 
     def step_soft_ramp(self) -> None:
         """A ramp by set points, at least five seconds apart; to be called often."""
-        if self._soft is None:
-            return
-        with self._alone() as may:
-            if may:
-                self._step_soft_ramp()
-
-    def _hold(self, temperature_c: float) -> None:
-        self._soft = None
-        if self._held_c != temperature_c:
-            self.chamber.hold(temperature_c)
-            self._held_c = temperature_c
-            self._event("chamber told", hold_c=temperature_c)
-
-    def _follow(self, course: Course) -> None:
-        if course.ramp_k_per_min is None:
-            self._hold(course.temperature_c)
-            return
-        self._held_c = None
-        told = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
-        if self.chamber.limits().hardware_ramp:
-            self._soft = None
-            rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
-            self._event("chamber told", **told, k_per_min=rate)
-            return
-        start = self.chamber.read().setpoint_c
-        slope = course.ramp_k_per_min / 60.0
-        self._soft = _SoftRamp(
-            self._clock.now(), start, course.temperature_c, slope if course.temperature_c >= start else -slope
-        )
-        self._next_soft_s = self._clock.now()
-        self._event("chamber told", **told, k_per_min=course.ramp_k_per_min, by="steps of the runner")
+        if self._soft is not None:
+            with self._alone() as may:
+                if may:
+                    self._step_soft_ramp()
 
     def _step_soft_ramp(self) -> None:
         ramp, now = self._soft, self._clock.now()

@@ -4,6 +4,7 @@ A framer takes chunks of any size and gives whole frames; how the stream was cut
 framers of single devices (datagrams, packets) stand beside their codecs; here are those that several devices share.
 """
 
+from abc import ABC, abstractmethod
 from typing import Protocol
 
 from .checksums import crc16_modbus
@@ -67,54 +68,68 @@ class LineFramer(BufferedFramer):
         return [line for line in lines if (line or self._keep_empty) and len(line) <= self._longest]
 
 
-class ModbusTcpFramer(BufferedFramer):
-    """Messages of Modbus TCP, by the length in their head. What cannot be a head is dropped byte by byte."""
+class LengthFramer(BufferedFramer, ABC):
+    """Frames whose beginning tells their length. Where none begins, bytes are noise and dropped one by one, counted."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bad_bytes = 0
+
+    @abstractmethod
+    def _length(self, head: bytes) -> int | None:
+        """Of the frame that `head` begins with; 0 when more bytes are needed to tell, None when none begins there."""
 
     def push(self, data: bytes) -> list[bytes]:
         self._buffer += data
         frames: list[bytes] = []
-        while len(self._buffer) >= 8:
-            protocol, length = self._buffer[2:4], int.from_bytes(self._buffer[4:6], "big")
-            if protocol != b"\0\0" or not _SHORTEST_TCP <= length <= _LONGEST_TCP:
+        while self._buffer:
+            length = self._length(self._buffer)
+            if length is None:
                 self._buffer = self._buffer[1:]
-                continue
-            if len(self._buffer) < 6 + length:
+                self.bad_bytes += 1
+            elif 0 < length <= len(self._buffer):
+                frames.append(self._buffer[:length])
+                self._buffer = self._buffer[length:]
+            else:
                 break
-            frames.append(self._buffer[: 6 + length])
-            self._buffer = self._buffer[6 + length :]
         return frames
 
 
-class ModbusReplyFramer(BufferedFramer):
+class ModbusTcpFramer(LengthFramer):
+    """Messages of Modbus TCP, by the length in their head."""
+
+    def _length(self, head: bytes) -> int | None:
+        if len(head) < 8:
+            return 0
+        length = int.from_bytes(head[4:6], "big")
+        return 6 + length if head[2:4] == b"\0\0" and _SHORTEST_TCP <= length <= _LONGEST_TCP else None
+
+
+class ModbusReplyFramer(LengthFramer):
     """Replies of a Modbus RTU slave to functions 3, 4, 6 and 16, by the length that their head announces.
 
     The frames' CRC is *not* checked here: the codec does, so that a damaged reply is told from a missing one. Only what
-    belongs to `address` starts a frame; other leading bytes are noise and are dropped one by one.
+    belongs to `address` starts a frame.
     """
 
     def __init__(self, address: int) -> None:
         super().__init__()
         self._address = address
 
-    def push(self, data: bytes) -> list[bytes]:
-        self._buffer += data
-        frames: list[bytes] = []
-        while len(self._buffer) >= 3:
-            length = self._length(self._buffer)
-            if length is None:
-                self._buffer = self._buffer[1:]
-                continue
-            if len(self._buffer) < length:
-                break
-            frame = self._buffer[:length]
-            if crc16_modbus(frame[:-2]) != frame[-2:] and self._later_frame():
-                self._buffer = self._buffer[1:]
-                continue
-            frames.append(frame)
-            self._buffer = self._buffer[length:]
-        return frames
-
     def _length(self, head: bytes) -> int | None:
+        length = self._announced(head)
+        if not length or len(head) < length or _is_sound(head[:length]):
+            return length
+        # Where a sound frame begins later, the one at the head is noise.
+        for start in range(1, len(head) - 4):
+            later = self._announced(head[start:])
+            if later and len(head) >= start + later and _is_sound(head[start : start + later]):
+                return None
+        return length
+
+    def _announced(self, head: bytes) -> int | None:
+        if len(head) < 3:
+            return 0
         if head[0] != self._address:
             return None
         function = head[1]
@@ -124,15 +139,6 @@ class ModbusReplyFramer(BufferedFramer):
             return 5 + head[2] if head[2] and head[2] % 2 == 0 else None
         return 8 if function in (6, 16) else None
 
-    def _later_frame(self) -> bool:
-        """Whether a sound frame begins later in the buffer: then the one at its head is noise."""
-        for start in range(1, len(self._buffer) - 4):
-            rest = self._buffer[start:]
-            length = self._length(rest)
-            if (
-                length is not None
-                and len(rest) >= length
-                and crc16_modbus(rest[: length - 2]) == rest[length - 2 : length]
-            ):
-                return True
-        return False
+
+def _is_sound(frame: bytes) -> bool:
+    return crc16_modbus(frame[:-2]) == frame[-2:]

@@ -24,7 +24,6 @@ class Situation:
 
     time_s: float
     chamber: ChamberReading | None
-    previous_chamber: ChamberReading | None
     axes: Mapping[str, AxisReading]
     imu_age_s: Mapping[str, float]
     free_bytes: int
@@ -55,7 +54,6 @@ class InterlockLimits:
     temperature_lag_s: float = 300.0
     latest_s: float = 1.0
     lost_share: float = 0.02
-    temperature_slope_k_per_min: float | None = None
     imu_stale_s: float | None = 2.0
     free_bytes: int = 200_000_000
 
@@ -85,7 +83,7 @@ class Interlocks:
 
 
 def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
-    """Chamber alarm, faults and over-speed of axes, course and slope of the temperature, stale units, disk space."""
+    """Chamber alarm, faults and over-speed of axes, course of the temperature, stale units, disk space."""
     given = limits or InterlockLimits()
 
     def alarm(now: Situation) -> str:
@@ -119,17 +117,6 @@ def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
             f"{given.temperature_lag_s:g} s; the rig allows {given.temperature_band_k:g} K"
         )
 
-    def slope(now: Situation) -> str:
-        before, after = now.previous_chamber, now.chamber
-        if given.temperature_slope_k_per_min is None or before is None or after is None:
-            return ""
-        if after.time_s <= before.time_s:
-            return ""
-        per_min = (after.air_c - before.air_c) / (after.time_s - before.time_s) * 60.0
-        if abs(per_min) <= given.temperature_slope_k_per_min:
-            return ""
-        return f"the air changes by {per_min:+.1f} K/min, more than {given.temperature_slope_k_per_min:g}"
-
     def stale(now: Situation) -> str:
         if given.imu_stale_s is None:
             return ""
@@ -147,7 +134,6 @@ def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
             InterlockRule("axis fault", "abort", 0.0, faults),
             InterlockRule("over-speed", "abort", 0.0, over_speed),
             InterlockRule("temperature course", "pause", _PATIENCE_S, course),
-            InterlockRule("temperature slope", "abort", 0.0, slope),
             InterlockRule("stale unit", "pause", 0.0, stale),
             InterlockRule("disk space", "pause", 0.0, disk),
         ),

@@ -19,15 +19,14 @@ import errno
 import json
 import math
 import os
-import shutil
 import struct
 import threading
 import time
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Literal, cast
 
 from .errors import HardwareError
 
@@ -58,6 +57,8 @@ _FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
 
 Direction = Literal[">", "<", "#"]
 """To the device, from it, or a remark."""
+Recorder = Callable[[float, Direction, bytes], None]
+"""Keeps the bytes of a line: when, which way, what."""
 
 
 class JournalFull(HardwareError):
@@ -148,9 +149,9 @@ class Journal:
                 self._append(_EVENT, 0, time_s, note)
             self._append(_RECEIVED if received else _SENT, number, time_s, data)
 
-    def recorder(self, line: str) -> "LineRecorder":
+    def recorder(self, line: str) -> Recorder:
         """For a `Transport`: its bytes go into this journal under the name `line`."""
-        return LineRecorder(self, line)
+        return lambda time_s, direction, data: self.bytes_of(line, time_s, data, received=direction == "<")
 
     def close(self) -> None:
         """Write what waits and close the file; idempotent."""
@@ -226,22 +227,6 @@ class Journal:
             self._change.notify_all()
 
 
-class Recorder(Protocol):
-    """Whatever keeps the bytes of a line."""
-
-    def record(self, time_s: float, direction: Direction, data: bytes) -> None: ...
-
-
-class LineRecorder:
-    """A `Recorder` that writes to a journal."""
-
-    def __init__(self, journal: Journal, line: str) -> None:
-        self._journal, self._line = journal, line
-
-    def record(self, time_s: float, direction: Direction, data: bytes) -> None:
-        self._journal.bytes_of(self._line, time_s, data, received=direction == "<")
-
-
 def read_journal(path: Path) -> JournalContents:
     """Everything sound in a journal, however it ends. Raises `HardwareError` where there is no such file."""
     try:
@@ -311,11 +296,6 @@ def _strange(start: int, why: str) -> HardwareError:
         f"The journal holds a record that no run of this program wrote, at byte {start}: {why}. Take the journal from "
         "where the run was made."
     )
-
-
-def free_space_bytes(folder: Path) -> int:
-    """Room on the disk that holds `folder`, for the interlock that stops a run before the disk is full."""
-    return shutil.disk_usage(folder).free
 
 
 def json_of(item: Any) -> Any:

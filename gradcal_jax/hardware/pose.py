@@ -1,6 +1,6 @@
 """How a whole unit stands, as a drawing in text for whoever turns it by hand: which of its axes point where."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from ..files.recipe import Recipe
 from ..files.unit_spec import UnitSpec
+
+Numbers = NDArray[np.float64]
 
 # A direction is named by the body's axes that are at most 67.5 degrees from it.
 _NAMED: Final = np.sin(np.radians(22.5))
@@ -34,20 +36,27 @@ def drawn(spec: UnitSpec, angles_deg: Mapping[str, float], mounting: int) -> str
         attitude = attitude @ turn_about(axis.unit_vector, np.radians(angles_deg.get(axis.name, 0.0)))
     hung = spec.rig.table.mounting[max(mounting - 1, 0)]
     attitude = attitude @ np.array(hung.columns).T
-    if hung.rotation is not None and (size := float(np.linalg.norm(hung.rotation))) > 0.0:
-        attitude = attitude @ turn_about([float(angle) / size for angle in hung.rotation], size)
+    if hung.rotation is not None:
+        attitude = attitude @ turn_by([float(angle) for angle in hung.rotation])
     said = {name: f"{name}: body {_seen(np.array(world) @ attitude)}" for name, world in _WORLD.items()}
     return f"  {said['up']}\n  |  {said['north']}\n  | /\n  o---- {said['east']}"
 
 
-def turn_about(axis: tuple[float, ...] | list[float], angle: float) -> NDArray[np.float64]:
-    """The matrix of a turn by `angle` (rad) about a unit vector (Rodrigues)."""
+def turn_about(axis: Sequence[float] | Numbers, angle: float | Numbers) -> Numbers:
+    """`(…, 3, 3)`, the matrices of turns by angles `(…)` (rad) about a unit vector (Rodrigues)."""
     x, y, z = axis
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
+    angle = np.asarray(angle)[..., None, None]
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
 
 
-def _seen(direction: NDArray[np.float64]) -> str:
+def turn_by(vector: Sequence[float] | Numbers) -> Numbers:
+    """`(3, 3)`, the matrix of a turn by a rotation vector (rad)."""
+    size = float(np.linalg.norm(vector))
+    return turn_about(np.array(vector) / size, size) if size > 0.0 else np.eye(3)
+
+
+def _seen(direction: Numbers) -> str:
     """A direction in the body, in words."""
     order = [int(i) for i in np.argsort(-np.abs(direction)) if abs(direction[i]) > _NAMED]
     names = [f"{'+' if direction[i] > 0.0 else '-'}{'xyz'[i]}" for i in order]

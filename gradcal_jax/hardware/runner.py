@@ -15,6 +15,7 @@ killed is `guard`.
 """
 
 import math
+import shutil
 import threading
 import time
 from collections import deque
@@ -28,7 +29,7 @@ from .clock import Clock
 from .course import ChamberDuty
 from .errors import HardwareError, LimitExceeded
 from .interlocks import Interlocks, Situation, standard_rules
-from .journal import Journal, JournalFull, free_space_bytes, record_of
+from .journal import Journal, JournalFull, record_of
 from .losses import ExecutedStep, SampleLosses, StepNotDone
 from .roles import AxisReading, ChamberReading, MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
@@ -480,10 +481,7 @@ class Runner:
         self.ticked_s = time.monotonic()
         self._obey_requests()
         self._confirm_steps()
-        now = self.clock.now()
-        if now - self._shown_s >= self.chamber_every_s:
-            self._shown_s = now
-            self._show(end_s)
+        self._show(end_s)
         self._watch()
 
     def _watch(self) -> None:
@@ -493,12 +491,12 @@ class Runner:
         self._axes.watch()
         now = self.clock.now()
         ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
-        free = free_space_bytes(self.journal.path.parent)
+        free = shutil.disk_usage(self.journal.path.parent).free
         duty, paused = self._duty, self.state is RunState.PAUSED
-        newest, before = (None, None) if duty is None else (duty.newest, duty.before)
+        newest = None if duty is None else duty.newest
         lag_s = self.interlocks.limits.temperature_lag_s
         course_c = None if duty is None or paused else duty.expected.of_late(now, lag_s)
-        situation = Situation(now, newest, before, self._axes.newest, ages, free, course_c, self._axes.allowed())
+        situation = Situation(now, newest, self._axes.newest, ages, free, course_c, self._axes.allowed())
         tripped = self.interlocks.check(situation)
         if tripped is None or (paused and tripped[0].action != "abort"):
             return
@@ -536,9 +534,7 @@ class Runner:
     def _wait_paused(self) -> None:
         self._enter(RunState.PAUSED)
         while True:
-            if self.clock.now() - self._shown_s >= self.chamber_every_s:
-                self._shown_s = self.clock.now()
-                self._show(None)
+            self._show(None)
             self.ticked_s = time.monotonic()
             self._obey_requests()
             if self.state is not RunState.PAUSED:
@@ -549,16 +545,16 @@ class Runner:
         self.interlocks.forget()
 
     def _show(self, end_s: float | None) -> None:
-        if self.on_progress is None:
+        now = self.clock.now()
+        if self.on_progress is None or now - self._shown_s < self.chamber_every_s:
             return
+        self._shown_s = now
         steps, done = self.track.steps, self._steps_done
         step = steps[min(done, len(steps) - 1)]
-        left = max(0.0, end_s - self.clock.now()) if end_s is not None else None
+        left = max(0.0, end_s - now) if end_s is not None else None
         ahead = sum(s.duration_s for s in steps[done + (left is not None) :]) + (left or 0.0)
         duty, lag_s = self._duty, self.interlocks.limits.temperature_lag_s
-        newest, course_c = (
-            (None, None) if duty is None else (duty.newest, duty.expected.of_late(self.clock.now(), lag_s))
-        )
+        newest, course_c = (None, None) if duty is None else (duty.newest, duty.expected.of_late(now, lag_s))
         samples = {name: (losses.received, losses.missing) for name, losses in self._losses.items()}
         where = self.state, step.name, done, len(steps)
         self.on_progress(RunProgress(*where, left, ahead, newest, self._axes.newest, course_c, samples))

@@ -14,6 +14,8 @@ from .errors import HardwareError
 from .roles import AxisSafe, ChamberSafe, SafeReport
 from .setup import Bench
 
+_RETRY_PAUSE_S = 0.2
+
 
 @dataclass
 class SafeOutcome:
@@ -35,7 +37,6 @@ def make_safe(
     clock: Clock,
     *,
     deadline_s: float = 60.0,
-    retry_pause_s: float = 0.2,
     before_chamber: Callable[[], None] | None = None,
 ) -> list[SafeOutcome]:
     """Bring every device of the bench to the state that its rig file calls safe.
@@ -49,7 +50,7 @@ def make_safe(
 
     def begin(name: str, action: str, act: Callable[[], SafeReport]) -> None:
         attempt, began_s = SafeOutcome(name, action), time.monotonic()
-        arguments = (attempt, act, clock, began_s, deadline_s, retry_pause_s)
+        arguments = (attempt, act, clock, began_s, deadline_s)
         thread = threading.Thread(target=_try, args=arguments, daemon=True, name=f"making {name} safe")
         attempts.append((attempt, began_s, thread))
         thread.start()
@@ -88,14 +89,7 @@ def put_back(bench: Bench) -> dict[str, str]:
     return found
 
 
-def _try(
-    attempt: SafeOutcome,
-    act: Callable[[], SafeReport],
-    clock: Clock,
-    began_s: float,
-    deadline_s: float,
-    retry_pause_s: float,
-) -> None:
+def _try(attempt: SafeOutcome, act: Callable[[], SafeReport], clock: Clock, began_s: float, deadline_s: float) -> None:
     with clock.party():
         while True:
             attempt.tries += 1
@@ -112,4 +106,4 @@ def _try(
                 attempt.took_s = time.monotonic() - began_s
                 return
             with clock.aside():
-                time.sleep(retry_pause_s)
+                time.sleep(_RETRY_PAUSE_S)

@@ -106,7 +106,7 @@ def read_status(folder: Path) -> dict[str, Any]:
     return found  # pyright: ignore[reportUnknownVariableType]
 
 
-def sound_alarm(rig: RigFile, sentence: str, *, wait: bool = False) -> None:
+def sound_alarm(rig: RigFile, sentence: str) -> None:
     """Run the command that the rig file names, without a shell; the sentence is its last word."""
     if rig.alarm is None:
         return
@@ -116,7 +116,4 @@ def sound_alarm(rig: RigFile, sentence: str, *, wait: bool = False) -> None:
         with suppress(OSError, subprocess.SubprocessError):
             subprocess.run(command, timeout=_ALARM_S, stdin=subprocess.DEVNULL, capture_output=True, check=False)
 
-    thread = threading.Thread(target=call, daemon=not wait, name="alarm")
-    thread.start()
-    if wait:
-        thread.join()
+    threading.Thread(target=call, daemon=True, name="alarm").start()

@@ -92,4 +92,4 @@ class Terminal:
 
     def _record(self, direction: Any, data: bytes) -> None:
         if self.recorder is not None:
-            self.recorder.record(self.clock.now(), direction, data)
+            self.recorder(self.clock.now(), direction, data)

@@ -27,6 +27,7 @@ else:
     import fcntl
 
 Parity = Literal["N", "E", "O"]
+_MOST = 65536  # bytes read at once
 
 
 class PortLock:
@@ -152,7 +153,7 @@ class Transport:
         if self._terminator:
             data = data.rstrip(b"\r\n") + self._terminator
         if self._recorder is not None:
-            self._recorder.record(self._clock.now(), ">", data)
+            self._recorder(self._clock.now(), ">", data)
         self._link.change(to_device=len(data), host_is_there=True)
         self._silent = False
         try:
@@ -166,11 +167,11 @@ class Transport:
             # TypeError: pyserial waits for a descriptor that another thread has just closed.
             raise self._gone(problem) from None
 
-    def read(self, timeout_s: float, *, most: int = 65536) -> bytes:
-        """Up to `most` bytes, as soon as there are any; empty when none came in `timeout_s` real seconds."""
-        return self.read_stamped(timeout_s, most=most)[0]
+    def read(self, timeout_s: float) -> bytes:
+        """What is there, as soon as there is anything; empty when nothing came in `timeout_s` real seconds."""
+        return self.read_stamped(timeout_s)[0]
 
-    def read_stamped(self, timeout_s: float, *, most: int = 65536) -> tuple[bytes, float]:
+    def read_stamped(self, timeout_s: float) -> tuple[bytes, float]:
         """Like `read`, with the clock's time at which the bytes were in hand."""
         try:
             self._set_timeout(timeout_s)
@@ -183,8 +184,8 @@ class Transport:
             if data:
                 if self._is_socket:
                     self._set_timeout(0.0)
-                    data += self._port.read(most - 1)
-                elif (waiting := min(self._port.in_waiting, most - 1)) > 0:
+                    data += self._port.read(_MOST - 1)
+                elif (waiting := min(self._port.in_waiting, _MOST - 1)) > 0:
                     data += self._port.read(waiting)
         except (serial.SerialException, OSError, TypeError) as problem:
             # TypeError: pyserial reads through a descriptor that another thread has just closed.
@@ -192,7 +193,7 @@ class Transport:
         now = self._clock.now()
         if data:
             if self._recorder is not None:
-                self._recorder.record(now, "<", data)
+                self._recorder(now, "<", data)
             # Counted after the stamp: virtual time cannot have moved between arrival and stamp.
             self._link.change(to_host=-len(data), host_is_there=True)
         return data, now

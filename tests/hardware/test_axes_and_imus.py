@@ -18,6 +18,7 @@ from hardware_bench import (
     vectornav_bench,
     zaber_bench,
 )
+from simulated_devices.faults import Faults
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 
 from gradcal_jax.hardware.clock import RealClock
@@ -41,7 +42,6 @@ from gradcal_jax.hardware.errors import (
 )
 from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis
 from gradcal_jax.hardware.setup import DRIVERS
-from gradcal_jax.hardware.simulate.faults import Faults
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
@@ -495,7 +495,7 @@ def test_stim300_start_up_special_datagrams_and_reboot() -> None:
         unit.configure()
         decoder = unit.decoder()
         unit.start()
-        already = device.counters.special
+        already = device.counters["special"]
         device.reboot()
         device._registers["im"], device._registers["id"] = "0", "5"
         device._restart()
@@ -504,7 +504,7 @@ def test_stim300_start_up_special_datagrams_and_reboot() -> None:
             with clock.aside():
                 batches.append(decoder.push(*unit.read_bytes(0.5)))
         samples = join(batches)
-        assert device.counters.special - already == 3
+        assert device.counters["special"] - already == 3
         starting = (samples.status & START_UP) != 0
         assert 80 < int(starting.sum()) < 130
         assert not starting[-1]
@@ -522,7 +522,7 @@ def test_stim300_settings_are_read_back_and_never_saved() -> None:
         samples = stream(unit, clock, 1.0)
         np.testing.assert_allclose(samples.acceleration_g[-1], [0.0, 0.0, 1.0], atol=1e-3)
         assert len(samples) == pytest.approx(500, rel=0.05)
-        assert device.counters.overrun == 0
+        assert device.counters["overrun"] == 0
 
 
 def test_stim300_on_a_line_that_is_too_slow_loses_datagrams_and_the_host_sees_it() -> None:
@@ -530,9 +530,9 @@ def test_stim300_on_a_line_that_is_too_slow_loses_datagrams_and_the_host_sees_it
     options = Stim300Options(baudrate=40_000)
     with stim300_bench(clock, options) as (unit, device, _):
         unit.configure()
-        already = device.counters.overrun
+        already = device.counters["overrun"]
         samples = stream(unit, clock, 4.0)
-        lost = device.counters.overrun - already
+        lost = device.counters["overrun"] - already
         assert lost > 50
         assert samples.gap_before[1:].sum() == pytest.approx(lost, abs=8)
 
@@ -580,7 +580,7 @@ def test_vectornav_register_that_does_not_take_is_noticed() -> None:
 def test_transport_is_named_in_every_message_about_silence() -> None:
     clock = VirtualClock()
     with zaber_bench(clock) as (axis, _, port):
-        port.faults.mute = True
+        port.faults = Faults(mute=True)
         with pytest.raises(ReplyTimeout) as caught:
             axis.read()
         assert port.url in str(caught.value)

@@ -21,6 +21,7 @@ from hardware_bench import (
     thermotron_bench,
     weiss_bench,
 )
+from simulated_devices.faults import Faults
 from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
@@ -44,7 +45,6 @@ from gradcal_jax.hardware.exchange import NotThisReply
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
 from gradcal_jax.hardware.setup import DRIVERS
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
-from gradcal_jax.hardware.simulate.faults import Faults
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
@@ -195,10 +195,10 @@ def test_late_and_double_replies_are_not_taken_for_the_next_answer(bench) -> Non
 def test_silent_chamber_and_pulled_cable_are_told_apart(bench) -> None:
     with bench(VirtualClock()) as (chamber, _, port):
         chamber.identify()
-        port.faults.mute = True
+        port.faults = Faults(mute=True)
         with pytest.raises(ReplyTimeout, match="did not answer"):
             chamber.read()
-        port.faults.mute = False
+        port.faults = None
         chamber.read()
         port.unplug()
         with pytest.raises(Disconnected, match="cable"):

@@ -11,7 +11,7 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, Mounting, Process, SensorTruth
+from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, Mounting, Process, SensorTruth, TruthBasis
 from gradcal_jax.hardware.simulate.stim300 import Stim300Options
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
@@ -207,7 +207,7 @@ def test_encoder_errors_are_of_the_kind_that_was_asked_for() -> None:
         assert len(readings) == 1  # one draw a standstill: reading again does not average it
         offsets.append(readings.pop() - 360.0 * (index + 1))
     assert np.std(offsets) == pytest.approx(0.05, rel=0.2)
-    once = AxisPlant(AxisTruth(encoder_error_deg=0.1))
+    once = AxisPlant(AxisTruth(harmonics=((1, 0.0, 0.1),)))
     once.set_zero(0.0, 90.0)
     assert once.reading(1.0) == pytest.approx(90.1)
     late = AxisPlant(AxisTruth(timing_error_s=0.002, seed=4))
@@ -225,6 +225,9 @@ def test_sensor_error_is_bias_and_scale_factor_of_temperature_and_rate() -> None
     truth = SensorTruth(
         bias_dps=((0.01, 0.002, 0.0, 0.0),) * 3,
         scale_factor=(((1e-3, 2e-4), (5e-4, 0.0)),) * 3,
+        bias_basis=TruthBasis("polynomial", 3, 20.0, 50.0),
+        temperature_basis=TruthBasis("polynomial", 1, 20.0, 50.0),
+        rate_basis=TruthBasis("polynomial", 1, 0.0, 300.0),
     )
     axis = AxisPlant()
     axis.spin(0.0, 150.0, 1e6)
@@ -295,7 +298,7 @@ def test_a_turn_read_through_the_line_is_the_turn_that_was_made() -> None:
                 batches.append(decoder.push(*unit.read_bytes(0.5)))
         real = time.monotonic() - started
     samples = join(batches)
-    assert device.counters.overrun == 0
+    assert device.counters["overrun"] == 0
     assert decoder.bad_bytes == 0
     assert np.all(samples.gap_before == 0)
     angle = float(np.sum(samples.gyro_dps[:, 2]) * sensor.true_period_s)

@@ -21,6 +21,7 @@ from hardware_bench import (
     zaber_bench,
 )
 from hardware_evidence import record
+from simulated_devices.faults import FAULTS, Faults
 
 from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, weiss, zaber
@@ -29,7 +30,6 @@ from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, NotVerified
 from gradcal_jax.hardware.exchange import NotThisReply
 from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
-from gradcal_jax.hardware.simulate.faults import FAULTS, Faults
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 HERE = "tests/hardware/test_faults_in_figures.py"
@@ -201,8 +201,7 @@ def test_readings_over_a_bad_line() -> None:
         with bench(clock) as (unit, _, port):
             unit.configure()
             unit.start()
-            port.faults.probability = dict.fromkeys(FAULTS, 0.02 / len(FAULTS))
-            port.faults.delay_s = 0.01
+            port.faults = Faults(probability=dict.fromkeys(FAULTS, 0.02 / len(FAULTS)), delay_s=0.01)
             chunks: list[tuple[bytes, float]] = []
             # In a thread, as the runner does: bytes that nobody fetches hold virtual time.
             fetching = threading.Event()

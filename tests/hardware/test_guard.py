@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from hardware_bench import Rig, short_recipe
 from hardware_processes import laboratory, start_run
+from simulated_devices.faults import Faults
 
 from gradcal_jax.files.rig import TEMPLATE
 from gradcal_jax.files.writing import write_toml
@@ -184,8 +185,8 @@ def test_a_device_that_does_not_answer_is_tried_until_it_does(
     clock = RealClock()
     with Rig(clock) as rig:
         left_turning(rig, tmp_path, clock)
-        rig.ports[0].faults.mute = True
-        mend = threading.Timer(4.0, lambda: setattr(rig.ports[0].faults, "mute", False))
+        rig.ports[0].faults = Faults(mute=True)
+        mend = threading.Timer(4.0, lambda: setattr(rig.ports[0], "faults", None))
         mend.start()
         outcomes = guard.make_folder_safe(tmp_path, deadline_s=1.0, keep_trying_s=60.0)
         mend.join()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hardware_bench import Rig, short_recipe
 from hardware_evidence import record
+from simulated_devices.faults import Faults
 
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
@@ -118,10 +119,9 @@ def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
 
 def test_samples_that_were_lost_make_the_step_again(tmp_path: Path) -> None:
     with lab(tmp_path) as (rig, runner):
-        faults = rig.ports[2].faults
-        faults.delay_s = 0.0
 
         def lossy() -> None:
+            rig.ports[2].faults = faults = Faults()
             faults.once(*["drop", "split"] * 40)
 
         once_turning(rig, runner, lossy)

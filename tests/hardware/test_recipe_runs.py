@@ -10,6 +10,7 @@ import pytest
 from hardware_bench import short_recipe, unpredicted
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
+from simulated_devices.faults import Faults
 
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, parse_spec, presets
@@ -254,7 +255,7 @@ def aborted(folder: Path, after_s: float, *, mute: int | None) -> RunResult:
             def abort() -> None:
                 clock.sleep_until(after_s)
                 if mute is not None:
-                    lab.ports[mute].faults.mute = True
+                    lab.ports[mute].faults = Faults(mute=True)
                 runner.request("abort", "now")
 
             threads.append(threading.Thread(target=abort, daemon=True))

@@ -109,7 +109,7 @@ class Remember:
     def __init__(self) -> None:
         self.data = b""
 
-    def record(self, time_s: float, direction: Direction, data: bytes) -> None:
+    def __call__(self, time_s: float, direction: Direction, data: bytes) -> None:
         self.data += data
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hardware_bench import Rig
+from simulated_devices.faults import Faults
 
 from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.hardware.drivers.imu_common import join
@@ -249,13 +250,13 @@ def test_silent_unit_pauses_the_run_until_it_is_resumed(tmp_path: Path) -> None:
     with lab(tmp_path) as (rig, runner):
 
         def silence() -> None:
-            rig.ports[2].faults.mute = True
+            rig.ports[2].faults = Faults(mute=True)
             threading.Thread(target=mend, daemon=True).start()
 
         def mend() -> None:
             while runner.state is not RunState.PAUSED:
                 runner.clock.sleep(1.0)
-            rig.ports[2].faults.mute = False
+            rig.ports[2].faults = None
             runner.clock.sleep(5.0)
             runner.request("resume")
 

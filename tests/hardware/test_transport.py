@@ -121,7 +121,7 @@ def test_bytes_go_round_and_are_recorded(on_socket: bool, tmp_path: Path) -> Non
     with (
         transcript.TextTranscript(tmp_path / "line.txt", "echo") as record,
         SimulatedPort(Echo(), RealClock(), on_socket=on_socket) as port,
-        Transport(port.url, clock=RealClock(), recorder=record) as line,
+        Transport(port.url, clock=RealClock(), recorder=record.record) as line,
     ):
         line.write(message)
         heard = b""
@@ -222,7 +222,7 @@ def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
     with (
         transcript.TextTranscript(path) as record,
         SimulatedPort(device, clock) as port,
-        Transport(port.url, clock=clock, recorder=record) as line,
+        Transport(port.url, clock=clock, recorder=record.record) as line,
         clock.party(),
     ):
         live = conversation(line)

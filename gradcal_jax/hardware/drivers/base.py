@@ -21,6 +21,17 @@ class ExchangeDriver(Generic[Config]):
         self._exchange.transport.close()
 
 
+class ImuDriver(ExchangeDriver[Config]):
+    """A unit that streams: nothing that it does can be unsafe."""
+
+    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
+        return self._exchange.transport.read_stamped(timeout_s)
+
+    def safe(self) -> SafeReport:
+        unit = self._exchange.device.replace("The", "a", 1)
+        return SafeReport("left streaming", True, f"{unit} has nothing that can be unsafe")
+
+
 class ChamberDriver(ExchangeDriver[Config], ABC):
     """A chamber: it is safe as its read-back says."""
 

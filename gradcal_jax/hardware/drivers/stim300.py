@@ -22,9 +22,10 @@ from ..clock import Clock
 from ..errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTimeout, printable
 from ..exchange import Exchange, NotThisReply
 from ..framing import LineFramer
-from ..roles import Identity, ImuSettings, SafeReport
+from ..roles import Identity, ImuSettings
 from ..settings import KeptSettings
 from ..transport import Transport
+from .base import ImuDriver
 from .stim300_datagrams import CONTENTS, INTERNAL_RATE_HZ, LAYOUTS, Stim300Decoder
 
 SAMPLE_RATE_CODES = {125.0: 0, 250.0: 1, 500.0: 2, 1000.0: 3, 2000.0: 4}
@@ -108,13 +109,11 @@ def decoder_of(config: Stim300Config, registers: Mapping[str, str]) -> Stim300De
     )
 
 
-class Stim300Stream:
+class Stim300Stream(ImuDriver[Stim300Config]):
     """Role `ImuStream`."""
 
     def __init__(self, transport: Transport, clock: Clock, config: Stim300Config) -> None:
-        self._transport = transport
-        self._config = config
-        self._exchange = Exchange(transport, LineFramer(b"\r"), clock, "The STIM300", config.reply_timeout_s)
+        super().__init__(Exchange(transport, LineFramer(b"\r"), clock, "The STIM300", config.reply_timeout_s), config)
         # What is set lasts until the unit is switched off, and is never saved.
         self.settings = KeptSettings()
         self._registers: dict[str, str] = {}
@@ -149,36 +148,27 @@ class Stim300Stream:
     def stop(self) -> None:
         self._enter_utility()
 
-    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
-        return self._transport.read_stamped(timeout_s)
-
     def decoder(self) -> Stim300Decoder:
         if not self._registers:
             raise NotVerified("The unit's accelerometer range is not known yet: call configure() first.")
         return decoder_of(self._config, self._registers)
-
-    def safe(self) -> SafeReport:
-        return SafeReport("left streaming", True, "a STIM300 has nothing that can be unsafe")
-
-    def close(self) -> None:
-        self._transport.close()
 
     def _enter_utility(self) -> None:
         if self._in_utility:
             return
         heard = b""
         for _ in range(2):
-            self._transport.write(b"UTILITYMODE\r")
+            self._exchange.transport.write(b"UTILITYMODE\r")
             end = time.monotonic() + self._config.mode_timeout_s
             while (left := end - time.monotonic()) > 0.0:
-                heard = (heard + self._transport.read(min(left, 0.1)))[-4096:]
+                heard = (heard + self._exchange.transport.read(min(left, 0.1)))[-4096:]
                 # A unit that a killed program left in Utility Mode calls the request invalid: `#,1,180`.
                 if re.search(rb"#UTILITYMODE,234\r|#,1,180\r", heard):
-                    self._transport.drain(0.02)
+                    self._exchange.transport.drain(0.02)
                     self._in_utility = True
                     return
         raise (FramingError if heard else ReplyTimeout)(
-            f"The unit at {self._transport.url} was sent 'UTILITYMODE' and did not enter Utility Mode"
+            f"The unit at {self._exchange.transport.url} was sent 'UTILITYMODE' and did not enter Utility Mode"
             + (f"; it sent {printable(heard[-80:])!r}. Check that this is a STIM300 and" if heard else ". Check")
             + " power, cable (RS-422), baud rate and parity."
         )

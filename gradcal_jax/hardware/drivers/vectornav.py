@@ -28,10 +28,11 @@ from ..checksums import crc16_vectornav, xor8
 from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
 from ..exchange import Exchange, NotThisReply
-from ..framing import BufferedFramer
-from ..roles import Identity, ImuBatch, ImuSettings, SafeReport
+from ..framing import LengthFramer
+from ..roles import Identity, ImuBatch, ImuSettings
 from ..settings import KeptSettings
 from ..transport import Transport
+from .base import ImuDriver
 from .imu_common import STANDARD_GRAVITY, join
 
 ERRORS = {
@@ -49,7 +50,7 @@ ERRORS = {
     12: "baud rate too low for the output",
     255: "error buffer overflow",
 }
-_SYNC = 0xFA
+_SYNC, _DOLLAR = 0xFA, 0x24
 _LONGEST_PACKET = 600
 _LONGEST_LINE = 256
 _REMEMBERED = 16
@@ -128,47 +129,21 @@ def packet_length(head: bytes) -> int | None:
     return length if length <= _LONGEST_PACKET else None
 
 
-class VectorNavFramer(BufferedFramer):
+class VectorNavFramer(LengthFramer):
     """ASCII lines (`$…`, without the line end) and sound binary packets (FA…) from one stream, in order."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.bad_bytes = 0
-
     def push(self, data: bytes) -> list[bytes]:
-        self._buffer += data
-        frames: list[bytes] = []
-        while self._buffer:
-            length = self._line() if self._buffer[0] == 0x24 else self._packet()
-            if length == 0:
-                break
-            if length is None:
-                start = next((i for i, byte in enumerate(self._buffer[1:], 1) if byte in (0x24, _SYNC)), None)
-                dropped = len(self._buffer) if start is None else start
-                self.bad_bytes += dropped
-                self._buffer = self._buffer[dropped:]
-                continue
-            frame = self._buffer[:length]
-            frames.append(frame[:-2] if frame[0] == 0x24 else frame)
-            self._buffer = self._buffer[length:]
-        return frames
+        return [frame[:-2] if frame[0] == _DOLLAR else frame for frame in super().push(data)]
 
-    def _line(self) -> int | None:
-        end = self._buffer.find(b"\r\n")
-        text = self._buffer[: end if end >= 0 else len(self._buffer)].removesuffix(b"\r")
-        if len(text) > _LONGEST_LINE or not all(32 <= byte < 127 for byte in text):
-            return None
-        return end + 2 if end >= 0 else 0
-
-    def _packet(self) -> int | None:
-        if self._buffer[0] != _SYNC:
-            return None
-        length = packet_length(self._buffer)
-        if not length:
-            return length
-        if len(self._buffer) < length:
-            return 0
-        return length if crc16_vectornav(self._buffer[1:length]) == 0 else None
+    def _length(self, head: bytes) -> int | None:
+        if head[0] == _DOLLAR:
+            end = head.find(b"\r\n")
+            text = head[: end if end >= 0 else len(head)].removesuffix(b"\r")
+            if len(text) > _LONGEST_LINE or not all(32 <= byte < 127 for byte in text):
+                return None
+            return end + 2 if end >= 0 else 0
+        length = packet_length(head) if head[0] == _SYNC else None
+        return None if length and len(head) >= length and crc16_vectornav(head[1:length]) else length
 
 
 class VectorNavDecoder:
@@ -247,13 +222,13 @@ def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorN
     return VectorNavDecoder(sample_rate_hz=config.sample_rate_hz)
 
 
-class VectorNavStream:
+class VectorNavStream(ImuDriver[VectorNavConfig]):
     """Role `ImuStream`."""
 
     def __init__(self, transport: Transport, clock: Clock, config: VectorNavConfig) -> None:
-        self._transport = transport
-        self._config = config
-        self._exchange = Exchange(transport, VectorNavFramer(), clock, "The VectorNav unit", config.reply_timeout_s)
+        super().__init__(
+            Exchange(transport, VectorNavFramer(), clock, "The VectorNav unit", config.reply_timeout_s), config
+        )
         self.settings = KeptSettings(
             lambda name: ",".join(self._read(int(name))),
             lambda name, value: self._write(int(name), value),
@@ -287,17 +262,8 @@ class VectorNavStream:
             with suppress(Rejected):
                 self.settings.change(register, ",".join(["0", *self._read(int(register))[1:]]))
 
-    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
-        return self._transport.read_stamped(timeout_s)
-
     def decoder(self) -> VectorNavDecoder:
         return decoder_of(self._config, {})
-
-    def safe(self) -> SafeReport:
-        return SafeReport("left streaming", True, "a VectorNav unit has nothing that can be unsafe")
-
-    def close(self) -> None:
-        self._transport.close()
 
     def _binary_output(self, port: int) -> str:
         return f"{port},{round(self._config.base_rate_hz / self._config.sample_rate_hz)},05,0001,001C"

@@ -14,7 +14,6 @@ from .plants import ChamberPlant
 @dataclass
 class EspecOptions:
     address: int | None = None
-    humidity: bool = False
     knows_detail: bool = True
     echo_off: bool = False
     decimals: int = 1
@@ -33,8 +32,6 @@ class SimulatedEspec:
         self.mode = "STANDBY"
         self.constant_c = plant.truth.ambient_c
         self.alarms: list[int] = []
-        self.refrigeration = "REF9"
-        self.keys_locked = False
         self._program_end_s: float | None = None
         self.commands: list[str] = []
 
@@ -79,22 +76,18 @@ class SimulatedEspec:
         if detail and not self.options.knows_detail:
             return "NA:PARA ERR"
         mode = self._mode(now, detail)
-        humidity = "45" if self.options.humidity else ""
 
         def number(value: float) -> str:
             return f"{value:.{self.options.decimals}f}"
 
         answers = {
             "ROM": "P3S1.10" if not argument else "P3D1.05",
-            "TYPE": "T,T,P300,140.0" if self.options.humidity else "T,P300,140.0",
+            "TYPE": "T,P300,140.0",
             "MODE": mode,
-            "MON": f"{number(air)},{humidity},{mode},{len(self.alarms)}",
+            "MON": f"{number(air)},,{mode},{len(self.alarms)}",
             "TEMP": ",".join(map(number, (air, set_point, self.options.high_c, self.options.low_c))),
-            "HUMI": "45,OFF,100,0" if self.options.humidity else "NA:CONT NOT READY-1",
+            "HUMI": "NA:CONT NOT READY-1",
             "ALARM": ",".join(map(str, [len(self.alarms), *self.alarms])),
-            "SET": self.refrigeration,
-            "CONSTANT SET": f"{self.constant_c:.1f},ON",
-            "KEYPROTECT": "ON" if self.keys_locked else "OFF",
         }
         answer = answers.get(name, "NA:CMD ERR")
         return answer.replace(",", ", ") if self.options.blanks else answer
@@ -108,19 +101,8 @@ class SimulatedEspec:
             return ""
         if text.startswith("MODE,"):
             return "DATA NOT READY" if "RUN" in text else "PARA ERR"
-        if (match := re.fullmatch(r"POWER,\s*(ON|OFF)", text)) is not None:
-            self._enter("CONSTANT" if match[1] == "ON" else "OFF")
-            return ""
-        if (match := re.fullmatch(r"SET,\s*(REF[01369])", text)) is not None:
-            self.refrigeration = match[1]
-            return ""
-        if (match := re.fullmatch(r"KEYPROTECT,\s*(ON|OFF)", text)) is not None:
-            if match[1] == "ON" and self.mode == "OFF":
-                return "CONT NOT READY-4"
-            self.keys_locked = match[1] == "ON"
-            return ""
         if text.startswith("HUMI,"):
-            return "" if self.options.humidity else "CONT NOT READY-1"
+            return "CONT NOT READY-1"
         if text.startswith("RUN PRGM,"):
             return self._remote_program(text)
         if (

@@ -63,7 +63,6 @@ class HiddenTruth:
         for axis in axes:
             row = AXES.index(axis)
             bias = {f"a{k}": float(np.radians(v)) for k, v in enumerate(self.sensor.bias_dps[row])}
-            bias["a0"] += float(np.radians(self.sensor.turn_on_dps))
             scale = {
                 f"b{rate}{cold}": value
                 for cold, values in enumerate(self.sensor.scale_factor[row])
@@ -78,13 +77,13 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
     random = np.random.default_rng([seed, 20261])
     sensor, angle = spec.sensor, spec.rig.table.angle
     deg = 180.0 / np.pi
-    bias_basis, bias = _polynomial(0), np.zeros((3, 1))
+    bias_basis, bias = TruthBasis(), np.zeros((3, 1))
     if sensor.bias is not None:
         bias_basis = temperature_truth(sensor.bias.temperature)
         size = _TYPICAL_BIAS_DPS if sensor.bias.prior is None else float(sensor.bias.prior) * deg
         bias = size * random.standard_normal((3, sensor.bias.temperature.size))
     bias[:, 0] += float(sensor.turn_on_bias or 0.0) * deg * random.standard_normal(3)
-    temperature_basis, rate_basis, scale = _polynomial(0), _polynomial(0), np.zeros((3, 1, 1))
+    temperature_basis, rate_basis, scale = TruthBasis(), TruthBasis(), np.zeros((3, 1, 1))
     if (section := sensor.scale_factor) is not None:
         temperature_basis, rate_basis = temperature_truth(section.temperature), rate_truth(section.rate)
         size = _TYPICAL_SCALE if section.prior is None else float(section.prior)
@@ -126,20 +125,19 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
 
 def _processes(sensor: Sensor) -> tuple[Process, ...]:
     deg = 180.0 / np.pi
-    found = [Process(float(d.standard_deviation) * deg, float(d.correlation_time), 1.0) for d in sensor.drift]
-    found += [
-        Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0)
-        for d in sensor.scale_factor_instability
-    ]
+    found = processes_of(sensor.drift, sensor.scale_factor_instability, deg)
     if (error := sensor.temperature_error) is not None:
         lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
         gains = (float(error.bias_slope or 0.0) * deg, float(error.scale_factor_slope or 0.0))
-        found.append(Process(float(error.standard_deviation), float(lasts), *gains))
-    return tuple(found)
+        found += (Process(float(error.standard_deviation), float(lasts), *gains),)
+    return found
 
 
-def _polynomial(degree: int) -> TruthBasis:
-    return TruthBasis("polynomial", degree)
+def processes_of(drift: Sequence[Any], instability: Sequence[Any] = (), unit: float = 1.0) -> tuple[Process, ...]:
+    """Of a spec's drifts, in a unit of which so many are its SI unit, and of what its scale factor does."""
+    biases = (Process(float(d.standard_deviation) * unit, float(d.correlation_time), 1.0) for d in drift)
+    scales = (Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0) for d in instability)
+    return (*biases, *scales)
 
 
 def temperature_truth(section: Any) -> TruthBasis:
@@ -182,7 +180,7 @@ class SimulatedLab(OnPorts):
     """The laboratory for one recipe's spec. A context manager; `rig` is its rig file.
 
     `burst_s` is how often the sensor's bytes reach the computer; a longer one costs less time. `room_c` is where the
-    chamber starts. `on_sockets`: TCP in the place of pseudo-terminals, as on Windows.
+    chamber starts.
     """
 
     def __init__(
@@ -194,7 +192,6 @@ class SimulatedLab(OnPorts):
         sample_rate_hz: float = 125.0,
         burst_s: float = 0.5,
         room_c: float = 23.0,
-        on_sockets: bool = False,
     ) -> None:
         self.truth = draw_truth(spec, seed)
         now = clock.now()
@@ -231,9 +228,7 @@ class SimulatedLab(OnPorts):
         else:
             self.table = chain_of(self.axis_plants, clock, [limited] * len(self.axes))
         self.imu = SimulatedStim300(self.sensor, clock, unit_options(sample_rate_hz, burst_s))
-        self.ports = [
-            SimulatedPort(device, clock, on_socket=on_sockets) for device in (self.chamber, self.table, self.imu)
-        ]
+        self.ports = [SimulatedPort(device, clock) for device in (self.chamber, self.table, self.imu)]
         at_chamber, at_table, at_imu = (port.url for port in self.ports)
         by_hand = isinstance(self.table, SimulatedOperator)
         axes = [axis_tables(axis, at_table, number, table, by_hand) for number, axis in enumerate(self.axes, start=1)]

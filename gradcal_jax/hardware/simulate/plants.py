@@ -117,9 +117,9 @@ _PIECES_BY_HAND = 24
 class AxisTruth:
     """A rotary axis as it is. Travel in degrees each way from zero, None: endless.
 
-    The encoder reads the true angle plus a repeatable error (once a turn, and `harmonics`: order, cosine and sine part
-    in deg) plus an offset drawn at every standstill plus white noise; each reading is of an instant that is off by
-    `timing_error_s`, one sigma.
+    The encoder reads the true angle plus a repeatable error (`harmonics`: order, cosine and sine part in deg) plus an
+    offset drawn at every standstill plus white noise; each reading is of an instant that is off by `timing_error_s`,
+    one sigma.
 
     A constant rate is held to `rate_accuracy`, relative, drawn for each rate that is told, and the encoder does not see
     it: it counts at the rate that was told, and from where that has led to until the axis is homed.
@@ -127,7 +127,6 @@ class AxisTruth:
 
     lowest_deg: float | None = None
     highest_deg: float | None = None
-    encoder_error_deg: float = 0.0
     harmonics: tuple[tuple[int, float, float], ...] = ()
     standstill_offset_deg: float = 0.0
     reading_noise_deg: float = 0.0
@@ -192,8 +191,7 @@ class AxisPlant:
         late_s = truth.timing_error_s * float(self._random.standard_normal()) if truth.timing_error_s else 0.0
         position, _ = self.state(now_s - late_s)
         turned = math.radians(position)
-        error = truth.encoder_error_deg * math.sin(turned)
-        error += sum(c * math.cos(order * turned) + s * math.sin(order * turned) for order, c, s in truth.harmonics)
+        error = sum(c * math.cos(order * turned) + s * math.sin(order * turned) for order, c, s in truth.harmonics)
         if not self.moving(now_s):
             error += self._offset_deg
         return (
@@ -265,10 +263,6 @@ class AxisPlant:
                 for k in range(_PIECES_BY_HAND)
             ]
             self._replace(now_s, [*phases, _Phase(now_s + duration_s, target_deg, 0.0, 0.0)])
-
-    def coast(self, now_s: float, deceleration_dps2: float = 20.0) -> None:
-        """Without power: friction alone slows it."""
-        self.spin(now_s, 0.0, deceleration_dps2)
 
     def _held(self, position_deg: float, told_dps: float) -> float:
         """The rate that the axis goes to when it is told one."""

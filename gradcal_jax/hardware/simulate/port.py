@@ -15,11 +15,11 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from ..clock import Clock
-from .faults import Faults
 
 if sys.platform != "win32":
     import pty
@@ -27,6 +27,9 @@ if sys.platform != "win32":
 
 
 _TO_FETCH_S = 0.2
+
+Spoils = Callable[[bytes], list[bytes]]
+"""What arrives in the place of a message."""
 
 
 class SimulatedDevice(Protocol):
@@ -60,14 +63,13 @@ class SimulatedPort:
         device: SimulatedDevice | StreamingDevice,
         clock: Clock,
         *,
-        faults: Faults | None = None,
-        commands: Faults | None = None,
+        faults: Spoils | None = None,
+        commands: Spoils | None = None,
         on_socket: bool = False,
     ) -> None:
         self.device = device
-        self.faults = faults or Faults()
-        """Of what the device says; `commands`: of what it hears."""
-        self.commands = commands or Faults()
+        self.faults, self.commands = faults, commands
+        """Of what the device says, and of what it hears; None: everything arrives as it is."""
         self.lost_bytes = 0
         self._clock = clock
         self._on_socket = on_socket or sys.platform == "win32"
@@ -160,7 +162,7 @@ class SimulatedPort:
                 time.sleep(0.01)
             if not data:
                 continue
-            for heard in self.commands.apply(data):
+            for heard in self.commands(data) if self.commands is not None else [data]:
                 with self._device_lock:
                     replies = self.device.receive(heard)
                 for reply in replies:
@@ -224,14 +226,11 @@ class SimulatedPort:
                 self._clock.sleep_until(due_s)
                 with self._device_lock:
                     messages = device.emit(self._clock.now())
-                if self.faults.probability or self.faults.mute or self.faults.pending:
-                    for message in messages:
-                        self._deliver(message)
-                else:
-                    self._send(b"".join(messages))
+                for message in messages if self.faults is not None else [b"".join(messages)]:
+                    self._deliver(message)
 
     def _deliver(self, message: bytes) -> None:
-        for index, chunk in enumerate(self.faults.apply(message)):
+        for index, chunk in enumerate([message] if (spoils := self.faults) is None else spoils(message)):
             if index:
                 time.sleep(0.01)
             self._send(chunk)

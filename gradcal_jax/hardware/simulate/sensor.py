@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import formulas
+from ..pose import turn_about
 from .plants import AxisPlant, ChamberPlant
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 
-# Centre and scale of the monomials of a truth without bases: °C and K, deg/s.
-_OF_TEMPERATURE, _OF_RATE = (20.0, 50.0), (0.0, 300.0)
 _BLOCK = 32
 
 Vectors = NDArray[np.float64]
@@ -58,6 +57,33 @@ class Process:
     rate_gain: float = 0.0
 
 
+class Drifts:
+    """What Gauss–Markov processes of three axes do from sample to sample."""
+
+    def __init__(self, processes: Sequence[Process], random: np.random.Generator) -> None:
+        self._sigmas = np.array([process.sigma for process in processes])
+        self._taus_s = np.array([process.tau_s for process in processes])
+        self._gains = np.array([(process.bias_gain, process.rate_gain) for process in processes]).reshape(-1, 2)
+        self._states = self._sigmas * random.standard_normal((3, len(processes)))
+
+    def take(self, draws: Vectors, period_s: float) -> tuple[Vectors, Vectors]:
+        """`(n, 3, k)` standard normals -> what the `k` processes add to the output and to the scale factor at the next
+        samples, `(n, 3)` each."""
+        decays = np.exp(-period_s / self._taus_s)
+        # x_k = φ^k x_0 + Σ_j φ^(k−j) w_j, in blocks short enough for the little triangular matrices.
+        blocks = [np.zeros((0, *self._states.shape))]
+        for start in range(0, draws.shape[0], _BLOCK):
+            kicks = self._sigmas * np.sqrt(1.0 - decays**2) * draws[start : start + _BLOCK]
+            steps: NDArray[np.int64] = np.arange(kicks.shape[0], dtype=np.int64)
+            lag = steps[:, None] - steps
+            weights = np.where((lag >= 0)[..., None], decays ** np.maximum(lag, 0)[..., None], 0.0)
+            grown = decays ** (steps + 1)[:, None, None] * self._states
+            blocks.append(grown + np.einsum("kjp,jap->kap", weights, kicks))
+            self._states = blocks[-1][-1]
+        values = np.concatenate(blocks)
+        return values @ self._gains[:, 0], values @ self._gains[:, 1]
+
+
 @dataclass(frozen=True)
 class SensorTruth:
     """What the calibration is to find, and the noise it has to find it through. One row per sensor axis.
@@ -65,8 +91,7 @@ class SensorTruth:
     bias_dps       (3, nT)      coefficients of B, deg/s
     scale_factor   (3, nT, nω)  coefficients of M, ratio; row index power of temperature, column power of rate
 
-    Without bases of their own they are of monomials of (T − 20 °C)/50 K and ω/(300 deg/s). `gradient_deg_per_k` (3,) is
-    the bias for each K/s.
+    `gradient_deg_per_k` (3,) is the bias for each K/s.
     """
 
     bias_dps: tuple[tuple[float, ...], ...] = ((0.0,), (0.0,), (0.0,))
@@ -76,9 +101,9 @@ class SensorTruth:
     processes: tuple[Process, ...] = ()
     rate_random_walk_dps_sqrt_s: float = 0.0
     gradient_deg_per_k: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    bias_basis: TruthBasis | None = None
-    temperature_basis: TruthBasis | None = None
-    rate_basis: TruthBasis | None = None
+    bias_basis: TruthBasis = TruthBasis()
+    temperature_basis: TruthBasis = TruthBasis()
+    rate_basis: TruthBasis = TruthBasis()
     clock_error: float = 0.0
     temperature_noise_c: float = 0.0
     acceleration_noise_g: float = 0.0
@@ -161,19 +186,9 @@ class SimulatedSensor(SampledSensor):
         self._chamber, self._axes = chamber, tuple(axes)
         self._bias, self._scale = np.array(truth.bias_dps), np.array(truth.scale_factor)
         self._random = np.random.default_rng(seed)
-        processes = truth.processes
-        self._sigmas = np.array([process.sigma for process in processes])
-        self._taus_s = np.array([process.tau_s for process in processes])
-        self._gains = np.array([(process.bias_gain, process.rate_gain) for process in processes]).reshape(-1, 2)
         self._walked = np.zeros(3)
-        degrees = (self._bias.shape[1] - 1, self._scale.shape[1] - 1, self._scale.shape[2] - 1)
-        self._bases = (
-            truth.bias_basis or TruthBasis("polynomial", degrees[0], *_OF_TEMPERATURE),
-            truth.temperature_basis or TruthBasis("polynomial", degrees[1], *_OF_TEMPERATURE),
-            truth.rate_basis or TruthBasis("polynomial", degrees[2], *_OF_RATE),
-        )
         self.restart(start_s, sample_rate_hz)
-        self._states = self._sigmas * self._random.standard_normal((3, len(processes)))
+        self._drifts = Drifts(truth.processes, self._random)
         self.turn_on_dps = truth.turn_on_dps * self._random.standard_normal(3)
 
     def take(self, count: int) -> SensorSamples:
@@ -182,11 +197,10 @@ class SimulatedSensor(SampledSensor):
         middles = (ends[1:] + ends[:-1]) / 2.0
         rates, up = self._motion(ends, middles)
         temperature = self._chamber.load_at(middles) if count else np.zeros(0)
-        draws = self._random.standard_normal((count, 7 + 3 * len(self._sigmas)))
-        kicks = draws[:, 7:].reshape(count, 3, len(self._sigmas))
-        noise, self._states = markov(kicks, self._states, self._sigmas, np.exp(-self.true_period_s / self._taus_s))
-        bias_of, temperature_of, rate_of = self._bases
-        bias = bias_of(temperature) @ self._bias.T + self.turn_on_dps + noise @ self._gains[:, 0]
+        processes = len(truth.processes)
+        draws = self._random.standard_normal((count, 7 + 3 * processes))
+        drift, unsteady = self._drifts.take(draws[:, 7:].reshape(count, 3, processes), self.true_period_s)
+        bias = truth.bias_basis(temperature) @ self._bias.T + self.turn_on_dps + drift
         if any(truth.gradient_deg_per_k) and count:
             change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
             bias = bias + change[:, None] * np.array(truth.gradient_deg_per_k)
@@ -196,9 +210,9 @@ class SimulatedSensor(SampledSensor):
             bias = bias + walked
             self._walked = walked[-1] if count else self._walked
         factor = formulas.scale_factor_map(
-            temperature_of(temperature)[:, None, None, :], rate_of(rates)[:, :, None, :], self._scale
+            truth.temperature_basis(temperature)[:, None, None, :], truth.rate_basis(rates)[:, :, None, :], self._scale
         )[..., 0]
-        factor = factor + noise @ self._gains[:, 1]
+        factor = factor + unsteady
         walk = truth.angle_random_walk_deg_sqrt_s / self.true_period_s**0.5 * draws[:, :3]
         error = bias + factor * rates + walk
         return SensorSamples(
@@ -217,34 +231,9 @@ class SimulatedSensor(SampledSensor):
         up[:, 2] = 1.0
         for direction, plant in zip(self._mounting.axes, self._axes, strict=True):
             axis = np.array(direction)
-            fixed = _rotated(fixed, axis, -np.radians(plant.position(middles)))
+            # What is fixed outside, as the frame that the axis carries sees it.
+            fixed = np.einsum("kni,nij->knj", fixed, turn_about(axis, np.radians(plant.position(middles))))
             earth, up, turning = fixed
             turning += np.diff(plant.position(ends))[:, None] / self.true_period_s * axis
         matrix = np.array(self._mounting.mounting)
         return (turning + earth) @ matrix.T, up @ matrix.T
-
-
-def markov(draws: Vectors, states: Vectors, sigmas: Vectors, decays: Vectors) -> tuple[Vectors, Vectors]:
-    """`(n, 3, k)` standard normals -> the states of `k` Gauss–Markov processes of three axes at the samples, and the
-    last of them `(3, k)`."""
-    if not draws.size:
-        return np.zeros(draws.shape), states
-    # x_k = φ^k x_0 + Σ_j φ^(k−j) w_j, in blocks short enough for the little triangular matrices.
-    blocks: list[Vectors] = []
-    for start in range(0, draws.shape[0], _BLOCK):
-        kicks = sigmas * np.sqrt(1.0 - decays**2) * draws[start : start + _BLOCK]
-        steps: NDArray[np.int64] = np.arange(kicks.shape[0], dtype=np.int64)
-        lag = steps[:, None] - steps
-        weights = np.where((lag >= 0)[..., None], decays ** np.maximum(lag, 0)[..., None], 0.0)
-        blocks.append(decays ** (steps + 1)[:, None, None] * states + np.einsum("kjp,jap->kap", weights, kicks))
-        states = blocks[-1][-1]
-    return np.concatenate(blocks), states
-
-
-def _rotated(vectors: Vectors, axis: NDArray[np.float64], angle: NDArray[np.float64]) -> Vectors:
-    """Rodrigues' formula: `vectors` (…, n, 3) turned about the unit vector `axis` by `angle` (n,), rad."""
-    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    x, y, z = axis
-    crossed = vectors @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-    along = (vectors @ axis)[..., None] * axis
-    return along + (vectors - along) * cosine + crossed * sine

@@ -8,6 +8,7 @@ Of the special datagrams only identifier, length and CRC are true to the unit, n
 """
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,23 +47,16 @@ class Stim300Options:
     start_up_s: float = 1.0
 
 
-class Stim300Counters:
-    """What the unit did, for tests: datagrams made, lost on a slow line, replaced by special ones."""
-
-    def __init__(self) -> None:
-        self.normal = self.overrun = self.special = 0
-
-
 class SimulatedStim300:
     """One unit; `sensor` gives its samples. `options.burst_s` is how often bytes reach the host's driver."""
 
     def __init__(self, sensor: SampledSensor, clock: Clock, options: Stim300Options | None = None) -> None:
         self.options = options or Stim300Options()
         self.sensor = sensor
-        self.counters = Stim300Counters()
+        # Of datagrams: made ("normal"), lost on a slow line ("overrun"), replaced by special ones ("special").
+        self.counters: Counter[str] = Counter()
         self._clock = clock
         self._buffer = b""
-        self._saves_left = 9958
         self._registers: dict[str, str] = {}
         self.reboot()
 
@@ -142,13 +136,13 @@ class SimulatedStim300:
             body = bodies[index].tobytes()
             message = body + crc32_mpeg2(body + tail).to_bytes(4, "big") + end
             if self._waiting:
-                self.counters.special += 1
+                self.counters["special"] += 1
                 messages.append(self._waiting.pop(0))
             elif self._fits_line(first + index, len(message)):
-                self.counters.normal += 1
+                self.counters["normal"] += 1
                 messages.append(message)
             else:
-                self.counters.overrun += 1
+                self.counters["overrun"] += 1
         return messages
 
     def _fits_line(self, index: int, length: int) -> bool:
@@ -186,7 +180,7 @@ class SimulatedStim300:
             "ifw": self.options.firmware,
             "it": f"{self.options.baudrate},1,N,1,{int(self.options.line_end)},0",
             "irng": f"400,400,400,{self.options.range_g},{self.options.range_g},{self.options.range_g},1.7,1.7,1.7,NA",
-            "isv": str(self._saves_left),
+            "isv": "9958",
             "ie": "0",
         }
         if name in readable:
@@ -195,9 +189,6 @@ class SimulatedStim300:
             self._mode = "normal"
             self._restart()
             return _reply(name, 0)
-        if name == "save":
-            self._saves_left -= 1
-            return _reply(name, 0, str(self._saves_left))
         limits = {"sm": 4, "sd": 7, "sgu": 3, "sau": 3, "siu": 3}
         if name not in limits:
             return _reply("", 3)

@@ -1,6 +1,6 @@
 """A whole unit, three gyros and three accelerometers, on nested axes that are not as they were drawn.
 
-Attitude is a product of quaternions, body to East-North-Up, outermost stage first, every angle finite:
+Attitude is a product of rotation matrices, body to East-North-Up, outermost stage first, every angle finite:
 
     base (tilt, azimuth) · axis 1 · (its non-orthogonality to axis 2) · axis 2 · … · mounting · (mounting's error)
 
@@ -22,14 +22,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..pose import turn_about, turn_by
 from .plants import AxisPlant, ChamberPlant
-from .sensor import SampledSensor, SensorSamples, TruthBasis, Vectors, markov
+from .sensor import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
 
 EARTH_RATE = 7.292115e-5
 _STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
 # Of a sample: within each the attitude is taken in the middle, and rates are exact means.
 _PARTS = 3
-Quaternion = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 Kind = Literal["gyro", "accelerometer"]
 
 
@@ -55,15 +56,6 @@ class ScaleFactors:
 
 
 @dataclass(frozen=True)
-class Drifts:
-    """Gauss–Markov processes, and what of them goes into the scale factor in the place of the bias. SI."""
-
-    sigmas: tuple[float, ...] = ()
-    taus_s: tuple[float, ...] = ()
-    scales: tuple[bool, ...] = ()
-
-
-@dataclass(frozen=True)
 class TriadTruth:
     """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s.
 
@@ -74,7 +66,7 @@ class TriadTruth:
     bias: Coefficients
     white: float
     walk: float = 0.0
-    drifts: Drifts = Drifts()
+    drifts: tuple[Process, ...] = ()
     scale: ScaleFactors | Coefficients | None = None
     misalignment: Coefficients | None = None
     force: Coefficients | None = None
@@ -88,7 +80,7 @@ class TriadTruth:
 @dataclass(frozen=True)
 class TableTruth:
     """How the table stands and its axes lie, rad. `axes` outermost first, each in the frame that the one outside it
-    carries while all stand at zero. `mountings`: body to the innermost axis's frame, as they are (`hung`).
+    carries while all stand at zero. `mountings`: body to the innermost axis's frame, as they are.
     """
 
     axes: tuple[tuple[float, ...], ...]
@@ -96,7 +88,7 @@ class TableTruth:
     gravity: float
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)
     orthogonality: tuple[float, ...] = ()
-    mountings: tuple[Quaternion, ...] = (np.array([1.0, 0.0, 0.0, 0.0]),)
+    mountings: tuple[Matrix, ...] = (np.eye(3),)
 
 
 @dataclass
@@ -141,11 +133,8 @@ class SimulatedUnit(SampledSensor):
         self.clock_error = truth.clock_error
         self._chamber, self._axes = chamber, tuple(axes)
         self._random = np.random.default_rng([seed, 20263])
-        self._states: dict[Kind, Vectors] = {}
         self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
-        for kind, triad in self._triads():
-            sigmas = np.array(triad.drifts.sigmas)
-            self._states[kind] = sigmas * self._random.standard_normal((3, len(sigmas)))
+        self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in self._triads()}
         self.restart(start_s, sample_rate_hz)
 
     def _triads(self) -> list[tuple[Kind, TriadTruth]]:
@@ -178,36 +167,30 @@ class SimulatedUnit(SampledSensor):
 
     def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors]:
         """What is added, and what the scale factor is off by, of every sample: `(count, 3)` each."""
-        drifts, dt = triad.drifts, self.true_period_s
-        draws = self._random.standard_normal((count, 3, 2 + len(drifts.sigmas)))
-        sigmas, decays = np.array(drifts.sigmas), np.exp(-dt / np.array(drifts.taus_s))
-        values, self._states[kind] = markov(draws[..., 2:], self._states[kind], sigmas, decays)
-        scales = np.array(drifts.scales, dtype=bool)
+        dt = self.true_period_s
+        draws = self._random.standard_normal((count, 3, 2 + len(triad.drifts)))
+        drift, unsteady = self._drifts[kind].take(draws[..., 2:], dt)
         walk = self._walked[kind] + np.cumsum(triad.walk * dt**0.5 * draws[..., 1], axis=0)
         self._walked[kind] = walk[-1]
-        added = triad.white / dt**0.5 * draws[..., 0] + walk + values[..., ~scales].sum(axis=-1)
-        return added, values[..., scales].sum(axis=-1)
+        return triad.white / dt**0.5 * draws[..., 0] + walk + drift, unsteady
 
     def _motion(self, edges: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
         """Rate against inertial space (rad/s) and specific force (m/s²) in the body, `(n, 3)` between `n + 1` times."""
         table = self.table
         middles, lasting = (edges[1:] + edges[:-1]) / 2.0, np.diff(edges)
-        attitude = np.broadcast_to(_of_vector(table.base), (len(middles), 4))
+        attitude = turn_by(table.base)[None]
         turning = np.zeros((len(middles), 3))
         for l, (axis, plant) in enumerate(zip(table.axes, self._axes, strict=True)):
             direction = np.array(axis)
-            outside = np.broadcast_to(direction, turning.shape)
             pace = np.radians(np.diff(plant.position(edges))) / lasting
-            turning = turning + _rotate(attitude, outside) * pace[:, None]
-            attitude = _times(attitude, _about(direction, np.radians(plant.position(middles))))
+            turning = turning + attitude @ direction * pace[:, None]
+            attitude = attitude @ turn_about(direction, np.radians(plant.position(middles)))
             if l + 1 < len(table.axes):
                 off = table.orthogonality[l] * np.cross(np.array(table.axes[l + 1]), direction)
-                attitude = _times(attitude, _of_vector(off))
-        attitude = _times(attitude, table.mountings[self.hanging.mounting])
+                attitude = attitude @ turn_by(off)
+        attitude = attitude @ table.mountings[self.hanging.mounting]
         earth = EARTH_RATE * np.array([0.0, np.cos(table.latitude), np.sin(table.latitude)])
-        rate = _rotate(_back(attitude), turning + earth)
-        up = np.broadcast_to(np.array([0.0, 0.0, table.gravity]), rate.shape)
-        return rate, _rotate(_back(attitude), up)
+        return np.einsum("nij,ni->nj", attitude, turning + earth), table.gravity * attitude[:, 2]
 
 
 def _at_lever(lever: Vectors, rate: Vectors, edges: NDArray[np.float64]) -> Vectors:
@@ -239,54 +222,3 @@ def _felt(truth: TriadTruth, force: Vectors, temperature: NDArray[np.float64]) -
         if coefficients is not None:
             said += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
     return said
-
-
-def hung(columns: NDArray[np.float64], *vectors: Sequence[float]) -> Quaternion:
-    """A mounting: body to the axis's frame by a matrix, turned on by rotation vectors (body)."""
-    found = _of_matrix(columns)
-    for vector in vectors:
-        found = _times(found, _of_vector(vector))
-    return found
-
-
-def _about(axis: NDArray[np.float64], angle: NDArray[np.float64]) -> Quaternion:
-    """`(…, 4)`, scalar first, of rotations by angles `(…)` about a unit vector."""
-    half = 0.5 * angle[..., None]
-    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
-
-
-def _of_vector(vector: Sequence[float] | NDArray[np.float64]) -> Quaternion:
-    """Of a rotation vector."""
-    size = float(np.linalg.norm(vector))
-    axis = np.array(vector) / size if size > 0.0 else np.array([1.0, 0.0, 0.0])
-    return _about(axis, np.array(size))
-
-
-def _of_matrix(matrix: NDArray[np.float64]) -> Quaternion:
-    """Of a rotation matrix, by its largest component (Shepperd 1978)."""
-    trace = np.trace(matrix)
-    sizes = np.sqrt(np.maximum(0.0, [1.0 + trace, *(1.0 + 2.0 * matrix[i, i] - trace for i in range(3))]))
-    largest = int(np.argmax(sizes))
-    s = 2.0 * sizes[largest]
-    skew = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
-    if largest == 0:
-        return np.concatenate([[0.25 * s], skew / s])
-    i = largest - 1
-    vector = (matrix[i] + matrix[:, i]) / s
-    vector[i] = 0.25 * s
-    return np.concatenate([[skew[i] / s], vector])
-
-
-def _times(p: Quaternion, q: Quaternion) -> Quaternion:
-    a, u, b, v = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
-    return np.concatenate([a * b - np.sum(u * v, axis=-1, keepdims=True), a * v + b * u + np.cross(u, v)], axis=-1)
-
-
-def _back(q: Quaternion) -> Quaternion:
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
-
-
-def _rotate(q: Quaternion, vectors: Vectors) -> Vectors:
-    """`q v q*`."""
-    twice = 2.0 * np.cross(q[..., 1:], vectors)
-    return vectors + q[..., :1] * twice + np.cross(q[..., 1:], twice)

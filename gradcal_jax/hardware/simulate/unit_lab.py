@@ -15,8 +15,19 @@ import numpy as np
 from ...files.sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
+from ..pose import turn_by
 from .espec import EspecOptions, SimulatedEspec
-from .lab import OnPorts, axis_tables, chain_of, chamber_truth, lab_rig, rate_truth, temperature_truth, unit_options
+from .lab import (
+    OnPorts,
+    axis_tables,
+    chain_of,
+    chamber_truth,
+    lab_rig,
+    processes_of,
+    rate_truth,
+    temperature_truth,
+    unit_options,
+)
 from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth, ChamberPlant
 from .port import SimulatedPort
@@ -24,15 +35,13 @@ from .sensor import TruthBasis
 from .stim300 import SimulatedStim300
 from .unit import (
     Coefficients,
-    Drifts,
     Hanging,
-    Quaternion,
+    Matrix,
     ScaleFactors,
     SimulatedUnit,
     TableTruth,
     TriadTruth,
     UnitTruth,
-    hung,
 )
 
 _XYZ: Final = "xyz"
@@ -98,15 +107,6 @@ def _others(symbol: str) -> list[list[str]]:
     return [["" if a == b else f"{symbol}_{b}" for b in _XYZ] for a in _XYZ]
 
 
-def _drifts(drift: Any, instability: Any = ()) -> Drifts:
-    every = (*drift, *instability)
-    return Drifts(
-        tuple(float(d.standard_deviation) for d in every),
-        tuple(float(d.correlation_time) for d in every),
-        (False,) * len(drift) + (True,) * len(instability),
-    )
-
-
 def _gyro(triad: GyroTriad, names: _Names) -> TriadTruth:
     axes, all_three = triad.axes, [[*_XYZ]] * 3
     bias = names.draw("gyro", triad.bias, "bias", [["a"]] * 3, axes, counted=True)
@@ -129,7 +129,7 @@ def _gyro(triad: GyroTriad, names: _Names) -> TriadTruth:
         bias=bias,
         white=float(triad.angle_random_walk),
         walk=float(triad.rate_random_walk or 0.0),
-        drifts=_drifts(triad.drift, triad.scale_factor_instability),
+        drifts=processes_of(triad.drift, triad.scale_factor_instability),
         scale=scale,
         misalignment=names.draw("gyro", triad.misalignment, "misalignment", _others("m"), axes),
         force=names.draw("gyro", triad.g_sensitivity, "g_sensitivity", force, axes),
@@ -148,7 +148,7 @@ def _accelerometer(triad: AccelerometerTriad, names: _Names) -> TriadTruth:
     return TriadTruth(
         bias=bias,
         white=float(triad.velocity_random_walk),
-        drifts=_drifts(triad.drift),
+        drifts=processes_of(triad.drift),
         scale=own(triad.scale_factor, "scale_factor", "s"),
         misalignment=names.draw(kind, triad.misalignment, "misalignment", _others("m"), axes),
         second=own(triad.second_order, "second_order", "k2"),
@@ -210,12 +210,12 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
             )
         )
     in_case = spec.sensor.frame is not None and spec.sensor.frame.fixed_by == "case"
-    mountings: list[Quaternion] = []
+    mountings: list[Matrix] = []
     for number, mounting in enumerate(table.mounting, start=1):
         size = float(mounting.accuracy) if in_case else 0.0
         off = [draw(size, f"mounting{number}_{axis}") for axis in _XYZ]
         drawn = mounting.rotation or (0.0, 0.0, 0.0)
-        mountings.append(hung(np.array(mounting.columns).T, [float(angle) for angle in drawn], off))
+        mountings.append(np.array(mounting.columns).T @ turn_by([float(angle) for angle in drawn]) @ turn_by(off))
     truth = TableTruth(
         axes=tuple(axis.unit_vector for axis in table.axis),
         latitude=float(site.latitude),

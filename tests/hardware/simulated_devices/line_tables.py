@@ -9,6 +9,8 @@ from collections import deque
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 
+_FRICTION_DPS2 = 20.0  # alone slows what has no power
+
 
 class SimulatedGrbl:
     """The X axis of a board. With its homing cycle on it begins, always anew, in ALARM, and takes nothing but $H, $X
@@ -221,7 +223,7 @@ class SimulatedAerosmith:
 
     def reboot(self) -> None:
         now = self._clock.now()
-        self.plant.coast(now)
+        self.plant.spin(now, 0.0, _FRICTION_DPS2)
         self._buffer, self.servo, self.jog, self._homed_s = b"", False, 0.0, None
 
     def _line(self, text: str) -> str:
@@ -251,7 +253,7 @@ class SimulatedAerosmith:
             if value not in (0.0, 1.0):
                 return False
             if self.servo and not value:
-                self.plant.coast(now)
+                self.plant.spin(now, 0.0, _FRICTION_DPS2)
             self.servo, self.jog = bool(value), 0.0
         elif word in ("ACL", "VEL"):
             if not 0.0 < value <= 1000.0:

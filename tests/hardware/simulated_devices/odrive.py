@@ -22,6 +22,7 @@ from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 
+_FRICTION_DPS2 = 20.0  # alone slows what has no power
 _LONGEST_LINE = 256
 _IDLE, _CLOSED_LOOP = 1, 8
 _VELOCITY, _POSITION = 2, 3
@@ -111,13 +112,13 @@ class SimulatedODrive:
         for axis in self.axes:
             axis.state, axis.error, axis.pos_setpoint, axis.under_way = _IDLE, 0, 0.0, False
             axis.values["config.enable_watchdog"] = 0.0
-            axis.plant.coast(self._clock.now())
+            axis.plant.spin(self._clock.now(), 0.0, _FRICTION_DPS2)
 
     def trip(self, axis: _Axis, bits: int) -> None:
         axis.error |= bits
         if axis.state != _IDLE:
             axis.state, axis.under_way = _IDLE, False
-            axis.plant.coast(self._clock.now())
+            axis.plant.spin(self._clock.now(), 0.0, _FRICTION_DPS2)
 
     # -------------------------------------------------------------------------------------------------------- parts
 
@@ -263,7 +264,7 @@ class SimulatedODrive:
             self._drive(axis, now)
         elif state == _IDLE:
             axis.state, axis.under_way = _IDLE, False
-            axis.plant.coast(now)
+            axis.plant.spin(now, 0.0, _FRICTION_DPS2)
         elif state == 11:
             axis.plant.set_zero(now)
             axis.state = _IDLE

@@ -1,4 +1,4 @@
-"""What can go wrong on a simulated line, one way: a port has such a switchboard for replies and one for commands.
+"""What can go wrong on a simulated line, one way: a port takes such a switchboard for replies and one for commands.
 
 Two ways to ask for it: a probability for every message, or `once(...)` for the very next ones. Delays are real seconds,
 because the time-outs they provoke are real. What goes wrong *in* a device (alarm, reboot, a stalled axis) is a method
@@ -48,11 +48,7 @@ class Faults:
         with self._lock:
             self._next.extend(faults)
 
-    @property
-    def pending(self) -> bool:
-        return bool(self._next)
-
-    def apply(self, message: bytes) -> list[bytes]:
+    def __call__(self, message: bytes) -> list[bytes]:
         """The chunks that arrive instead of `message`; sleeps where a fault is one of time."""
         with self._lock:
             if self.mute or not message:

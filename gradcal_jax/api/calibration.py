@@ -5,8 +5,8 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-import gradcal_jax
 from gradcal_jax.api.build import assemble
+from gradcal_jax.api.contract_rows import fit_rows, provenance_of, random_walks
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.posterior_of_plan import (
@@ -27,13 +27,11 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (
     FORMAT,
-    LOG_HASH,
     ORDER,
     AxisCalibration,
     BiasMap,
     Calibration,
     Covariance,
-    FitTest,
     Noise,
     Residuals,
     Result,
@@ -288,29 +286,18 @@ def _calibration(
         "frame": "the sensor's own axes " + ", ".join(channel.axis for channel in channels) + ", not orthogonalised",
         "order": ORDER,
         "axis": tuple(_axis(spec, channel) for channel in channels),
-        "noise": _noise(spec, log),
-        "provenance": {
-            "program": f"gradcal {gradcal_jax.__version__}",
-            "estimator": _estimator(options, channels[0]),
-            "readings": ", ".join(f"{c.axis}: {len(c.weights)}" for c in channels),
-            **{name: text for name, text in {**log.provenance, **sources}.items() if text},
-            LOG_HASH: log.fingerprint(unit),
-        },
+        "noise": Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **random_walks(spec.sensor)),
+        "provenance": provenance_of(
+            [log],
+            unit,
+            sources,
+            estimator=_estimator(options, channels[0]),
+            readings=", ".join(f"{c.axis}: {len(c.weights)}" for c in channels),
+        ),
     }
     if verdicts:
         section["result"] = tuple(_result(row) for row in verdicts)
     return Calibration(**section)
-
-
-def _noise(spec: Spec, log: Log) -> Noise:
-    """The spec's, with every drift as the rate random walk that it is over times much shorter than its own."""
-    sensor = spec.sensor
-    square = float(sensor.rate_random_walk or 0.0) ** 2
-    square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in sensor.drift)
-    given: dict[str, Any] = {"angle_random_walk": sensor.angle_random_walk}
-    if square > 0.0:
-        given["rate_random_walk"] = Quantity.of(float(np.sqrt(square)), "rad/s/sqrt(s)")
-    return Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **given)
 
 
 def _result(row: Verdict) -> Result:
@@ -378,11 +365,8 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
         given["thermal_lag"] = Quantity.of(channel.lag_s, "s")
     tests = channel.consistency
     named = [("χ² of the fit", tests.fit), ("whiteness of the residuals", tests.whiteness)]
-    given["fit"] = tuple(
-        FitTest(name=name, statistic=float(t.statistic), degrees=int(t.degrees), chance=float(t.probability))
-        for name, t in [*named, *((split.name, split.agreement) for split in tests.splits)]
-        if np.isfinite(t.statistic) and np.isfinite(t.probability)
-    )
+    named += [(split.name, split.agreement) for split in tests.splits]
+    given["fit"] = fit_rows((n, t) for n, t in named if np.isfinite(t.statistic) and np.isfinite(t.probability))
     given["residuals"] = _residuals(channel.found.residuals[0])
     hidden = tuple(unobservable_combinations(known, model))
     if hidden:

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import gradcal_jax
 from gradcal_jax import estimation
 from gradcal_jax.api.calibration import excess_of, of_noise
-from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, section_of
+from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import bridged_temperature, host_time, of_host_clock
+from gradcal_jax.api.log_rows import bridged_temperature, of_host_clock, time_of, usable_rows
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_prediction import requirement_row
@@ -21,7 +20,7 @@ from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import NOT_OBSERVED, prior_deviations
 from gradcal_jax.estimation import Consistency, ExecutedUnit, Test, UnitEstimate, UnitReadings, UnitRows
 from gradcal_jax.files import correction
-from gradcal_jax.files.calibration import FORMAT, LOG_HASH, Covariance, FitTest
+from gradcal_jax.files.calibration import FORMAT, Covariance, FitTest
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.quantity import Quantity
@@ -226,15 +225,9 @@ def unit_rows(
 
 
 def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) -> tuple[UnitRows, list[str]]:
-    messages: list[str] = []
-    number, time = log.unit_index(name), log.time_s
-    if options.clock == "host":
-        time, said = host_time(log)
-        messages.append(said)
+    number, (time, messages) = log.unit_index(name), time_of(log, options)
     rates, force = triad_of(log, number)
-    usable = log.usable(number).copy()
-    usable[log.stretch_starts] = False  # what lay before the row was not recorded
-    gyros, missing = np.zeros(3, bool), []
+    usable, gyros, missing = usable_rows(log, number), np.zeros(3, bool), []
     for c in built.model.channels:
         values = (rates if c.kind == "gyro" else force)[:, c.axis]
         known = np.isfinite(values)
@@ -391,7 +384,6 @@ def _calibration(
     matrix = found.known.covariance(reported[own])[np.ix_(covariant, covariant)]
     frame = spec.sensor.frame
     case = frame is not None and frame.fixed_by == "case"
-    log = logs[0]
     section: dict[str, Any] = {
         "format": FORMAT,
         "title": spec.title or spec.sensor.name or f"calibration of {name}",
@@ -417,15 +409,15 @@ def _calibration(
         ),
         "fit": _fit_tests(tests, channels),
         "unobservable": tuple(names[k] for k in unseen if names[k] in kept),
-        "noise": _noise(spec, log),
+        "noise": _noise(spec, logs[0]),
         "result": tuple(_result(row) for row in requirements),
-        "provenance": {
-            "program": f"gradcal {gradcal_jax.__version__}",
-            "estimator": f"Gauss-Newton through the finite geometry, {found.rounds} rounds",
-            "rows": str(int(np.count_nonzero(found.used))),
-            **{key: text for key, text in {**log.provenance, **sources}.items() if text},
-            LOG_HASH: " ".join(one.fingerprint(name) for one in logs),
-        },
+        "provenance": provenance_of(
+            logs,
+            name,
+            sources,
+            estimator=f"Gauss-Newton through the finite geometry, {found.rounds} rounds",
+            rows=str(int(np.count_nonzero(found.used))),
+        ),
     }  # fmt: skip
     if options.lag:
         section["thermal_lag"] = Quantity.of(float(options.lag), "s")
@@ -466,19 +458,14 @@ def _fit_tests(tests: Consistency, channels: dict[str, tuple[Test, Test]]) -> tu
 def _noise(spec: UnitSpec, log: Log) -> UnitNoise:
     given: dict[str, Any] = {"sample_rate": Quantity.of(1.0 / log.sample_interval_s, "Hz")}
     if (gyro := spec.sensor.gyro) is not None:
-        given["angle_random_walk"] = gyro.angle_random_walk
-        square = float(gyro.rate_random_walk or 0.0) ** 2
-        square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in gyro.drift)
-        if square > 0.0:
-            given["rate_random_walk"] = Quantity.of(float(np.sqrt(square)), "rad/s/sqrt(s)")
+        given |= random_walks(gyro)
     if (force := spec.sensor.accelerometer) is not None:
         given["velocity_random_walk"] = force.velocity_random_walk
     return UnitNoise(**given)
 
 
 def _result(row: RequirementRow) -> UnitResult:
-    value = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[row.statistic]
-    given = {"value": value, "target": row.target, "verdict": row.verdict}
+    given = {"value": row.decisive, "target": row.target, "verdict": row.verdict}
     return UnitResult(
         name=row.name,
         quantity=row.quantity,

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax.api.build import assemble
-from gradcal_jax.api.contract_rows import fit_rows, provenance_of, random_walks
+from gradcal_jax.api.contract_rows import finite, fit_rows, provenance_of, random_walks
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.posterior_of_plan import (
@@ -186,7 +186,7 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
     for requirement in spec.requirement:
         # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
         values = residual_map(built, channel.found.known[0], requirement)[2] * excess_of(channel.consistency)
-        value, worst = (_finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
+        value, worst = (finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
         judged = verdict(requirement, values), decision_rule(requirement), requirement.coverage
         unit = UNIT_OF[requirement.quantity][0]
         rows.append(Verdict(requirement, channel.axis, value, worst, unit, target_of(requirement), *judged))
@@ -202,10 +202,9 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
     """What the data say of the model, in sentences."""
     tests = channel.consistency
     where = f"axis {channel.axis}: " if several else ""
-    found = [where + message for message in channel.messages]
-    names = channel.model.names()
-    for combination in unobservable_combinations(channel.found.known[0], channel.model):
-        found.append(f"{where}the data say nothing of {combination}")
+    found, names = [where + message for message in channel.messages], channel.model.names()
+    unseen = unobservable_combinations(channel.found.known[0], channel.model)
+    found += [f"{where}the data say nothing of {combination}" for combination in unseen]
     if tests.fit.degrees > 0:
         found += [where + sentence for sentence in of_noise(tests, not tests.fit.passed, "sensor")]
     if not tests.whiteness.passed:
@@ -427,14 +426,14 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
         "readings": len(channel.weights),
         "rows": channel.counts,
         "parameters": [
-            {"name": n, "value": float(v), "std": _finite(s), "unit": u}
+            {"name": n, "value": float(v), "std": finite(s), "unit": u}
             for n, v, s, u in zip(names, values, deviations, model.units(), strict=True)
         ],
         "covariance": np.where(np.outer(seen, seen), covariance, cast("Any", None)).tolist(),
         "valid_temperature_c": list(channel.valid_temperature_c),
         "valid_rate_dps": [r * DEG_PER_S for r in channel.valid_rate_rad_per_s],
         "lag_s": channel.lag_s,
-        "lag_std_s": _finite(channel.lag_std_s),
+        "lag_std_s": finite(channel.lag_std_s),
         "smoothness": None if channel.smoothness is None else channel.smoothness._asdict(),
         "neighbours": [
             {
@@ -460,7 +459,7 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
         "down_weighted": int(np.count_nonzero(channel.weights < 1.0)),
         "consistency": {
             "chi_squared": tests.fit._asdict(),
-            "noise_scale": _finite(tests.noise_scale),
+            "noise_scale": finite(tests.noise_scale),
             "whiteness": tests.whiteness._asdict(),
             "share_beyond_three_sigma": tests.beyond_three,
             "largest_residual_sigma": tests.largest,
@@ -470,7 +469,7 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
                     "readings": list(s.counts),
                     "agreement": s.agreement._asdict(),
                     "held_out": s.held_out._asdict(),
-                    "differences_sigma": {n: _finite(d) for n, d in zip(names, s.differences, strict=True)},
+                    "differences_sigma": {n: finite(d) for n, d in zip(names, s.differences, strict=True)},
                 }
                 for s in tests.splits
             ],
@@ -483,7 +482,3 @@ def _verdict_row(row: Verdict) -> dict[str, Any]:
     # In the order in which people look for them.
     order = ("name", "axis", "quantity", "statistic", "value", "worst", "unit", "target", "verdict", "coverage", "rule")
     return {name: (asked | row._asdict())[name] for name in order}
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and np.isfinite(value) else None

@@ -96,6 +96,11 @@ def as_number(value: float | None) -> float | None:
     return None if value is None else float(value)
 
 
+def finite(value: float | None) -> float | None:
+    """The value, or None where it is not finite: JSON knows no infinity."""
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
 def process_rows(sections: Iterable[Any]) -> tuple[ProcessRow, ...]:
     """Drifts, or instabilities of the scale factor."""
     return tuple(ProcessRow(sigma=float(r.standard_deviation), tau=float(r.correlation_time)) for r in sections)

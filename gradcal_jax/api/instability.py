@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax import identify
+from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.files.log import EvenSeries, Log, LogError
 from gradcal_jax.units import ARCSEC, DEG_PER_SQRT_H
@@ -353,11 +354,6 @@ def plausible(fit: identify.AllanFit) -> bool:
 def curve(*columns: tuple[str, np.ndarray]) -> dict[str, list[float]]:
     """Named columns as plain lists."""
     return {name: [float(v) for v in values] for name, values in columns}
-
-
-def finite(value: float) -> float | None:
-    """The value, or None where it is not finite: JSON knows no infinity."""
-    return float(value) if np.isfinite(value) else None
 
 
 def axes_asked_for(log: Log, wanted: Sequence[str]) -> list[str]:

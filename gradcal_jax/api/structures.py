@@ -8,7 +8,7 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from gradcal_jax.api.build import basis, shortest_correlation_time
+from gradcal_jax.api.build import shortest_correlation_time
 from gradcal_jax.design import (
     AnyCoordinates,
     CycleNumbers,
@@ -112,7 +112,8 @@ def _only(design: Design, possible: tuple[str, ...], plan: str) -> None:
 
 def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
     schedule = cast("StandardSchedule", spec.schedule)
-    soak, fewest = schedule.soak_each, _fewest_temperatures(spec)
+    soak = schedule.soak_each
+    fewest = max(s.temperature.size for s in (spec.sensor.bias, spec.sensor.scale_factor) if s is not None)
     if design.max_total is not None:
         time = float(design.max_total)
     elif design.max_motion is not None:
@@ -147,11 +148,6 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
         )
         found.append(Structure(coordinates, f"{n} temperatures"))
     return found
-
-
-def _fewest_temperatures(spec: Spec) -> int:
-    sections = [s for s in (spec.sensor.bias, spec.sensor.scale_factor) if s is not None]
-    return max(basis(s.temperature).size for s in sections)
 
 
 def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:

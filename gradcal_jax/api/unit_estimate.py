@@ -17,10 +17,10 @@ from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_prediction import requirement_row
 from gradcal_jax.api.unit_residual import internal_misalignments
-from gradcal_jax.api.unit_sentences import NOT_OBSERVED, prior_deviations
+from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
 from gradcal_jax.estimation import Consistency, ExecutedUnit, Test, UnitEstimate, UnitReadings, UnitRows
 from gradcal_jax.files import correction
-from gradcal_jax.files.calibration import FORMAT, Covariance, FitTest
+from gradcal_jax.files.calibration import FORMAT, Covariance
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.quantity import Quantity
@@ -373,15 +373,13 @@ def _calibration(
     names, units = model.names(), model.units()
     priors = prior_deviations(built)
     own = slice(0, model.calibrated)
-    unseen = [
-        k
-        for k in range(model.calibrated)
-        if not np.isfinite(deviations[k]) or deviations[k] > NOT_OBSERVED * priors[k] < np.inf
-    ]
     held = list(_channels(built, values))
     kept = {f"{c.name}.{n}" for c in held for term in c.term for n in term.coefficients}
     covariant = [k for k in range(model.calibrated) if np.isfinite(deviations[k]) and names[k] in kept]
     matrix = found.known.covariance(reported[own])[np.ix_(covariant, covariant)]
+    fits = [("chi-squared of the fit", tests.fit)]
+    for channel, (size, white) in channels.items():
+        fits += [(f"{channel}: chi-squared", size), (f"{channel}: whiteness", white)]
     frame = spec.sensor.frame
     case = frame is not None and frame.fixed_by == "case"
     section: dict[str, Any] = {
@@ -407,8 +405,8 @@ def _calibration(
             )
             for k in range(model.calibrated, model.size)
         ),
-        "fit": _fit_tests(tests, channels),
-        "unobservable": tuple(names[k] for k in unseen if names[k] in kept),
+        "fit": fit_rows([*fits, *((split.name, split.agreement) for split in tests.splits)]),
+        "unobservable": tuple(n for n in unobserved_parameters(built, found.known) if n in kept),
         "noise": _noise(spec, logs[0]),
         "result": tuple(_result(row) for row in requirements),
         "provenance": provenance_of(
@@ -446,13 +444,6 @@ def _channel(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Calibrated
         bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
         terms.append(term_of(term.name, term.unit, signals, coefficients, **bases))
     return CalibratedChannel(kind=channel.kind, axis=axis, term=tuple(terms))
-
-
-def _fit_tests(tests: Consistency, channels: dict[str, tuple[Test, Test]]) -> tuple[FitTest, ...]:
-    rows = [("chi-squared of the fit", tests.fit)]
-    for name, (size, white) in channels.items():
-        rows += [(f"{name}: chi-squared", size), (f"{name}: whiteness", white)]
-    return fit_rows([*rows, *((split.name, split.agreement) for split in tests.splits)])
 
 
 def _noise(spec: UnitSpec, log: Log) -> UnitNoise:

@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import numpy as np
-
 from gradcal_jax import api, plots, units
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_prediction import posterior_of_unit
@@ -14,9 +12,9 @@ from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.applying import exports_of
-from gradcal_jax.pages.coefficients import ParameterFact, agreement_of, deviations_of, parameter_fact
+from gradcal_jax.pages.coefficients import ParameterFact, agreement, deviations_of, parameter_fact
 from gradcal_jax.pages.course import course_of
-from gradcal_jax.pages.facts import AxisFact, Facts
+from gradcal_jax.pages.facts import AxisFact, Facts, axis_fact
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.plain_text import times_text
@@ -117,20 +115,7 @@ def _found_of(calibration: UnitCalibration, hidden: dict[str, float]) -> AxisFac
         for term in c.term
         for symbol, value in term.coefficients.items()
     }
-    agreed = None
-    known = calibration.covariance
-    if known is not None and all(name in hidden for name in known.names):
-        error = np.array([values[name] - hidden[name] for name in known.names])
-        agreed = agreement_of(error, np.array(known.matrix))
-    return AxisFact(
-        calibration.serial_number,
-        (),
-        (str(calibration.valid_temperature[0]), str(calibration.valid_temperature[1])),
-        (str(calibration.valid_rate[0]), str(calibration.valid_rate[1])),
-        calibration.unobservable,
-        tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
-        agreed,
-    )
+    return axis_fact(calibration, calibration.serial_number, (), agreement(values, calibration.covariance, hidden))
 
 
 def parameter_table(found: Prediction) -> list[tuple[str, ...]]:

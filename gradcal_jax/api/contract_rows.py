@@ -23,7 +23,7 @@ from gradcal_jax.trajectory import Move
 
 if TYPE_CHECKING:
     from gradcal_jax.estimation import Test
-    from gradcal_jax.files.calibration import FitTest
+    from gradcal_jax.files.calibration import Covariance, FitTest
     from gradcal_jax.files.log import Log
     from gradcal_jax.files.unit_calibration import UnitCalibration
 
@@ -118,11 +118,14 @@ def section_of(triad: GyroTriad | AccelerometerTriad, term: str) -> str:
     return next(key for key in type(triad).model_fields if term.startswith(key) or key == "cross_coupling")
 
 
+def deviations_of(covariance: "Covariance | None") -> dict[str, float]:
+    """One sigma of every coefficient that has one."""
+    return {} if covariance is None else {n: sqrt(covariance.matrix[k][k]) for k, n in enumerate(covariance.names)}
+
+
 def coefficient_rows(calibration: "UnitCalibration") -> list[dict[str, Any]]:
     """Every coefficient of a unit's calibration with its standard deviation, where the file has one, and its unit."""
-    deviations = {}
-    if (known := calibration.covariance) is not None:
-        deviations = {name: sqrt(known.matrix[k][k]) for k, name in enumerate(known.names)}
+    deviations = deviations_of(calibration.covariance)
     return [
         {"name": name, "value": value, "std": deviations.get(name), "unit": term.unit}
         for channel in calibration.channel

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.error_budget import FIGURES, scaled
+from gradcal_jax.api.error_budget import FIGURES
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
@@ -61,8 +61,7 @@ class Differentiable(eqx.Module):
         if unknown := set(quantities) - set(self.quantities):
             raise ValueError(f"the spec has no {sorted(unknown)[0]!r}: it has {', '.join(self.quantities)}")
         given: dict[str, Any] = {**self.quantities, **quantities}
-        factors = {n: given[n] / self.quantities[n] for n in (*FIGURES, *self._sources) if n in given}
-        schedule, model = self._planned(given), scaled(self._model, self._sources, factors)
+        schedule, model = self._planned(given), self._sensed(given)
         xp = namespace(*given.values())
         if xp is jnp:
             # NumPy's arrays take no traced numbers of JAX; which pieces there are stays known.
@@ -78,6 +77,19 @@ class Differentiable(eqx.Module):
                 whole = put(field(schedule), moves, given[name]) if of_moves else given[name]
                 schedule = eqx.tree_at(field, schedule, whole)
         return schedule
+
+    def _sensed(self, given: Mapping[str, Any]) -> SensorModel:
+        model = self._model
+        for name, field in FIGURES.items():
+            if name in given:
+                model = eqx.tree_at(field, model, given[name])
+        for name, members in self._sources.items():
+            initial, driving = model.processes.initial_std, model.processes.diffusion
+            at = np.array(members)
+            share = given[name] / self.quantities[name]
+            changed = put(initial, at, initial[at] * share), put(driving, at, driving[at] * share)
+            model = eqx.tree_at(lambda m: (m.processes.initial_std, m.processes.diffusion), model, changed)
+        return model
 
 
 def differentiable(spec: Spec, axis: Axis | None = None) -> Differentiable:

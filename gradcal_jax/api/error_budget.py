@@ -1,6 +1,6 @@
 """What a plan is limited by: the share of every error source in a residual."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import equinox as eqx
@@ -89,13 +89,14 @@ def known_sources(built: Assembled) -> list[str]:
 
 def only(built: Assembled, name: str) -> SensorModel:
     """The model with one source of noise alone."""
-    return scaled(built.model, built.sources, {n: float(n == name) for n in active_sources(built)})
+    return scaled(built, {n: float(n == name) for n in active_sources(built)})
 
 
-def scaled(model: SensorModel, sources: Mapping[str, Iterable[int]], factors: Mapping[str, Any]) -> SensorModel:
-    """The model with its sources of noise multiplied by factors. `sources`: which processes belong to which."""
+def scaled(built, factors: Mapping[str, Any]) -> SensorModel:
+    """The model of whatever has one and its `sources`, with sources of noise multiplied by factors."""
+    model = built.model
     sizes: list = [1.0] * model.processes.count
-    for name, members in sources.items():
+    for name, members in built.sources.items():
         for k in members:
             sizes[k] = factors.get(name, 1.0)
     if sizes:

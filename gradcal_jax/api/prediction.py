@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.error_budget import error_budget, limited_by
 from gradcal_jax.api.missions import mission_table, own_noise_of
 from gradcal_jax.api.posterior_of_plan import (
@@ -22,7 +23,7 @@ from gradcal_jax.api.posterior_of_plan import (
 )
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.tested_maps import noticing
-from gradcal_jax.api.unit_prediction import of_plan, predict_unit
+from gradcal_jax.api.unit_prediction import asked_and_left, of_plan, predict_unit
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.absent import absent_terms, with_typical
@@ -97,27 +98,20 @@ def _between(rows: Sequence[RequirementRow], others: list[Prediction]) -> Sequen
 
 def _requirement_row(built: Assembled, known: Posterior, requirement: Requirement, channel: Axis) -> RequirementRow:
     _, rates, values = residual_map(built, known, requirement)
-    found = {name: statistic_of(requirement, values, name) for name in STATISTICS}
-    if requirement.quantity != "scale_factor":
-        del found["mean of max"]
-    found = {name: value if np.isfinite(value) else None for name, value in found.items()}
+    found = {
+        name: finite(statistic_of(requirement, values, name))
+        for name in STATISTICS
+        if name != "mean of max" or requirement.quantity == "scale_factor"
+    }
     target, worst = target_of(requirement), found["max"]
     own, flown = own_noise_of(built, requirement), requirement if isinstance(requirement, HeadingRequirement) else None
     if flown is not None:
         rates = np.array([float(rate) * DEG_PER_S for rate in flown.rate])
     return RequirementRow(
-        name=requirement.name,
-        quantity=requirement.quantity,
+        **asked_and_left(requirement, found),
         unit=UNIT_OF[requirement.quantity][0],
         axis=channel,
-        temperature_c=(float(requirement.temperature[0]), float(requirement.temperature[1])),
         rate_dps=(float(rates[0]), float(rates[-1])) if len(rates) > 1 else None,
-        grid=tuple(requirement.grid),
-        statistic=requirement.statistic,
-        mean_of_max=found.get("mean of max"),
-        max=found["max"],
-        mean=found["mean"],
-        rms=found["rms"],
         target=target,
         verdict=verdict(requirement, values),
         coverage=requirement.coverage,

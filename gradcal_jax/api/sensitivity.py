@@ -83,7 +83,7 @@ class _Figures(eqx.Module):
 def _compiled(given: _Figures, names: tuple[str, ...], factors):
     def logs(factors):
         by = dict(zip(names, factors, strict=True))
-        model = scaled(given.model, given.sources, by)
+        model = scaled(given, by)
         for kind, field, name in (
             (EncoderHarmonics, lambda t: t.amplitudes, _ENCODER),
             (Discrepancy, lambda t: t.std, _DISCREPANCY),

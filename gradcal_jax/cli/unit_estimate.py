@@ -113,13 +113,12 @@ def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
 
 
 def text_of_held(report: "HandReport") -> str:
+    from gradcal_jax.api.contract_rows import deviations_of
     from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 
     found = report.calibration
     lines = _head(report, f"{len(report.found.positions.duration)} positions, {report.found.turns} turns")
-    covariance = found.covariance
-    assert covariance is not None
-    std = {name: float(np.sqrt(covariance.matrix[k][k])) for k, name in enumerate(covariance.names)}
+    std = deviations_of(found.covariance)
     rows = [("parameter", "value", "1σ", "")]
     for channel in found.channel:
         gain = (report.found.gyro if channel.kind == "gyro" else report.found.accelerometer).gain

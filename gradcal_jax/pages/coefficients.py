@@ -6,6 +6,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from gradcal_jax.api.contract_rows import deviations_of
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, PPM
 from gradcal_jax.files.calibration import AxisCalibration, Calibration, Covariance
 from gradcal_jax.files.recipe import Recipe
@@ -50,13 +51,6 @@ def hidden_of(axis: AxisCalibration, truth: dict[str, Any] | None) -> dict[str, 
     """What a simulation hid of an axis, by the names of a calibration."""
     hidden = (truth or {}).get(axis.name) or {}
     return {_GRADIENT if name == "gradient" else name: value for name, value in hidden.items()}
-
-
-def deviations_of(covariance: Covariance | None) -> dict[str, float]:
-    """One sigma of every coefficient that has one."""
-    if covariance is None:
-        return {}
-    return dict(zip(covariance.names, np.sqrt(np.diag(np.array(covariance.matrix))).tolist(), strict=True))
 
 
 def parameter_fact(

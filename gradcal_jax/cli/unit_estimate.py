@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from gradcal_jax.api.contract_rows import deviations_of
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.files.unit_calibration import write_unit_calibration
 from gradcal_jax.files.unit_correction import term_values
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
@@ -31,8 +34,6 @@ def say_units(
     json: bool,
 ) -> int:
     """Print and write what was estimated of whole units; `said`: of their logs. The exit status: see `estimate`."""
-    from gradcal_jax.files.unit_calibration import write_unit_calibration
-
     print(as_json({"units": list(map(rows, reports))}) if json else "\n".join([*said, *map(text, reports)]))
     for report in reports:
         if (path := files.get(report.unit)) is not None:
@@ -63,8 +64,6 @@ def _tests(report: "UnitReport | HandReport") -> str:
 
 
 def text_of_estimate(report: "UnitReport") -> str:
-    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
-
     found, model = report.calibration, report.built.model
     lines = _head(report, f"{np.count_nonzero(report.found.used)} rows of {len(model.channels)} channels")
     shown = [("requirement", "statistic", "residual (1σ)", "of", "target", "verdict")]
@@ -95,8 +94,6 @@ def text_of_estimate(report: "UnitReport") -> str:
 
 def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
     """Of every channel's terms: the largest value over temperature (and rate)."""
-    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
-
     found = report.calibration
     low, high = (float(t) for t in found.valid_temperature)
     slow, fast = (float(r) for r in found.valid_rate)
@@ -113,9 +110,6 @@ def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
 
 
 def text_of_held(report: "HandReport") -> str:
-    from gradcal_jax.api.contract_rows import deviations_of
-    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
-
     found = report.calibration
     lines = _head(report, f"{len(report.found.positions.duration)} positions, {report.found.turns} turns")
     std = deviations_of(found.covariance)

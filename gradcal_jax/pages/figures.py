@@ -21,8 +21,7 @@ from gradcal_jax.pages.course import RunCourse
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor, draw_residual_parts, draw_residuals
-from gradcal_jax.plots.style import style_of
-from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, turned_axes
+from gradcal_jax.plots.tracks import draw_against_time, draw_planned_rate, draw_planned_temperature, turned_axes
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
 _WIDE, _HIGH, _LOW = 5.2, 3.7, 2.9
@@ -90,7 +89,6 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
 
 def track_pictures(recipe: Recipe | None, course: RunCourse | None) -> list[Picture]:
     """Temperature and motion: planned where a recipe is known, and done where a run is."""
-    style = style_of(0 if recipe is None else 1)
 
     def temperatures(ax: Axes) -> None:
         if recipe is not None:
@@ -104,9 +102,8 @@ def track_pictures(recipe: Recipe | None, course: RunCourse | None) -> list[Pict
         if course is not None and axis in course.rates:
             draw_done(ax, *course.rates[axis], "rate, deg/s", linewidth=0.8)
 
-    def draw_done(ax: Axes, time: np.ndarray, values: np.ndarray, what: str, **more: Any) -> None:
-        ax.plot(time / 3600.0, values, label="done", **style, **more)
-        ax.set(xlabel="time, h", ylabel=what)
+    def draw_done(ax: Axes, time_s: np.ndarray, values: np.ndarray, what: str, **more: Any) -> None:
+        draw_against_time(time_s, values, what, "done", 0 if recipe is None else 1, ax, **more)
         if recipe is not None:
             ax.legend()
 

@@ -389,16 +389,8 @@ def best_programme(
 
 
 def _pruned(of: Measure, coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
-    """The plan without turns that shrank to nothing, unless that costs what rounding may not: a plan of few turns may
-    need even the briefest."""
-    fewer, left = _without_vanished(coordinates, point)
-    if of.exact(fewer.decode(left)) > (1.0 + _DEAR) * of.exact(coordinates.decode(point)):
-        return coordinates, point
-    return fewer, left
-
-
-def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
-    """Turns that shrank to nothing are not for a technician to make.
+    """The plan without turns that shrank to nothing, which are not for a technician to make, unless that costs what
+    rounding may not: a plan of few turns may need even the briefest.
 
     Where travel is limited all turns may be brief, and more time would only make them slower: those that round to
     nothing are written as rests.
@@ -406,7 +398,10 @@ def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[A
     if not isinstance(coordinates, Coordinates) or "duration" not in coordinates.free or coordinates.travels:
         return coordinates, point
     fewer, cycle = coordinates.pruned(coordinates.cycle(np.asarray(point)))
-    return fewer, fewer.vector(cycle)
+    left = fewer.vector(cycle)
+    if of.exact(fewer.decode(left)) > (1.0 + _DEAR) * of.exact(coordinates.decode(point)):
+        return coordinates, point
+    return fewer, left
 
 
 def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The contract gradcal-prediction/1, filled from a spec."""
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -53,28 +54,19 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
         return found.model_copy(update={"requirements": tuple(between)})
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}
-    pairs: list[tuple[Requirement, Axis]] = [
-        (requirement, channel) for requirement in spec.requirement for channel in built.channels
-    ]
-    requirements = [_requirement_row(built, known[channel], requirement, channel) for requirement, channel in pairs]
-    if limits:
-        shares = {channel: error_budget(built, channel, known[channel]) for channel in built.channels}
-        requirements = [
-            row.model_copy(update={"limited_by": limited_by(shares[row.axis].get(row.name))}) for row in requirements
-        ]
-        requirements = _between(requirements, [predict(one) for one in extremes(spec)])
-    if outlook:
-        requirements = [
-            row.model_copy(update=_risks(built, known[channel], requirement, row))
-            for row, (requirement, channel) in zip(requirements, pairs, strict=True)
-        ]
+    shares = {channel: error_budget(built, channel, of) for channel, of in known.items()} if limits else {}
     absent = absent_terms(spec)
-    if outlook and absent:
-        there = predict(with_typical(spec)).requirements
-        requirements = [
-            row.model_copy(update={"with_typical": other.decisive})
-            for row, other in zip(requirements, there, strict=True)
-        ]
+    there = [row.decisive for row in predict(with_typical(spec)).requirements] if outlook and absent else []
+    rows: list[RequirementRow] = []
+    for requirement, channel in product(spec.requirement, built.channels):
+        row = _requirement_row(built, known[channel], requirement, channel)
+        more = _risks(built, known[channel], requirement, row) if outlook else {}
+        if limits:
+            more["limited_by"] = limited_by(shares[channel].get(row.name))
+        if there:
+            more["with_typical"] = there[len(rows)]
+        rows.append(row.model_copy(update=more))
+    requirements = _between(rows, [predict(one) for one in extremes(spec)] if limits else [])
     return Prediction(
         requirements=tuple(requirements),
         notices=noticing(built) if notices else (),

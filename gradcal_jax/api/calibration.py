@@ -24,7 +24,6 @@ from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.estimation import Consistency, StructureTest, size_of
 from gradcal_jax.files import Spec
-from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (
     FORMAT,
     ORDER,
@@ -347,17 +346,12 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
     low, high = channel.valid_temperature_c
     slow, fast = channel.valid_rate_rad_per_s
     given: dict[str, Any] = {}
-    if spec.sensor.bias is not None:
-        basis: TemperatureBasis = spec.sensor.bias.temperature
-        given["bias"] = BiasMap(temperature=basis, coefficients=_named(bias_names(basis), names, values[bias], bias))
-    if spec.sensor.scale_factor is not None:
-        of_temperature: TemperatureBasis = spec.sensor.scale_factor.temperature
-        of_rate: RateBasis = spec.sensor.scale_factor.rate
-        given["scale_factor"] = ScaleFactorMap(
-            temperature=of_temperature,
-            rate=of_rate,
-            coefficients=_named(scale_factor_names(of_temperature, of_rate), names, values[scale], scale),
-        )
+    if (of := spec.sensor.bias) is not None:
+        own = _named(bias_names(of.temperature), names, values[bias], bias)
+        given["bias"] = BiasMap(temperature=of.temperature, coefficients=own)
+    if (of := spec.sensor.scale_factor) is not None:
+        own = _named(scale_factor_names(of.temperature, of.rate), names, values[scale], scale)
+        given["scale_factor"] = ScaleFactorMap(temperature=of.temperature, rate=of.rate, coefficients=own)
     if model.term(TEMPERATURE_GRADIENT) is not None:
         given["bias_temperature_gradient"] = float(values[model.where(TEMPERATURE_GRADIENT)][0])
     if channel.lag_s > 0.0:

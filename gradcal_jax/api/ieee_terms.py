@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM, UNIT_OF, box
 from gradcal_jax.files import Spec
-from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import AxisCalibration, bias_names, scale_factor_names
 from gradcal_jax.files.correction import basis_values
 from gradcal_jax.files.requirement import Requirement
@@ -162,12 +161,10 @@ def _rows(axis: AxisCalibration, quantity: str, temperature_c: Floats, rate: Flo
         if axis.bias is None:
             raise ValueError(f"the calibration of axis {axis.name} holds no bias")
         return bias_names(axis.bias.temperature), basis_values(axis.bias.temperature, temperature_c)
-    if axis.scale_factor is None:
+    if (of := axis.scale_factor) is None:
         raise ValueError(f"the calibration of axis {axis.name} holds no scale factor")
-    of_temperature: TemperatureBasis = axis.scale_factor.temperature
-    of_rate: RateBasis = axis.scale_factor.rate
-    cold, fast = basis_values(of_temperature, temperature_c), basis_values(of_rate, rate)
-    return scale_factor_names(of_temperature, of_rate), (cold[:, :, None] * fast[:, None, :]).reshape(len(rate), -1)
+    cold, fast = basis_values(of.temperature, temperature_c), basis_values(of.rate, rate)
+    return scale_factor_names(of.temperature, of.rate), (cold[:, :, None] * fast[:, None, :]).reshape(len(rate), -1)
 
 
 def _deviations(axis: AxisCalibration, names: list[str], rows: Floats) -> Floats:

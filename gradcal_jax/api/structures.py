@@ -132,22 +132,13 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
             f"{time / 60.0:.4g} min leaves nothing to integrate in"
         )
     low, high = temperatures_of(spec, scenarios)
-    number = lambda v: np.asarray(float(v))  # noqa: E731
-    found = []
-    for n in counts:
-        coordinates = StandardCoordinates(
-            number(soak),
-            number(time),
-            number(low),
-            number(high),
-            number(largest_rate(spec, scenarios)),
-            np.asarray(schedule.rates, dtype=float),
-            n,
-            "rates" in design.free,
-            schedule.shared,
-        )
-        found.append(Structure(coordinates, f"{n} temperatures"))
-    return found
+    numbers = [np.asarray(float(v)) for v in (soak, time, low, high, largest_rate(spec, scenarios))]
+    said = {"rates_free": "rates" in design.free, "points": schedule.shared}
+    rates = np.asarray(schedule.rates, dtype=float)
+    return [
+        Structure(StandardCoordinates(*numbers, given_rates=rates, temperatures=n, **said), f"{n} temperatures")
+        for n in counts
+    ]
 
 
 def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:

@@ -73,11 +73,10 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
             "the case, acceleration sensitivity and second order; the spec has no requirement on one of these"
         )
     after = posterior_of_unit(built)
-    rows = []
-    for requirement, found in proven:
-        value = requirement_row(built, after, requirement).decisive
-        rows.append(plan_limit(requirement, UNIT_OF_QUANTITY[requirement.quantity], found, value, _RELAXED))
-    return rows
+    return [
+        plan_limit(r, UNIT_OF_QUANTITY[r.quantity], found, requirement_row(built, after, r).decisive, _RELAXED)
+        for r, found in proven
+    ]
 
 
 def _certified(built: AssembledUnit, requirement: UnitRequirement) -> tuple[float, float] | None:

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from gradcal_jax.api.contract_rows import deviations_of
-from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
@@ -64,6 +62,8 @@ def _tests(report: "UnitReport | HandReport") -> str:
 
 
 def text_of_estimate(report: "UnitReport") -> str:
+    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+
     found, model = report.calibration, report.built.model
     lines = _head(report, f"{np.count_nonzero(report.found.used)} rows of {len(model.channels)} channels")
     shown = [("requirement", "statistic", "residual (1σ)", "of", "target", "verdict")]
@@ -94,6 +94,8 @@ def text_of_estimate(report: "UnitReport") -> str:
 
 def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
     """Of every channel's terms: the largest value over temperature (and rate)."""
+    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+
     found = report.calibration
     low, high = (float(t) for t in found.valid_temperature)
     slow, fast = (float(r) for r in found.valid_rate)
@@ -110,6 +112,9 @@ def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
 
 
 def text_of_held(report: "HandReport") -> str:
+    from gradcal_jax.api.contract_rows import deviations_of
+    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+
     found = report.calibration
     lines = _head(report, f"{len(report.found.positions.duration)} positions, {report.found.turns} turns")
     std = deviations_of(found.covariance)

@@ -119,8 +119,8 @@ def _model(spec: Spec, processes: Processes) -> SensorModel:
         float(table.rate_accuracy or 0.0),
     )
     return model.gyro_model(
-        None if sensor.bias is None else bias_map(sensor.bias, float(sensor.turn_on_bias or 0.0)),
-        None if sensor.scale_factor is None else scale_factor_term(sensor.scale_factor),
+        None if sensor.bias is None else map_of(sensor.bias, float(sensor.turn_on_bias or 0.0)),
+        None if sensor.scale_factor is None else map_of(sensor.scale_factor),
         float(sensor.angle_random_walk),
         processes,
         reference,
@@ -138,29 +138,20 @@ def basis(section) -> model.Basis:
     return model.Bins(tuple(float(e) for e in section.edges))
 
 
-def bias_map(section: Bias, turn_on_std: float = 0.0) -> Map:
-    """`B(T)` with its priors, from a spec; its constant *is* this run's turn-on bias, so their priors add."""
-    beyond = section.discrepancy
+def map_of(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
+    """`B(T)` or `M(T, ω)` with its priors, from a spec. The constant of a bias *is* this run's turn-on bias, so their
+    priors add.
+    """
+    beyond, rate, degree = section.discrepancy, None, 0
+    if isinstance(section, ScaleFactor):
+        rate, degree = basis(section.rate), 0 if section.discrepancy is None else section.discrepancy.rate_degree
     return model.make_map(
         basis(section.temperature),
+        rate,
         prior_std=or_infinite(section.prior),
         smoothness_std=or_infinite(section.smoothness),
         common_std=turn_on_std,
-        discrepancy=None if beyond is None else (float(beyond.standard_deviation), beyond.temperature_degree, 0),
-    )
-
-
-def scale_factor_term(section: ScaleFactor) -> Map:
-    """`M(T, ω)` with its priors, from a spec."""
-    beyond = section.discrepancy
-    return model.make_map(
-        basis(section.temperature),
-        basis(section.rate),
-        prior_std=or_infinite(section.prior),
-        smoothness_std=or_infinite(section.smoothness),
-        discrepancy=None
-        if beyond is None
-        else (float(beyond.standard_deviation), beyond.temperature_degree, beyond.rate_degree),
+        discrepancy=None if beyond is None else (float(beyond.standard_deviation), beyond.temperature_degree, degree),
     )
 
 

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-import gradcal_jax
 from gradcal_jax.api.build import assemble
+from gradcal_jax.api.contract_rows import finite, fit_rows, provenance_of, random_walks
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.posterior_of_plan import (
@@ -24,16 +24,13 @@ from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.estimation import Consistency, StructureTest, size_of
 from gradcal_jax.files import Spec
-from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import (
     FORMAT,
-    LOG_HASH,
     ORDER,
     AxisCalibration,
     BiasMap,
     Calibration,
     Covariance,
-    FitTest,
     Noise,
     Residuals,
     Result,
@@ -188,7 +185,7 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
     for requirement in spec.requirement:
         # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
         values = residual_map(built, channel.found.known[0], requirement)[2] * excess_of(channel.consistency)
-        value, worst = (_finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
+        value, worst = (finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
         judged = verdict(requirement, values), decision_rule(requirement), requirement.coverage
         unit = UNIT_OF[requirement.quantity][0]
         rows.append(Verdict(requirement, channel.axis, value, worst, unit, target_of(requirement), *judged))
@@ -204,10 +201,9 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
     """What the data say of the model, in sentences."""
     tests = channel.consistency
     where = f"axis {channel.axis}: " if several else ""
-    found = [where + message for message in channel.messages]
-    names = channel.model.names()
-    for combination in unobservable_combinations(channel.found.known[0], channel.model):
-        found.append(f"{where}the data say nothing of {combination}")
+    found, names = [where + message for message in channel.messages], channel.model.names()
+    unseen = unobservable_combinations(channel.found.known[0], channel.model)
+    found += [f"{where}the data say nothing of {combination}" for combination in unseen]
     if tests.fit.degrees > 0:
         found += [where + sentence for sentence in of_noise(tests, not tests.fit.passed, "sensor")]
     if not tests.whiteness.passed:
@@ -288,29 +284,18 @@ def _calibration(
         "frame": "the sensor's own axes " + ", ".join(channel.axis for channel in channels) + ", not orthogonalised",
         "order": ORDER,
         "axis": tuple(_axis(spec, channel) for channel in channels),
-        "noise": _noise(spec, log),
-        "provenance": {
-            "program": f"gradcal {gradcal_jax.__version__}",
-            "estimator": _estimator(options, channels[0]),
-            "readings": ", ".join(f"{c.axis}: {len(c.weights)}" for c in channels),
-            **{name: text for name, text in {**log.provenance, **sources}.items() if text},
-            LOG_HASH: log.fingerprint(unit),
-        },
+        "noise": Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **random_walks(spec.sensor)),
+        "provenance": provenance_of(
+            [log],
+            unit,
+            sources,
+            estimator=_estimator(options, channels[0]),
+            readings=", ".join(f"{c.axis}: {len(c.weights)}" for c in channels),
+        ),
     }
     if verdicts:
         section["result"] = tuple(_result(row) for row in verdicts)
     return Calibration(**section)
-
-
-def _noise(spec: Spec, log: Log) -> Noise:
-    """The spec's, with every drift as the rate random walk that it is over times much shorter than its own."""
-    sensor = spec.sensor
-    square = float(sensor.rate_random_walk or 0.0) ** 2
-    square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in sensor.drift)
-    given: dict[str, Any] = {"angle_random_walk": sensor.angle_random_walk}
-    if square > 0.0:
-        given["rate_random_walk"] = Quantity.of(float(np.sqrt(square)), "rad/s/sqrt(s)")
-    return Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **given)
 
 
 def _result(row: Verdict) -> Result:
@@ -361,28 +346,20 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
     low, high = channel.valid_temperature_c
     slow, fast = channel.valid_rate_rad_per_s
     given: dict[str, Any] = {}
-    if spec.sensor.bias is not None:
-        basis: TemperatureBasis = spec.sensor.bias.temperature
-        given["bias"] = BiasMap(temperature=basis, coefficients=_named(bias_names(basis), names, values[bias], bias))
-    if spec.sensor.scale_factor is not None:
-        of_temperature: TemperatureBasis = spec.sensor.scale_factor.temperature
-        of_rate: RateBasis = spec.sensor.scale_factor.rate
-        given["scale_factor"] = ScaleFactorMap(
-            temperature=of_temperature,
-            rate=of_rate,
-            coefficients=_named(scale_factor_names(of_temperature, of_rate), names, values[scale], scale),
-        )
+    if (of := spec.sensor.bias) is not None:
+        own = _named(bias_names(of.temperature), names, values[bias], bias)
+        given["bias"] = BiasMap(temperature=of.temperature, coefficients=own)
+    if (of := spec.sensor.scale_factor) is not None:
+        own = _named(scale_factor_names(of.temperature, of.rate), names, values[scale], scale)
+        given["scale_factor"] = ScaleFactorMap(temperature=of.temperature, rate=of.rate, coefficients=own)
     if model.term(TEMPERATURE_GRADIENT) is not None:
         given["bias_temperature_gradient"] = float(values[model.where(TEMPERATURE_GRADIENT)][0])
     if channel.lag_s > 0.0:
         given["thermal_lag"] = Quantity.of(channel.lag_s, "s")
     tests = channel.consistency
     named = [("χ² of the fit", tests.fit), ("whiteness of the residuals", tests.whiteness)]
-    given["fit"] = tuple(
-        FitTest(name=name, statistic=float(t.statistic), degrees=int(t.degrees), chance=float(t.probability))
-        for name, t in [*named, *((split.name, split.agreement) for split in tests.splits)]
-        if np.isfinite(t.statistic) and np.isfinite(t.probability)
-    )
+    named += [(split.name, split.agreement) for split in tests.splits]
+    given["fit"] = fit_rows((n, t) for n, t in named if np.isfinite(t.statistic) and np.isfinite(t.probability))
     given["residuals"] = _residuals(channel.found.residuals[0])
     hidden = tuple(unobservable_combinations(known, model))
     if hidden:
@@ -443,14 +420,14 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
         "readings": len(channel.weights),
         "rows": channel.counts,
         "parameters": [
-            {"name": n, "value": float(v), "std": _finite(s), "unit": u}
+            {"name": n, "value": float(v), "std": finite(s), "unit": u}
             for n, v, s, u in zip(names, values, deviations, model.units(), strict=True)
         ],
         "covariance": np.where(np.outer(seen, seen), covariance, cast("Any", None)).tolist(),
         "valid_temperature_c": list(channel.valid_temperature_c),
         "valid_rate_dps": [r * DEG_PER_S for r in channel.valid_rate_rad_per_s],
         "lag_s": channel.lag_s,
-        "lag_std_s": _finite(channel.lag_std_s),
+        "lag_std_s": finite(channel.lag_std_s),
         "smoothness": None if channel.smoothness is None else channel.smoothness._asdict(),
         "neighbours": [
             {
@@ -476,7 +453,7 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
         "down_weighted": int(np.count_nonzero(channel.weights < 1.0)),
         "consistency": {
             "chi_squared": tests.fit._asdict(),
-            "noise_scale": _finite(tests.noise_scale),
+            "noise_scale": finite(tests.noise_scale),
             "whiteness": tests.whiteness._asdict(),
             "share_beyond_three_sigma": tests.beyond_three,
             "largest_residual_sigma": tests.largest,
@@ -486,7 +463,7 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
                     "readings": list(s.counts),
                     "agreement": s.agreement._asdict(),
                     "held_out": s.held_out._asdict(),
-                    "differences_sigma": {n: _finite(d) for n, d in zip(names, s.differences, strict=True)},
+                    "differences_sigma": {n: finite(d) for n, d in zip(names, s.differences, strict=True)},
                 }
                 for s in tests.splits
             ],
@@ -499,7 +476,3 @@ def _verdict_row(row: Verdict) -> dict[str, Any]:
     # In the order in which people look for them.
     order = ("name", "axis", "quantity", "statistic", "value", "worst", "unit", "target", "verdict", "coverage", "rule")
     return {name: (asked | row._asdict())[name] for name in order}
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and np.isfinite(value) else None

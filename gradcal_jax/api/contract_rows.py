@@ -1,11 +1,12 @@
 """Parts that the contracts of a single axis and of a whole unit share: maps, bases, shapes of moves."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from math import sqrt
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+import gradcal_jax
 from gradcal_jax.files.bases import (
     RateBasis,
     RatePolynomial,
@@ -16,12 +17,14 @@ from gradcal_jax.files.bases import (
 )
 from gradcal_jax.files.contracts import BasisRow, DiscrepancyRow, Functions, MapRow, ProcessRow
 from gradcal_jax.files.moves import ResolvedMove
-from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy
+from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy, Sensor
 from gradcal_jax.trajectory import Move
 
 if TYPE_CHECKING:
     from gradcal_jax.estimation import Test
-    from gradcal_jax.files.calibration import FitTest
+    from gradcal_jax.files.calibration import Covariance, FitTest
+    from gradcal_jax.files.log import Log
     from gradcal_jax.files.unit_calibration import UnitCalibration
 
 
@@ -93,6 +96,11 @@ def as_number(value: float | None) -> float | None:
     return None if value is None else float(value)
 
 
+def finite(value: float | None) -> float | None:
+    """The value, or None where it is not finite: JSON knows no infinity."""
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
 def process_rows(sections: Iterable[Any]) -> tuple[ProcessRow, ...]:
     """Drifts, or instabilities of the scale factor."""
     return tuple(ProcessRow(sigma=float(r.standard_deviation), tau=float(r.correlation_time)) for r in sections)
@@ -110,17 +118,39 @@ def section_of(triad: GyroTriad | AccelerometerTriad, term: str) -> str:
     return next(key for key in type(triad).model_fields if term.startswith(key) or key == "cross_coupling")
 
 
+def deviations_of(covariance: "Covariance | None") -> dict[str, float]:
+    """One sigma of every coefficient that has one."""
+    return {} if covariance is None else {n: sqrt(covariance.matrix[k][k]) for k, n in enumerate(covariance.names)}
+
+
 def coefficient_rows(calibration: "UnitCalibration") -> list[dict[str, Any]]:
     """Every coefficient of a unit's calibration with its standard deviation, where the file has one, and its unit."""
-    deviations = {}
-    if (known := calibration.covariance) is not None:
-        deviations = {name: sqrt(known.matrix[k][k]) for k, name in enumerate(known.names)}
+    deviations = deviations_of(calibration.covariance)
     return [
         {"name": name, "value": value, "std": deviations.get(name), "unit": term.unit}
         for channel in calibration.channel
         for term in channel.term
         for name, value in ((f"{channel.name}.{n}", v) for n, v in term.coefficients.items())
     ]
+
+
+def random_walks(gyro: "Sensor | GyroTriad") -> dict[str, Any]:
+    """A gyro's noise as calibrations have it: white noise, and the rate random walk with every drift as the one that it
+    is over times much shorter than its own.
+    """
+    square = float(gyro.rate_random_walk or 0.0) ** 2
+    square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in gyro.drift)
+    slow = {"rate_random_walk": Quantity.of(sqrt(square), "rad/s/sqrt(s)")} if square > 0.0 else {}
+    return {"angle_random_walk": gyro.angle_random_walk, **slow}
+
+
+def provenance_of(logs: "Sequence[Log]", unit: str, sources: Mapping[str, str], **own: str) -> dict[str, str]:
+    """What a calibration of a unit says of where it comes from. `sources`: names of files; `own`: of the estimate."""
+    from gradcal_jax.files.calibration import LOG_HASH
+
+    given = {key: text for key, text in {**logs[0].provenance, **sources}.items() if text}
+    digests = " ".join(log.fingerprint(unit) for log in logs)
+    return {"program": f"gradcal {gradcal_jax.__version__}", **own, **given, LOG_HASH: digests}
 
 
 def fit_rows(tests: "Iterable[tuple[str, Test]]") -> "tuple[FitTest, ...]":

@@ -5,14 +5,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import gradcal_jax
 from gradcal_jax import estimation
-from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows
+from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import bridged_temperature, host_time
+from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows
 from gradcal_jax.estimation import Test
 from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
-from gradcal_jax.files.calibration import FORMAT, LOG_HASH, Covariance
+from gradcal_jax.files.calibration import FORMAT, Covariance
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.unit_calibration import (
@@ -77,10 +76,7 @@ def estimate_by_hand(
 
 
 def _report(log: Log, name: str, gravity: float, options: Options, sources: dict[str, str]) -> HandReport:
-    number, messages, time = log.unit_index(name), [], log.time_s
-    if options.clock == "host":
-        time, said = host_time(log)
-        messages.append(said)
+    number, (time, messages) = log.unit_index(name), time_of(log, options)
     rates, force = triad_of(log, number)
     missing = [f"gyro {a}" for k, a in enumerate("xyz") if not np.isfinite(rates[:, k]).any()]
     missing += [f"accelerometer {a}" for k, a in enumerate("xyz") if not np.isfinite(force[:, k]).any()]
@@ -89,8 +85,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             f"the log has no {', '.join(missing)}: gravity calibrates three gyros by three accelerometers, along axes "
             "named x, y, z (in a column map: [rate] and [force])"
         )
-    usable = log.usable(number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
-    usable[log.stretch_starts] = False  # what lay before the row was not recorded
+    usable = usable_rows(log, number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
     temperature = bridged_temperature(log, number, options.temperature_c)
     try:
         standing = log.standstill
@@ -140,13 +135,13 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             velocity_random_walk=density(held.force_noise, force_fit.gain, "m/s^2/sqrt(Hz)"),
             sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
         ),
-        provenance={
-            "program": f"gradcal {gradcal_jax.__version__}",
-            "estimator": f"norm and turns of gravity, {gravity:.9g} m/s^2; {len(held.duration)} positions, "
+        provenance=provenance_of(
+            [log],
+            name,
+            sources,
+            estimator=f"norm and turns of gravity, {gravity:.9g} m/s^2; {len(held.duration)} positions, "
             f"{found.turns} turns",
-            **{key: text for key, text in {**log.provenance, **sources}.items() if text},
-            LOG_HASH: log.fingerprint(name),
-        },
+        ),
     )
     left = [float(np.sqrt(np.mean(fit.left**2))) for fit in (force_fit, rate_fit)]
     messages += _words(found, tests, calibration.unobservable, gravity, options.earth_rate)

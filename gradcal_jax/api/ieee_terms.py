@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM, UNIT_OF, box
 from gradcal_jax.files import Spec
-from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import AxisCalibration, bias_names, scale_factor_names
 from gradcal_jax.files.correction import basis_values
 from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.sensor import ScaleFactor
 
 Floats = NDArray[np.float64]
 # The temperature for figures of one temperature (°C), where the data cover it.
@@ -75,19 +75,15 @@ def prior_map(spec: Spec, requirement: Requirement) -> Box | None:
     """What is known before any calibration: the spec's priors on a requirement's box; None where they are flat."""
     if requirement.quantity in ("heading", "north"):
         return None
-    unit, factor = UNIT_OF[requirement.quantity]
-    bias, scale = spec.sensor.bias, spec.sensor.scale_factor
-    temperatures, rates = box(requirement)
-    if requirement.quantity == "bias":
-        if bias is None or bias.prior is None:
-            return None
-        squares = np.sum(basis_values(bias.temperature, temperatures) ** 2, axis=1)[:, None]
-        return Box(temperatures, rates, np.sqrt(squares) * float(bias.prior) * factor, unit)
-    if scale is None or scale.prior is None:
+    section = spec.sensor.bias if requirement.quantity == "bias" else spec.sensor.scale_factor
+    if section is None or section.prior is None:
         return None
-    over_temperature = np.sum(basis_values(scale.temperature, temperatures) ** 2, axis=1)
-    over_rate = np.sum(basis_values(scale.rate, rates) ** 2, axis=1)
-    values = np.sqrt(np.outer(over_temperature, over_rate)) * float(scale.prior) * factor
+    unit, factor = UNIT_OF[requirement.quantity]
+    temperatures, rates = box(requirement)
+    over_temperature, over_rate = np.sum(basis_values(section.temperature, temperatures) ** 2, axis=1), np.ones(1)
+    if isinstance(section, ScaleFactor):
+        over_rate = np.sum(basis_values(section.rate, rates) ** 2, axis=1)
+    values = np.sqrt(np.outer(over_temperature, over_rate)) * float(section.prior) * factor
     return Box(temperatures, rates * DEG_PER_S, values, unit)
 
 
@@ -165,12 +161,10 @@ def _rows(axis: AxisCalibration, quantity: str, temperature_c: Floats, rate: Flo
         if axis.bias is None:
             raise ValueError(f"the calibration of axis {axis.name} holds no bias")
         return bias_names(axis.bias.temperature), basis_values(axis.bias.temperature, temperature_c)
-    if axis.scale_factor is None:
+    if (of := axis.scale_factor) is None:
         raise ValueError(f"the calibration of axis {axis.name} holds no scale factor")
-    of_temperature: TemperatureBasis = axis.scale_factor.temperature
-    of_rate: RateBasis = axis.scale_factor.rate
-    cold, fast = basis_values(of_temperature, temperature_c), basis_values(of_rate, rate)
-    return scale_factor_names(of_temperature, of_rate), (cold[:, :, None] * fast[:, None, :]).reshape(len(rate), -1)
+    cold, fast = basis_values(of.temperature, temperature_c), basis_values(of.rate, rate)
+    return scale_factor_names(of.temperature, of.rate), (cold[:, :, None] * fast[:, None, :]).reshape(len(rate), -1)
 
 
 def _deviations(axis: AxisCalibration, names: list[str], rows: Floats) -> Floats:

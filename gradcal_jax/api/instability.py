@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax import identify
+from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.files.log import EvenSeries, Log, LogError
 from gradcal_jax.units import ARCSEC, DEG_PER_SQRT_H
@@ -254,11 +255,11 @@ def instability_row(found: Instability) -> dict[str, Any]:
         "hidden_drift_std_deg_per_h": finite(bound.hidden_drift_std * DEG_PER_H),
         "advised_averaging_time_s": bound.advised_averaging_time_s,
         "boundary": np.stack([bound.boundary_correlation_time_s, bound.boundary_drift_std * DEG_PER_H], 1).tolist(),
-        "curve": curve(
-            ("integration_time_s", bound.integration_time_s),
-            ("largest_drift_deg_per_h", bound.largest_drift * DEG_PER_H),
-            ("limit_deg_per_h", bound.limit * DEG_PER_H),
-        ),
+        "curve": {
+            "integration_time_s": bound.integration_time_s.tolist(),
+            "largest_drift_deg_per_h": (bound.largest_drift * DEG_PER_H).tolist(),
+            "limit_deg_per_h": (bound.limit * DEG_PER_H).tolist(),
+        },
         "thermal": None
         if thermal is None
         else {
@@ -287,13 +288,13 @@ def allan_row(rest: RestRecord, allan: identify.AllanDeviation, fit: identify.Al
             name: {"value": c.value * factor, "standard_error": c.standard_error * factor, "shows": c.shows}
             for name, (c, factor) in scale.items()
         },
-        "curve": curve(
-            ("averaging_time_s", allan.averaging_time_s),
-            ("deviation_deg_per_h", allan.deviation * DEG_PER_H),
-            ("lower_deg_per_h", fit.lower * DEG_PER_H),
-            ("upper_deg_per_h", fit.upper * DEG_PER_H),
-            ("model_deg_per_h", fit.model_deviation * DEG_PER_H),
-        ),
+        "curve": {
+            "averaging_time_s": allan.averaging_time_s.tolist(),
+            "deviation_deg_per_h": (allan.deviation * DEG_PER_H).tolist(),
+            "lower_deg_per_h": (fit.lower * DEG_PER_H).tolist(),
+            "upper_deg_per_h": (fit.upper * DEG_PER_H).tolist(),
+            "model_deg_per_h": (fit.model_deviation * DEG_PER_H).tolist(),
+        },
         "fitted_time_s": fit.fitted_time_s.tolist(),
         "low_passed": fit.low_passed,
         "misfit": {
@@ -348,16 +349,6 @@ def too_noisy(fit: identify.AllanFit) -> str:
 def plausible(fit: identify.AllanFit) -> bool:
     """Whether some gyro is as noisy as that; otherwise a unit is wrong, or the sensor moved."""
     return fit.angle_random_walk.value <= _NOISIEST
-
-
-def curve(*columns: tuple[str, np.ndarray]) -> dict[str, list[float]]:
-    """Named columns as plain lists."""
-    return {name: [float(v) for v in values] for name, values in columns}
-
-
-def finite(value: float) -> float | None:
-    """The value, or None where it is not finite: JSON knows no infinity."""
-    return float(value) if np.isfinite(value) else None
 
 
 def axes_asked_for(log: Log, wanted: Sequence[str]) -> list[str]:

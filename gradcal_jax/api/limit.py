@@ -146,8 +146,7 @@ class _Window(NamedTuple):
         of_bias, of_scale = rows[:, model.where(BIAS)], rows[:, model.where(SCALE_FACTOR)]
         found: list[tuple[Limit, tuple[str, ...]]] = []
         if np.any(of_scale):
-            known = "the bias is known" if model.bias is not None else ""
-            relaxed = (*self.relaxed, *([known] if known else []))
+            relaxed = (*self.relaxed, *(["the bias is known"] if model.bias is not None else []))
             if np.any(model.processes.rate_gain):
                 relaxed = (*relaxed, "errors that multiply the rate are left out")
             found.append((self._of_scale_factor(asked, np.zeros(len(rows))), relaxed))

@@ -36,16 +36,9 @@ class Rows(NamedTuple):
 
 def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) -> Rows:
     """What the log has of them; `messages` say what was done about what it has not. Raises `LogError`."""
-    messages: list[str] = []
-    time = log.time_s
-    if options.clock == "host":
-        time, said = host_time(log)
-        messages.append(said)
-    usable = log.usable(unit).copy()
-    usable[log.stretch_starts] = False  # what lay before the row was not recorded
+    time, messages = time_of(log, options)
     raw = log.rate_rad_per_s[unit, :, log.axis_index(axis)]
-    rate = np.where(np.isfinite(raw), raw, 0.0)
-    usable &= np.isfinite(raw)
+    rate, usable = np.where(np.isfinite(raw), raw, 0.0), usable_rows(log, unit) & np.isfinite(raw)
     temperature = estimation.smoothed_temperature(time, bridged_temperature(log, unit, options.temperature_c))
     table = table_axis_of(log, axis, options.table_axis)
     angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
@@ -69,6 +62,21 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
         angle = angle if known.all() else np.interp(time, time[known], angle[known])
     step, said = np.diff(time, prepend=time[0]), tuple(messages)
     return Rows(time, step, rate, temperature, angle, table_rate, standing, usable, log.stretch_starts, said)
+
+
+def usable_rows(log: Log, unit: int) -> np.ndarray:
+    """`(n,)`: whether a row's sample, over the time since the row before it, may be integrated."""
+    usable = log.usable(unit).copy()
+    usable[log.stretch_starts] = False  # what lay before the row was not recorded
+    return usable
+
+
+def time_of(log: Log, options: Options) -> tuple[np.ndarray, list[str]]:
+    """The times (s) over which rates are integrated, by the clock that was chosen, and what is to be said of it."""
+    if options.clock != "host":
+        return log.time_s, []
+    time, said = host_time(log)
+    return time, [said]
 
 
 def host_time(log: Log) -> tuple[np.ndarray, str]:

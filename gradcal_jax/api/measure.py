@@ -49,7 +49,7 @@ class Measure(NamedTuple):
         """The objective over coordinates, through the program of the class of their sizes."""
         # Any plan of theirs in which all moves says how finely to integrate.
         plan = coordinates.decode(np.linspace(0.1, 0.9, coordinates.size))
-        cases = tuple(_with_rule(case, plan) for case in self.cases)
+        cases = tuple(replace(case, rule=rule_of(case.model, case.trajectory(plan))) for case in self.cases)
         whole, places = coordinates, None
         if isinstance(coordinates, Coordinates):
             whole = coordinates.padded()
@@ -61,10 +61,6 @@ class Measure(NamedTuple):
         """The exact value of one plan, in the unit."""
         made = Objective(None, self.cases, self.factors, self.targets, self.robust)
         return float(made.of_schedule(schedule)[0])
-
-
-def _with_rule(case: Case, plan: Schedule) -> Case:
-    return replace(case, rule=rule_of(case.model, case.trajectory(plan)))
 
 
 def design_of(spec: Spec) -> Design:

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.build import assemble
+from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.posterior_of_plan import limit_of
@@ -127,23 +128,20 @@ def belief_of(spec: Spec) -> str:
 def record_of(best: Optimised) -> dict[str, object]:
     """What a recipe and --json keep of an optimisation."""
     record: dict[str, object] = {
+        "before": best.before,
         "objective": best.name,
         "unit": best.unit,
         "found": best.found,
-        "now": best.now,
+        "now": finite(best.now),
         "converged": best.converged,
         "sentence": best.sentence,
         "gradient_norm": best.gradient_norm,
         "structure": best.structure,
-        "starts": [float(f"{v:.6g}") for v in best.starts if np.isfinite(v)],
+        "starts": [float(f"{v:.6g}") for v in best.starts if np.isfinite(v)] or None,
         "active_limits": list(best.active),
         "shadow_prices": [{"limit": p.limit, "per": p.per, "change": p.change} for p in best.prices],
     }
-    absent = {"before"} if best.before is None else set[str]()
-    absent |= set() if np.isfinite(best.now) else {"now"}
-    absent |= {"gradient_norm"} if best.gradient_norm is None else set()
-    absent |= set() if record["starts"] else {"starts"}
-    return {name: value for name, value in {"before": best.before, **record}.items() if name not in absent}
+    return {name: value for name, value in record.items() if value is not None}
 
 
 def exact(spec: Spec, of: Measure) -> float:
@@ -196,7 +194,7 @@ def optimise(
         raise ValueError(BY_HAND)
     of = measure(spec)
     before = exact(spec, of)
-    known = before if np.isfinite(before) else None
+    known = finite(before)
 
     def enough(plan: Callable[[], Spec], value: float, words: str, sentence: str) -> Optimised | None:
         """The plan as the controllers take it, where that meets every target with margin in every scenario."""
@@ -391,16 +389,8 @@ def best_programme(
 
 
 def _pruned(of: Measure, coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
-    """The plan without turns that shrank to nothing, unless that costs what rounding may not: a plan of few turns may
-    need even the briefest."""
-    fewer, left = _without_vanished(coordinates, point)
-    if of.exact(fewer.decode(left)) > (1.0 + _DEAR) * of.exact(coordinates.decode(point)):
-        return coordinates, point
-    return fewer, left
-
-
-def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
-    """Turns that shrank to nothing are not for a technician to make.
+    """The plan without turns that shrank to nothing, which are not for a technician to make, unless that costs what
+    rounding may not: a plan of few turns may need even the briefest.
 
     Where travel is limited all turns may be brief, and more time would only make them slower: those that round to
     nothing are written as rests.
@@ -408,7 +398,10 @@ def _without_vanished(coordinates: AnyCoordinates, point: np.ndarray) -> tuple[A
     if not isinstance(coordinates, Coordinates) or "duration" not in coordinates.free or coordinates.travels:
         return coordinates, point
     fewer, cycle = coordinates.pruned(coordinates.cycle(np.asarray(point)))
-    return fewer, fewer.vector(cycle)
+    left = fewer.vector(cycle)
+    if of.exact(fewer.decode(left)) > (1.0 + _DEAR) * of.exact(coordinates.decode(point)):
+        return coordinates, point
+    return fewer, left
 
 
 def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...]:

@@ -1,11 +1,13 @@
 """The contract gradcal-prediction/1, filled from a spec."""
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.error_budget import error_budget, limited_by
 from gradcal_jax.api.missions import mission_table, own_noise_of
 from gradcal_jax.api.posterior_of_plan import (
@@ -22,7 +24,7 @@ from gradcal_jax.api.posterior_of_plan import (
 )
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.tested_maps import noticing
-from gradcal_jax.api.unit_prediction import of_plan, predict_unit
+from gradcal_jax.api.unit_prediction import asked_and_left, of_plan, predict_unit
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.absent import absent_terms, with_typical
@@ -52,28 +54,19 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
         return found.model_copy(update={"requirements": tuple(between)})
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}
-    pairs: list[tuple[Requirement, Axis]] = [
-        (requirement, channel) for requirement in spec.requirement for channel in built.channels
-    ]
-    requirements = [_requirement_row(built, known[channel], requirement, channel) for requirement, channel in pairs]
-    if limits:
-        shares = {channel: error_budget(built, channel, known[channel]) for channel in built.channels}
-        requirements = [
-            row.model_copy(update={"limited_by": limited_by(shares[row.axis].get(row.name))}) for row in requirements
-        ]
-        requirements = _between(requirements, [predict(one) for one in extremes(spec)])
-    if outlook:
-        requirements = [
-            row.model_copy(update=_risks(built, known[channel], requirement, row))
-            for row, (requirement, channel) in zip(requirements, pairs, strict=True)
-        ]
+    shares = {channel: error_budget(built, channel, of) for channel, of in known.items()} if limits else {}
     absent = absent_terms(spec)
-    if outlook and absent:
-        there = predict(with_typical(spec)).requirements
-        requirements = [
-            row.model_copy(update={"with_typical": other.decisive})
-            for row, other in zip(requirements, there, strict=True)
-        ]
+    there = [row.decisive for row in predict(with_typical(spec)).requirements] if outlook and absent else []
+    rows: list[RequirementRow] = []
+    for requirement, channel in product(spec.requirement, built.channels):
+        row = _requirement_row(built, known[channel], requirement, channel)
+        more = _risks(built, known[channel], requirement, row) if outlook else {}
+        if limits:
+            more["limited_by"] = limited_by(shares[channel].get(row.name))
+        if there:
+            more["with_typical"] = there[len(rows)]
+        rows.append(row.model_copy(update=more))
+    requirements = _between(rows, [predict(one) for one in extremes(spec)] if limits else [])
     return Prediction(
         requirements=tuple(requirements),
         notices=noticing(built) if notices else (),
@@ -97,27 +90,20 @@ def _between(rows: Sequence[RequirementRow], others: list[Prediction]) -> Sequen
 
 def _requirement_row(built: Assembled, known: Posterior, requirement: Requirement, channel: Axis) -> RequirementRow:
     _, rates, values = residual_map(built, known, requirement)
-    found = {name: statistic_of(requirement, values, name) for name in STATISTICS}
-    if requirement.quantity != "scale_factor":
-        del found["mean of max"]
-    found = {name: value if np.isfinite(value) else None for name, value in found.items()}
+    found = {
+        name: finite(statistic_of(requirement, values, name))
+        for name in STATISTICS
+        if name != "mean of max" or requirement.quantity == "scale_factor"
+    }
     target, worst = target_of(requirement), found["max"]
     own, flown = own_noise_of(built, requirement), requirement if isinstance(requirement, HeadingRequirement) else None
     if flown is not None:
         rates = np.array([float(rate) * DEG_PER_S for rate in flown.rate])
     return RequirementRow(
-        name=requirement.name,
-        quantity=requirement.quantity,
+        **asked_and_left(requirement, found),
         unit=UNIT_OF[requirement.quantity][0],
         axis=channel,
-        temperature_c=(float(requirement.temperature[0]), float(requirement.temperature[1])),
         rate_dps=(float(rates[0]), float(rates[-1])) if len(rates) > 1 else None,
-        grid=tuple(requirement.grid),
-        statistic=requirement.statistic,
-        mean_of_max=found.get("mean of max"),
-        max=found["max"],
-        mean=found["mean"],
-        rms=found["rms"],
         target=target,
         verdict=verdict(requirement, values),
         coverage=requirement.coverage,

@@ -24,7 +24,6 @@ from gradcal_jax.files import Spec, changed, tables_of
 from gradcal_jax.files.changes import AnySpec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.rounding import steps_of
-from gradcal_jax.files.schedule import TemperatureSegment
 from gradcal_jax.files.unit_plan import cycles_between
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information, posterior
@@ -122,7 +121,8 @@ def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None,
     waits = any(s.kind == "step" or not s.used for s in (left if done else left[1:]))
     if waits or min(slopes) * max(slopes) < 0.0:
         raise ValueError(f"what is left of the plan is not one ramp, up or down: {_GO_ON}")
-    begins_c, ends_c = _course(ramps[0], seam_s), ramps[-1].temperature_end
+    begins_c = ramps[0].temperature_start + ramps[0].slope * max(seam_s - ramps[0].start, 0.0)
+    ends_c = ramps[-1].temperature_end
     lasts_s = sum(s.end - max(s.start, seam_s) for s in left if s.used) if left_s is None else left_s
     chamber, steps = spec.rig.chamber, steps_of(spec)
     steepest = float(chamber.max_heating if ends_c > begins_c else chamber.max_cooling)
@@ -174,10 +174,6 @@ def replan(
     Errors: `ValueError` where nothing is left of the plan, or no ramp up or down, and as `optimise`.
     """
     return optimise(rest_of(spec, done, left_s=left_s, pause_s=pause_s), quick=quick, watch=watch)
-
-
-def _course(ramp: TemperatureSegment, at_s: float) -> float:
-    return ramp.temperature_start + ramp.slope * max(at_s - ramp.start, 0.0)
 
 
 def _visits(spec: Spec, design: Mapping[str, Any], lasts_s: float) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from gradcal_jax.api.build import basis, shortest_correlation_time
+from gradcal_jax.api.build import shortest_correlation_time
 from gradcal_jax.design import (
     AnyCoordinates,
     CycleNumbers,
@@ -112,7 +112,8 @@ def _only(design: Design, possible: tuple[str, ...], plan: str) -> None:
 
 def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
     schedule = cast("StandardSchedule", spec.schedule)
-    soak, fewest = schedule.soak_each, _fewest_temperatures(spec)
+    soak = schedule.soak_each
+    fewest = max(s.temperature.size for s in (spec.sensor.bias, spec.sensor.scale_factor) if s is not None)
     if design.max_total is not None:
         time = float(design.max_total)
     elif design.max_motion is not None:
@@ -131,27 +132,13 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
             f"{time / 60.0:.4g} min leaves nothing to integrate in"
         )
     low, high = temperatures_of(spec, scenarios)
-    number = lambda v: np.asarray(float(v))  # noqa: E731
-    found = []
-    for n in counts:
-        coordinates = StandardCoordinates(
-            number(soak),
-            number(time),
-            number(low),
-            number(high),
-            number(largest_rate(spec, scenarios)),
-            np.asarray(schedule.rates, dtype=float),
-            n,
-            "rates" in design.free,
-            schedule.shared,
-        )
-        found.append(Structure(coordinates, f"{n} temperatures"))
-    return found
-
-
-def _fewest_temperatures(spec: Spec) -> int:
-    sections = [s for s in (spec.sensor.bias, spec.sensor.scale_factor) if s is not None]
-    return max(basis(s.temperature).size for s in sections)
+    numbers = [np.asarray(float(v)) for v in (soak, time, low, high, largest_rate(spec, scenarios))]
+    said = {"rates_free": "rates" in design.free, "points": schedule.shared}
+    rates = np.asarray(schedule.rates, dtype=float)
+    return [
+        Structure(StandardCoordinates(*numbers, given_rates=rates, temperatures=n, **said), f"{n} temperatures")
+        for n in counts
+    ]
 
 
 def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:

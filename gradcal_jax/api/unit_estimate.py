@@ -8,20 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import gradcal_jax
 from gradcal_jax import estimation
 from gradcal_jax.api.calibration import excess_of, of_noise
-from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, section_of
+from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import bridged_temperature, host_time, of_host_clock
+from gradcal_jax.api.log_rows import bridged_temperature, of_host_clock, time_of, usable_rows
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_prediction import requirement_row
 from gradcal_jax.api.unit_residual import internal_misalignments
-from gradcal_jax.api.unit_sentences import NOT_OBSERVED, prior_deviations
+from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
 from gradcal_jax.estimation import Consistency, ExecutedUnit, Test, UnitEstimate, UnitReadings, UnitRows
 from gradcal_jax.files import correction
-from gradcal_jax.files.calibration import FORMAT, LOG_HASH, Covariance, FitTest
+from gradcal_jax.files.calibration import FORMAT, Covariance
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.quantity import Quantity
@@ -226,15 +225,9 @@ def unit_rows(
 
 
 def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) -> tuple[UnitRows, list[str]]:
-    messages: list[str] = []
-    number, time = log.unit_index(name), log.time_s
-    if options.clock == "host":
-        time, said = host_time(log)
-        messages.append(said)
+    number, (time, messages) = log.unit_index(name), time_of(log, options)
     rates, force = triad_of(log, number)
-    usable = log.usable(number).copy()
-    usable[log.stretch_starts] = False  # what lay before the row was not recorded
-    gyros, missing = np.zeros(3, bool), []
+    usable, gyros, missing = usable_rows(log, number), np.zeros(3, bool), []
     for c in built.model.channels:
         values = (rates if c.kind == "gyro" else force)[:, c.axis]
         known = np.isfinite(values)
@@ -380,18 +373,15 @@ def _calibration(
     names, units = model.names(), model.units()
     priors = prior_deviations(built)
     own = slice(0, model.calibrated)
-    unseen = [
-        k
-        for k in range(model.calibrated)
-        if not np.isfinite(deviations[k]) or deviations[k] > NOT_OBSERVED * priors[k] < np.inf
-    ]
     held = list(_channels(built, values))
     kept = {f"{c.name}.{n}" for c in held for term in c.term for n in term.coefficients}
     covariant = [k for k in range(model.calibrated) if np.isfinite(deviations[k]) and names[k] in kept]
     matrix = found.known.covariance(reported[own])[np.ix_(covariant, covariant)]
+    fits = [("chi-squared of the fit", tests.fit)]
+    for channel, (size, white) in channels.items():
+        fits += [(f"{channel}: chi-squared", size), (f"{channel}: whiteness", white)]
     frame = spec.sensor.frame
     case = frame is not None and frame.fixed_by == "case"
-    log = logs[0]
     section: dict[str, Any] = {
         "format": FORMAT,
         "title": spec.title or spec.sensor.name or f"calibration of {name}",
@@ -415,17 +405,17 @@ def _calibration(
             )
             for k in range(model.calibrated, model.size)
         ),
-        "fit": _fit_tests(tests, channels),
-        "unobservable": tuple(names[k] for k in unseen if names[k] in kept),
-        "noise": _noise(spec, log),
+        "fit": fit_rows([*fits, *((split.name, split.agreement) for split in tests.splits)]),
+        "unobservable": tuple(n for n in unobserved_parameters(built, found.known) if n in kept),
+        "noise": _noise(spec, logs[0]),
         "result": tuple(_result(row) for row in requirements),
-        "provenance": {
-            "program": f"gradcal {gradcal_jax.__version__}",
-            "estimator": f"Gauss-Newton through the finite geometry, {found.rounds} rounds",
-            "rows": str(int(np.count_nonzero(found.used))),
-            **{key: text for key, text in {**log.provenance, **sources}.items() if text},
-            LOG_HASH: " ".join(one.fingerprint(name) for one in logs),
-        },
+        "provenance": provenance_of(
+            logs,
+            name,
+            sources,
+            estimator=f"Gauss-Newton through the finite geometry, {found.rounds} rounds",
+            rows=str(int(np.count_nonzero(found.used))),
+        ),
     }  # fmt: skip
     if options.lag:
         section["thermal_lag"] = Quantity.of(float(options.lag), "s")
@@ -456,29 +446,17 @@ def _channel(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Calibrated
     return CalibratedChannel(kind=channel.kind, axis=axis, term=tuple(terms))
 
 
-def _fit_tests(tests: Consistency, channels: dict[str, tuple[Test, Test]]) -> tuple[FitTest, ...]:
-    rows = [("chi-squared of the fit", tests.fit)]
-    for name, (size, white) in channels.items():
-        rows += [(f"{name}: chi-squared", size), (f"{name}: whiteness", white)]
-    return fit_rows([*rows, *((split.name, split.agreement) for split in tests.splits)])
-
-
 def _noise(spec: UnitSpec, log: Log) -> UnitNoise:
     given: dict[str, Any] = {"sample_rate": Quantity.of(1.0 / log.sample_interval_s, "Hz")}
     if (gyro := spec.sensor.gyro) is not None:
-        given["angle_random_walk"] = gyro.angle_random_walk
-        square = float(gyro.rate_random_walk or 0.0) ** 2
-        square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in gyro.drift)
-        if square > 0.0:
-            given["rate_random_walk"] = Quantity.of(float(np.sqrt(square)), "rad/s/sqrt(s)")
+        given |= random_walks(gyro)
     if (force := spec.sensor.accelerometer) is not None:
         given["velocity_random_walk"] = force.velocity_random_walk
     return UnitNoise(**given)
 
 
 def _result(row: RequirementRow) -> UnitResult:
-    value = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[row.statistic]
-    given = {"value": value, "target": row.target, "verdict": row.verdict}
+    given = {"value": row.decisive, "target": row.target, "verdict": row.verdict}
     return UnitResult(
         name=row.name,
         quantity=row.quantity,

@@ -73,11 +73,10 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
             "the case, acceleration sensitivity and second order; the spec has no requirement on one of these"
         )
     after = posterior_of_unit(built)
-    rows = []
-    for requirement, found in proven:
-        value = requirement_row(built, after, requirement).decisive
-        rows.append(plan_limit(requirement, UNIT_OF_QUANTITY[requirement.quantity], found, value, _RELAXED))
-    return rows
+    return [
+        plan_limit(r, UNIT_OF_QUANTITY[r.quantity], found, requirement_row(built, after, r).decisive, _RELAXED)
+        for r, found in proven
+    ]
 
 
 def _certified(built: AssembledUnit, requirement: UnitRequirement) -> tuple[float, float] | None:
@@ -126,13 +125,13 @@ def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: n
     """Standard deviations of a bias under white noise and drift, seen continuously."""
     channel = _channel(built, requirement.quantity.removesuffix("_bias"), requirement.axis)
     term = channel.model.term("bias")
-    if isinstance(term, Map) and term.beyond is not None:
-        return None
-    assert isinstance(term, Map | SignalMap)
-    prior = term.prior_std if isinstance(term, Map) else term.std
-    bias = model.make_map(term.temperature, prior_std=float(prior) if term.has_prior else np.inf)
     if isinstance(term, Map):
+        if term.beyond is not None:
+            return None
         bias = term
+    else:
+        assert isinstance(term, SignalMap)
+        bias = model.make_map(term.temperature, prior_std=float(term.std) if term.has_prior else np.inf)
     # The processes that a bias meets at any rate.
     processes = channel.model.processes
     at_rest = jax.tree.map(lambda of: of[np.asarray(processes.rate_gain) == 0.0], processes)

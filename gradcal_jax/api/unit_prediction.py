@@ -10,7 +10,7 @@ from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, summed_up, unit_resi
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.files import Spec
 from gradcal_jax.files.contracts import ParameterRow, Prediction, RequirementRow
-from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, Requirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, posterior, unit_information
 from gradcal_jax.model import SensorModel, UnitModel
@@ -64,6 +64,16 @@ def known_of_motions(built: AssembledUnit, motions: Sequence[TableMotion]) -> Po
     return posterior(unit_information([(m, body_nodes(m, built.points)) for m in motions], built.model))
 
 
+def asked_and_left(requirement: Requirement | UnitRequirement, values: Mapping[str, float | None]) -> dict[str, Any]:
+    """Of the row of a requirement what it asks for, and what is left by the name of each statistic."""
+    return {
+        **{name: getattr(requirement, name) for name in ("name", "quantity", "statistic")},
+        "temperature_c": (float(requirement.temperature[0]), float(requirement.temperature[1])),
+        "grid": tuple(requirement.grid),
+        **{name.replace(" ", "_"): value for name, value in values.items()},
+    }
+
+
 def requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> RequirementRow:
     """What is left of one requirement, in people's units."""
     found = unit_residual(built, known, requirement)
@@ -75,18 +85,10 @@ def requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitReq
     worst = worst_axis(requirement, found)
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
     return RequirementRow(
-        name=requirement.name,
-        quantity=requirement.quantity,
-        unit=unit,  # pyright: ignore[reportArgumentType]
+        **asked_and_left(requirement, values),
+        unit=cast("Any", unit),
         axis=requirement.axis,
-        temperature_c=(float(requirement.temperature[0]), float(requirement.temperature[1])),
         rate_dps=(float(np.degrees(found.rates[0])), float(np.degrees(found.rates[-1]))) if by_rate else None,
-        grid=tuple(requirement.grid),
-        statistic=requirement.statistic,
-        mean_of_max=values.get("mean of max"),
-        max=values["max"],
-        mean=values["mean"],
-        rms=values["rms"],
         target=target,
         verdict="unobservable" if decisive is None else verdict,
         limited_by=None if worst is None else f"axis {worst}",

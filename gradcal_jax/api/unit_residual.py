@@ -197,11 +197,7 @@ def _of_term(
     if isinstance(of, Map):
         points = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
         rows, alone, variance = contrasts(channel.model, cast("Any", term), *points)
-        return (
-            QuantityElement(label, own, rows)
-            if of.beyond is None
-            else QuantityElement(label, own, rows, alone, variance)
-        )
+        return QuantityElement(label, own, rows, *(() if of.beyond is None else (alone, variance)))
     return QuantityElement(label, own, _signal_rows(channel, term, temperatures))
 
 
@@ -253,8 +249,7 @@ def _navigation(built: AssembledUnit, requirement, temperatures: np.ndarray):
 
     def force(i: int) -> np.ndarray:
         rows = _row(model, "accelerometer", i, SPECIFIC_FORCE_BIAS, temperatures)
-        rows = rows + g * _row(model, "accelerometer", i, MISALIGNMENT.format("z"), temperatures)
-        return rows
+        return rows + g * _row(model, "accelerometer", i, MISALIGNMENT.format("z"), temperatures)
 
     def rate(i: int) -> np.ndarray:
         rows = _row(model, "gyro", i, "bias", temperatures)

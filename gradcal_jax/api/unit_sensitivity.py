@@ -78,8 +78,8 @@ def unit_sensitivities(spec: UnitSpec) -> Sensitivities:
         if percent is not None:
             rows += [Elasticity(r.name, figure, float(p)) for r, p in zip(spec.requirement, percent, strict=True)]
     rows.sort(key=lambda row: (row.requirement, -abs(row.percent)))
-    units = {r.name: UNIT_OF_QUANTITY[r.quantity][0] for r in spec.requirement}
-    residuals = {name: (float(value), unit) for (name, unit), value in zip(units.items(), nominal, strict=True)}
+    left = zip(spec.requirement, nominal, strict=True)
+    residuals = {r.name: (float(value), UNIT_OF_QUANTITY[r.quantity][0]) for r, value in left}
     return Sensitivities(tuple(rows), residuals)
 
 

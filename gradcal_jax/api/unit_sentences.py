@@ -19,18 +19,12 @@ _SEEN = 0.3
 _FLAT = 0.05
 
 
-def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[tuple[str, float]]:
-    """Names of the unit's own parameters of which the plan says nothing, with posterior over prior (infinite: flat)."""
-    model = built.model
-    reported = model.to_reported[: model.calibrated]
-    after = known.deviations(reported)
-    priors = prior_deviations(built)[: model.calibrated]
-    found = []
-    for name, std, prior in zip(model.names(), after, priors, strict=False):
-        ratio = np.inf if not np.isfinite(std) else std / prior if np.isfinite(prior) else 0.0
-        if ratio > NOT_OBSERVED:
-            found.append((name, float(ratio)))
-    return found
+def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[str]:
+    """Names of the unit's own parameters of which a plan, or data, say nothing."""
+    own = slice(built.model.calibrated)
+    after, before = known.deviations(built.model.to_reported[own]), prior_deviations(built)[own]
+    said = np.isfinite(after) & ((after <= NOT_OBSERVED * before) | ~np.isfinite(before))
+    return [name for name, seen in zip(built.model.names(), said, strict=False) if not seen]
 
 
 def prior_deviations(built: AssembledUnit) -> np.ndarray:
@@ -49,7 +43,7 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     """A sentence for each thing that the plan cannot observe, the cure first where one is seen; and beyond what
     temperatures the structure is trusted.
     """
-    names = [name for name, _ in unobserved_parameters(built, known)]
+    names = unobserved_parameters(built, known)
     motion = built.motion
     axes = frames(motion.geometry, motion.angles()[0], motion.mounting).axes
     said = _cures(built, axes, set(names))

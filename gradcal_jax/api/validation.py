@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation, formulas
-from gradcal_jax.api.log_rows import count_rows, table_axis_of
+from gradcal_jax.api.log_rows import count_rows, table_axis_of, usable_rows
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
 from gradcal_jax.api.unit_channel import integrated_rows
 from gradcal_jax.files import correction
@@ -135,8 +135,7 @@ def _axis(
     column = log.axis_index(axis)
     raw = log.rate_rad_per_s[unit, :, column]
     new = corrected.rate_rad_per_s[0, :, column]
-    usable = log.usable(unit) & np.isfinite(raw)
-    usable[log.stretch_starts] = False
+    usable = usable_rows(log, unit) & np.isfinite(raw)
     table = table_axis_of(log, axis, table_axis)
     angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
     if log.standstill is not None:

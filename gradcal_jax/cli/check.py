@@ -37,47 +37,51 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
     from gradcal_jax.files.unit_spec import UnitSpec
 
     found = any_spec_in(spec)
-    if isinstance(found, UnitSpec):
-        return check_unit(found, str(spec), files_only=files_only, json=json)
+    of_axes = None if isinstance(found, UnitSpec) else found
+    too = None if of_axes is None else too_large(of_axes)
+    wanted = not files_only and not too
     if json:
-        too = too_large(found)
-        blind = None if files_only or too else unobservable_of(found)
-        print(as_json(numbers(found) | {"memory_bytes": needed_bytes(found), "unobservable": blind}))
+        told = numbers(found) | ({} if of_axes is None else {"memory_bytes": needed_bytes(of_axes)})
+        print(as_json(told | {"unobservable": blind_of(found) if wanted else None}))
         return NOT_AS_WISHED if too else DONE
     print(strong(found.title or str(spec)))
-    print(summary(found))
-    said = counted_as_zero(found)
+    print(summary_of_unit(found) if isinstance(found, UnitSpec) else summary(found))
+    said = [] if of_axes is None else counted_as_zero(of_axes)
     print("\n".join(said)) if said else None
-    if too := too_large(found):
+    if too:
         print(f"too large: {too}")
         return NOT_AS_WISHED
-    blind = [] if files_only else unobservable_of(found)
+    blind = blind_of(found) if wanted else []
     for sentence in blind:
-        print(f"cannot be observed: {sentence}")
+        print(f"{'note' if of_axes is None else 'cannot be observed'}: {sentence}")
     print("the spec is sound" + ("; see what it cannot observe" if blind else ""))
     return DONE
 
 
-def unobservable_of(spec: "Spec") -> list[str]:
-    """A sentence for each combination of parameters that the plan cannot observe."""
+def blind_of(spec: "Spec | UnitSpec") -> list[str]:
+    """A sentence for each combination of parameters that the plan cannot observe; of a whole unit all that `check`
+    says.
+    """
     use_float64()
     from gradcal_jax import api
+    from gradcal_jax.api.flow import check as check_of
+    from gradcal_jax.files.unit_spec import UnitSpec
 
-    return api.unobservable(spec)
+    return check_of(spec) if isinstance(spec, UnitSpec) else api.unobservable(spec)
 
 
-def numbers(spec: "Spec") -> dict[str, Any]:
+def numbers(spec: "Spec | UnitSpec") -> dict[str, Any]:
     """What the plan does, for other programs: times in s."""
     from gradcal_jax.files.absent import absent_terms
+    from gradcal_jax.files.unit_spec import UnitSpec
 
-    schedule = spec.schedule
-    told = {"title": spec.title, "method": spec.plan.method, "duration_s": schedule.duration, "soak_s": schedule.soak}
-    return told | {
-        "motion_s": schedule.motion,
-        "requirements": [r.name for r in spec.requirement],
-        "notes": notes(spec),
-        "counted_as_zero": [{"key": t.key, "typical": t.typical, "source": t.source} for t in absent_terms(spec)],
-    }
+    told: dict[str, Any] = {"title": spec.title, "method": spec.plan.method}
+    told |= {f"{name}_s": getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
+    told["requirements"] = [r.name for r in spec.requirement]
+    if isinstance(spec, UnitSpec):
+        return told
+    absent = [{"key": t.key, "typical": t.typical, "source": t.source} for t in absent_terms(spec)]
+    return told | {"notes": notes(spec), "counted_as_zero": absent}
 
 
 def summary(spec: "Spec") -> str:
@@ -138,9 +142,7 @@ def _gradient(schedule: "GradientSchedule") -> list[str]:
         rows.append(
             (f"at {time_text(segment.start)}", segment.kind, time_text(segment.duration), f"{where} degC", slope, used)
         )
-    lines.append(columns(rows))
-    if len(schedule.segments) > _MOST_ROWS:
-        lines.append(f"  … and {len(schedule.segments) - _MOST_ROWS} more")
+    lines += _first(rows, len(schedule.segments))
     if schedule.cycle is not None:
         lines += _cycle(schedule.cycle, schedule)
     elif schedule.read_every is not None:
@@ -157,30 +159,30 @@ def _cycle(cycle: "ResolvedCycle", schedule: "GradientSchedule") -> list[str]:
     if cycle.idle:
         parts.append(f"standing {time_text(cycle.idle)} (not read)")
     lines = [f"cycle: {time_text(cycle.duration)}, made {schedule.cycles} times: {', '.join(parts)}"]
-    lines.append(columns([_move(move) for move in cycle.moves[:_MOST_ROWS]], right=(0,)))
-    if len(cycle.moves) > _MOST_ROWS:
-        lines.append(f"  … and {len(cycle.moves) - _MOST_ROWS} more")
-    return lines
+    return lines + _first([_move(move) for move in cycle.moves[:_MOST_ROWS]], len(cycle.moves), right=(0,))
+
+
+def _first(rows: list[tuple[str, ...]], count: int, right: tuple[int, ...] = ()) -> list[str]:
+    """The first rows of so many, and how many there are more."""
+    return [columns(rows, right=right), *([f"  … and {count - len(rows)} more"] if count > len(rows) else [])]
 
 
 def _move(move: "ResolvedMove") -> tuple[str, ...]:
-    count = f"{move.repeat} ×" if move.repeat > 1 else ""
     if move.read_every is not None:
         read = f"read every {time_text(move.read_every)}"
     else:
         read = "read at the end" if move.read_end else "not read"
-    if move.is_rest:
-        return (count, move.axis, "rest", time_text(move.duration), "", "", "", read)
-    return (
-        count,
-        move.axis,
-        move.shape,
-        time_text(move.duration),
-        f"{math.degrees(move.angle):+.6g} deg",
-        f"up to {math.degrees(move.fastest):.4g} deg/s",
-        f"{math.degrees(move.peak_acceleration):.4g} deg/s^2",
-        read,
-    )
+    steep = "" if move.is_rest else f"{math.degrees(move.peak_acceleration):.4g} deg/s^2"
+    return (*_turn(move, move.axis), steep, read)
+
+
+def _turn(move: "ResolvedMove", axis: str) -> tuple[str, ...]:
+    """How often, about which axis, what, how long, how far and how fast."""
+    count = f"{move.repeat} ×" if move.repeat > 1 else ""
+    turn = ("", "")
+    if not move.is_rest:
+        turn = f"{math.degrees(move.angle):+.6g} deg", f"up to {math.degrees(move.fastest):.4g} deg/s"
+    return (count, axis, move.shape, time_text(move.duration), *turn)
 
 
 def notes(spec: "Spec") -> list[str]:
@@ -214,30 +216,8 @@ def notes(spec: "Spec") -> list[str]:
     return said
 
 
-def check_unit(spec: "UnitSpec", name: str, *, files_only: bool, json: bool) -> int:
-    """Print what a unit's plan does, and what it cannot observe."""
-    blind: list[str] | None = None
-    if not files_only:
-        use_float64()
-        from gradcal_jax.api.flow import check as blind_of
-
-        blind = blind_of(spec)
-    schedule = spec.schedule
-    if json:
-        numbers: dict[str, Any] = {"title": spec.title, "method": spec.plan.method, "duration_s": schedule.duration}
-        numbers |= {"soak_s": schedule.soak, "motion_s": schedule.motion}
-        numbers |= {"requirements": [r.name for r in spec.requirement], "unobservable": blind}
-        print(as_json(numbers))
-        return DONE
-    print(strong(spec.title or name))
-    print("\n".join(_summary_of_unit(spec)))
-    for sentence in blind or ():
-        print(f"note: {sentence}")
-    print("the spec is sound" + ("; see what it cannot observe" if blind else ""))
-    return DONE
-
-
-def _summary_of_unit(spec: "UnitSpec") -> list[str]:
+def summary_of_unit(spec: "UnitSpec") -> str:
+    """As `summary`, of a whole unit."""
     from gradcal_jax.files.section import Section
 
     schedule, table = spec.schedule, spec.rig.table
@@ -258,26 +238,9 @@ def _summary_of_unit(spec: "UnitSpec") -> list[str]:
     lines.append("plan: " + times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion"))
     made = sum(stretch.cycles for stretch in schedule.stretches)
     lines.append(f"cycle: {time_text(schedule.period)}, made {made} times")
-    rows = [_row_of_unit(step, table) for step in schedule.steps[:_MOST_OF_UNIT]]
-    lines.append(columns(rows))
-    if len(schedule.steps) > _MOST_OF_UNIT:
-        lines.append(f"  … and {len(schedule.steps) - _MOST_OF_UNIT} more")
+    rows = [_turn(step.move, table.axis[step.axis].name if step.axis >= 0 else "") for step in schedule.steps]
+    lines += _first(rows[:_MOST_OF_UNIT], len(rows))
     left = sum(stretch.leftover for stretch in schedule.stretches)
     if left > 0.0:
         lines.append(f"note: after the last cycle the table stands for {time_text(left)}")
-    return lines
-
-
-def _row_of_unit(step, table) -> tuple[str, ...]:
-    move = step.move
-    count = f"{move.repeat} ×" if move.repeat > 1 else ""
-    if step.axis < 0:
-        return (count, "", "rest", time_text(move.duration), "", "")
-    return (
-        count,
-        table.axis[step.axis].name,
-        move.shape,
-        time_text(move.duration),
-        f"{math.degrees(move.angle):+.6g} deg",
-        f"up to {math.degrees(move.fastest):.4g} deg/s",
-    )
+    return "\n".join(lines)

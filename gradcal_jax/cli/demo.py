@@ -7,8 +7,7 @@ told is read from what that command wrote.
 import contextlib
 import io
 import json as json_format
-import os
-from collections.abc import Iterator
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +15,7 @@ from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, Output, as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount
+from gradcal_jax.units import time_text
 
 RECORDING: Final = "tofupilot_imu_thermal_cycle.npz"
 
@@ -111,21 +111,16 @@ def demo(
 
 
 def _whole_job(told: "_Told", seed: int) -> dict[str, Any]:
-    from gradcal_jax.files import changed, presets, to_toml
-    from gradcal_jax.files.spec import parse_spec
-    from gradcal_jax.files.writing import write_whole
-
     told.step("The paper's spec: its sensor, its table, its chamber, its plan")
     told.run("new paper-dynamic-gradient -o paper.toml")
 
     told.step("What the paper's plan will leave")
     paper = told.json("predict paper.toml --json")
-    row = paper["requirements"][0]
-    told.say(f"{row['name']}, {row['statistic']}: {amount(row['mean_of_max'], row['unit'])} in {_hours(paper)}")
+    row, hours = paper["requirements"][0], time_text(paper["duration_s"])
+    told.say(f"{row['name']}, {row['statistic']}: {amount(row['mean_of_max'], row['unit'])} in {hours}")
 
     told.step("A better plan for the same sensor in the same time, on a table of 300 deg/s^2")
-    spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), _HEADLINE)
-    write_whole(told.folder / "design.toml", to_toml(spec, header="The paper's spec, with a [design]."))
+    told.design("design.toml", _HEADLINE, "The paper's spec, with a [design].")
     found, recipe = told.optimise("design.toml")
     told.say(found["sentence"])
 
@@ -203,8 +198,6 @@ def _whole_unit(told: "_Told", seed: int) -> dict[str, Any]:
 
 
 def _recorded_sensor(told: "_Told", recording: Path) -> dict[str, Any]:
-    from gradcal_jax.files import changed, presets, to_toml
-    from gradcal_jax.files.spec import parse_spec
     from gradcal_jax.files.writing import write_whole
 
     told.step("A MEMS gyro at rest through one thermal cycle: its drift, by the paper's Direct Bound")
@@ -218,8 +211,8 @@ def _recorded_sensor(told: "_Told", recording: Path) -> dict[str, Any]:
     told.say("the recording names no units: it is read as µs and rad/s")
 
     told.step("A spec of that sensor, on the paper's rig; its maps are cubic, and their size is unknown")
-    spec = changed(
-        parse_spec(presets.text("paper-dynamic-gradient")),
+    told.design(
+        "sensor.toml",
         _HEADLINE
         | {
             "title": "The recorded gyro on the paper's rig",
@@ -231,14 +224,11 @@ def _recorded_sensor(told: "_Told", recording: Path) -> dict[str, Any]:
             "design.moves": 6,
             "design.cycles": "alike",
         },
-    )
-    write_whole(
-        told.folder / "sensor.toml",
-        to_toml(spec, header="Noise as recorded; the rest is the paper's, with a [design]."),
+        "Noise as recorded; the rest is the paper's, with a [design].",
     )
     before = told.json("predict sensor.toml --json")
-    row = before["requirements"][0]
-    told.say(f"a plan by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {_hours(before)}")
+    row, hours = before["requirements"][0], time_text(before["duration_s"])
+    told.say(f"a plan by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {hours}")
 
     told.step("A plan designed for it")
     found, recipe = told.optimise("sensor.toml")
@@ -282,11 +272,24 @@ class _Told:
             print(indent + text, flush=True)
 
     def optimise(self, spec: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Search a plan for a spec; what the search says, and of the recipe what it was designed for."""
+        """Search a plan for a spec; what the search says, and the requirement that the recipe was designed for."""
+        from gradcal_jax.files.recipe import read_recipe
+
         found = self.json(f"optimise {spec} -o recipe.toml --steps {_STEPS} --json")
-        recipe = _recipe(self.folder / "recipe.toml")
-        self.say(f"{recipe['name']}: {amount(recipe['predicted'], recipe['unit'])}; {found['structure']}")
-        return found, recipe
+        made = read_recipe(self.folder / "recipe.toml")
+        row = made.prediction.requirements[0]
+        recipe = {"file": "recipe.toml", "fingerprint": made.fingerprint, "name": row.name, "statistic": row.statistic}
+        self.say(f"{row.name}: {amount(row.decisive, row.unit)}; {found['structure']}")
+        return found, recipe | {"predicted": row.decisive, "unit": row.unit}
+
+    def design(self, name: str, changes: Mapping[str, object], header: str) -> None:
+        """Write the paper's spec, changed, into the folder."""
+        from gradcal_jax.files import changed, presets, to_toml
+        from gradcal_jax.files.spec import parse_spec
+        from gradcal_jax.files.writing import write_whole
+
+        spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), changes)
+        write_whole(self.folder / name, to_toml(spec, header=header))
 
     def agreement(self, report: dict[str, Any], digits: int) -> None:
         """How far what was found is from what was hidden."""
@@ -306,7 +309,8 @@ class _Told:
         self.commands.append(f"gradcal {line}")
         self.say(f"$ gradcal {line}")
         printed = io.StringIO()
-        with _inside(self.folder), contextlib.redirect_stdout(printed):
+        # Short names, as whoever repeats the commands in that folder would type them.
+        with contextlib.chdir(self.folder), contextlib.redirect_stdout(printed):
             status = run(shlex.split(line))
         if status not in (DONE, NOT_AS_WISHED):
             raise _Stopped(status)
@@ -318,36 +322,3 @@ class _Told:
         if keep is not None:
             (self.folder / keep).write_text(text, encoding="utf-8")
         return json_format.loads(text)
-
-
-@contextlib.contextmanager
-def _inside(folder: Path) -> Iterator[None]:
-    """Commands are told short names, as whoever repeats them in that folder would."""
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
-
-
-def _recipe(path: Path) -> dict[str, Any]:
-    """Of a recipe file: the requirement that it was designed for."""
-    from gradcal_jax.files.recipe import read_recipe
-
-    found = read_recipe(path)
-    row = found.prediction.requirements[0]
-    return {
-        "file": path.name,
-        "fingerprint": found.fingerprint,
-        "name": row.name,
-        "statistic": row.statistic,
-        "predicted": row.decisive,
-        "unit": row.unit,
-    }
-
-
-def _hours(prediction: dict[str, Any]) -> str:
-    from gradcal_jax.units import time_text
-
-    return time_text(prediction["duration_s"])

@@ -121,14 +121,14 @@ def estimate(
     """
     from gradcal_jax.files.unit_spec import UnitSpec
 
+    asked: dict[str, object] = {"--spec": spec, "--recipe": recipe, "--axis": axis, "--table-axis": table_axis}
+    asked |= {"--earth-rate": earth_rate, "--latitude": latitude, "--smoothness": smoothness != "spec"}
+    asked |= {"--robust": robust, "--lag": lag != "none", "--read-every": read_every != "1 s"}
+    asked |= {"--neighbours": neighbours, "--parameters": parameters, "--points": points, "a second log": more}
     if gravity is not None:
-        others: dict[str, object] = {"--spec": spec, "--recipe": recipe, "--axis": axis, "--table-axis": table_axis}
-        others |= {"--earth-rate": earth_rate, "--smoothness": smoothness != "spec", "--robust": robust}
-        others |= {"--lag": lag != "none", "--read-every": read_every != "1 s", "--neighbours": neighbours}
-        others |= {"--parameters": parameters, "--points": points, "a second log": more}
-        if used := [name for name, value in others.items() if value]:
-            raise ValueError(f"{', '.join(used)}: not for a unit that was turned by hand (--gravity)")
-        options = _options(None, latitude, lag, smoothness, clock, read_every, None, temperature)
+        _refuse(asked, ("--latitude",), "not for a unit that was turned by hand (--gravity)")
+    options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
+    if gravity is not None:
         g = quantity(gravity, "acceleration", "--gravity")
         recorded = load(log, source)
         files = _files(output, unit or recorded.units, force)
@@ -139,19 +139,12 @@ def estimate(
 
         found = estimate_by_hand(recorded, g, units=unit, options=Options(**options), sources={"log": log.name})
         status = say_units(found, [described(recorded, str(log))], text_of_held, hand_estimate_rows, files, json=json)
-        if plot is not None:
-            from gradcal_jax.plots.unit_calibration import draw_by_hand
-
-            save_figure(lambda _: draw_by_hand(found[0]), plot, quiet=json)
+        save_figure(lambda plots: plots.unit_calibration.draw_by_hand(found[0]), plot, quiet=json)
         return status
-    options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if isinstance(model, UnitSpec):
-        alone = {"--axis": axis, "--table-axis": table_axis, "--earth-rate": earth_rate, "--latitude": latitude}
-        alone |= {"--smoothness": smoothness != "spec", "--neighbours": neighbours}
-        alone |= {"--parameters": parameters, "--points": points}
-        if used := [name for name, value in alone.items() if value]:
-            raise ValueError(f"{', '.join(used)}: for one gyro axis alone, and the spec is of a whole unit")
+        taken = ("--spec", "--recipe", "--robust", "--lag", "--read-every", "a second log")
+        _refuse(asked, taken, "for one gyro axis alone, and the spec is of a whole unit")
         paths = (log, *more)
         logs = [load(path, source) for path in paths]
         files = _files(output, unit or logs[0].units, force)
@@ -165,10 +158,7 @@ def estimate(
         found = estimate_units(model, logs, units=unit, options=Options(**options, robust=robust), sources=sources)
         said = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
         status = say_units(found, said, text_of_estimate, unit_estimate_rows, files, json=json)
-        if plot is not None:
-            from gradcal_jax.plots.unit_calibration import draw_unit_estimate
-
-            save_figure(lambda _: draw_unit_estimate(found[0]), plot, quiet=json)
+        save_figure(lambda plots: plots.unit_calibration.draw_unit_estimate(found[0]), plot, quiet=json)
         return status
     if more:
         raise ValueError("several logs are for a whole unit in several mountings; give one log")
@@ -205,14 +195,14 @@ def estimate(
     from gradcal_jax.files.calibration import write_calibration
 
     sources = {"log": log.name, "spec": (spec or recipe or Path()).name}
-    asked = Options(**options, table_axis=table_axis, robust=robust)
+    chosen = Options(**options, table_axis=table_axis, robust=robust)
     if table_of_points is not None:
         assert model is not None
-        report = work.estimate_points(model, table_of_points, options=asked, sources=sources)
+        report = work.estimate_points(model, table_of_points, options=chosen, sources=sources)
     elif model is None:
-        report = estimate_warm_up(logs, axes=axis, units=unit, options=asked, sources=sources)
+        report = estimate_warm_up(logs, axes=axis, units=unit, options=chosen, sources=sources)
     else:
-        report = work.estimate_calibration(model, logs[0], axes=axis, units=unit, options=asked, sources=sources)
+        report = work.estimate_calibration(model, logs[0], axes=axis, units=unit, options=chosen, sources=sources)
     if json:
         print(as_json(work.estimate_rows(report)))
     else:
@@ -230,11 +220,14 @@ def estimate(
         write_whole(parameters, done.text)
         if not json:
             print(f"{export_text(done)}\nwrote {parameters}")
-    if plot is not None:
-        from gradcal_jax.plots.calibration import draw_estimate
-
-        save_figure(lambda _: draw_estimate(report), plot, quiet=json)
+    save_figure(lambda plots: plots.calibration.draw_estimate(report), plot, quiet=json)
     return DONE if report.as_wished else NOT_AS_WISHED
+
+
+def _refuse(asked: dict[str, object], taken: tuple[str, ...], words: str) -> None:
+    """Options other than those that are taken. Raises `ValueError`."""
+    if used := [name for name, value in asked.items() if value and name not in taken]:
+        raise ValueError(f"{', '.join(used)}: {words}")
 
 
 def _options(

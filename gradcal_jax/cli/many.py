@@ -183,11 +183,12 @@ def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
         if np.isfinite(values).any():
             best = np.unravel_index(int(np.nanargmin(values)), values.shape)
             at = dict(zip(map(str, variable.dims), best, strict=True))
+            places = {axis: results[axis].values[at[str(results[axis].dims[0])]] for axis in axes}
             row |= {
                 "least": float(values[best]),
                 "median": float(np.nanmedian(values)),
                 "most": float(np.nanmax(values)),
-                "least_at": {axis: _plain(results[axis].values[at[str(results[axis].dims[0])]]) for axis in axes},
+                "least_at": {a: float(v) if isinstance(v, np.floating) else str(v) for a, v in places.items()},
             }
         rows.append(row | {word: int(np.count_nonzero(verdicts == word)) for word in _VERDICTS})
     return {
@@ -197,10 +198,6 @@ def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
         "commonest_reason": reasons.most_common(1)[0][0] if reasons else None,
         "requirements": rows,
     }
-
-
-def _plain(value: Any) -> Any:
-    return float(value) if hasattr(value, "dtype") and value.dtype.kind == "f" else str(value)
 
 
 def sweep_text(summary: dict[str, Any], job: "Sweep", output: str) -> str:

@@ -15,8 +15,9 @@ from gradcal_jax.pages.plain_text import amount, columns, times_text
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
+    from gradcal_jax.api.monte_carlo import TwinRow
     from gradcal_jax.files import Prediction, Spec
-    from gradcal_jax.files.contracts import RequirementRow
+    from gradcal_jax.files.contracts import ParameterRow, RequirementRow
 
 
 def predict(
@@ -175,7 +176,7 @@ def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
     return columns(rows, indent="")
 
 
-def _named(row: "RequirementRow", several: bool) -> str:
+def _named(row: "RequirementRow | ParameterRow | TwinRow", several: bool) -> str:
     return f"{row.name}, axis {row.axis}" if several else row.name
 
 
@@ -243,8 +244,7 @@ def _parameters(prediction: "Prediction") -> list[tuple[str, ...]]:
     several = len({row.axis for row in prediction.parameters}) > 1
     for row in prediction.parameters:
         unit, factor = _SHOWN.get(row.unit, (row.unit, 1.0))
-        name = f"{row.name}, axis {row.axis}" if several else row.name
-        rows.append((name, "not observable" if row.std is None else f"{row.std * factor:.4g}", unit))
+        rows.append((_named(row, several), "not observable" if row.std is None else f"{row.std * factor:.4g}", unit))
     return rows
 
 
@@ -252,8 +252,7 @@ def _simulated(rows, tests, runs: int, seed: int) -> str:
     table: list[tuple[str, ...]] = [("simulated", "predicted", f"of {runs} runs")]
     several = len(tests) > 1
     for row in rows:
-        name = f"{row.name}, axis {row.axis}" if several else row.name
-        table.append((name, amount(row.predicted, row.unit), amount(row.simulated, row.unit)))
+        table.append((_named(row, several), amount(row.predicted, row.unit), amount(row.simulated, row.unit)))
     lines = ["", columns(table, indent="")]
     for axis, test in tests.items():
         where = f" (axis {axis})" if several else ""

@@ -116,7 +116,8 @@ def described(log: "Log", name: str) -> str:
     """A log in a few lines: what it holds, where its rows went, and every fault that was found."""
     lines = [
         f"{name}: {log.duration_s:.6g} s at {1.0 / log.sample_interval_s:.6g} Hz, "
-        f"{_count(len(log.units), 'unit')}, axes {', '.join(log.axes)}" + (", SIMULATED" if log.simulated else "")
+        f"{len(log.units)} unit{'s' * (len(log.units) != 1)}, axes {', '.join(log.axes)}"
+        + (", SIMULATED" if log.simulated else "")
     ]
     counts = log.counts(0)
     if set(counts) != {"used"}:
@@ -125,7 +126,3 @@ def described(log: "Log", name: str) -> str:
     if log.findings:
         lines.append(columns([(f.done, f.message) for f in log.findings]))
     return "\n".join(lines)
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}" + ("" if number == 1 else "s")

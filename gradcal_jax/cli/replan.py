@@ -39,14 +39,7 @@ def replan(
     json
         Print the result for other programs.
     """
-    from gradcal_jax.cli.optimise import (
-        gain_of_unit,
-        optimum_text,
-        progress_of,
-        record_of_unit,
-        search_unit,
-        text_of_unit,
-    )
+    from gradcal_jax.cli import optimise as searches
     from gradcal_jax.files import write_toml
     from gradcal_jax.files.unit_spec import UnitSpec
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
@@ -67,15 +60,15 @@ def replan(
 
     spans, status, code = [(part.start_s, part.end_s) for part in done], "", DONE
     if isinstance(recipe.spec, UnitSpec):
-        found, interrupted = search_unit(rest_of(recipe.spec, spans, left_s=left_s), quick=quick)
-        plan, record, table = found.spec, record_of_unit(found), text_of_unit(found)
-        status = "interrupted, the best so far: " * interrupted + gain_of_unit(found)
+        found, interrupted = searches.search_unit(rest_of(recipe.spec, spans, left_s=left_s), quick=quick)
+        plan, record, table = found.spec, searches.record_of_unit(found), searches.text_of_unit(found)
+        status = "interrupted, the best so far: " * interrupted + searches.gain_of_unit(found)
         code = INTERRUPTED if interrupted else DONE
     else:
         with MovingLine(sys.stderr) as line:
-            watch = lambda step: line.show(progress_of(step), step.share)  # noqa: E731
+            watch = lambda step: line.show(searches.progress_of(step), step.share)  # noqa: E731
             plan = search(recipe.spec, spans, left_s=left_s, pause_s=pause_s, quick=quick, watch=watch)
-        record, table, code = record_of(plan), optimum_text(plan), DONE if plan.converged else NOT_AS_WISHED
+        record, table, code = record_of(plan), searches.optimum_text(plan), DONE if plan.converged else NOT_AS_WISHED
     seconds = sum(end - begin for begin, end in spans)
     said = f"after {time_text(float(round(seconds)))} with data were done; its prediction counts them"
     notes = (f"the rest of a run, {said}",)

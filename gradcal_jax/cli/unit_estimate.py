@@ -9,6 +9,7 @@ import numpy as np
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.files.unit_calibration import write_unit_calibration
 from gradcal_jax.files.unit_correction import term_values
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
@@ -31,8 +32,6 @@ def say_units(
     json: bool,
 ) -> int:
     """Print and write what was estimated of whole units; `said`: of their logs. The exit status: see `estimate`."""
-    from gradcal_jax.files.unit_calibration import write_unit_calibration
-
     print(as_json({"units": list(map(rows, reports))}) if json else "\n".join([*said, *map(text, reports)]))
     for report in reports:
         if (path := files.get(report.unit)) is not None:
@@ -113,13 +112,12 @@ def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
 
 
 def text_of_held(report: "HandReport") -> str:
+    from gradcal_jax.api.contract_rows import deviations_of
     from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 
     found = report.calibration
     lines = _head(report, f"{len(report.found.positions.duration)} positions, {report.found.turns} turns")
-    covariance = found.covariance
-    assert covariance is not None
-    std = {name: float(np.sqrt(covariance.matrix[k][k])) for k, name in enumerate(covariance.names)}
+    std = deviations_of(found.covariance)
     rows = [("parameter", "value", "1σ", "")]
     for channel in found.channel:
         gain = (report.found.gyro if channel.kind == "gyro" else report.found.accelerometer).gain

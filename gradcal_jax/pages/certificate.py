@@ -15,6 +15,7 @@ import numpy as np
 
 import gradcal_jax
 from gradcal_jax import api
+from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.ieee_terms import found_map
 from gradcal_jax.files.calibration import LOG_HASH, AxisCalibration, Calibration, Result
 from gradcal_jax.files.rig import RigFile
@@ -234,12 +235,8 @@ def _corrections(axis: AxisCalibration, axes: int) -> list[Correction]:
         if scale is not None:
             m = float(scale[0].values[k, 0]), float(scale[0].values[k, -1])
             u_m = _COVERAGE * float(np.max(scale[1].values[k]))
-        rows.append(Correction(axis.name, float(at), b, _finite(u_b), m, _finite(u_m)))
+        rows.append(Correction(axis.name, float(at), b, finite(u_b), m, finite(u_m)))
     return rows
-
-
-def _finite(value: float | None) -> float | None:
-    return None if value is None or not np.isfinite(value) else value
 
 
 def certificate_tables(certificate: Certificate) -> dict[str, Any]:

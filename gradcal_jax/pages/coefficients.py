@@ -1,10 +1,12 @@
 """Coefficients of a calibration, or of a plan alone, beside what was predicted of them and what a simulation hid."""
 
 import re
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from gradcal_jax.api.contract_rows import deviations_of
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, PPM
 from gradcal_jax.files.calibration import AxisCalibration, Calibration, Covariance
 from gradcal_jax.files.recipe import Recipe
@@ -38,18 +40,17 @@ def parameters(
         return [_fact(name, axis, None, None, row.std, None) for (axis, name), row in predicted.items()]
     rows: list[ParameterFact] = []
     for axis in calibration.axis:
-        hidden, deviations = (truth or {}).get(axis.name, {}), deviations_of(axis.covariance)
+        hidden, deviations = hidden_of(axis, truth), deviations_of(axis.covariance)
         for name, value in axis.values().items():
-            row, real = predicted.get((axis.name, name)), hidden.get("gradient" if name == _GRADIENT else name)
-            rows.append(_fact(name, axis.name, value, deviations.get(name), None if row is None else row.std, real))
+            row, std = predicted.get((axis.name, name)), deviations.get(name)
+            rows.append(_fact(name, axis.name, value, std, None if row is None else row.std, hidden.get(name)))
     return rows
 
 
-def deviations_of(covariance: Covariance | None) -> dict[str, float]:
-    """One sigma of every coefficient that has one."""
-    if covariance is None:
-        return {}
-    return dict(zip(covariance.names, np.sqrt(np.diag(np.array(covariance.matrix))).tolist(), strict=True))
+def hidden_of(axis: AxisCalibration, truth: dict[str, Any] | None) -> dict[str, float]:
+    """What a simulation hid of an axis, by the names of a calibration."""
+    hidden = (truth or {}).get(axis.name) or {}
+    return {_GRADIENT if name == "gradient" else name: value for name, value in hidden.items()}
 
 
 def parameter_fact(
@@ -87,22 +88,17 @@ def _power(symbol: str, exponent: str) -> str:
     return "" if exponent == "0" else symbol if exponent == "1" else symbol + exponent.translate(_SUPERSCRIPTS)
 
 
-def agreement(axis: AxisCalibration, hidden: dict[str, float] | None) -> tuple[float, int, float] | None:
-    """χ² of the errors of all coefficients in the estimate's own covariance."""
-    if hidden is None or axis.covariance is None or axis.unobservable:
+def agreement(
+    values: Mapping[str, float], known: Covariance | None, hidden: Mapping[str, float]
+) -> tuple[float, int, float] | None:
+    """χ² of the errors of all coefficients in the estimate's own covariance, its degrees of freedom, and the chance of
+    one as large; None where the truth of one is not known.
+    """
+    if known is None or not all(name in hidden for name in known.names):
         return None
-    values, names = axis.values(), axis.covariance.names
-    real = [hidden.get("gradient" if name == _GRADIENT else name) for name in names]
-    if any(value is None for value in real):
-        return None
-    error = np.array([values[name] for name in names]) - np.array(real, dtype=np.float64)
-    return agreement_of(error, np.array(axis.covariance.matrix))
-
-
-def agreement_of(error: np.ndarray, covariance: np.ndarray) -> tuple[float, int, float]:
-    """χ² of errors `(p,)` in a covariance `(p, p)`, its degrees of freedom, and the chance of one as large."""
     from scipy.special import chdtrc
 
+    error, covariance = np.array([values[name] - hidden[name] for name in known.names]), np.array(known.matrix)
     size = np.sqrt(np.diag(covariance))
     whitened = np.linalg.solve(np.linalg.cholesky(covariance / np.outer(size, size)), error / size)
     found = float(whitened @ whitened)

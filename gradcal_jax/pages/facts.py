@@ -1,11 +1,13 @@
 """Every number of a page, once: from the recipe, the run and the calibration, by the functions that commands use."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from gradcal_jax.api.ieee_terms import IeeeTerm, standard_terms
 from gradcal_jax.files.calibration import AxisCalibration
+from gradcal_jax.files.unit_calibration import UnitCalibration
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, example_of, exports_of
-from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameters
+from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_of, parameters
 from gradcal_jax.pages.course import RunCourse, course_of
 from gradcal_jax.pages.provenance import assumed_noise, provenance_of
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, hidden_by_structure, requirements_of
@@ -112,13 +114,21 @@ def as_tables(facts: Facts) -> dict[str, Any]:
     }
 
 
-def _axis(axis: AxisCalibration, truth: dict[str, Any] | None) -> AxisFact:
+def axis_fact(
+    of: AxisCalibration | UnitCalibration, name: str, terms: Sequence[IeeeTerm], agreed: tuple[float, int, float] | None
+) -> AxisFact:
+    """What was found of an axis, or of a whole unit."""
     return AxisFact(
-        axis.name,
-        tuple(standard_terms(axis)),
-        (str(axis.valid_temperature[0]), str(axis.valid_temperature[1])),
-        (str(axis.valid_rate[0]), str(axis.valid_rate[1])),
-        axis.unobservable,
-        tuple((t.name, t.statistic, t.degrees, t.chance) for t in axis.fit),
-        agreement(axis, (truth or {}).get(axis.name)),
+        name,
+        tuple(terms),
+        (str(of.valid_temperature[0]), str(of.valid_temperature[1])),
+        (str(of.valid_rate[0]), str(of.valid_rate[1])),
+        of.unobservable,
+        tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in of.fit),
+        agreed,
     )
+
+
+def _axis(axis: AxisCalibration, truth: dict[str, Any] | None) -> AxisFact:
+    known = None if axis.unobservable else axis.covariance
+    return axis_fact(axis, axis.name, standard_terms(axis), agreement(axis.values(), known, hidden_of(axis, truth)))

@@ -21,8 +21,7 @@ from gradcal_jax.pages.course import RunCourse
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor, draw_residual_parts, draw_residuals
-from gradcal_jax.plots.style import style_of
-from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, turned_axes
+from gradcal_jax.plots.tracks import draw_against_time, draw_planned_rate, draw_planned_temperature, turned_axes
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
 _WIDE, _HIGH, _LOW = 5.2, 3.7, 2.9
@@ -89,54 +88,39 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
 
 
 def track_pictures(recipe: Recipe | None, course: RunCourse | None) -> list[Picture]:
-    """Temperature and motion: planned, and done where a run is known."""
-    found: list[Picture] = []
-    if recipe is not None:
-
-        def temperatures(ax: Axes) -> None:
-            draw_planned_temperature(recipe, ax=ax)
-            if course is not None and len(course.chamber_s):
-                ax.plot(course.chamber_s / 3600.0, course.chamber_c, label="done", **style_of(1))
-                ax.legend()
-
-        words = "Temperature of the chamber on the plan's clock"
-        words += "." if course is None else ", which stands while a step is waited for: planned and done."
-        found.append(picture("temperature", words, temperatures, _LOW))
-        for axis in turned_axes(recipe):
-            done = None if course is None else course.rates.get(axis)
-
-            def rates(ax: Axes, axis=axis, done=done) -> None:
-                draw_planned_rate(recipe, axis, label="planned", ax=ax)
-                if done is not None:
-                    ax.plot(done[0] / 3600.0, done[1], linewidth=0.8, label="done", **style_of(1))
-                    ax.legend()
-
-            words = f"Rate of table axis {axis} as planned."
-            if done is not None:
-                words = f"Rate of table axis {axis}: planned, and as turned by the commands that it executed."
-            found.append(picture(f"rate-{axis}", words, rates, _LOW))
-    return found
-
-
-def done_pictures(course: RunCourse | None) -> list[Picture]:
-    """Temperature and motion of a run alone."""
-    if course is None:
-        return []
+    """Temperature and motion: planned where a recipe is known, and done where a run is."""
 
     def temperatures(ax: Axes) -> None:
-        ax.plot(course.chamber_s / 3600.0, course.chamber_c, **style_of(0))
-        ax.set(xlabel="time, h", ylabel="chamber, °C")
+        if recipe is not None:
+            draw_planned_temperature(recipe, ax=ax)
+        if course is not None and len(course.chamber_s):
+            draw_done(ax, course.chamber_s, course.chamber_c, "chamber, °C")
 
     def rates(ax: Axes, axis: str) -> None:
-        time, rate = course.rates[axis]
-        ax.plot(time / 3600.0, rate, linewidth=0.8, **style_of(0))
-        ax.set(xlabel="time, h", ylabel="rate, deg/s")
+        if recipe is not None:
+            draw_planned_rate(recipe, axis, label="planned", ax=ax)
+        if course is not None and axis in course.rates:
+            draw_done(ax, *course.rates[axis], "rate, deg/s", linewidth=0.8)
 
-    words = "Temperature of the chamber as it was read, on the plan's clock, which stands while a step is waited for."
-    found = [picture("temperature", words, temperatures, _LOW)] if len(course.chamber_s) else []
-    for axis in course.rates:
-        words = f"Rate of table axis {axis}, as turned by the commands that it executed."
-        found.append(picture(f"rate-{axis}", words, lambda ax, a=axis: rates(ax, a), _LOW))
+    def draw_done(ax: Axes, time_s: np.ndarray, values: np.ndarray, what: str, **more: Any) -> None:
+        draw_against_time(time_s, values, what, "done", 0 if recipe is None else 1, ax, **more)
+        if recipe is not None:
+            ax.legend()
+
+    words = "Temperature of the chamber on the plan's clock"
+    words += "." if course is None else ", which stands while a step is waited for: planned and done."
+    if recipe is None:
+        words = (
+            "Temperature of the chamber as it was read, on the plan's clock, which stands while a step is waited for."
+        )
+    known = recipe is not None or (course is not None and len(course.chamber_s))
+    found = [picture("temperature", words, temperatures, _LOW)] if known else []
+    done = {} if course is None else course.rates
+    for axis in done if recipe is None else turned_axes(recipe):
+        how = " as planned."
+        if axis in done:
+            how = (", as" if recipe is None else ": planned, and as") + " turned by the commands that it executed."
+        found.append(picture(f"rate-{axis}", f"Rate of table axis {axis}{how}", lambda ax, a=axis: rates(ax, a), _LOW))
     return found
 
 

@@ -11,7 +11,7 @@ from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.coefficients import ParameterFact
 from gradcal_jax.pages.facts import Facts
-from gradcal_jax.pages.figures import done_pictures, found_pictures, map_pictures, track_pictures
+from gradcal_jax.pages.figures import found_pictures, map_pictures, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.panel import panel_of
@@ -46,7 +46,7 @@ def page(sources: Sources, facts: Facts, *, panel: bool = False) -> str:
     found = [] if calibration is None else found_pictures(calibration)
     if sources.of_unit:
         left, poses = unit_pictures(sources)
-        tracks = [*poses, *done_pictures(facts.course)]
+        tracks = [*poses, *tracks]
         if sources.unit_calibration is not None:
             found = found_unit_pictures(sources.unit_calibration)
         words["unit"] = unit_words(sources, facts)

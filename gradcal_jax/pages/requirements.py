@@ -3,9 +3,8 @@
 import re
 from typing import Any, Final, NamedTuple, cast
 
-import numpy as np
-
 from gradcal_jax import api
+from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.ieee_terms import Box, found_map, grid_of, prior_map
 from gradcal_jax.api.missions import ErrorCurve, error_curves
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, statistic_of
@@ -91,7 +90,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
         requirement = next(r for r in recipe.axis_spec.requirement if r.name == row.name)
         drawn: list[tuple[str, Box]] = []
         earlier = _before(other, recipe.axis_spec, requirement, row.axis)
-        before = None if earlier is None else _finite(statistic_of(requirement, earlier.values))
+        before = None if earlier is None else finite(statistic_of(requirement, earlier.values))
         more = {"before": before, "limit": sources.limits.get(row.name), "own": row.own, "coverage": row.coverage}
         rows.append(fact_of(row, results.get((row.name, row.axis, row.quantity)), **more))
         if earlier is not None:
@@ -162,7 +161,3 @@ def result_alone(row: Result | UnitResult, statistic: str) -> RequirementFact:
 
 def _quantities(axis: AxisCalibration) -> list[str]:
     return [name for name, part in (("scale_factor", axis.scale_factor), ("bias", axis.bias)) if part is not None]
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

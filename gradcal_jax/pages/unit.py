@@ -2,9 +2,8 @@
 
 from typing import Any
 
-import numpy as np
-
 from gradcal_jax import api, plots, units
+from gradcal_jax.api.contract_rows import coefficient_rows
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS, unit_residual
@@ -14,9 +13,9 @@ from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.applying import exports_of
-from gradcal_jax.pages.coefficients import ParameterFact, agreement_of, deviations_of, parameter_fact
+from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameter_fact
 from gradcal_jax.pages.course import course_of
-from gradcal_jax.pages.facts import AxisFact, Facts
+from gradcal_jax.pages.facts import AxisFact, Facts, axis_fact
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.plain_text import times_text
@@ -92,15 +91,11 @@ def _parameters(
     predicted = {} if found is None else {row.name: row for row in found.parameters}
     if calibration is None:
         return [_parameter(row.name, row.unit, None, None, row.std, None) for row in predicted.values()]
-    stds = deviations_of(calibration.covariance)
-    rows: list[ParameterFact] = []
-    for channel in calibration.channel:
-        for term in channel.term:
-            for symbol, value in term.coefficients.items():
-                name = f"{channel.name}.{symbol}"
-                std = None if name not in predicted else predicted[name].std
-                rows.append(_parameter(name, term.unit, value, stds.get(name), std, hidden.get(name)))
-    return rows
+    return [
+        _parameter(name, row["unit"], row["value"], row["std"], known and known.std, hidden.get(name))
+        for row in coefficient_rows(calibration)
+        for name, known in ((row["name"], predicted.get(row["name"])),)
+    ]
 
 
 def _parameter(name: str, si: str, *numbers: float | None) -> ParameterFact:
@@ -111,26 +106,8 @@ def _parameter(name: str, si: str, *numbers: float | None) -> ParameterFact:
 
 def _found_of(calibration: UnitCalibration, hidden: dict[str, float]) -> AxisFact:
     """Tests of the fit, and in a simulation how far all coefficients together are from what was hidden."""
-    values = {
-        f"{c.name}.{symbol}": value
-        for c in calibration.channel
-        for term in c.term
-        for symbol, value in term.coefficients.items()
-    }
-    agreed = None
-    known = calibration.covariance
-    if known is not None and all(name in hidden for name in known.names):
-        error = np.array([values[name] - hidden[name] for name in known.names])
-        agreed = agreement_of(error, np.array(known.matrix))
-    return AxisFact(
-        calibration.serial_number,
-        (),
-        (str(calibration.valid_temperature[0]), str(calibration.valid_temperature[1])),
-        (str(calibration.valid_rate[0]), str(calibration.valid_rate[1])),
-        calibration.unobservable,
-        tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
-        agreed,
-    )
+    values = {row["name"]: row["value"] for row in coefficient_rows(calibration)}
+    return axis_fact(calibration, calibration.serial_number, (), agreement(values, calibration.covariance, hidden))
 
 
 def parameter_table(found: Prediction) -> list[tuple[str, ...]]:

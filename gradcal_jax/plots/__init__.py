@@ -1,5 +1,6 @@
 """One file a family of figures. Functions take `ax=None`, label with units, return what they drew and never show it."""
 
+from gradcal_jax.plots import calibration, unit_calibration
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
 from gradcal_jax.plots.found import draw_found_scale_factor
 from gradcal_jax.plots.identification import draw_drift

@@ -6,7 +6,7 @@ from matplotlib.lines import Line2D
 
 from gradcal_jax.api.ieee_terms import found_map, grid_of
 from gradcal_jax.files.calibration import AxisCalibration
-from gradcal_jax.plots.style import PALETTE, new_axes, style_of
+from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, style_of
 
 
 def draw_found_scale_factor(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
@@ -17,9 +17,8 @@ def draw_found_scale_factor(axis: AxisCalibration, *, ax: Axes | None = None) ->
     value, deviation = found_map(axis, "scale_factor", chosen, rates)
     lines: list[Line2D] = []
     for index, temperature in enumerate(chosen):
-        middle, spread = value.values[index], deviation.values[index]
-        lines += ax.plot(rates, middle, label=f"{temperature:.4g} °C".replace("-", "−"), **style_of(index))
-        ax.fill_between(rates, middle - spread, middle + spread, alpha=0.25, color=PALETTE[index])
+        label = f"{temperature:.4g} °C".replace("-", "−")
+        lines.append(draw_band(ax, rates, value.values[index], deviation.values[index], index, label, alpha=0.25))
     ax.set(xlabel="rate, deg/s", ylabel="scale-factor error M ± 1σ, ppm")
     ax.legend()
     return ax, lines
@@ -29,9 +28,7 @@ def draw_found_bias(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[A
     """B over temperature."""
     ax = new_axes(ax)
     value, deviation = found_map(axis, "bias", *grid_of(axis, None, "bias"))
-    middle, spread = value.values[:, 0], deviation.values[:, 0]
-    (line,) = ax.plot(value.temperature_c, middle, **style_of(0))
-    ax.fill_between(value.temperature_c, middle - spread, middle + spread, alpha=0.25, color=PALETTE[0])
+    line = draw_band(ax, value.temperature_c, value.values[:, 0], deviation.values[:, 0], 0, alpha=0.25)
     ax.set(xlabel="temperature, °C", ylabel="bias B ± 1σ, deg/h")
     return ax, line
 

@@ -8,7 +8,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.contour import QuadContourSet
 from matplotlib.lines import Line2D
 
-from gradcal_jax.plots.style import colour_map, from_zero, new_axes, style_of
+from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, style_of
 
 
 class MapArtists(NamedTuple):
@@ -31,7 +31,7 @@ def draw_map(
     """Residual `(n_T, n_ω)` as colour with contour lines; points that the plan cannot observe stay blank."""
     ax = new_axes(ax)
     shown = np.ma.masked_invalid(residual)
-    mesh = ax.pcolormesh(rate_dps, temperature_c, shown, cmap=colour_map(), shading="nearest", rasterized=True)
+    mesh = ax.pcolormesh(rate_dps, temperature_c, shown, cmap=COLOUR_MAP, shading="nearest", rasterized=True)
     contours = None
     if shown.count() > 3 and float(shown.max()) > float(shown.min()):
         contours = ax.contour(rate_dps, temperature_c, shown, levels=4, colors="white", linewidths=0.7)

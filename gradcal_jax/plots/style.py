@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.files.writing import whole
 
-SEQUENTIAL = "viridis"
+# The perceptually even, colour-blind-safe map of all residual pictures.
+COLOUR_MAP = "viridis"
 # Okabe and Ito's palette, distinguishable with every common colour-vision deficiency.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 LINES = ("-", "--", "-.", ":")
@@ -28,11 +28,11 @@ def new_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 4.2)) -> Axes:
 
 
 def draw_band(
-    ax: Axes, x: np.ndarray, value: np.ndarray, std: np.ndarray, index: int, label: str | None = None
+    ax: Axes, x: np.ndarray, value: np.ndarray, std: np.ndarray, index: int, label: str = "", alpha: float = 0.2
 ) -> Line2D:
     """The index-th curve, with a band of one standard deviation."""
     (line,) = ax.plot(x, value, label=label, **style_of(index))
-    ax.fill_between(x, value - std, value + std, alpha=0.2, color=PALETTE[index % len(PALETTE)])
+    ax.fill_between(x, value - std, value + std, alpha=alpha, color=PALETTE[index % len(PALETTE)])
     return line
 
 
@@ -59,8 +59,3 @@ def save(figure: Figure, path: str | Path) -> None:
         raise ValueError(f"there is no directory {Path(path).parent}; make it first")
     with whole(path) as passing:
         figure.savefig(passing, dpi=150)
-
-
-def colour_map():
-    """The perceptually even, colour-blind-safe map of all residual pictures."""
-    return colormaps[SEQUENTIAL]

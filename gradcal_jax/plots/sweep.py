@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from gradcal_jax.plots.style import colour_map, from_zero, style_of
+from gradcal_jax.plots.style import COLOUR_MAP, from_zero, style_of
 
 if TYPE_CHECKING:
     import xarray
@@ -106,7 +106,7 @@ def _drawn(results: "xarray.Dataset", name: str) -> list[Any]:
             if x.dtype.kind != "f":
                 words, x = np.unique(x, return_inverse=True)
                 ax.set_xticks(range(len(words)), words, rotation=30, ha="right")
-            drawn = ax.scatter(x, y, c=shade, cmap=colour_map(), s=6, rasterized=True)
+            drawn = ax.scatter(x, y, c=shade, cmap=COLOUR_MAP, s=6, rasterized=True)
             if shade is not None and other is not None:
                 ax.figure.colorbar(drawn, ax=ax, label=_with_unit(results, other))
             ax.set_title(results[name].attrs["requirement"], fontsize="medium")

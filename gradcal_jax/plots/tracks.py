@@ -1,5 +1,7 @@
 """Tracks of a plan, of a recipe, and of the run of it: temperature and rate against time."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -16,7 +18,6 @@ def draw_temperature(
     written: Timeline, *, label: str = "", index: int = 0, ax: Axes | None = None
 ) -> tuple[Axes, Line2D]:
     """The chamber's temperature against time, from a `gradcal-timeline/2`."""
-    ax = new_axes(ax, (6.4, 3.2))
     axis = written.segments[0].axis
     points: list[tuple[float, float]] = []
     for segment in (s for s in written.segments if s.axis == axis):
@@ -24,30 +25,31 @@ def draw_temperature(
         points += segment.temperature_bends or ()
         points.append((segment.start + segment.duration, segment.temperature_end))
     time, temperature = np.array(points).T
-    (line,) = ax.plot(time / 3600.0, temperature, label=label, **style_of(index))
-    ax.set(xlabel="time, h", ylabel="chamber, °C")
-    return ax, line
+    return draw_against_time(time, temperature, "chamber, °C", label, index, ax)
 
 
 def draw_planned_temperature(recipe: Recipe, *, label: str = "planned", ax: Axes | None = None) -> tuple[Axes, Line2D]:
     """The chamber's track on the plan's clock, which does not count waiting."""
-    ax = new_axes(ax, (6.4, 3.2))
     time: list[float] = []
     temperature: list[float] = []
     for segment in recipe.chamber.programme:
         time += [float(segment.start), float(segment.start) + float(segment.duration)]
         temperature += [float(segment.temperature_start), float(segment.temperature_end)]
-    (line,) = ax.plot(np.array(time) / 3600.0, temperature, label=label, **style_of(0))
-    ax.set(xlabel="time, h", ylabel="chamber, °C")
-    return ax, line
+    return draw_against_time(np.array(time), np.array(temperature), "chamber, °C", label, 0, ax)
 
 
 def draw_planned_rate(recipe: Recipe, axis: str, *, label: str = "", ax: Axes | None = None) -> tuple[Axes, Line2D]:
     """The rate of an axis as controllers turn it, by trapezoids, on the plan's clock."""
+    return draw_against_time(*planned_rate(recipe, axis), "rate, deg/s", label, 0, ax, linewidth=0.8)
+
+
+def draw_against_time(
+    time_s: np.ndarray, values: np.ndarray, what: str, label: str, index: int, ax: Axes | None, **more: Any
+) -> tuple[Axes, Line2D]:
+    """The index-th curve of values over time in h."""
     ax = new_axes(ax, (6.4, 3.2))
-    time, rate = planned_rate(recipe, axis)
-    (line,) = ax.plot(time / 3600.0, rate, label=label, linewidth=0.8, **style_of(0))
-    ax.set(xlabel="time, h", ylabel="rate, deg/s")
+    (line,) = ax.plot(time_s / 3600.0, values, label=label, **style_of(index), **more)
+    ax.set(xlabel="time, h", ylabel=what)
     return ax, line
 
 

@@ -10,7 +10,7 @@ from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_residual import UnitResidual, unit_residual
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.plots.style import colour_map, from_zero, new_axes, style_of
+from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, style_of
 
 _PANEL = (5.2, 3.4)
 _COLUMNS = 2
@@ -72,7 +72,7 @@ def draw_poses(spec: UnitSpec, *, ax: Axes | None = None) -> tuple[Axes, PathCol
         inside,
         s=4.0 + 1.5 * np.sqrt(poses.duration[order]),
         c=poses.start[order] / 60.0,
-        cmap=colour_map(),
+        cmap=COLOUR_MAP,
         linewidths=0.0,
         alpha=0.7,
     )

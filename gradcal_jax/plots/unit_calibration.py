@@ -1,13 +1,12 @@
 """Pictures of a whole unit's estimate: what was found over temperature, and what is left of the rows, or of gravity."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from gradcal_jax.api.hand_estimate import HandReport
 from gradcal_jax.api.unit_estimate import UnitReport
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.files.unit_calibration import CalibratedTerm, UnitCalibration
@@ -16,9 +15,6 @@ from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.plots.style import PALETTE, draw_band, new_axes
 from gradcal_jax.units import G
-
-if TYPE_CHECKING:
-    from gradcal_jax.api.hand_estimate import HandReport
 
 _POINTS = 81
 # What is drawn, in this order, where the calibration has it.
@@ -102,7 +98,7 @@ def draw_unit_residuals(report: UnitReport, *, ax: Axes | None = None) -> tuple[
     return ax, drawn
 
 
-def draw_gravity_left(report: "HandReport", *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
+def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
     """|f| − g over each position, µg."""
     ax = new_axes(ax)
     left = report.found.accelerometer.left / G * 1e6
@@ -114,7 +110,7 @@ def draw_gravity_left(report: "HandReport", *, ax: Axes | None = None) -> tuple[
     return ax, drawn
 
 
-def draw_turns_left(report: "HandReport", *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
+def draw_turns_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
     """By how much gravity's direction is missed after each turn, in two directions across it, mrad."""
     ax = new_axes(ax)
     left = 1e3 * report.found.gyro.left.reshape(-1, 2)
@@ -126,7 +122,7 @@ def draw_turns_left(report: "HandReport", *, ax: Axes | None = None) -> tuple[Ax
     return ax, drawn
 
 
-def draw_by_hand(report: "HandReport") -> Figure:
+def draw_by_hand(report: HandReport) -> Figure:
     """Both."""
     figure = Figure(figsize=(9.0, 3.4), layout="constrained")
     first, second = figure.subplots(1, 2)

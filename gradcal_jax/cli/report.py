@@ -87,12 +87,12 @@ def report(
         return DONE
     if rig is not None or dcc is not None or number or customer or operator or performed:
         raise ValueError("--rig, --number, --customer, --operator, --performed and --dcc belong to --certificate")
-    from gradcal_jax.pages.facts import as_tables
     from gradcal_jax.pages.report import write_page
+    from gradcal_jax.pages.report_data import as_tables
 
-    facts = write_page(found, output, panel=panel)
+    data = write_page(found, output, panel=panel)
     if json:
-        print(as_json(as_tables(facts)))
+        print(as_json(as_tables(data)))
     else:
         print(f"wrote {output}")
     return DONE

@@ -37,7 +37,7 @@ from ..hardware.stretches import breaks_off
 from ..hardware.track import AxisCommand
 from .alignment import Alignment, AngleTrack, align
 from .clockmap import ClockMap, fit_clock
-from .rounds import Doubt, rounds_resolved
+from .counter_wraps import Doubt, wraps_resolved
 
 _MARGIN_S: Final = 0.02
 # Stamps of samples are late by what unit, adapter and system take, nobody knows how much; a row too few at rest costs
@@ -301,7 +301,7 @@ def _part(session: _Session, decoder: ImuDecoder, samples: ImuBatch, axes: Seque
     """What a unit gave from its start on; None where that is nothing."""
     if not _stretches(session.events) or len(np.unique(samples.host_time_s)) < _FEWEST_ARRIVALS:
         return None
-    samples, doubts = rounds_resolved(samples, decoder.round_samples, decoder.sample_s)
+    samples, doubts = wraps_resolved(samples, decoder.round_samples, decoder.sample_s)
     resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
     clock = fit_clock(samples.device_time_s, samples.host_time_s, resolution_s=resolution_s)
     part = _laid(session, samples, clock, axes, decoder.sample_s)

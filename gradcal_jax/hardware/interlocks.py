@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from .axis_control import too_fast
 from .roles import AxisReading, ChamberReading
-from .turning import too_fast
 
 # A door that was opened for a moment is no reason to end a run.
 _PATIENCE_S = 30.0

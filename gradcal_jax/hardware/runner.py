@@ -25,8 +25,9 @@ from enum import Enum
 from typing import Any, Literal
 
 from ..files.rig import ImuDevice
+from .axis_control import AxisControl
+from .chamber_control import ChamberControl
 from .clock import Clock
-from .course import ChamberDuty
 from .errors import HardwareError, LimitExceeded
 from .interlocks import Interlocks, Situation, standard_rules
 from .journal import Journal, JournalFull, record_of
@@ -35,7 +36,6 @@ from .roles import AxisReading, ChamberReading, MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
 from .track import Course, Stable, Track, TrackStep, beyond_limits
-from .turning import AxesDuty
 
 
 class RunState(Enum):
@@ -139,11 +139,11 @@ class Runner:
         self.state = RunState.IDLE
         self._requests: deque[tuple[Request, str]] = deque()
         self._pause_first = False
-        self._duty: ChamberDuty | None = None
+        self._chamber: ChamberControl | None = None
         if self.bench.chamber is not None:
-            self._duty = ChamberDuty(self.bench.chamber, self.clock, self._event)
+            self._chamber = ChamberControl(self.bench.chamber, self.clock, self._event)
         latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
-        self._axes = AxesDuty(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
+        self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
         self._imu_heard_s: dict[str, float] = {}
         self._losses: dict[str, SampleLosses] = {}
         self._unconfirmed: list[ExecutedStep] = []
@@ -236,9 +236,9 @@ class Runner:
             axis.arm_watchdog()
         if guarded:
             start(self._feed_watchdogs, guarded)
-        if self._duty is not None:
-            self._duty.heard(self._duty.chamber.read())
-            start(self._duty.watch, self.chamber_every_s, self._watching, self._fail)
+        if self._chamber is not None:
+            self._chamber.heard(self._chamber.chamber.read())
+            start(self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
         for name in self.bench.imus:
             self.bench.imus[name].start()
             self._imu_heard_s[name] = self.clock.now()
@@ -391,8 +391,8 @@ class Runner:
                 course = courses.pop(0)
                 if (late_s := self.clock.now() - begin - course.start_s) > latest_s:
                     axes.amiss.append(f"the chamber was told its course {late_s:.1f} s late")
-                if self._duty is not None:
-                    self._duty.tell(course, begin + course.start_s, self._fail)
+                if self._chamber is not None:
+                    self._chamber.tell(course, begin + course.start_s, self._fail)
             while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
                 axes.move(step.name, moves[0], motion + moves[0].start_s, self._duties)
                 moves.pop(0)
@@ -431,29 +431,29 @@ class Runner:
         if again or step.goes_there:
             self._axes.go_to_start(step.name, step.start_deg, self._duties)
         ready = step.ready or (step.again if again else None)
-        duty, at_c = self._duty, step.begins_c
-        if duty is not None and at_c is not None and ready is not None:
-            duty.expected.unknown()
-            duty.hold(at_c)
-            self._await(step, duty, at_c, ready)
-            duty.expected.stands(self.clock.now(), at_c)
-        if duty is not None and step.temperature_c is not None:
+        chamber, at_c = self._chamber, step.begins_c
+        if chamber is not None and at_c is not None and ready is not None:
+            chamber.expected.unknown()
+            chamber.hold(at_c)
+            self._await(step, chamber, at_c, ready)
+            chamber.expected.stands(self.clock.now(), at_c)
+        if chamber is not None and step.temperature_c is not None:
             course = Course(0.0, step.temperature_c, step.ramp_k_per_min)
-            duty.expect(course, self.clock.now())
-            duty.follow(course)
+            chamber.expect(course, self.clock.now())
+            chamber.follow(course)
         return self.clock.now()
 
     def _hang(self, step: TrackStep) -> None:
         """Have somebody hang the units as the step says; a person takes the time that a person takes."""
-        console, duty = self.bench.console, self._duty
+        console, chamber = self.bench.console, self._chamber
         if console is None:
             raise HardwareError(f"Somebody is to hang the units anew ({step.hang}), and nobody can be asked.")
         self._axes.go_to_start(step.name, dict.fromkeys(step.start_deg, 0.0), self._duties)
         ready = step.again or step.ready
-        if duty is not None and ready is not None:
-            duty.expected.unknown()
-            duty.hold(_FOR_HANDS_C)
-            self._await(step, duty, _FOR_HANDS_C, ready)
+        if chamber is not None and ready is not None:
+            chamber.expected.unknown()
+            chamber.hold(_FOR_HANDS_C)
+            self._await(step, chamber, _FOR_HANDS_C, ready)
         console.ask(f"hang the units so: {step.hang}; press Enter when they hang:")
         try:
             while console.answer() is None:
@@ -464,9 +464,9 @@ class Runner:
         self.mounting = step.mounting
         self._event("hung", step=step.name, mounting=step.mounting, how=step.hang)
 
-    def _await(self, step: TrackStep, duty: ChamberDuty, at_c: float, ready: Stable) -> None:
+    def _await(self, step: TrackStep, chamber: ChamberControl, at_c: float, ready: Stable) -> None:
         began = self.clock.now()
-        while (value := duty.stable_at(at_c, ready)) is None:
+        while (value := chamber.stable_at(at_c, ready)) is None:
             self._duties()
             if self.clock.now() - began > ready.timeout_s:
                 raise HardwareError(
@@ -492,10 +492,10 @@ class Runner:
         now = self.clock.now()
         ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
         free = shutil.disk_usage(self.journal.path.parent).free
-        duty, paused = self._duty, self.state is RunState.PAUSED
-        newest = None if duty is None else duty.newest
+        chamber, paused = self._chamber, self.state is RunState.PAUSED
+        newest = None if chamber is None else chamber.newest
         lag_s = self.interlocks.limits.temperature_lag_s
-        course_c = None if duty is None or paused else duty.expected.of_late(now, lag_s)
+        course_c = None if chamber is None or paused else chamber.expected.of_late(now, lag_s)
         situation = Situation(now, newest, self._axes.newest, ages, free, course_c, self._axes.allowed())
         tripped = self.interlocks.check(situation)
         if tripped is None or (paused and tripped[0].action != "abort"):
@@ -553,8 +553,8 @@ class Runner:
         step = steps[min(done, len(steps) - 1)]
         left = max(0.0, end_s - now) if end_s is not None else None
         ahead = sum(s.duration_s for s in steps[done + (left is not None) :]) + (left or 0.0)
-        duty, lag_s = self._duty, self.interlocks.limits.temperature_lag_s
-        newest, course_c = (None, None) if duty is None else (duty.newest, duty.expected.of_late(now, lag_s))
+        chamber, lag_s = self._chamber, self.interlocks.limits.temperature_lag_s
+        newest, course_c = (None, None) if chamber is None else (chamber.newest, chamber.expected.of_late(now, lag_s))
         samples = {name: (losses.received, losses.missing) for name, losses in self._losses.items()}
         where = self.state, step.name, done, len(steps)
         self.on_progress(RunProgress(*where, left, ahead, newest, self._axes.newest, course_c, samples))
@@ -563,8 +563,8 @@ class Runner:
         """Make safe, and say so in the journal if it can still be written."""
         # A chamber that is being made safe is told nothing else.
         self._watching.clear()
-        duty = self._duty
-        waits = None if duty is None else lambda: duty.end(0.5 * self.safe_deadline_s)
+        chamber = self._chamber
+        waits = None if chamber is None else lambda: chamber.end(0.5 * self.safe_deadline_s)
         self._enter(RunState.ABORTING if status == "aborted" else RunState.STOPPING, quietly=True)
         self._event("ending", quietly=True, exit_status=status, reason=reason)
         outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, before_chamber=waits))

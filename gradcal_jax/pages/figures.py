@@ -17,9 +17,9 @@ from gradcal_jax import plots
 from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.files.calibration import AxisCalibration, Calibration
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.pages.course import RunCourse
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
+from gradcal_jax.pages.run_history import RunHistory
 from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor, draw_residual_parts, draw_residuals
 from gradcal_jax.plots.tracks import draw_against_time, draw_planned_rate, draw_planned_temperature, turned_axes
 
@@ -87,20 +87,20 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
     return found
 
 
-def track_pictures(recipe: Recipe | None, course: RunCourse | None) -> list[Picture]:
+def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Picture]:
     """Temperature and motion: planned where a recipe is known, and done where a run is."""
 
     def temperatures(ax: Axes) -> None:
         if recipe is not None:
             draw_planned_temperature(recipe, ax=ax)
-        if course is not None and len(course.chamber_s):
-            draw_done(ax, course.chamber_s, course.chamber_c, "chamber, °C")
+        if history is not None and len(history.chamber_s):
+            draw_done(ax, history.chamber_s, history.chamber_c, "chamber, °C")
 
     def rates(ax: Axes, axis: str) -> None:
         if recipe is not None:
             draw_planned_rate(recipe, axis, label="planned", ax=ax)
-        if course is not None and axis in course.rates:
-            draw_done(ax, *course.rates[axis], "rate, deg/s", linewidth=0.8)
+        if history is not None and axis in history.rates:
+            draw_done(ax, *history.rates[axis], "rate, deg/s", linewidth=0.8)
 
     def draw_done(ax: Axes, time_s: np.ndarray, values: np.ndarray, what: str, **more: Any) -> None:
         draw_against_time(time_s, values, what, "done", 0 if recipe is None else 1, ax, **more)
@@ -108,14 +108,14 @@ def track_pictures(recipe: Recipe | None, course: RunCourse | None) -> list[Pict
             ax.legend()
 
     words = "Temperature of the chamber on the plan's clock"
-    words += "." if course is None else ", which stands while a step is waited for: planned and done."
+    words += "." if history is None else ", which stands while a step is waited for: planned and done."
     if recipe is None:
         words = (
             "Temperature of the chamber as it was read, on the plan's clock, which stands while a step is waited for."
         )
-    known = recipe is not None or (course is not None and len(course.chamber_s))
+    known = recipe is not None or (history is not None and len(history.chamber_s))
     found = [picture("temperature", words, temperatures, _LOW)] if known else []
-    done = {} if course is None else course.rates
+    done = {} if history is None else history.rates
     for axis in done if recipe is None else turned_axes(recipe):
         how = " as planned."
         if axis in done:

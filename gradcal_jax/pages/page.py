@@ -1,4 +1,4 @@
-"""The page: facts and figures set by a template; nothing is computed here, and nothing is fetched by it."""
+"""The page: data and figures set by a template; nothing is computed here, and nothing is fetched by it."""
 
 import os
 import re
@@ -10,19 +10,19 @@ import gradcal_jax
 from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.coefficients import ParameterFact
-from gradcal_jax.pages.facts import Facts
 from gradcal_jax.pages.figures import found_pictures, map_pictures, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.panel import panel_of
 from gradcal_jax.pages.plain_text import times_text
+from gradcal_jax.pages.report_data import ReportData
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.pages.unit import found_unit_pictures, unit_pictures, unit_words
 from gradcal_jax.units import time_text
 
 
-def page(sources: Sources, facts: Facts, *, panel: bool = False) -> str:
+def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     """The whole page as HTML, in one file: styles and figures inside, and no script but that of the `panel`."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
@@ -40,19 +40,19 @@ def page(sources: Sources, facts: Facts, *, panel: bool = False) -> str:
     room = resources.files(__name__.rsplit(".", 1)[0])
     template = environment.get_template("page.html")
     recipe, calibration = sources.recipe, sources.calibration
-    targets = {(r.name, r.axis): r.target / r.coverage for r in facts.requirements if r.target is not None}
-    left, tracks = map_pictures(facts.maps, targets), track_pictures(recipe, facts.course)
-    words = _words(facts, recipe)
+    targets = {(r.name, r.axis): r.target / r.coverage for r in data.requirements if r.target is not None}
+    left, tracks = map_pictures(data.maps, targets), track_pictures(recipe, data.history)
+    words = _words(data, recipe)
     found = [] if calibration is None else found_pictures(calibration)
     if sources.of_unit:
         left, poses = unit_pictures(sources)
         tracks = [*poses, *tracks]
         if sources.unit_calibration is not None:
             found = found_unit_pictures(sources.unit_calibration)
-        words["unit"] = unit_words(sources, facts)
+        words["unit"] = unit_words(sources, data)
         words |= {name: words["unit"][name] for name in words["unit"] if name in words}
     given: dict[str, Any] = {
-        "facts": facts,
+        "data": data,
         "panel": panel_of(recipe) if panel and recipe is not None else None,
         "recipe": recipe,
         "calibration_name": sources.calibration_name,
@@ -77,54 +77,54 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
 
 
-def _words(facts: Facts, recipe: Recipe | None) -> dict[str, Any]:
+def _words(data: ReportData, recipe: Recipe | None) -> dict[str, Any]:
     """Rows of cells and sentences for the template."""
     plan = None if recipe is None else recipe.prediction
     return {
         "unit": None,
-        "verdict": _verdict(facts),
+        "verdict": _verdict(data),
         "times": "" if plan is None else times_text(plan.duration_s, plan.soak_s, plan.motion_s) + ".",
         "chamber": [] if recipe is None else chamber_words(recipe),
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
         "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
-        "has_gradient": any(p.multiplies == "dT/dt" for p in facts.parameters),
-        "done": _done(facts),
+        "has_gradient": any(p.multiplies == "dT/dt" for p in data.parameters),
+        "done": _done(data),
         "waited": [
             (row.step, time_text(row.waited_s), f"{figures(row.temperature_c)} °C")
-            for row in (() if facts.course is None else facts.course.waited)
+            for row in (() if data.history is None else data.history.waited)
         ],
-        "devices": [] if facts.course is None else [tuple(device) for device in facts.course.devices],
+        "devices": [] if data.history is None else [tuple(device) for device in data.history.devices],
         "terms": [
             [
                 (t.name, figures(t.value), "not observable" if t.std is None else figures(t.std, 3), t.unit, t.computed)
                 for t in axis.terms
             ]
-            for axis in facts.axes
+            for axis in data.axes
         ],
         "fit": [
             [(name, figures(value), str(degrees), figures(chance, 2)) for name, value, degrees, chance in axis.fit]
-            for axis in facts.axes
+            for axis in data.axes
         ],
-        "basis": _basis(recipe, facts),
-        "exports": [(row.target, row.command, "; ".join(row.losses) or "nothing is lost") for row in facts.exports],
-        "provenance": [*facts.provenance, ("page made", _made())],
-        **_requirements(facts),
-        **_parameters(facts),
+        "basis": _basis(recipe, data),
+        "exports": [(row.target, row.command, "; ".join(row.losses) or "nothing is lost") for row in data.exports],
+        "provenance": [*data.provenance, ("page made", _made())],
+        **_requirements(data),
+        **_parameters(data),
     }
 
 
-def _verdict(facts: Facts) -> str:
-    achieved = any(row.achieved is not None for row in facts.requirements)
-    with_target = [row for row in facts.requirements if row.target is not None]
+def _verdict(data: ReportData) -> str:
+    achieved = any(row.achieved is not None for row in data.requirements)
+    with_target = [row for row in data.requirements if row.target is not None]
     done = "achieved" if achieved else "predicted"
-    if facts.verdict == "met":
+    if data.verdict == "met":
         return f"Met: every target of the requirements is kept by what is {done} ({_against(with_target)})."
-    if facts.verdict == "missed":
+    if data.verdict == "missed":
         missed = [row for row in with_target if row.verdict == "missed"]
         return f"Missed: what is {done} exceeds a target ({_against(missed)})."
-    if facts.verdict == "unobservable":
-        names = ", ".join(dict.fromkeys(row.name for row in facts.requirements if row.verdict == "unobservable"))
+    if data.verdict == "unobservable":
+        names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "unobservable"))
         return f"Unobservable: this plan does not tell {names}."
     return "No requirement has a target, so there is no verdict."
 
@@ -139,8 +139,8 @@ def _against(rows: list[RequirementFact]) -> str:
     return "; ".join(parts)
 
 
-def _requirements(facts: Facts) -> dict[str, Any]:
-    rows = facts.requirements
+def _requirements(data: ReportData) -> dict[str, Any]:
+    rows = data.requirements
     several = len({row.axis for row in rows} & set("xyz")) > 1
     fields = {
         "before": "before",
@@ -178,8 +178,8 @@ def _box(row: RequirementFact) -> str:
     return words + f", {figures(row.rate_dps[0])} to {figures(row.rate_dps[1])} deg/s"
 
 
-def _parameters(facts: Facts) -> dict[str, Any]:
-    rows = facts.parameters
+def _parameters(data: ReportData) -> dict[str, Any]:
+    rows = data.parameters
     several = len({row.axis for row in rows}) > 1
     # By head: the field that decides whether it stands there, its own, its digits, what is said of none, what follows.
     columns = (
@@ -207,7 +207,7 @@ def _parameters(facts: Facts) -> dict[str, Any]:
     }
 
 
-def _basis(recipe: Recipe | None, facts: Facts) -> str:
+def _basis(recipe: Recipe | None, data: ReportData) -> str:
     """What T′ and ω′ are."""
     if recipe is None:
         return (
@@ -222,7 +222,7 @@ def _basis(recipe: Recipe | None, facts: Facts) -> str:
         rate = sensor.scale_factor.rate
         parts.append(f"ω′ = (ω − {rate.centre}) / {rate.scale}")
     said = "In the paper's basis: " + ", ".join(parts) + "." if parts else "Coefficients of the spec's bases."
-    return said + (" The plan's own uncertainty of each." if not facts.axes else "")
+    return said + (" The plan's own uncertainty of each." if not data.axes else "")
 
 
 def _optimised(recipe: Recipe) -> list[str]:
@@ -242,21 +242,21 @@ def _optimised(recipe: Recipe) -> list[str]:
     return lines
 
 
-def _done(facts: Facts) -> list[str]:
-    course = facts.course
-    if course is None:
+def _done(data: ReportData) -> list[str]:
+    history = data.history
+    if history is None:
         return []
-    parts = "in one part" if course.sessions == 1 else f"in {course.sessions} parts"
-    waited = sum(row.waited_s for row in course.waited)
+    parts = "in one part" if history.sessions == 1 else f"in {history.sessions} parts"
+    waited = sum(row.waited_s for row in history.waited)
     lines = [
-        f"Run begun {course.begun}, {parts}: {course.status}, {course.steps} steps, {time_text(course.duration_s)} in "
-        f"all, of which {time_text(waited)} waited for stable temperatures.",
-        "Every device was left verified safe." if course.verified_safe else "NOT verified safe at the end.",
+        f"Run begun {history.begun}, {parts}: {history.status}, {history.steps} steps, "
+        f"{time_text(history.duration_s)} in all, of which {time_text(waited)} waited for stable temperatures.",
+        "Every device was left verified safe." if history.verified_safe else "NOT verified safe at the end.",
     ]
-    if course.seams:
-        lines.append(f"The run was paused or resumed {course.seams} times.")
-    if course.damaged_bytes:
-        lines.append(f"{course.damaged_bytes} bytes of the journal belong to no sound record.")
+    if history.seams:
+        lines.append(f"The run was paused or resumed {history.seams} times.")
+    if history.damaged_bytes:
+        lines.append(f"{history.damaged_bytes} bytes of the journal belong to no sound record.")
     return lines
 
 

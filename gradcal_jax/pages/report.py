@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gradcal_jax.files.writing import write_whole
-from gradcal_jax.pages.facts import Facts, facts_of
 from gradcal_jax.pages.page import page
+from gradcal_jax.pages.report_data import ReportData, report_data_of
 from gradcal_jax.pages.sources import Sources, read_sources
-from gradcal_jax.pages.unit import unit_facts
+from gradcal_jax.pages.unit import unit_report_data
 
 
 def report(
@@ -17,7 +17,7 @@ def report(
     before: str | Path | None = None,
     limits: str | Path | None = None,
     panel: bool = False,
-) -> Facts:
+) -> ReportData:
     """Make one HTML page of a recipe, a run or a calibration: planned, predicted, done, found, how to apply it. Of a
     gyro's axes or of a whole unit.
 
@@ -26,8 +26,8 @@ def report(
     `limits`: what `gradcal limit --json` printed. `panel`: what another time, encoder or slope would leave, to be tried
     on the page. The page replaces `output`; it fetches nothing.
 
-    Returns every number of the page, once (`pages.facts.Facts`): ppm, deg/h, °C and deg/s, 1σ. Terms are those of IEEE
-    952, 1431 and 1780. Errors: `ValueError` for sources that cannot be read or do not belong on one page.
+    Returns every number of the page, once (`pages.report_data.ReportData`): ppm, deg/h, °C and deg/s, 1σ. Terms are
+    those of IEEE 952, 1431 and 1780. Errors: `ValueError` for sources that cannot be read or do not belong on one page.
     """
     given = [sources] if isinstance(sources, str | Path) else sources
     found = read_sources(
@@ -38,8 +38,8 @@ def report(
     return write_page(found, output, panel=panel)
 
 
-def write_page(sources: Sources, output: str | Path, *, panel: bool = False) -> Facts:
+def write_page(sources: Sources, output: str | Path, *, panel: bool = False) -> ReportData:
     """The page of sources that are read already."""
-    facts = unit_facts(sources) if sources.of_unit else facts_of(sources)
-    write_whole(output, page(sources, facts, panel=panel))
-    return facts
+    data = unit_report_data(sources) if sources.of_unit else report_data_of(sources)
+    write_whole(output, page(sources, data, panel=panel))
+    return data

@@ -14,13 +14,13 @@ from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.applying import exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameter_fact
-from gradcal_jax.pages.course import course_of
-from gradcal_jax.pages.facts import AxisFact, Facts, axis_fact
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.plain_text import times_text
 from gradcal_jax.pages.provenance import provenance_of
+from gradcal_jax.pages.report_data import AxisFact, ReportData, axis_fact
 from gradcal_jax.pages.requirements import RequirementFact, fact_of, result_alone
+from gradcal_jax.pages.run_history import history_of
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.plots.unit_calibration import draw_unit_term, panels_of
 from gradcal_jax.units import time_text
@@ -29,21 +29,21 @@ _SUMMED = {"worst": "worst axis", "all": "all axes together"}
 _MOST_ROWS = 80
 
 
-def unit_facts(sources: Sources) -> Facts:
+def unit_report_data(sources: Sources) -> ReportData:
     """Every number of a page of a unit: of its plan, of what was found, or of both. Raises `ValueError` for a run that
     never began.
     """
     spec, calibration, run = sources.unit, sources.unit_calibration, sources.run
     found = None if spec is None else api.predict(spec)
-    course = None if run is None else course_of(run)
+    history = None if run is None else history_of(run)
     hidden = _hidden(sources)
     notes = [*sources.notes, *(() if found is None else found.warnings)]
     if calibration is not None and calibration.unobservable:
         notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
-    simulated = bool(course is not None and course.simulated) or bool(calibration is not None and calibration.simulated)
+    simulated = any(source is not None and source.simulated for source in (history, calibration))
     versions = versions_of(("gradcal_jax", "numpy", "scipy", "jax")).items()
     title = (None if spec is None else spec.title) or (None if calibration is None else calibration.title)
-    return Facts(
+    return ReportData(
         title=title or "Calibration of a unit",
         simulated=simulated,
         before_is="",
@@ -53,7 +53,7 @@ def unit_facts(sources: Sources) -> Facts:
         examples=(),
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=() if spec is None else tuple(_assumed(spec)),
-        course=course,
+        history=history,
         provenance=(*provenance_of(sources), ("versions", ", ".join(map(" ".join, versions)))),
         notes=tuple(notes),
         maps=(),
@@ -116,7 +116,7 @@ def parameter_table(found: Prediction) -> list[tuple[str, ...]]:
 
 
 def parameter_rows(parameters: "list[ParameterFact] | tuple[ParameterFact, ...]") -> list[tuple[str, ...]]:
-    """As `parameter_table`, of facts: `multiplies` is the kind of channel."""
+    """As `parameter_table`, of data: `multiplies` is the kind of channel."""
     table: dict[tuple[str, str, str], dict[str, str]] = {}
     for row in parameters:
         value = "not observable" if row.predicted_std is None else f"{row.predicted_std:.4g}"
@@ -168,9 +168,9 @@ def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
     return rows + [(name, str(value)) for name, value in given if value is not None]
 
 
-def unit_words(sources: Sources, facts: Facts) -> dict[str, Any]:
+def unit_words(sources: Sources, data: ReportData) -> dict[str, Any]:
     """What a page of a unit says besides, for the template."""
-    head, *parameters = parameter_rows(facts.parameters)
+    head, *parameters = parameter_rows(data.parameters)
     return {
         **_plan_words(sources.unit),
         "table": _table_errors(sources),

@@ -193,9 +193,9 @@ def test_pictures_and_the_page_show_missions(tmp_path):
     (ax,) = [a for a in draw_comparison([("a", spec), ("b", spec)]).axes if a.get_title() == "h"]
     assert [line.get_label() for line in ax.lines] == ["a", "b"]
     write_toml(gj.recipe(spec), tmp_path / "recipe.toml")
-    facts = report(tmp_path / "recipe.toml", tmp_path / "page.html")
+    data = report(tmp_path / "recipe.toml", tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    (fact,) = (f for f in facts.requirements if f.name == "h")
+    (fact,) = (f for f in data.requirements if f.name == "h")
     assert fact.own == pytest.approx(row.own)
     assert "own noise, which stays" in page
     assert 'id="h-x-heading' in page

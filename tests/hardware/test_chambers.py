@@ -41,7 +41,7 @@ from gradcal_jax.hardware.errors import (
     Rejected,
     ReplyTimeout,
 )
-from gradcal_jax.hardware.exchange import NotThisReply
+from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
 from gradcal_jax.hardware.setup import DRIVERS
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec

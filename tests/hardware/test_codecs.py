@@ -13,8 +13,8 @@ from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, watlow_f4t, weiss, zaber
 from gradcal_jax.hardware.drivers.stim300_datagrams import LAYOUTS, Stim300Decoder
 from gradcal_jax.hardware.errors import ChecksumError, FramingError, HardwareError, LimitExceeded, Rejected
-from gradcal_jax.hardware.exchange import NotThisReply
 from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer, ModbusTcpFramer
+from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import ImuBatch
 
 # --- check sums -------------------------------------------------------------------------------------------------------

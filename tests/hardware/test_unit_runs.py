@@ -18,6 +18,7 @@ from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import RigFile, parse_rig
 from gradcal_jax.files.unit_spec import parse_unit_spec
 from gradcal_jax.hardware import execute
+from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import Chunk
@@ -28,7 +29,6 @@ from gradcal_jax.hardware.settings import KeptSettings
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import AxisCommand
-from gradcal_jax.hardware.turning import AxesDuty
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_a_turn_waits_for_the_one_of_another_axis() -> None:
             moving.append(any(stage.plant.moving(clock.now()) for n, stage in stages.items() if n != data["axis"]))
 
     with clock.party():
-        duty = AxesDuty(stages, clock, told)
+        duty = AxisControl(stages, clock, told)
         for axis in ("tilt", "spin", "tilt"):
             turn = AxisCommand(0.0, axis, "turn", rate_dps=60.0, acceleration_dps2=60.0, angle_deg=90.0)
             duty.move("a step", turn, clock.now(), lambda: None)

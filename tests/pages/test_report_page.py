@@ -18,11 +18,11 @@ from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.files.correction import measured
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.information import statistic
-from gradcal_jax.pages.course import course_of, rates_of
-from gradcal_jax.pages.facts import as_tables, facts_of
 from gradcal_jax.pages.figures import _draw_curves, map_pictures
 from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.page import page
+from gradcal_jax.pages.report_data import as_tables, report_data_of
+from gradcal_jax.pages.run_history import history_of, rates_of
 from gradcal_jax.pages.sources import read_sources
 from gradcal_jax.plots.tracks import planned_rate
 
@@ -84,10 +84,10 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def whole(made):
-    """Facts and the page of the run."""
+    """ReportData and the page of the run."""
     sources = read_sources([made[0] / "run"])
-    facts = facts_of(sources)
-    return facts, Page(page(sources, facts)), page(sources, facts)
+    data = report_data_of(sources)
+    return data, Page(page(sources, data)), page(sources, data)
 
 
 def number(text: str) -> float:
@@ -96,21 +96,21 @@ def number(text: str) -> float:
 
 def test_the_requirements_of_a_page_are_those_of_recipe_and_calibration(made, whole):
     _, plan, found, _ = made
-    facts, shown, _ = whole
+    data, shown, _ = whole
     rows = shown.table("requirements", "requirement")
     assert [row["requirement"].split(" (")[0] for row in rows] == ["all rates", "slow", "at rest"]
-    for row, fact, predicted in zip(rows, facts.requirements, plan.prediction.requirements, strict=True):
+    for row, fact, predicted in zip(rows, data.requirements, plan.prediction.requirements, strict=True):
         assert fact.predicted == predicted.decisive
         assert row["predicted"] == f"{figures(predicted.decisive)}\N{NO-BREAK SPACE}{predicted.unit}"
         assert row["statistic"] == predicted.statistic
         assert row["limited by"] == predicted.limited_by
-    assert facts.requirements[0].achieved == found.result[0].value
+    assert data.requirements[0].achieved == found.result[0].value
     assert rows[0]["achieved"] == "123.5\N{NO-BREAK SPACE}ppm"
     assert rows[1]["achieved"] == ""
     assert (rows[0]["verdict"], number(rows[0]["target"])) == ("met", 2000.0)
     assert "Met: every target" in shown.text
     # The drawn results are not those of the drawn covariance, as with a model discrepancy; the page says so.
-    assert any("achieved maps leave out" in note and "123.5 ppm in the table" in note for note in facts.notes)
+    assert any("achieved maps leave out" in note and "123.5 ppm in the table" in note for note in data.notes)
 
 
 def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covariances(made, whole):
@@ -189,20 +189,20 @@ def test_what_the_data_do_not_tell_is_not_a_number(made):
 
 def test_the_run_is_the_journals(made, whole):
     folder, plan, _, _ = made
-    course = course_of(read_sources([folder / "run"]).run)
-    assert (course.status, course.sessions, course.simulated, course.verified_safe) == ("success", 1, True, True)
-    assert course.duration_s > plan.duration_s
-    assert course.chamber_c.min() >= 19.0
+    history = history_of(read_sources([folder / "run"]).run)
+    assert (history.status, history.sessions, history.simulated, history.verified_safe) == ("success", 1, True, True)
+    assert history.duration_s > plan.duration_s
+    assert history.chamber_c.min() >= 19.0
     assert "SIMULATED" in whole[1].text
-    assert f"{course.steps} steps" in whole[1].text
-    assert [row["device"] for row in whole[1].table("run", "device")] == [device.name for device in course.devices]
+    assert f"{history.steps} steps" in whole[1].text
+    assert [row["device"] for row in whole[1].table("run", "device")] == [device.name for device in history.devices]
 
 
 def test_what_was_done_stands_on_the_clock_of_the_plan_with_the_rates_that_were_turned(made):
     folder, plan, _, _ = made
-    course = course_of(read_sources([folder / "run"]).run)
-    assert 0.0 <= course.chamber_s.min() < course.chamber_s.max() <= plan.duration_s
-    (planned_t, planned), (done_t, done) = planned_rate(plan, "x"), course.rates["x"]
+    history = history_of(read_sources([folder / "run"]).run)
+    assert 0.0 <= history.chamber_s.min() < history.chamber_s.max() <= plan.duration_s
+    (planned_t, planned), (done_t, done) = planned_rate(plan, "x"), history.rates["x"]
     assert np.max(done) == pytest.approx(np.max(planned), rel=1e-6)
     assert np.min(done) == pytest.approx(np.min(planned), rel=1e-6)
     assert np.trapezoid(done, done_t) == pytest.approx(np.trapezoid(planned, planned_t), abs=1.0)
@@ -255,11 +255,11 @@ def test_a_page_stands_alone_and_escapes_what_files_say(whole):
 
 
 def test_json_is_the_page(made, whole, tmp_path, capsys):
-    facts, _, _ = whole
+    data, _, _ = whole
     output = tmp_path / "page.html"
     assert main(["report", str(made[0] / "run"), "-o", str(output), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told == json.loads(json.dumps(as_tables(facts)))
+    assert told == json.loads(json.dumps(as_tables(data)))
     shown = Page(output.read_text(encoding="utf-8"))
     assert shown.table("parameters", "parameter") == whole[1].table("parameters", "parameter")
     assert main(["report", str(made[0] / "run"), "-o", str(output)]) == 2
@@ -269,15 +269,15 @@ def test_json_is_the_page(made, whole, tmp_path, capsys):
 def test_pages_of_a_recipe_and_of_a_calibration_alone(made, tmp_path):
     folder, plan, _, _ = made
     sources = read_sources([folder / "recipe.toml"])
-    facts = facts_of(sources)
-    assert (facts.course, facts.axes, facts.simulated) == (None, (), False)
-    shown = Page(page(sources, facts))
+    data = report_data_of(sources)
+    assert (data.history, data.axes, data.simulated) == (None, (), False)
+    shown = Page(page(sources, data))
     assert {row["parameter"] for row in shown.table("parameters", "parameter")} == {
         row.name for row in plan.prediction.parameters
     }
     assert "value" not in shown.table("parameters", "parameter")[0]
     alone = read_sources([folder / "run" / "calibration.toml"])
-    found = facts_of(alone)
+    found = report_data_of(alone)
     assert [row.achieved for row in found.requirements] == [123.456]
     assert {fact.quantity for fact in found.maps} == {"scale_factor", "bias"}
     assert "plan" not in Page(page(alone, found)).ids
@@ -302,7 +302,7 @@ def test_what_is_not_converged_has_the_colour_of_a_verdict(made):
     ):
         other = plan.model_copy(update={"optimisation": optimisation, "status": status})
         found = dataclasses.replace(sources, recipe=other)
-        assert f"<p{verdict}>{status[0].upper()}{status[1:]}.</p>" in page(found, facts_of(found))
+        assert f"<p{verdict}>{status[0].upper()}{status[1:]}.</p>" in page(found, report_data_of(found))
 
 
 def test_maps_that_look_alike_are_shown_as_a_ratio_whose_colours_tell_its_size(whole):
@@ -323,13 +323,15 @@ def test_another_plan_to_compare_with_and_a_limit(made, tmp_path):
     (tmp_path / "before.toml").write_text(to_toml(short), encoding="utf-8")
     (tmp_path / "limit.json").write_text('[{"name": "all rates", "certified": 1.5}]', encoding="utf-8")
     sources = read_sources([folder / "recipe.toml"], before=tmp_path / "before.toml", limits=tmp_path / "limit.json")
-    facts = facts_of(sources)
-    assert facts.before_is.startswith("the plan of before.toml")
-    assert facts.requirements[0].before > facts.requirements[0].predicted
-    assert [row.limit for row in facts.requirements] == [1.5, None, None]
+    data = report_data_of(sources)
+    assert data.before_is.startswith("the plan of before.toml")
+    assert data.requirements[0].before > data.requirements[0].predicted
+    assert [row.limit for row in data.requirements] == [1.5, None, None]
     # The same plan before and now leaves the same.
     same = dataclasses.replace(sources, before=plan.spec)
-    assert facts_of(same).requirements[0].before == pytest.approx(plan.prediction.requirements[0].decisive, rel=1e-9)
+    assert report_data_of(same).requirements[0].before == pytest.approx(
+        plan.prediction.requirements[0].decisive, rel=1e-9
+    )
 
 
 def test_files_that_do_not_belong_together_are_named(made, tmp_path, capsys):
@@ -363,7 +365,7 @@ def test_the_glossary_explains_what_is_asked(capsys):
 
 @pytest.mark.parametrize("allowed", [2000.0, 75.0, 20.0])
 def test_the_line_of_a_target_is_within_its_picture(made, allowed):
-    fact = next(f for f in facts_of(read_sources([made[0] / "run"])).maps if f.quantity == "scale_factor")
+    fact = next(f for f in report_data_of(read_sources([made[0] / "run"])).maps if f.quantity == "scale_factor")
     axes = Figure().add_subplot()
     _draw_curves(fact, allowed, axes)
     low, high = axes.get_ylim()

@@ -21,22 +21,20 @@ SPEC = gj.changed(
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     gj.write_toml(SPEC, folder / "unit.toml")
-    facts = gj.report(folder / "unit.toml", folder / "page.html")
-    return facts, (folder / "page.html").read_text(encoding="utf-8"), folder
+    data = gj.report(folder / "unit.toml", folder / "page.html")
+    return data, (folder / "page.html").read_text(encoding="utf-8"), folder
 
 
 def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(written):
-    facts, html, _ = written
+    data, html, _ = written
     predicted = gj.predict(SPEC)
-    assert [row.predicted for row in facts.requirements] == [row.decisive for row in predicted.requirements]
-    assert [row.verdict for row in facts.requirements] == [row.verdict for row in predicted.requirements]
-    assert facts.verdict == "missed"
+    assert [row.predicted for row in data.requirements] == [row.decisive for row in predicted.requirements]
+    assert [row.verdict for row in data.requirements] == [row.verdict for row in predicted.requirements]
+    assert data.verdict == "missed"
     assert "Missed: what is predicted exceeds a target" in html
-    assert len(facts.parameters) == len(predicted.parameters)
+    assert len(data.parameters) == len(predicted.parameters)
     bias = next(row for row in predicted.parameters if row.name == "accelerometer_x.a0")
-    shown = next(
-        row for row in facts.parameters if (row.multiplies, row.name, row.axis) == ("accelerometer", "a0", "x")
-    )
+    shown = next(row for row in data.parameters if (row.multiplies, row.name, row.axis) == ("accelerometer", "a0", "x"))
     assert shown.predicted_std == pytest.approx(bias.std / 9.80665e-6)
     assert shown.unit == "ug"
     for words in ("accelerometer z never points down: add a pose", "add 180 deg of spin", "k2"):
@@ -60,7 +58,7 @@ def test_the_page_has_a_picture_of_each_requirement_and_of_the_poses_and_fetches
 
 
 def test_a_unit_s_page_stands_alone_and_the_command_prints_its_numbers(written, capsys, tmp_path):
-    facts, _, folder = written
+    data, _, folder = written
     spec = str(folder / "unit.toml")
     for more in ([spec], ["--before", spec]):
         assert main(["report", spec, *more, "-o", str(tmp_path / "no.html")]) == 2
@@ -68,5 +66,5 @@ def test_a_unit_s_page_stands_alone_and_the_command_prints_its_numbers(written, 
         assert "gradcal compare" in said or "second unit" in said
     assert main(["report", spec, "-o", str(tmp_path / "page.html"), "--json"]) == 0
     tables = json.loads(capsys.readouterr().out)
-    assert tables["verdict"] == facts.verdict
-    assert [row["predicted"] for row in tables["requirements"]] == [row.predicted for row in facts.requirements]
+    assert tables["verdict"] == data.verdict
+    assert [row["predicted"] for row in tables["requirements"]] == [row.predicted for row in data.requirements]

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from typing import Generic, TypeVar
 
-from ..exchange import Exchange
+from ..request_reply import Exchange
 from ..roles import ChamberReading, ChamberSafe, SafeReport
 
 Config = TypeVar("Config")

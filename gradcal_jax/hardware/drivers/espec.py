@@ -17,8 +17,8 @@ from typing import TypeVar
 
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, Rejected, ReplyTimeout, printable
-from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
+from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
 from .base import ChamberDriver
@@ -183,7 +183,7 @@ class EspecChamber(ChamberDriver[EspecConfig]):
         text = f"{temperature_c:.1f}"
         if self._mode() in _PROGRAM:
             self._set_mode("CONSTANT")
-        until_shown(
+        command_and_verify(
             lambda: self._command(f"TEMP, S{text}"),
             lambda: self._ask("TEMP?", parse_temperatures),
             lambda shown: abs(shown.setpoint_c - float(text)) < 0.05,
@@ -213,7 +213,7 @@ class EspecChamber(ChamberDriver[EspecConfig]):
         # The order TEMP TIME GOTEMP is the vendor library's.
         step = f"RUN PRGM, TEMP{start:.1f} TIME{minutes // 60}:{minutes % 60:02d} GOTEMP{temperature_c:.1f}"
         wanted = _RAMPING if self._config.detailed_mode else {"RUN"}
-        until_shown(
+        command_and_verify(
             lambda: self._command(step, self._config.mode_pause_s),
             self._mode,
             lambda mode: mode in wanted,
@@ -243,7 +243,7 @@ class EspecChamber(ChamberDriver[EspecConfig]):
 
     def _set_mode(self, mode: str) -> None:
         if self._mode() != mode:
-            until_shown(
+            command_and_verify(
                 lambda: self._command(f"MODE,{mode}", self._config.mode_pause_s),
                 self._mode,
                 lambda shown: shown == mode,
@@ -258,10 +258,10 @@ class EspecChamber(ChamberDriver[EspecConfig]):
                 raise NotThisReply
             return parse(frame)
 
-        return self._exchange.ask(request(query, self._config.address), parse_query)
+        return self._exchange.query(request(query, self._config.address), parse_query)
 
     def _command(self, command: str, pause_s: float | None = None) -> None:
-        self._exchange.ask(
+        self._exchange.query(
             request(command, self._config.address),
             lambda frame: parse_acknowledgement(frame, command),
             repeat=False,

@@ -34,8 +34,8 @@ from ..errors import (
     ReplyTimeout,
     printable,
 )
-from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
+from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -183,7 +183,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
                 raise FramingError(f"The reply to {question.send!r} has no {', '.join(sorted(missing))}.")
             return heard
 
-        return self._exchange.ask(self._codec.message(question.send, bare=question.bare), parse)
+        return self._exchange.query(self._codec.message(question.send, bare=question.bare), parse)
 
     def _pattern(self, template: str) -> re.Pattern[str]:
         if template not in self._patterns:
@@ -199,10 +199,10 @@ class _Spoken(ExchangeDriver[LinesConfig]):
             written |= told
             message = self._codec.message(text, bare=command.bare)
             if not command.reply:
-                self._exchange.tell(message, pause_after_s=float(self._said.line.pause_after_command))
+                self._exchange.write(message, pause_after_s=float(self._said.line.pause_after_command))
                 continue
             reply = self._pattern(command.reply[min(number, len(command.reply) - 1)])
-            self._exchange.ask(
+            self._exchange.query(
                 message,
                 lambda frame, text=text, reply=reply: self._acknowledged(frame, text, reply),
                 repeat=False,
@@ -219,7 +219,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
     def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
         """Tell a value until it is shown; returns what is shown."""
         (value,) = {written for send in self._said.tell[name].send for written in formatted(send, values)[1].values()}
-        return until_shown(
+        return command_and_verify(
             lambda: self._tell(name, values),
             lambda: self._read(*shown_by),
             lambda shown: all(shows(value, shown[part]) for part in shown_by),
@@ -231,7 +231,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
         """Tell "on" or "off", where the device does not show that state already, until it does."""
         asked = self._asks_of(state)
         if self._is(state, self._read(*asked)) is not on:
-            until_shown(
+            command_and_verify(
                 lambda: self._tell(name),
                 lambda: self._read(*asked),
                 lambda texts: self._is(state, texts) is on,
@@ -420,7 +420,7 @@ class LinesAxis(_Spoken):
         goal = units.convert((position_deg - config.zero_deg) * config.direction, "deg", unit.angle)
         values = {"position": goal, **self._motion(rate_dps, acceleration_dps2)}
         near = limits.resolution_deg
-        until_shown(
+        command_and_verify(
             lambda: self._tell("move", values),
             self.read,
             lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= near,
@@ -446,7 +446,7 @@ class LinesAxis(_Spoken):
         if shown_by:
             self._tell_shown("spin", values, shown_by)
             return
-        until_shown(
+        command_and_verify(
             lambda: self._tell("spin", values),
             self.read,
             lambda reading: reading.moving,

@@ -35,8 +35,8 @@ import numpy as np
 from ..checksums import xor8
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, printable
-from ..exchange import Exchange, until_shown
 from ..framing import LineFramer
+from ..request_reply import Exchange, command_and_verify
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -184,7 +184,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
 
     def identify(self) -> Identity:
         with self._exchange.alone():
-            self._exchange.tell(request("i"))
+            self._exchange.write(request("i"))
             lines = self._exchange.transport.read(self._config.reply_timeout_s)
             lines += self._exchange.transport.drain(self._config.reply_timeout_s)
         texts = [parse_line(line) for line in re.split(rb"[\r\n]+", lines) if line]
@@ -296,13 +296,13 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         return SafeReport(policy.value, held and not reading.moving, "; ".join([evidence, *notes]))
 
     def _tell(self, words: str) -> None:
-        self._exchange.tell(request(words))
+        self._exchange.write(request(words))
 
     def _property(self, path: str) -> float:
-        return self._exchange.ask(request(f"r axis{self._config.motor}.{path}"), parse_number)
+        return self._exchange.query(request(f"r axis{self._config.motor}.{path}"), parse_number)
 
     def _feedback(self) -> tuple[float, float]:
-        return self._exchange.ask(request(f"f {self._config.motor}"), parse_feedback)
+        return self._exchange.query(request(f"f {self._config.motor}"), parse_feedback)
 
     def _state(self) -> int:
         return int(self._property("current_state"))
@@ -312,7 +312,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
 
     def _shown(self, words: str, path: str, value: float) -> None:
         """Send a line that has no reply until the property shows it (the reply of a property has ten characters)."""
-        until_shown(
+        command_and_verify(
             lambda: self._tell(words),
             lambda: self._property(path),
             lambda shown: _near(shown, value),
@@ -357,7 +357,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
             # In position control the loop closes on where the motor is; at a velocity it would begin to turn.
             self._set(self._config.input_velocity_property, 0.0)
             self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
-            until_shown(
+            command_and_verify(
                 lambda: self._tell(f"w axis{self._config.motor}.requested_state {CLOSED_LOOP}"),
                 self._state,
                 lambda state: state == CLOSED_LOOP,
@@ -394,7 +394,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
             return self._property(_CONTROL_MODE), self._property(path) - self._feedback()[0]
 
         self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
-        until_shown(
+        command_and_verify(
             lambda: self._tell(f"w axis{self._config.motor}.{_CONTROL_MODE} {POSITION_CONTROL}"),
             astray,
             lambda shown: shown[0] == POSITION_CONTROL and abs(shown[1]) <= tolerance,

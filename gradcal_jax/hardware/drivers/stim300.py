@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from ..checksums import crc8_stim300
 from ..clock import Clock
 from ..errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTimeout, printable
-from ..exchange import Exchange, NotThisReply
 from ..framing import LineFramer
+from ..request_reply import Exchange, NotThisReply
 from ..roles import Identity, ImuSettings
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -180,7 +180,7 @@ class Stim300Stream(ImuDriver[Stim300Config]):
                 raise NotThisReply
             return fields
 
-        return self._exchange.ask(utility_request(name, *parameters), parse)
+        return self._exchange.query(utility_request(name, *parameters), parse)
 
     def _set(self, name: str, code: int) -> None:
         """Settings are idempotent: asking again after a lost reply does no harm; the read-back decides."""

@@ -27,8 +27,8 @@ import numpy as np
 from ..checksums import crc16_vectornav, xor8
 from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
-from ..exchange import Exchange, NotThisReply
 from ..framing import LengthFramer
+from ..request_reply import Exchange, NotThisReply
 from ..roles import Identity, ImuBatch, ImuSettings
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -277,7 +277,7 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
                 raise NotThisReply
             return fields[len(header) :]
 
-        return self._exchange.ask(request(words), parse)
+        return self._exchange.query(request(words), parse)
 
     def _read(self, register: int) -> list[str]:
         return self._ask(f"VNRRG,{register:02d}", ["VNRRG", str(register)])

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from ..checksums import crc16_modbus
 from ..clock import Clock
 from ..errors import ChecksumError, FramingError, LimitExceeded, Rejected, printable
-from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import ModbusReplyFramer
+from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
 from .base import ChamberDriver
@@ -190,14 +190,14 @@ class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
 
     def _read(self, register: int, count: int = 1) -> tuple[int, ...]:
         address = self._config.address
-        return self._exchange.ask(
+        return self._exchange.query(
             read_request(address, register, count), lambda frame: parse_registers(frame, address, count)
         )
 
     def _write_shown(self, register: int, value: int, what: str, shown_in: int, shows: Callable[[int], bool]) -> None:
         sent = write_request(self._config.address, register, value)
-        until_shown(
-            lambda: self._exchange.ask(sent, lambda frame: parse_echo(frame, sent), repeat=False),
+        command_and_verify(
+            lambda: self._exchange.query(sent, lambda frame: parse_echo(frame, sent), repeat=False),
             lambda: self._read(shown_in)[0],
             shows,
             what=what,

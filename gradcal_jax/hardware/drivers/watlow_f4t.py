@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, Rejected, printable
-from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import ModbusTcpFramer
+from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
 from .base import ChamberDriver
@@ -200,7 +200,7 @@ class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
 
     def _words(self, register: int, count: int = 1) -> tuple[int, ...]:
         sent = self._message(read_body(register, count))
-        return self._exchange.ask(sent, lambda frame: parse_words(frame, sent, count))
+        return self._exchange.query(sent, lambda frame: parse_words(frame, sent, count))
 
     def _float(self, register: int) -> float:
         return float_of(self._words(register + self._above, 2))
@@ -223,9 +223,9 @@ class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
     ) -> None:
         def send() -> None:
             sent = self._message(write_body(register, words))
-            self._exchange.ask(sent, lambda frame: parse_written(frame, sent), repeat=False)
+            self._exchange.query(sent, lambda frame: parse_written(frame, sent), repeat=False)
 
-        until_shown(send, read, shows, what=what, clock=self._clock)
+        command_and_verify(send, read, shows, what=what, clock=self._clock)
 
     def _message(self, body: bytes) -> bytes:
         self._number = self._number % 0xFFFF + 1

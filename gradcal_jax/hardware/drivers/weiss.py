@@ -24,8 +24,8 @@ from dataclasses import dataclass
 
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
-from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
+from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
 from .base import ChamberDriver
@@ -274,7 +274,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
                 self._known = Layout(tuple(names[0]), tuple(names[1]), channel, config.lowest_c, config.highest_c, {})
             else:
                 with self._exchange.alone():
-                    self._exchange.tell(self._request("?"))
+                    self._exchange.write(self._request("?"))
                     # There is no end mark: the first byte has the reply's time, then silence ends the text.
                     heard = self._exchange.transport.read(config.reply_timeout_s)
                     heard += self._exchange.transport.drain(config.description_silence_s, longest_s=10.0)
@@ -299,7 +299,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
                 raise FramingError(f"The chamber reports {here} degC, which is not plausible. Check line and layout.")
             return record
 
-        return self._exchange.ask(self._request("I"), parse)
+        return self._exchange.query(self._request("I"), parse)
 
     def _nominal(self, record: Record) -> float:
         layout = self._layout()
@@ -313,7 +313,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             arrived = abs(self._nominal(now) - float(value_text(temperature_c))) < 0.05
             return (now.digital[channel] == "1") == start and arrived
 
-        until_shown(
+        command_and_verify(
             lambda: self._tell(temperature_c, 0.0, 0.0, start=start),
             self._record,
             shows,
@@ -375,7 +375,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
         for _ in range(_TRIES):
             try:
-                self._exchange.ask(
+                self._exchange.query(
                     self._request(letter, body), parse, repeat=False, reply_timeout_s=self._config.acknowledge_timeout_s
                 )
                 self._acknowledges = True
@@ -387,7 +387,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
     def _faults(self) -> tuple[str, ...]:
         if not self._config.read_faults:
             return ()
-        text = self._exchange.ask(self._request("F"), lambda frame: frame.decode("ascii", "replace").strip())
+        text = self._exchange.query(self._request("F"), lambda frame: frame.decode("ascii", "replace").strip())
         return () if text in ("", "0") else (text,)
 
     def _check(self, temperature_c: float) -> None:

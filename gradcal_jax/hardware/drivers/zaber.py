@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from ..checksums import lrc_zaber
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, printable
-from ..exchange import Exchange, NotThisReply, until_shown
 from ..framing import LineFramer
+from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -247,7 +247,7 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
                     raise NotThisReply
                 return reply
 
-            reply = self._exchange.ask(command(config.device, number, message_id, words), parse)
+            reply = self._exchange.query(command(config.device, number, message_id, words), parse)
         if not reply.accepted:
             text = f"{reply.data}, {reply.warning}" if reply.warning != "--" else reply.data
             raise Rejected(f"The stage refuses {words!r}: {text}.", code=reply.data, text=reply.warning)
@@ -264,7 +264,7 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
     def _set(self, name: str, value: str) -> None:
         if (name, value) == ("comm.checksum", "0"):
             self.reply_checksum = False
-        until_shown(
+        command_and_verify(
             lambda: self._ask(f"set {name} {value}", axis=_axis_of(name)),
             lambda: self._setting(name),
             lambda shown: shown == value,

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.errors import FramingError, LimitExceeded, Rejected
-from gradcal_jax.hardware.exchange import Exchange, until_shown
 from gradcal_jax.hardware.framing import LineFramer
+from gradcal_jax.hardware.request_reply import Exchange, command_and_verify
 from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
 from gradcal_jax.hardware.transport import Transport
 
@@ -64,8 +64,8 @@ class AcmeChamber:
         self._exchange.transport.close()
 
     def _until(self, command: str, question: str, value: float) -> None:
-        until_shown(
-            lambda: self._exchange.tell(command.encode() + b"\n"),
+        command_and_verify(
+            lambda: self._exchange.write(command.encode() + b"\n"),
             lambda: self._number(question),
             lambda shown: abs(shown - value) < 0.05,
             what=command,
@@ -79,4 +79,4 @@ class AcmeChamber:
             except ValueError:
                 raise FramingError(f"{question} was answered {frame!r}, which is no number.") from None
 
-        return self._exchange.ask(question.encode() + b"\n", parse)
+        return self._exchange.query(question.encode() + b"\n", parse)

@@ -8,9 +8,9 @@ from gradcal_jax.files.calibration import AxisCalibration
 from gradcal_jax.files.unit_calibration import UnitCalibration
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, example_of, exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_of, parameters
-from gradcal_jax.pages.course import RunCourse, course_of
 from gradcal_jax.pages.provenance import assumed_noise, provenance_of
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, hidden_by_structure, requirements_of
+from gradcal_jax.pages.run_history import RunHistory, history_of
 from gradcal_jax.pages.sources import Sources
 
 
@@ -27,7 +27,7 @@ class AxisFact(NamedTuple):
     agreement: tuple[float, int, float] | None
 
 
-class Facts(NamedTuple):
+class ReportData(NamedTuple):
     """A whole page's numbers. `before_is`: what "before" means here; empty without it."""
 
     title: str
@@ -39,7 +39,7 @@ class Facts(NamedTuple):
     examples: tuple[ExampleFact, ...]
     exports: tuple[ExportFact, ...]
     assumed: tuple[tuple[str, str], ...]
-    course: RunCourse | None
+    history: RunHistory | None
     provenance: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     maps: tuple[MapFact, ...]
@@ -54,10 +54,10 @@ class Facts(NamedTuple):
         return ""
 
 
-def facts_of(sources: Sources) -> Facts:
+def report_data_of(sources: Sources) -> ReportData:
     """Work out everything that a page says. Raises `ValueError` for a run that never began."""
     recipe, calibration = sources.recipe, sources.calibration
-    course = None if sources.run is None else course_of(sources.run)
+    history = None if sources.run is None else history_of(sources.run)
     before_is, requirements, maps = requirements_of(sources)
     axes = () if calibration is None else tuple(_axis(axis, sources.hidden_truth) for axis in calibration.axis)
     notes = [*sources.notes]
@@ -69,9 +69,9 @@ def facts_of(sources: Sources) -> Facts:
         if axis.unobservable
     ]
     notes += hidden_by_structure(requirements, maps)
-    simulated = bool(course is not None and course.simulated) or bool(calibration is not None and calibration.simulated)
+    simulated = any(source is not None and source.simulated for source in (history, calibration))
     title = (recipe.title if recipe is not None else None) or (calibration.title if calibration is not None else None)
-    return Facts(
+    return ReportData(
         title=title or "Calibration",
         simulated=simulated,
         before_is=before_is,
@@ -81,36 +81,36 @@ def facts_of(sources: Sources) -> Facts:
         examples=() if calibration is None else tuple(example_of(axis) for axis in calibration.axis),
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=tuple(assumed_noise(recipe, calibration)),
-        course=course,
+        history=history,
         provenance=tuple(provenance_of(sources)),
         notes=tuple(dict.fromkeys(notes)),
         maps=tuple(maps),
     )
 
 
-def as_tables(facts: Facts) -> dict[str, Any]:
-    """The facts as plain numbers and texts for other programs; maps and tracks are left out."""
+def as_tables(data: ReportData) -> dict[str, Any]:
+    """The report as plain numbers and texts for other programs; maps and tracks are left out."""
     done = None
-    if (course := facts.course) is not None:
-        done = course._asdict()
+    if (history := data.history) is not None:
+        done = history._asdict()
         for name in ("chamber_s", "chamber_c", "rates"):
             del done[name]
         # As the last keys, where they always stood.
         done |= {name: [row._asdict() for row in done.pop(name)] for name in ("waited", "devices")}
     return {
-        "title": facts.title,
-        "simulated": facts.simulated,
-        "verdict": facts.verdict or None,
-        "before_is": facts.before_is or None,
-        "requirements": [row._asdict() for row in facts.requirements],
-        "parameters": [row._asdict() for row in facts.parameters],
-        "axes": [row._asdict() | {"terms": [term._asdict() for term in row.terms]} for row in facts.axes],
-        "examples": [row._asdict() for row in facts.examples],
-        "exports": [row._asdict() for row in facts.exports],
-        "assumed": dict(facts.assumed),
+        "title": data.title,
+        "simulated": data.simulated,
+        "verdict": data.verdict or None,
+        "before_is": data.before_is or None,
+        "requirements": [row._asdict() for row in data.requirements],
+        "parameters": [row._asdict() for row in data.parameters],
+        "axes": [row._asdict() | {"terms": [term._asdict() for term in row.terms]} for row in data.axes],
+        "examples": [row._asdict() for row in data.examples],
+        "exports": [row._asdict() for row in data.exports],
+        "assumed": dict(data.assumed),
         "run": done,
-        "provenance": dict(facts.provenance),
-        "notes": list(facts.notes),
+        "provenance": dict(data.provenance),
+        "notes": list(data.notes),
     }
 
 

@@ -35,7 +35,7 @@ Draw = Callable[[Mapping[str, float]], str]
 """How a unit stands when the axes are at these angles, deg."""
 
 
-class AxesDuty:
+class AxisControl:
     """Tells the axes their moves and remembers what they say. One thread, the run's own."""
 
     def __init__(

@@ -15,7 +15,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gradcal_jax.decoding.rounds import Doubt, rounds_resolved
+from gradcal_jax.decoding.counter_wraps import Doubt, wraps_resolved
 from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers.imu_common import GapCounter, join
 from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
@@ -88,7 +88,7 @@ def batch(pieces: list[Piece], clock_error: float = 0.0) -> tuple[ImuBatch, NDAr
 def resolved(pieces: list[Piece], clock_error: float = 0.0) -> tuple[NDArray[np.int64], tuple[Doubt, ...]]:
     """By how many samples each time is wrong (0: right), and the doubts."""
     samples, truth = batch(pieces, clock_error)
-    found, doubts = rounds_resolved(samples, ROUND, SAMPLE_S)
+    found, doubts = wraps_resolved(samples, ROUND, SAMPLE_S)
     index = np.rint((found.device_time_s - found.device_time_s[0]) / SAMPLE_S).astype(np.int64)
     assert np.array_equal(found.gap_before[1:], np.diff(index) - 1)
     return index - (truth - truth[0]), doubts
@@ -248,7 +248,7 @@ def datagram(index: int) -> bytes:
 
 def test_absolute_stamps_are_left_alone() -> None:
     samples, _ = batch([Piece(16, 0.0), Piece(16, 5.0, lost=100)])
-    found, doubts = rounds_resolved(samples, 0, SAMPLE_S)
+    found, doubts = wraps_resolved(samples, 0, SAMPLE_S)
     assert found is samples
     assert doubts == ()
 

@@ -64,7 +64,7 @@ class _Arrivals:
     """How many that are."""
 
 
-def rounds_resolved(samples: ImuBatch, round_samples: int, sample_s: float) -> tuple[ImuBatch, tuple[Doubt, ...]]:
+def wraps_resolved(samples: ImuBatch, round_samples: int, sample_s: float) -> tuple[ImuBatch, tuple[Doubt, ...]]:
     """`samples` of one stream, from its first on, with `device_time_s` and `gap_before` as the whole stream tells them.
 
     `round_samples`, after which the unit's counter begins anew (0: its stamps are absolute, and nothing is to be told);

@@ -65,7 +65,7 @@ class Exchange:
         finally:
             self._lock.release()
 
-    def ask(
+    def query(
         self,
         request: bytes,
         parse: Callable[[bytes], Reply],
@@ -95,7 +95,7 @@ class Exchange:
                         raise
             raise AssertionError("unreachable: the last try returns or raises")
 
-    def tell(self, request: bytes, *, pause_after_s: float | None = None) -> None:
+    def write(self, request: bytes, *, pause_after_s: float | None = None) -> None:
         """Send something that has no reply."""
         with self.alone():
             self._send(request, pause_after_s)
@@ -145,7 +145,7 @@ class Exchange:
         )
 
 
-def until_shown(
+def command_and_verify(
     send: Callable[[], object],
     read: Callable[[], Reply],
     shows: Callable[[Reply], bool],

@@ -75,7 +75,7 @@ class Expected:
         return self._knots[-1][1]
 
 
-class ChamberDuty:
+class ChamberControl:
     """Tells the chamber its course and remembers what it says, from any thread: one command after the other."""
 
     def __init__(self, chamber: TemperatureChamber, clock: Clock, event: Tell) -> None:

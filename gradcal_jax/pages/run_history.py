@@ -35,7 +35,7 @@ class RunDevice(NamedTuple):
     firmware: str
 
 
-class RunCourse(NamedTuple):
+class RunHistory(NamedTuple):
     """What was done.
 
     `chamber_s`, `chamber_c` `(n,)`: when the chamber was read, and its temperature. `rates`: of each axis that turned,
@@ -61,8 +61,8 @@ class RunCourse(NamedTuple):
     rates: dict[str, tuple[Floats, Floats]]
 
 
-def course_of(folder: RunFolder) -> RunCourse:
-    """The course of a run. Raises `ValueError` where the folder is not a run's."""
+def history_of(folder: RunFolder) -> RunHistory:
+    """What a run did. Raises `ValueError` where the folder is not a run's."""
     notes, contents = folder.notes(), folder.contents()
     events = _on_one_clock(contents.events, simulated=bool(notes["simulated"]))
     if not events:
@@ -94,7 +94,7 @@ def course_of(folder: RunFolder) -> RunCourse:
             moves.setdefault(str(data["axis"]), []).append((began, data))
         elif event.name == "end":
             verified = bool(data.get("verified_safe"))
-    return RunCourse(
+    return RunHistory(
         begun=str(notes.get("begun", "")),
         simulated=bool(notes["simulated"]),
         status=exit_status(contents),

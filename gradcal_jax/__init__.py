@@ -63,13 +63,13 @@ _HOME_OF_NAME: dict[str, str] = {
     "import_log": "files.importers",
     "parse_column_map": "files.importers",
     # identification
-    "instability": "api.flow",
-    "allan": "api.flow",
+    "instability": "api.log_flow",
+    "allan": "api.log_flow",
     "fit_thermal_bias": "identify.thermal",
     "limiting_function": "identify.limiting_function",
     "limiting_function_of_mean": "identify.limiting_function",
     # calibrations
-    "estimate": "api.flow",
+    "estimate": "api.log_flow",
     "read_calibration": "files.calibration",
     "write_calibration": "files.calibration",
     "apply": "files.correction",

@@ -49,3 +49,15 @@ missing = [name for name in gradcal_jax.__all__ if not callable(getattr(gradcal_
 print(json.dumps([before, missing, "jax" in sys.modules]))
 """
     assert in_a_fresh_process(script) == [False, [], True]
+
+
+def test_a_spec_is_answered_without_scipys_larger_rooms():
+    # They cost as much as all of JAX: what an estimate wants of them, a prediction does not.
+    script = """
+import json, sys
+import gradcal_jax
+names = ("check", "predict", "optimise", "limit", "sensitivity", "frontier")
+assert all(callable(getattr(gradcal_jax, name)) for name in names)
+print(json.dumps([name for name in ("optimize", "signal", "stats") if f"scipy.{name}" in sys.modules]))
+"""
+    assert in_a_fresh_process(script) == []

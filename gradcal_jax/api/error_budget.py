@@ -12,6 +12,7 @@ from gradcal_jax.arrays import namespace
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.information import Posterior, at_readings, least_squares, noise_steps, statistic
 from gradcal_jax.information.budget import Sensitivity, noise_shares, unweighted_shares
+from gradcal_jax.information.by_reading import filter_readings
 from gradcal_jax.model import Discrepancy, SensorModel
 
 PRIOR: Final = "prior knowledge"
@@ -38,6 +39,8 @@ def error_budget(built: Assembled, channel: Axis, known: Posterior) -> dict[str,
     model, line = built.model, built.trajectory(channel)
     by_rates = unweighted_estimator(built.spec)
     steps, columns = noise_steps(line, model), at_readings(line, model)
+    start = np.zeros((len(steps.initial), columns.shape[1]))
+    readings = None if by_rates else filter_readings(start, steps.initial, steps, columns)
     parts = {name: noise_steps(line, only(built, name)) for name in active_sources(built)}
     shares: dict[str, dict[str, float]] = {}
     for requirement in built.spec.requirement:
@@ -47,10 +50,10 @@ def error_budget(built: Assembled, channel: Axis, known: Posterior) -> dict[str,
             continue
         places = contrasts_of(model, requirement, requirement.statistic)
         slope = Sensitivity(known, places, requirement.statistic, values)
-        if by_rates:
+        if readings is None:
             found = unweighted_shares(least_squares(line, model), slope.of_covariance, parts)
         else:
-            found = noise_shares(steps, columns, slope.of_gram, parts)
+            found = noise_shares(steps, readings, slope.of_gram, parts)
             found |= _of_priors(model, slope)
         found = {name: value / total for name, value in found.items()}
         rest = 1.0 - sum(found.values())

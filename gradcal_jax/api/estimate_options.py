@@ -8,7 +8,7 @@ from gradcal_jax.estimation import HUBER
 
 @dataclass(frozen=True)
 class Options:
-    """What the caller may choose; `api.flow.estimate` explains each."""
+    """What the caller may choose; `api.log_flow.estimate` explains each."""
 
     earth_rate: float = 0.0
     """Of the Earth, along the sensor's axis, rad/s; it is taken off."""

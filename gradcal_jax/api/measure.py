@@ -23,7 +23,7 @@ from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.information import quantiles, where_hidden
+from gradcal_jax.information import begin_filter, noise_states, quantiles, where_hidden
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Schedule, rule_of
 
@@ -49,7 +49,10 @@ class Measure(NamedTuple):
         """The objective over coordinates, through the program of the class of their sizes."""
         # Any plan of theirs in which all moves says how finely to integrate.
         plan = coordinates.decode(np.linspace(0.1, 0.9, coordinates.size))
-        cases = tuple(replace(case, rule=rule_of(case.model, case.trajectory(plan))) for case in self.cases)
+        lines = [case.trajectory(plan) for case in self.cases]
+        for case, line in zip(self.cases, lines, strict=True):
+            begin_filter(noise_states(line, case.model))
+        cases = tuple(replace(c, rule=rule_of(c.model, line)) for c, line in zip(self.cases, lines, strict=True))
         whole, places = coordinates, None
         if isinstance(coordinates, Coordinates):
             whole = coordinates.padded()

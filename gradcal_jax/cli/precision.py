@@ -35,6 +35,14 @@ def use_float64() -> None:
     if folder is not None and already is None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    _begin_compiling()
+
+
+def _begin_compiling() -> None:
+    """At first use the machine's compiler makes the sums meanwhile: the other rooms take as long to load."""
+    from gradcal_jax.machine import begin_sums
+
+    begin_sums()
 
 
 def _keep_memory() -> None:

@@ -13,7 +13,6 @@ broken: the angle's origin is read anew at the first row of rest after it (a gap
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import Trajectory, held
@@ -106,16 +105,24 @@ def momentary_stops(
     moving = speed[~standing]
     if not len(moving):
         return result
-    depth = -np.log(np.maximum(speed, _SLOWEST * float(moving.max()) + np.finfo(float).tiny))
+    slowest = _SLOWEST * float(moving.max()) + np.finfo(float).tiny
     for first, last in _runs(~standing):
-        valleys, _ = find_peaks(depth[first : last + 1], prominence=np.log(_DIP))
-        if len(valleys):
+        stops = valleys(speed[first : last + 1], slowest)
+        if len(stops):
             turned = np.cumsum(rate_rad_per_s[first : last + 1] * step_s[first : last + 1])
             apart = angle_rad[first : last + 1] - turned
             apart = apart - np.linspace(apart[0], apart[-1], len(apart))
             if np.all(np.abs(apart) < _FOLLOWS * np.ptp(turned)):
-                result[first + valleys] = True
+                result[first + stops] = True
     return result
+
+
+def valleys(speed: np.ndarray, slowest: float) -> np.ndarray:
+    """Rows of the valleys from which a speed rises tenfold on both sides; below `slowest` all speeds are alike."""
+    # Where it is used alone: it brings all of SciPy's statistics.
+    from scipy.signal import find_peaks
+
+    return find_peaks(-np.log(np.maximum(speed, slowest)), prominence=np.log(_DIP))[0]
 
 
 def _line(time, temperature, rate, angle, at, read, rest, gap, moves) -> Trajectory:

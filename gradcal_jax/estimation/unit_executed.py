@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from scipy.signal import find_peaks
 
+from gradcal_jax.estimation.executed import valleys
 from gradcal_jax.formulas import runs
 from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
@@ -24,7 +24,6 @@ from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, he
 _PIECE_S = 60.0
 _GUARD_S = 0.1
 # A valley of the rate this many times below both its sides is a stop; what is this much below the fastest is noise.
-_DIP = 10.0
 _SLOWEST = 1e-3
 # An axis that stands at angles less than this apart (rad) has not been turned.
 _LEAST_TURN = np.radians(0.05)
@@ -151,8 +150,7 @@ def _valleys(speed: np.ndarray) -> list[int]:
     # Noise at the bottom of a valley must not make two of it.
     width = max(len(speed) // 400, 1)
     smooth = np.convolve(np.pad(speed, width, mode="edge"), np.ones(2 * width + 1) / (2 * width + 1), mode="valid")
-    depth = -np.log(np.maximum(smooth, _SLOWEST * top))
-    return find_peaks(depth, prominence=np.log(_DIP))[0].tolist()
+    return valleys(smooth, _SLOWEST * top).tolist()
 
 
 def _which(

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import optimize, signal
+from scipy import optimize
 
 from gradcal_jax.formulas import lag_filter
 
@@ -49,8 +49,11 @@ def lagged(
     """A first-order lag behind temperatures that run straight from sample to sample, in equilibrium at the first."""
     if lag_time_s <= 0:
         return temperature_c
+    # Where it is used alone: it brings all of SciPy's statistics.
+    from scipy.signal import lfilter
+
     start = temperature_c[0]
-    above, _ = signal.lfilter(*lag_filter(sample_interval_s, lag_time_s), temperature_c - start, zi=np.zeros(1))
+    above, _ = lfilter(*lag_filter(sample_interval_s, lag_time_s), temperature_c - start, zi=np.zeros(1))
     return above + start
 
 

@@ -2,7 +2,8 @@
 
 from gradcal_jax.information.adjoint import gram, whitened_factor
 from gradcal_jax.information.montecarlo import Twin, WishartTest, monte_carlo_errors, simulate_noise, wishart_test
-from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
+from gradcal_jax.information.native import begin_filter
+from gradcal_jax.information.noise_steps import NoiseSteps, noise_states, noise_steps
 from gradcal_jax.information.noticing import (
     gains_of_shares,
     kept,

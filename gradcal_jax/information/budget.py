@@ -1,20 +1,17 @@
 """The error budget: how much of a residual each source of error is.
 
 A statistic r of the residual depends on the noise through `G = ΦᵀV⁻¹Φ` alone, and V is a sum over sources, each
-proportional to its variance σ². With `Ḡ = ∂r/∂G` the filter's own derivative (`adjoint`) gives `∂r/∂V`, and so
+proportional to its variance σ². With `Ḡ = ∂r/∂G` the filter's own derivative (`by_reading`) gives `∂r/∂V`, and so
 `∂ln r/∂ln σ` of each source: shares that add up to one with that of the priors, since r is homogeneous in all standard
 deviations together. Nothing is differenced.
 """
 
 from collections.abc import Mapping
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import size_class
-from gradcal_jax.information.adjoint import gram
-from gradcal_jax.information.native import plain
+from gradcal_jax.information.by_reading import Readings, of_noise
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.posterior import LeastSquares, Posterior, noise_of_sums
 from gradcal_jax.information.residual import Contrasts, Statistic
@@ -51,36 +48,16 @@ class Sensitivity:
 
 
 def noise_shares(
-    steps: NoiseSteps, columns: Float[np.ndarray, "N p"], of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
+    steps: NoiseSteps, found: Readings, of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
 ) -> dict[str, float]:
-    """`∂r/∂ln σ` of each source, whose own part of the noise `sources` has."""
-    _, covariance, _, variance, initial = _cotangents(steps, columns, of_gram)
+    """`∂r/∂ln σ` of each source, whose own part of the noise `sources` has. `found`: of all columns."""
+    covariance, variance, initial = of_noise(steps, found, of_gram)
 
     def of(part: NoiseSteps) -> float:
         pairs = (covariance, part.covariance), (variance, part.reading_variance), (initial, part.initial)
         return 2.0 * float(sum(np.sum(a * b) for a, b in pairs))
 
     return {name: of(part) for name, part in sources.items()}
-
-
-def _cotangents(steps: NoiseSteps, columns: np.ndarray, of_gram: np.ndarray) -> list[np.ndarray]:
-    n, p = steps.observation.shape[1], columns.shape[1]
-    code = plain(n)
-    if code is not None:
-        rows, _, _, kept = code.whiten(np.zeros((n, p)), steps.initial, steps, columns, keep=True)
-        assert kept is not None
-        return code.cotangents(steps, rows, kept, of_gram)[:5]
-    count = len(columns)
-    longer = steps.padded(size_class(count))
-    found = _pulled(longer, np.pad(columns, ((0, len(longer.used) - count), (0, 0))), of_gram)
-    return [*(np.asarray(x)[:count] for x in found[:4]), np.asarray(found[4])]
-
-
-@jax.jit
-def _pulled(steps: NoiseSteps, columns, of_gram):
-    numbers = (*steps[:4], steps.initial)
-    _, pull = jax.vjp(lambda f, q, h, r, p: gram(NoiseSteps(f, q, h, r, steps.used, p), columns), *numbers)
-    return pull((of_gram + of_gram.T) / 2)
 
 
 def unweighted_shares(

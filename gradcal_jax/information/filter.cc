@@ -426,19 +426,7 @@ extern "C" XLA_FFI_Error* gradcal_pull(XLA_FFI_CallFrame* frame) { return answer
 extern "C" void gradcal_filter_plain(int64_t count, int64_t p, const Real* transition, const Real* noise,
                                      const Real* observation, const Real* variance, const bool* used, const Real* mean,
                                      const Real* covariance, const Real* columns, Real* rows, Real* mean_after,
-                                     Real* covariance_after, Real* state, Real* before, Real* gain, Real* per_std) {
-  const Kept<Real> kept = {state, before, gain, per_std};
+                                     Real* covariance_after) {
   filter(count, p, {transition, noise, observation, variance, used}, mean, covariance, columns, rows, mean_after,
-         covariance_after, state ? &kept : nullptr);
-}
-
-extern "C" void gradcal_pull_plain(int64_t count, int64_t p, const Real* transition, const Real* noise,
-                                   const Real* observation, const Real* variance, const bool* used,
-                                   const Real* initial, const bool* fixed, const Real* rows, const Real* weighed,
-                                   const Real* state, const Real* before, const Real* gain, const Real* per_std, Real* of_transition,
-                                   Real* of_noise, Real* of_observation, Real* of_variance, Real* of_initial,
-                                   Real* of_columns) {
-  pull(count, p, {transition, noise, observation, variance, used}, initial, fixed, rows, weighed,
-       {state, before, gain, per_std},
-       {of_transition, of_noise, of_observation, of_variance, of_initial, of_columns});
+         covariance_after, nullptr);
 }

@@ -6,7 +6,9 @@ made for each number of noise states by itself (`machine.compiled`), in a second
 """
 
 import ctypes
+from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,9 +18,12 @@ from jaxtyping import Array, Float
 
 from gradcal_jax.arrays import AnyArray
 from gradcal_jax.information.noise_steps import NoiseSteps
-from gradcal_jax.machine import Compiled, call, compiled, double_or_single
+from gradcal_jax.machine import Compiled, NotCompiled, call, compiled, double_or_single, is_at_hand
 
 _SOURCE = Path(__file__).with_name("filter.cc")
+# So many readings take NumPy about half as long as the compiler takes.
+_WORTH = 40_000
+_asked: Counter[int] = Counter()
 
 
 class Kept(NamedTuple):
@@ -31,10 +36,12 @@ class Kept(NamedTuple):
 
 
 class Native(NamedTuple):
-    """The names under which JAX finds the compiled functions for one number of states and one precision."""
+    """The compiled functions for one number of states and one precision, as JAX calls them.
 
-    filter: str
-    pull: str
+    Each raises `NotCompiled` where the compiler could not make them.
+    """
+
+    code: Compiled
 
     def whiten(
         self,
@@ -45,14 +52,14 @@ class Native(NamedTuple):
     ) -> list[Array]:
         """Whitened rows `(N, p)`, and state and covariance after the last reading."""
         shapes = (columns.shape, mean.shape, covariance.shape)
-        return call(self.filter, shapes, (*steps[:5], mean, covariance, columns))
+        return call(self.code.wait().names[0], shapes, (*steps[:5], mean, covariance, columns))
 
     def keep(self, steps: NoiseSteps, columns: Float[Array, "N p"]) -> tuple[Float[Array, "N p"], Kept]:
         """Whitened rows from states of zero, and what `cotangents` wants."""
         (count, n), p = steps.observation.shape, columns.shape[1]
         shapes = ((count, p), (n, p), (n, n), (count, n, p), (count, n, n), (count, n), (count,))
         zero = jnp.zeros((n, p), columns.dtype)
-        rows, _, _, *kept = call(self.filter, shapes, (*steps[:5], zero, steps.initial, columns))
+        rows, _, _, *kept = call(self.code.wait().names[0], shapes, (*steps[:5], zero, steps.initial, columns))
         return rows, Kept(*kept)
 
     def cotangents(
@@ -61,65 +68,53 @@ class Native(NamedTuple):
         """Of transition, covariance, observation, reading variance, initial and columns, for that of `rowsᵀ rows`."""
         weighed = rows @ ((of_product + of_product.T) / 2)
         shapes = [x.shape for x in (*steps[:4], steps.initial, rows)]
-        return call(self.pull, shapes, (*steps[:6], _stays(steps, jnp), rows, weighed, *kept))
+        stays = jnp.zeros(steps.used.shape, bool) if steps.stays is None else jnp.asarray(steps.stays)
+        return call(self.code.wait().names[1], shapes, (*steps[:6], stays, rows, weighed, *kept))
 
 
-class Plain(NamedTuple):
-    """The compiled functions for NumPy's arrays of doubles."""
+def plain(states: int, readings: int) -> Callable[..., list[np.ndarray]] | None:
+    """The filter for NumPy's doubles: of a state, steps and columns the rows, and the state after the last reading.
 
-    filter: Callable[..., None]
-    pull: Callable[..., None]
-
-    def whiten(
-        self,
-        mean: Float[np.ndarray, "n p"],
-        covariance: Float[np.ndarray, "n n"],
-        steps: NoiseSteps,
-        columns: Float[np.ndarray, "N p"],
-        *,
-        keep: bool = False,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Kept | None]:
-        """Whitened rows `(N, p)`, state and covariance after the last reading, and what `cotangents` wants."""
-        (count, n), p = steps.observation.shape, columns.shape[1]
-        rows, after, covariance_after = np.empty((count, p)), np.empty((n, p)), np.empty((n, n))
-        shapes = ((count, n, p), (count, n, n), (count, n), (count,))
-        kept = Kept(*map(np.empty, shapes)) if keep else None
-        made = [rows, after, covariance_after, *(kept or (None,) * 4)]
-        _plainly(self.filter, count, p, (*steps[:5], mean, covariance, columns), made)
-        return rows, after, covariance_after, kept
-
-    def cotangents(self, steps: NoiseSteps, rows: np.ndarray, kept: Kept, of_product: np.ndarray) -> list[np.ndarray]:
-        """As of `Native`."""
-        weighed = rows @ ((of_product + of_product.T) / 2)
-        made = [np.empty(np.shape(x)) for x in (*steps[:4], steps.initial, rows)]
-        _plainly(self.pull, len(rows), rows.shape[1], (*steps[:6], _stays(steps, np), rows, weighed, *kept), made)
-        return made
+    None without a compiler, and until so many readings were asked for that its work is worth while.
+    """
+    _asked[states] += readings
+    if not states or (_asked[states] <= _WORTH and not is_at_hand(_SOURCE, *_definitions(states))):
+        return None
+    try:
+        made = begin_filter(states)
+        loaded = None if made is None else made.wait().loaded
+    except NotCompiled:
+        return None
+    return None if loaded is None else partial(_plainly, loaded.gradcal_filter_plain)
 
 
-def _stays(steps: NoiseSteps, xp) -> AnyArray:
-    return xp.zeros(steps.used.shape, bool) if steps.stays is None else xp.asarray(steps.stays)
-
-
-def _plainly(function, count: int, p: int, arguments, results) -> None:
+def _plainly(
+    function,
+    mean: Float[np.ndarray, "n p"],
+    covariance: Float[np.ndarray, "n n"],
+    steps: NoiseSteps,
+    columns: Float[np.ndarray, "N p"],
+) -> list[np.ndarray]:
+    results = [np.empty(np.shape(x)) for x in (columns, mean, covariance)]
+    arguments = (*steps[:5], mean, covariance, columns)
     alike = [np.ascontiguousarray(x, bool if np.asarray(x).dtype == bool else float) for x in arguments]
-    addresses = [None if x is None else x.ctypes.data for x in (*alike, *results)]
-    function(ctypes.c_int64(count), ctypes.c_int64(p), *map(ctypes.c_void_p, addresses))
-
-
-def plain(states: int) -> Plain | None:
-    """The machine code for NumPy's doubles, or None where there is none."""
-    made = _made(states, "double") if states else None
-    return None if made is None else Plain(made.library.gradcal_filter_plain, made.library.gradcal_pull_plain)
+    sizes = map(ctypes.c_int64, columns.shape)
+    function(*sizes, *(ctypes.c_void_p(x.ctypes.data) for x in (*alike, *results)))
+    return results
 
 
 def native(steps: NoiseSteps, *others: Array) -> Native | None:
     """The machine code that serves these arrays in a program for a CPU, or None where there is none."""
     real = double_or_single(*steps[:4], steps.initial, *others)
     count, n = steps.observation.shape
-    made = _made(n, real) if real and count and n else None
-    return None if made is None else Native(*made.names)
+    made = begin_filter(n, real) if real and count and n else None
+    return None if made is None else Native(made)
 
 
-def _made(states: int, real: str) -> Compiled | None:
-    symbols = ("gradcal_filter", "gradcal_pull")
-    return compiled(_SOURCE, f"-DSTATES={states}", f"-DREAL={real}", symbols=symbols, what="the filter")
+def begin_filter(states: int, real: str = "double") -> Compiled | None:
+    """Have the compiler begin with the filter of so many states. None where there is no compiler."""
+    return compiled(_SOURCE, *_definitions(states, real), symbols=("gradcal_filter", "gradcal_pull"), what="the filter")
+
+
+def _definitions(states: int, real: str = "double") -> tuple[str, str]:
+    return f"-DSTATES={states}", f"-DREAL={real}"

@@ -50,6 +50,11 @@ class NoiseSteps(NamedTuple):
         return NoiseSteps._make([*longer, np.asarray(self.initial), None])
 
 
+def noise_states(line: Trajectory, model: SensorModel) -> int:
+    """States of the noise: the angle, the processes, and a standstill's offset where there is one."""
+    return 1 + model.processes.count + int(model.reference.has_offset and not line.rates)
+
+
 def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> NoiseSteps:
     """Steps of the noise alone, the parameters kept out of the state. `rule`: as of `regressors.at_readings`.
 
@@ -59,8 +64,8 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     """
     p, reference = model.processes, model.reference
     xp = namespace(line, model)
-    m, offset = p.count, int(reference.has_offset and not line.rates)
-    n, count = 1 + m + offset, line.piece_count
+    n, m, count = noise_states(line, model), p.count, line.piece_count
+    offset = n - 1 - m
 
     to_angle, q_angle, q_cross, q_self = constant_drive(p, line.duration, line.end_rate())
     varying = line.varying_pieces

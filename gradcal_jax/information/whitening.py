@@ -30,7 +30,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from gradcal_jax.arrays import AnyArray, namespace, size_class
+from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.information.by_reading import filter_readings
 from gradcal_jax.information.native import native, plain
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.machine import by_platform, like
@@ -78,22 +79,13 @@ def _in_blocks(
 
 
 def _by_value(state: FilterState, steps: NoiseSteps, columns: np.ndarray) -> tuple[np.ndarray, FilterState]:
-    """NumPy's arrays: by machine code, or without it through a compiled program of the class of their sizes."""
-    code = plain(len(state.mean))
+    """NumPy's arrays: by machine code where that is at hand or worth while."""
+    code = plain(len(state.mean), len(columns))
     if code is not None:
-        rows, *after, _ = code.whiten(*state, steps, columns)
+        rows, *after = code(*state, steps, columns)
         return rows, FilterState(*after)
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-        raise ValueError(SINGLE_PRECISION)
-    count, p = columns.shape
-    steps, width = steps.padded(size_class(count)), size_class(p)
-    wide = lambda x: np.pad(x, ((0, 0), (0, width - p)))  # noqa: E731
-    long = np.pad(wide(columns), ((0, len(steps.used) - count), (0, 0)))
-    rows, after = _compiled_whitening(FilterState(wide(state.mean), state.covariance), steps, long)
-    return np.asarray(rows)[:count, :p], FilterState(np.asarray(after.mean)[:, :p], np.asarray(after.covariance))
-
-
-_compiled_whitening = jax.jit(_in_blocks)
+    found = filter_readings(*state, steps, columns)
+    return found.rows, FilterState(found.mean, found.covariance)
 
 
 def _natively(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:

@@ -11,6 +11,8 @@ from jax.dtypes import canonicalize_dtype
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from gradcal_jax.machine.compiled import NotCompiled
+
 
 def like(x) -> jax.ShapeDtypeStruct:
     """Shape and dtype of what JAX makes of an array: without its float64, NumPy's doubles become singles."""
@@ -66,14 +68,21 @@ def by_platform(name: str, on_cpu: Callable[..., Any], elsewhere: Callable[..., 
     """A function of `results`, what `like` says of them, and the pytrees of arrays that both functions take.
 
     The choice is made as a program is lowered, and what its platform does not need is not even traced:
-    `jax.lax.platform_dependent` would trace both. It goes through `vmap`; a derivative is the caller's to tell.
+    `jax.lax.platform_dependent` would trace both. `elsewhere` is also what a CPU does where `on_cpu` raises
+    `NotCompiled`. It goes through `vmap`; a derivative is the caller's to tell.
     """
+
+    def here(*arguments):
+        try:
+            return on_cpu(*arguments)
+        except NotCompiled:
+            return elsewhere(*arguments)
 
     def by_leaves(function, how: _Choice):
         return lambda *leaves: jax.tree.leaves(function(*jax.tree.unflatten(how.tree, leaves)))
 
     primitive = _primitive(name, partial(by_leaves, elsewhere), lambda how: how.results)
-    lowered = mlir.lower_fun(lambda *leaves, how: _each(by_leaves(on_cpu, how), how)(*leaves), multiple_results=True)
+    lowered = mlir.lower_fun(lambda *leaves, how: _each(by_leaves(here, how), how)(*leaves), multiple_results=True)
     mlir.register_lowering(primitive, lowered, "cpu")
 
     def call(results, *arguments):

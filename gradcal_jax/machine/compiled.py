@@ -1,5 +1,7 @@
 """C++ that the machine's own compiler makes at first use, and that the user's cache folder keeps.
 
+It works beside whatever asks for its code: a program is waited for where it is lowered, not where it is traced.
+
 Without a compiler, in programs for other devices, or with `GRADCAL_NATIVE=0` XLA computes the same: several times
 slower, and equal but for rounding.
 """
@@ -15,6 +17,7 @@ import subprocess
 import tempfile
 import threading
 import warnings
+from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -34,13 +37,40 @@ _LONGEST_S = 120.0
 # C++'s names of the precisions that there is code for.
 _REAL = {"float32": "float", "float64": "double"}
 _ONE_AT_A_TIME = threading.Lock()
+_BESIDE = ThreadPoolExecutor(2, "gradcal-compiler")
+
+
+class NotCompiled(Exception):
+    """There is a compiler, and it cannot; a warning has said so."""
+
+
+class Library(NamedTuple):
+    """What is loaded, and the names under which JAX finds the functions that were asked for."""
+
+    loaded: ctypes.CDLL
+    names: tuple[str, ...]
 
 
 class Compiled(NamedTuple):
-    """A loaded library, and the names under which JAX finds the functions that were asked for."""
+    """A source's functions, of which the compiler may still be making some."""
 
-    library: ctypes.CDLL
-    names: tuple[str, ...]
+    work: "Future[Library]"
+    what: str
+
+    def wait(self) -> Library:
+        """The library. Raises `NotCompiled`, once a warning has said why of `what`."""
+        try:
+            return self.work.result()
+        except (OSError, subprocess.SubprocessError) as e:
+            told = getattr(e, "stderr", None)
+            warnings.warn(
+                f"{self.what} could not be compiled, so JAX computes it, several times slower: {e}"
+                f"{': ' + told.strip()[-500:] if told else ''} (CXX names another compiler; GRADCAL_NATIVE=0 tries "
+                "none)",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+            raise NotCompiled(self.what) from e
 
 
 def double_or_single(*arrays) -> str | None:
@@ -50,33 +80,17 @@ def double_or_single(*arrays) -> str | None:
 
 
 def compiled(source: Path, *definitions: str, symbols: tuple[str, ...], what: str) -> Compiled | None:
-    """A source's functions. None where there is no compiler, or none that can; then a warning says so of `what`."""
+    """Have a source compiled, unless that was done before. None where there is no compiler."""
     if os.environ.get("GRADCAL_NATIVE") == "0" or os.name != "posix":
         return None
     with _ONE_AT_A_TIME:
-        return _compiled(source, definitions, symbols, what)
+        return _begun(source, definitions, symbols, what)
 
 
 @functools.cache
-def _compiled(source: Path, definitions: tuple[str, ...], symbols: tuple[str, ...], what: str) -> Compiled | None:
+def _begun(source: Path, definitions: tuple[str, ...], symbols: tuple[str, ...], what: str) -> Compiled | None:
     command = compiler()
-    if command is None:
-        return None
-    try:
-        library, key = _library(command, source, definitions)
-    except (OSError, subprocess.SubprocessError) as e:
-        told = getattr(e, "stderr", None)
-        warnings.warn(
-            f"{what} could not be compiled, so JAX computes it, several times slower: {e}"
-            f"{': ' + told.strip()[-500:] if told else ''} (CXX names another compiler; GRADCAL_NATIVE=0 tries none)",
-            RuntimeWarning,
-            stacklevel=2,
-        )
-        return None
-    names = tuple(f"{symbol}_{key}" for symbol in symbols)
-    for name, symbol in zip(names, symbols, strict=True):
-        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu")
-    return Compiled(library, names)
+    return None if command is None else Compiled(_BESIDE.submit(_library, command, source, definitions, symbols), what)
 
 
 def call(name: str, shapes, arguments) -> list[Array]:
@@ -96,16 +110,39 @@ def compiler() -> list[str] | None:
     return None if found is None else [found]
 
 
-def _library(command: list[str], source: Path, definitions: tuple[str, ...]) -> tuple[ctypes.CDLL, str]:
-    """The compiled functions, from the cache folder if they are there, and what tells them from all others."""
+def _library(command: list[str], source: Path, definitions: tuple[str, ...], symbols: tuple[str, ...]) -> Library:
+    """The compiled functions, made known to JAX by names of their own."""
+    loaded, key = _loaded(command, source, definitions)
+    names = tuple(f"{symbol}_{key}" for symbol in symbols)
+    for name, symbol in zip(names, symbols, strict=True):
+        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(loaded, symbol)), platform="cpu")
+    return Library(loaded, names)
+
+
+def is_at_hand(source: Path, *definitions: str) -> bool:
+    """Whether the cache folder has a source's functions, so that no compiler is waited for."""
+    if os.environ.get("GRADCAL_NATIVE") == "0" or os.name != "posix" or (command := compiler()) is None:
+        return False
+    path, _ = _place(tuple(command), source, definitions)
+    return path is not None and path.exists()
+
+
+@functools.cache
+def _place(command: tuple[str, ...], source: Path, definitions: tuple[str, ...]) -> tuple[Path | None, str]:
+    """Where the cache folder keeps a library, and what tells it from all others."""
     texts = [path.read_text() for path in (source, *sorted(_HEADERS.glob("*.h")))]
     parts = (*texts, version("jaxlib"), *command, _version(*command), *_OPTIONS, *definitions, _processor())
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
     folder = cache_folder()
-    if folder is None:
+    return None if folder is None else folder / f"{source.stem}-{key}.so", key
+
+
+def _loaded(command: list[str], source: Path, definitions: tuple[str, ...]) -> tuple[ctypes.CDLL, str]:
+    """The compiled functions, from the cache folder if they are there, and what tells them from all others."""
+    path, key = _place(tuple(command), source, definitions)
+    if path is None:
         with tempfile.TemporaryDirectory() as alone:
             return ctypes.CDLL(str(_make(command, source, definitions, Path(alone) / f"{source.stem}.so"))), key
-    path = folder / f"{source.stem}-{key}.so"
     if path.exists():
         try:
             return ctypes.CDLL(str(path)), key

@@ -119,13 +119,18 @@ def _running_natively(symbol: str, values: Array) -> Array:
 
 def _code(*arrays: Array) -> Compiled | None:
     real = double_or_single(*arrays)
-    return compiled(_SOURCE, f"-DREAL={real}", symbols=_SYMBOLS, what="the sums of columns") if real else None
+    return begin_sums(real) if real else None
+
+
+def begin_sums(real: str = "double") -> Compiled | None:
+    """Have the compiler begin with these sums, which every prediction asks for. None where there is none."""
+    return compiled(_SOURCE, f"-DREAL={real}", symbols=_SYMBOLS, what="the sums of columns")
 
 
 def _name(symbol: str, array: Array) -> str:
     code = _code(array)
     assert code is not None
-    return code.names[_SYMBOLS.index(symbol)]
+    return code.wait().names[_SYMBOLS.index(symbol)]
 
 
 _SYMBOLS = ("gradcal_sums", "gradcal_sums_pull", "gradcal_running", "gradcal_running_back")

@@ -1,0 +1,117 @@
+"""The steps of the flow that start from a log as single calls, as those of `api.flow` that start from a spec."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+from gradcal_jax import identify
+from gradcal_jax.api import instability as noise
+from gradcal_jax.api.calibration import EstimateReport, estimate_calibration
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.files import Spec
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.spec import expect_spec
+from gradcal_jax.identify.allan import TERMS
+
+
+def instability(
+    log: Log,
+    axis: str | int = 0,
+    unit: str | int = 0,
+    *,
+    averaging_time_s: float = 10.0,
+    shortest_s: float = 1.0,
+    longest_s: float = 1200.0,
+    margin: float = 2.5,
+    angle_random_walk: float | None = None,
+    temperature_c: tuple[float, float] | None = None,
+    bias_degree: int | None = None,
+    lag: float | Literal["auto", "fit", "none"] = "auto",
+) -> noise.Instability:
+    """The drift that bounds what a record at rest shows: the Direct Bound of Berman's equations 6 and 7.
+
+    One channel, masked where the table moves, less its bias over temperature (`bias_degree`, `lag` in s: see
+    `api.instability.at_rest`). The drift is counted from an average of `averaging_time_s`, over `shortest_s` to
+    `longest_s`, and must stay within `margin` standard deviations. `angle_random_walk`: rad/√s; None: the Allan
+    deviation's. `temperature_c`: rows between two temperatures alone. Returns `bound` (`drift_std` in rad/s,
+    `correlation_time_s`), the Allan deviation with its fit, and `drift_block()`, text for a spec.
+
+    Errors: `LogError` where nothing stands still, or too little is left.
+    """
+    rest = noise.at_rest(log, axis, unit, bias_degree=bias_degree, lag=lag)
+    return noise.instability(
+        rest,
+        averaging_time_s=averaging_time_s,
+        shortest_s=shortest_s,
+        longest_s=longest_s,
+        margin=margin,
+        angle_random_walk=angle_random_walk,
+        temperature_c=temperature_c,
+    )
+
+
+def allan(
+    log: Log,
+    axis: str | int = 0,
+    unit: str | int = 0,
+    *,
+    terms: Sequence[str] = TERMS,
+    confidence: float = 0.683,
+    bias_degree: int | None = None,
+    lag: float | Literal["auto", "fit", "none"] = "auto",
+) -> tuple[identify.AllanDeviation, identify.AllanFit]:
+    """The overlapping Allan deviation of a record at rest, and the coefficients of a weighted fit (IEEE 952).
+
+    One channel, prepared as in `instability` (`bias_degree`, `lag`). `terms`: which the sensor may have. The deviation
+    `(times,)` is in rad/s against averaging times in s; the fit has quantisation (rad), angle random walk (rad/√s),
+    bias instability (rad/s) and rate random walk (rad/s/√s), each with its standard error, and bounds of `confidence`.
+
+    Errors: `LogError` where nothing stands still; `ValueError` for unknown terms.
+    """
+    rest = noise.at_rest(log, axis, unit, bias_degree=bias_degree, lag=lag)
+    deviation = identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
+    return deviation, identify.fit_allan(deviation, terms=terms, confidence=confidence)
+
+
+def estimate(
+    spec: Spec,
+    log: Log,
+    *,
+    axes: Sequence[str] = (),
+    units: Sequence[str] = (),
+    earth_rate: float = 0.0,
+    robust: bool = False,
+    lag: float | Literal["fit"] = 0.0,
+    smoothness: Literal["spec", "auto"] = "spec",
+    clock: Literal["sensor", "host"] = "sensor",
+    read_every: float = 1.0,
+    table_axis: str | None = None,
+    neighbours_k: float | None = None,
+    temperature_c: float | None = None,
+) -> EstimateReport:
+    """The calibration of every unit in a log by a spec's model, with covariance, tests of the model and verdicts.
+
+    Noise, table and maps are the spec's; what was done is read from the log. `axes`, `units`: which; all without them.
+    `earth_rate` rad/s along the sensor's axis is taken off. `robust`: readings that the model cannot explain count for
+    less (Huber). `lag` s of the maps behind the measured temperature, or "fit". `smoothness` "auto": of bins and
+    B-splines, as strong as the data make most probable. `clock`: whose time is integrated over. `read_every` s: spacing
+    of readings at rest. `table_axis`: which turns the sensor's. `neighbours_k`: also without a structure, moves within
+    so many kelvins together. `temperature_c`: at which a log without a thermometer was recorded.
+
+    Returns `calibrations` (SI, one a unit; `write_calibration` keeps them), `verdicts` (ppm or deg/h) and `messages` by
+    unit, every channel's fit, and `as_wished`. Generalised least squares of the whitened readings: the covariance that
+    `predict` predicts, of what was done.
+
+    Errors: `LogError` and `ValueError` where the log does not hold what the estimate needs.
+    """
+    options = Options(
+        earth_rate=earth_rate,
+        robust=robust,
+        lag=lag,
+        smoothness=smoothness,
+        clock=clock,
+        read_every=read_every,
+        table_axis=table_axis,
+        neighbours_k=neighbours_k,
+        temperature_c=temperature_c,
+    )
+    return estimate_calibration(expect_spec(spec), log, axes=axes, units=units, options=options)

@@ -44,7 +44,7 @@ BY_HAND: Final = (
 """Why no plan of turns by hand is searched."""
 # A turn within this share of its cap is said to be at its limit.
 _AT_LIMIT: Final = 1e-3
-_FIRST: Final = 300
+_FIRST: Final = 100
 _POLISH: Final = 1000
 _POLISHES: Final = 3
 _BRIEF_POLISH: Final = 40

@@ -1,10 +1,11 @@
 """How the command line uses JAX: in float64, interruptible, without threads for small matrices or memory given back and
-forth, and without compiling tomorrow what it compiled today.
+forth, with few collections of garbage, and without compiling tomorrow what it compiled today.
 
 The library itself never changes JAX's global switches.
 """
 
 import ctypes
+import gc
 import os
 import signal
 import sys
@@ -14,6 +15,8 @@ from types import FrameType
 _SOON_S = 0.05
 # Of <malloc.h>: allocations that are maps of their own, bytes that are kept at the heap's end, and bytes taken ahead.
 _HEAP = {-4: 0, -1: 256 << 20, -2: 64 << 20}
+# Modules and programs being traced are many objects and hardly any garbage: Python looks through them a hundred times.
+_COLLECT = (100_000, 50, 100)
 
 
 def use_float64() -> None:
@@ -46,13 +49,14 @@ def _begin_compiling() -> None:
 
 
 def _keep_memory() -> None:
-    """Freed memory stays with the process, where the C library is GNU's.
+    """Garbage is looked for less often, and freed memory stays with the process, where the C library is GNU's.
 
     A program's arrays of some megabytes are otherwise given back after every call and cleared by the system before the
     next: a third of the time of a search whose readings are thousands. A process that has JAX already is not ours.
     """
     if "jax" in sys.modules:
         return
+    gc.set_threshold(*_COLLECT)
     try:
         allow = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):

@@ -1,18 +1,30 @@
 """`gradcal demo`: the whole job in one sitting, each step by the command that does it alone.
 
-Nothing is done here that the commands do not do: every step *is* a command line, run in this process, and every number
-told is read from what that command wrote.
+Nothing is done here that the commands do not do: every step calls a command's function and prints the command line that
+calls it in the same way, and every number comes from that command's output.
 """
 
 import contextlib
 import io
 import json as json_format
-from collections.abc import Mapping
+import shlex
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from gradcal_jax.cli.console import strong
+from gradcal_jax.cli.estimate import estimate
+from gradcal_jax.cli.instability import instability
+from gradcal_jax.cli.limit import limit
+from gradcal_jax.cli.log import log
+from gradcal_jax.cli.new import new
+from gradcal_jax.cli.optimise import optimise
 from gradcal_jax.cli.output import Flag, Json, Output, as_json
+from gradcal_jax.cli.predict import predict
+from gradcal_jax.cli.recipe import recipe
+from gradcal_jax.cli.recordings import Recording
+from gradcal_jax.cli.report import report
+from gradcal_jax.cli.run import run
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.units import time_text
@@ -39,9 +51,14 @@ _HEADLINE: Final[dict[str, object]] = {
     "design.moves": 2,
     "design.starts": 2,
 }
-_STEPS: Final = "60"
+_STEPS: Final = 60
 # Plans that the short search for a whole unit tries.
-_PLANS: Final = "150"
+_PLANS: Final = 150
+
+# The files of the demo, by the names under which its commands know them.
+_PAPER, _RECIPE, _REPORT = Path("paper.toml"), Path("recipe.toml"), Path("report.html")
+_RUN = Path("run")
+_LOG, _CALIBRATION = _RUN / "log.nc", _RUN / "calibration.toml"
 
 # Axis y, whose bias follows the temperature best. The recording names no units: time fits µs, white noise rad/s.
 _COLUMNS: Final = """\
@@ -91,128 +108,117 @@ def demo(
     if not output.absolute().parent.is_dir():
         raise ValueError(f"there is no directory {output.parent}; make it first")
     output.mkdir(exist_ok=True)
-    told = _Told(output, quiet=json)
+    sitting = _Sitting(output, quiet=json)
     try:
         if data is not None:
-            result = _recorded_sensor(told, (data / RECORDING).absolute())
+            numbers = _recorded_sensor(sitting, (data / RECORDING).absolute())
         else:
-            result = _whole_unit(told, seed) if imu else _whole_job(told, seed)
+            numbers = _whole_unit(sitting, seed) if imu else _whole_job(sitting, seed)
     except _Stopped as stopped:
         return stopped.status
-    result = {"folder": str(told.folder), **result, "commands": told.commands}
-    text = as_json(result)
-    (told.folder / "demo.json").write_text(text + "\n", encoding="utf-8")
+    numbers = {"folder": str(sitting.folder), **numbers, "commands": sitting.commands}
+    text = as_json(numbers)
+    (sitting.folder / "demo.json").write_text(text + "\n", encoding="utf-8")
     if json:
         print(text)
     else:
         print(f"\nall of it lies in {output}; open {output / 'report.html'}")
-    rows = result["report"]["requirements"]
+    rows = numbers["report"]["requirements"]
     return DONE if all(row["verdict"] in (None, "met") for row in rows) else NOT_AS_WISHED
 
 
-def _whole_job(told: "_Told", seed: int) -> dict[str, Any]:
-    told.step("The paper's spec: its sensor, its table, its chamber, its plan")
-    told.run("new paper-dynamic-gradient -o paper.toml")
+def _whole_job(sitting: "_Sitting", seed: int) -> dict[str, Any]:
+    sitting.step("The paper's spec: its sensor, its table, its chamber, its plan")
+    sitting.run(new, "paper-dynamic-gradient", output=str(_PAPER))
 
-    told.step("What the paper's plan will leave")
-    paper = told.json("predict paper.toml --json")
+    sitting.step("What the paper's plan will leave")
+    paper = sitting.numbers(predict, _PAPER)
     row, hours = paper["requirements"][0], time_text(paper["duration_s"])
-    told.say(f"{row['name']}, {row['statistic']}: {amount(row['mean_of_max'], row['unit'])} in {hours}")
+    sitting.say(f"{row['name']}, {row['statistic']}: {amount(row['mean_of_max'], row['unit'])} in {hours}")
 
-    told.step("A better plan for the same sensor in the same time, on a table of 300 deg/s^2")
-    told.design("design.toml", _HEADLINE, "The paper's spec, with a [design].")
-    found, recipe = told.optimise("design.toml")
-    told.say(found["sentence"])
+    sitting.step("A better plan for the same sensor in the same time, on a table of 300 deg/s^2")
+    spec, limits = Path("design.toml"), Path("limit.json")
+    sitting.design(spec, _HEADLINE, "The paper's spec, with a [design].")
+    optimisation, designed = sitting.optimise(spec)
+    sitting.say(optimisation["sentence"])
 
-    told.step("What no plan can beat, proven")
-    limits = told.json("limit recipe.toml --json", keep="limit.json")
-    limit = next(entry for entry in limits if entry["name"] == recipe["name"])
-    told.say(
-        f"no plan on this rig in this time leaves less than {amount(limit['certified'], limit['unit'])}: "
-        f"efficiency {limit['efficiency']:.0%}"
+    sitting.step("What no plan can beat, proven")
+    bounds = sitting.numbers(limit, _RECIPE)
+    (sitting.folder / limits).write_text(as_json(bounds) + "\n", encoding="utf-8")
+    bound = next(entry for entry in bounds if entry["name"] == designed["name"])
+    sitting.say(
+        f"no plan on this rig in this time leaves less than {amount(bound['certified'], bound['unit'])}: "
+        f"efficiency {bound['efficiency']:.0%}"
     )
 
-    told.step("The run: simulated chamber, table and sensor on serial ports, hours of virtual time")
-    told.run(f"run recipe.toml --simulate --seed {seed} -o run")
-    told.step("Its log, from the raw bytes")
-    told.run("log run")
-
-    told.step("The calibration")
-    estimate = told.json("estimate run/log.nc --recipe recipe.toml -o run/calibration.toml --json")
-    (unit,) = estimate["units"]
-    achieved = next(entry for entry in unit["requirements"] if entry["name"] == recipe["name"])
+    calibration = sitting.calibration(seed, "table and sensor", "The calibration")
+    (unit,) = calibration["units"]
+    achieved = next(entry for entry in unit["requirements"] if entry["name"] == designed["name"])
     chance = unit["channels"][0]["consistency"]["chi_squared"]["probability"]
-    told.say(
+    sitting.say(
         f"{achieved['name']}: {amount(achieved['value'], achieved['unit'])} achieved, "
-        f"{amount(recipe['predicted'], recipe['unit'])} predicted; the data agree with the model (chance {chance:.2g})"
+        f"{amount(designed['predicted'], designed['unit'])} predicted; the data agree with the model "
+        f"(chance {chance:.2g})"
     )
 
-    told.step("The page")
-    report = told.json("report run -o report.html --before paper.toml --limits limit.json --json")
-    told.agreement(report, 3)
+    sitting.step("The page")
+    page = sitting.numbers(report, (_RUN,), output=_REPORT, before=_PAPER, limits=limits)
+    sitting.agreement(page, 3)
     return {
         "prediction": paper,
-        "recipe": recipe,
-        "optimisation": found,
-        "limits": limits,
-        "estimate": estimate,
-        "report": report,
+        "recipe": designed,
+        "optimisation": optimisation,
+        "limits": bounds,
+        "estimate": calibration,
+        "report": page,
     }
 
 
-def _whole_unit(told: "_Told", seed: int) -> dict[str, Any]:
-    told.step("A unit of three gyros and three accelerometers, and a plan for a two-axis table")
-    told.run("new two-axis-table -o unit.toml")
+def _whole_unit(sitting: "_Sitting", seed: int) -> dict[str, Any]:
+    spec, design = Path("unit.toml"), Path("design.toml")
+    sitting.step("A unit of three gyros and three accelerometers, and a plan for a two-axis table")
+    sitting.run(new, "two-axis-table", output=str(spec))
 
-    told.step("What that plan will leave of every quantity")
-    before = told.json("predict unit.toml --json")
+    sitting.step("What that plan will leave of every quantity")
+    before = sitting.numbers(predict, spec)
     for row in before["requirements"]:
-        told.say(f"{row['name']}: {amount(row[row['statistic'].replace(' ', '_')], row['unit'])}")
+        sitting.say(f"{row['name']}: {amount(row[row['statistic'].replace(' ', '_')], row['unit'])}")
 
-    told.step("Better poses and moves in the same time: a short search")
-    found = told.json(f"optimise unit.toml -o design.toml --steps {_PLANS} --json")
-    told.say(f"{found['gain']:.2f} times better in the geometric mean of all, after {found['evaluations']} plans")
-    told.run("recipe design.toml -o recipe.toml")
+    sitting.step("Better poses and moves in the same time: a short search")
+    optimisation = sitting.numbers(optimise, spec, output=design, steps=_PLANS)
+    gain, plans = optimisation["gain"], optimisation["evaluations"]
+    sitting.say(f"{gain:.2f} times better in the geometric mean of all, after {plans} plans")
+    sitting.run(recipe, design, output=_RECIPE)
 
-    told.step("The run: simulated chamber, table and unit on serial ports, hours of virtual time")
-    told.run(f"run recipe.toml --simulate --seed {seed} -o run")
-    told.step("Its log, from the raw bytes")
-    told.run("log run")
-
-    told.step("The calibration of all axes, and what the run says of the table")
-    estimate = told.json("estimate run/log.nc --recipe recipe.toml -o run/calibration.toml --json")
-    told.step("The page")
-    report = told.json("report run -o report.html --json")
-    for row in report["requirements"]:
-        told.say(
+    title = "The calibration of all axes, and what the run says of the table"
+    calibration = sitting.calibration(seed, "table and unit", title)
+    sitting.step("The page")
+    page = sitting.numbers(report, (_RUN,), output=_REPORT)
+    for row in page["requirements"]:
+        sitting.say(
             f"{row['name']}: {amount(row['achieved'], row['unit'])} achieved, "
             f"{amount(row['predicted'], row['unit'])} predicted"
         )
-    told.agreement(report, 4)
-    return {
-        "prediction": before,
-        "optimisation": found,
-        "estimate": estimate,
-        "report": report,
-    }
+    sitting.agreement(page, 4)
+    return {"prediction": before, "optimisation": optimisation, "estimate": calibration, "report": page}
 
 
-def _recorded_sensor(told: "_Told", recording: Path) -> dict[str, Any]:
+def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
     from gradcal_jax.files.writing import write_whole
 
-    told.step("A MEMS gyro at rest through one thermal cycle: its drift, by the paper's Direct Bound")
-    write_whole(told.folder / "columns.toml", _COLUMNS)
-    where = json_format.dumps(str(recording))
-    instability = told.json(f"instability {where} --columns columns.toml --axis y --delta '60 s' --json")
-    (channel,) = instability["channels"]
+    sitting.step("A MEMS gyro at rest through one thermal cycle: its drift, by the paper's Direct Bound")
+    columns, spec = Path("columns.toml"), Path("sensor.toml")
+    write_whole(sitting.folder / columns, _COLUMNS)
+    drifts = sitting.numbers(instability, recording, source=Recording(columns), axis=("y",), delta="60 s")
+    (channel,) = drifts["channels"]
     walk, drift = channel["angle_random_walk_deg_per_sqrt_h"], channel["drift_std_deg_per_h"]
     lasting = channel["correlation_time_s"]
-    told.say(f"axis y: {drift:.4g} deg/h with a correlation time of {lasting:.4g} s; random walk {walk:.4g} deg/√h")
-    told.say("the recording names no units: it is read as µs and rad/s")
+    sitting.say(f"axis y: {drift:.4g} deg/h with a correlation time of {lasting:.4g} s; random walk {walk:.4g} deg/√h")
+    sitting.say("the recording names no units: it is read as µs and rad/s")
 
-    told.step("A spec of that sensor, on the paper's rig; its maps are cubic, and their size is unknown")
-    told.design(
-        "sensor.toml",
+    sitting.step("A spec of that sensor, on the paper's rig; its maps are cubic, and their size is unknown")
+    sitting.design(
+        spec,
         _HEADLINE
         | {
             "title": "The recorded gyro on the paper's rig",
@@ -226,21 +232,21 @@ def _recorded_sensor(told: "_Told", recording: Path) -> dict[str, Any]:
         },
         "Noise as recorded; the rest is the paper's, with a [design].",
     )
-    before = told.json("predict sensor.toml --json")
+    before = sitting.numbers(predict, spec)
     row, hours = before["requirements"][0], time_text(before["duration_s"])
-    told.say(f"a plan by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {hours}")
+    sitting.say(f"a plan by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {hours}")
 
-    told.step("A plan designed for it")
-    found, recipe = told.optimise("sensor.toml")
+    sitting.step("A plan designed for it")
+    optimisation, designed = sitting.optimise(spec)
 
-    told.step("The page")
-    report = told.json("report recipe.toml -o report.html --before sensor.toml --json")
+    sitting.step("The page")
+    page = sitting.numbers(report, (_RECIPE,), output=_REPORT, before=spec)
     return {
-        "instability": instability,
+        "instability": drifts,
         "prediction": before,
-        "recipe": recipe,
-        "optimisation": found,
-        "report": report,
+        "recipe": designed,
+        "optimisation": optimisation,
+        "report": page,
     }
 
 
@@ -252,8 +258,8 @@ class _Stopped(Exception):
         self.status = status
 
 
-class _Told:
-    """Runs command lines in the folder, and tells of them. `commands`: those that were run."""
+class _Sitting:
+    """Calls commands in the folder and reports on them. `commands`: their command lines."""
 
     def __init__(self, folder: Path, *, quiet: bool) -> None:
         self.folder = folder.absolute()
@@ -261,64 +267,87 @@ class _Told:
         self._quiet = quiet
         self._number = 0
 
-    def step(self, words: str) -> None:
+    def step(self, title: str) -> None:
         """Begin a step."""
         self._number += 1
-        self.say(strong(f"\n{self._number}. {words}"), indent="")
+        self.say(strong(f"\n{self._number}. {title}"), indent="")
 
     def say(self, text: str, *, indent: str = "   ") -> None:
-        """A line for people; none where JSON is asked for."""
+        """Print a line for people; none where JSON is asked for."""
         if not self._quiet:
             print(indent + text, flush=True)
 
-    def optimise(self, spec: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Search a plan for a spec; what the search says, and the requirement that the recipe was designed for."""
+    def optimise(self, spec: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Search a plan for a spec: the search's own record, and the requirement that the recipe was designed for."""
         from gradcal_jax.files.recipe import read_recipe
 
-        found = self.json(f"optimise {spec} -o recipe.toml --steps {_STEPS} --json")
-        made = read_recipe(self.folder / "recipe.toml")
-        row = made.prediction.requirements[0]
-        recipe = {"file": "recipe.toml", "fingerprint": made.fingerprint, "name": row.name, "statistic": row.statistic}
-        self.say(f"{row.name}: {amount(row.decisive, row.unit)}; {found['structure']}")
-        return found, recipe | {"predicted": row.decisive, "unit": row.unit}
+        record = self.numbers(optimise, spec, output=_RECIPE, steps=_STEPS)
+        plan = read_recipe(self.folder / _RECIPE)
+        row = plan.prediction.requirements[0]
+        self.say(f"{row.name}: {amount(row.decisive, row.unit)}; {record['structure']}")
+        return record, {
+            "file": str(_RECIPE),
+            "fingerprint": plan.fingerprint,
+            "name": row.name,
+            "statistic": row.statistic,
+            "predicted": row.decisive,
+            "unit": row.unit,
+        }
 
-    def design(self, name: str, changes: Mapping[str, object], header: str) -> None:
+    def calibration(self, seed: int, devices: str, title: str) -> dict[str, Any]:
+        """Run the recipe on simulated devices, make the log and estimate the calibration."""
+        self.step(f"The run: simulated chamber, {devices} on serial ports, hours of virtual time")
+        self.run(run, _RECIPE, simulate=True, seed=seed, output=_RUN)
+        self.step("Its log, from the raw bytes")
+        self.run(log, _RUN)
+        self.step(title)
+        return self.numbers(estimate, _LOG, recipe=_RECIPE, output=_CALIBRATION)
+
+    def design(self, file: Path, changes: Mapping[str, object], header: str) -> None:
         """Write the paper's spec, changed, into the folder."""
         from gradcal_jax.files import changed, presets, to_toml
         from gradcal_jax.files.spec import parse_spec
         from gradcal_jax.files.writing import write_whole
 
         spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), changes)
-        write_whole(self.folder / name, to_toml(spec, header=header))
+        write_whole(self.folder / file, to_toml(spec, header=header))
 
-    def agreement(self, report: dict[str, Any], digits: int) -> None:
-        """How far what was found is from what was hidden."""
-        if (agreement := report["axes"][0]["agreement"]) is not None:
+    def agreement(self, page: dict[str, Any], digits: int) -> None:
+        """Print how well the estimate agrees with the hidden truth."""
+        if (agreement := page["axes"][0]["agreement"]) is not None:
             chi, degrees, likely = agreement
             self.say(
                 f"against the hidden truth: χ² {chi:.{digits}g} of {degrees} degrees for all coefficients together "
                 f"(chance {likely:.2g})"
             )
 
-    def run(self, line: str) -> str:
-        """Run `gradcal LINE`; what it printed. Raises `_Stopped` where it failed."""
-        import shlex
-
-        from gradcal_jax.cli.app import run
-
-        self.commands.append(f"gradcal {line}")
-        self.say(f"$ gradcal {line}")
-        printed = io.StringIO()
-        # Short names, as whoever repeats the commands in that folder would type them.
-        with contextlib.chdir(self.folder), contextlib.redirect_stdout(printed):
-            status = run(shlex.split(line))
+    def run(self, command: Callable[..., int], *arguments: Any, **options: Any) -> str:
+        """Call a command and return its output. Raises `_Stopped` where it failed."""
+        line = shlex.join(["gradcal", command.__name__, *_words(arguments, options)])
+        self.commands.append(line)
+        self.say(f"$ {line}")
+        output = io.StringIO()
+        # In the folder, so that the names are as short as in a terminal there.
+        with contextlib.chdir(self.folder), contextlib.redirect_stdout(output):
+            status = command(*arguments, **options)
         if status not in (DONE, NOT_AS_WISHED):
             raise _Stopped(status)
-        return printed.getvalue()
+        return output.getvalue()
 
-    def json(self, line: str, *, keep: str | None = None) -> Any:
-        """Run a command that prints JSON, and read it; `keep`: write what it printed there, too."""
-        text = self.run(line)
-        if keep is not None:
-            (self.folder / keep).write_text(text, encoding="utf-8")
-        return json_format.loads(text)
+    def numbers(self, command: Callable[..., int], *arguments: Any, **options: Any) -> Any:
+        """Call a command with --json and return its numbers."""
+        return json_format.loads(self.run(command, *arguments, **options, json=True))
+
+
+def _words(arguments: tuple[Any, ...], options: Mapping[str, Any]) -> Iterator[str]:
+    """A command's arguments and options as they are typed."""
+    for argument in arguments:
+        yield from map(str, argument) if isinstance(argument, tuple) else [str(argument)]
+    for name, value in options.items():
+        if isinstance(value, Recording):
+            yield from ("--columns", str(value.columns))
+        elif isinstance(value, tuple):
+            yield from (word for each in value for word in (f"--{name}", each))
+        else:
+            yield "-o" if name == "output" else f"--{name}"
+            yield from () if value is True else [str(value)]

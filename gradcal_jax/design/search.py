@@ -26,8 +26,8 @@ _SURVIVORS, _FEWEST = 0.5, 4
 _QUICK_STEPS = 200
 # For an objective of more noise steps than this fewer begin, in proportion, and fewer hop.
 _CHEAP, _FEWEST_DEAR = 1024, 2
-# On a CPU the products' kernels are not XLA's own: its optimisations take a fifth of the time to compile, and what makes
-# small kernels run a little quicker a third; neither can be seen in the search. (JAX 0.11 refuses the second option.)
+# On a CPU the kernels of products are not XLA's own: its optimisations take a fifth of the time to compile, and the
+# emitters that make small kernels a little quicker a third; neither shows in a search. (JAX 0.11 refuses the second.)
 _COMPILER = {"xla_backend_optimization_level": 1} | (
     {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
 )

@@ -1,5 +1,6 @@
 """The demo: one sitting whose numbers are the same on the terminal, in its files, its JSON, its page, a notebook."""
 
+import inspect
 import json
 import os
 import re
@@ -10,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from gradcal_jax.cli import demo as room
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
+from gradcal_jax.cli.recordings import Recording
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.unit_calibration import read_any_calibration
@@ -47,6 +50,27 @@ def test_a_demo_overwrites_nothing_and_names_the_data_that_it_misses(tmp_path, c
     assert main(["demo", "-o", str(tmp_path / "new"), "--data", str(tmp_path), "--imu"]) == 2
     assert "take one of them" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["full"]
+
+
+CALLS = (
+    (room.new, ("paper-dynamic-gradient",), {"output": "paper.toml"}),
+    (room.optimise, (Path("a b.toml"),), {"output": Path("recipe.toml"), "steps": 60, "json": True}),
+    (room.run, (Path("recipe.toml"),), {"simulate": True, "seed": 3, "output": Path("run")}),
+    (room.report, ((Path("run"),),), {"output": Path("r.html"), "before": Path("p.toml"), "json": True}),
+    (
+        room.instability,
+        (Path("record.npz"),),
+        {"source": Recording(Path("columns.toml")), "axis": ("y",), "delta": "60 s", "json": True},
+    ),
+)
+
+
+@pytest.mark.parametrize(("command", "arguments", "options"), CALLS)
+def test_the_command_line_that_is_printed_makes_the_same_call(command, arguments, options):
+    line = [command.__name__, *room._words(arguments, options)]
+    called, bound, _ = build().parse_args(shlex.split(shlex.join(line)), exit_on_error=False, print_error=False)
+    assert called is command
+    assert bound.arguments == inspect.signature(command).bind(*arguments, **options).arguments
 
 
 @pytest.mark.evidence

@@ -140,8 +140,7 @@ def basis(section) -> model.Basis:
 
 def map_of(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
     """`B(T)` or `M(T, ω)` with its priors, from a spec. The constant of a bias *is* this run's turn-on bias, so their
-    priors add.
-    """
+    priors add."""
     beyond, rate, degree = section.discrepancy, None, 0
     if isinstance(section, ScaleFactor):
         rate, degree = basis(section.rate), 0 if section.discrepancy is None else section.discrepancy.rate_degree

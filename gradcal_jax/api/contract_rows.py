@@ -136,8 +136,7 @@ def coefficient_rows(calibration: "UnitCalibration") -> list[dict[str, Any]]:
 
 def random_walks(gyro: "Sensor | GyroTriad") -> dict[str, Any]:
     """A gyro's noise for a calibration file: white noise and rate random walk. Over times much shorter than its
-    correlation time, a drift is a rate random walk and is added to it.
-    """
+    correlation time, a drift is a rate random walk and is added to it."""
     square = float(gyro.rate_random_walk or 0.0) ** 2
     square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in gyro.drift)
     slow = {"rate_random_walk": Quantity.of(sqrt(square), "rad/s/sqrt(s)")} if square > 0.0 else {}

@@ -34,8 +34,7 @@ _GYRO_RATE = {"basis": "polynomial", "degree": 0, "scale": "300 deg/s"}
 
 class HandReport(NamedTuple):
     """The estimate of one unit. `tests` by name; `gravity_left` (m/s²): rms of |f| − g over the positions; `turns_left`
-    (rad): rms error of gravity's direction after a turn, in each of two directions across it.
-    """
+    (rad): rms error of gravity's direction after a turn, in each of two directions across it."""
 
     unit: str
     solution: ByHand

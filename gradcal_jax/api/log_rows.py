@@ -111,8 +111,7 @@ def host_time(log: Log) -> tuple[np.ndarray, str]:
 
 def of_host_clock(spec: AnySpec, logs: Sequence[Log], options: Options) -> AnySpec:
     """The spec for an estimate: where rates are integrated over the host's time, the sample clock's error is replaced
-    by the standard deviation of the line through both clocks, if the logs state it.
-    """
+    by the standard deviation of the line through both clocks, if the logs state it."""
     if options.clock != "host":
         return spec
     fits = [_clock_fits(log)[1] for log in logs]
@@ -159,8 +158,7 @@ def bridged_temperature(log: Log, unit: int, constant_c: float | None) -> np.nda
 
 def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
     """The table axis that turns a sensor axis; None for a log without table axes. Raises `LogError` where it is
-    unclear.
-    """
+    unclear."""
     if named is not None:
         if named not in log.table_axes:
             raise LogError(f"the log has no table axis '{named}': it has {', '.join(log.table_axes) or 'none'}")

@@ -138,8 +138,7 @@ def measure(spec: Spec) -> Measure:
 
 def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
     """Models with the hidden map among their parameters, the criterion of missing it, and the number of parameters of
-    the believed model (None: all, where the sensor has a discrepancy of its own).
-    """
+    the believed model (None: all, where the sensor has a discrepancy of its own)."""
     models, missing, believed = [], [], None
     for spec, built, _ in scenarios:
         tested = tested_maps(spec)[SCALE_FACTOR]

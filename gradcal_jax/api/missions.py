@@ -90,8 +90,7 @@ def mission_table(built: Assembled, requirement: HeadingRequirement, left: np.nd
 
 class ErrorCurve(NamedTuple):
     """The error of the integrated rate (deg, 1σ) at times (s) of a mission, `(n,)` each: `left` by the calibration, and
-    the unit's own noise.
-    """
+    the unit's own noise."""
 
     file: str
     time: np.ndarray

@@ -298,7 +298,10 @@ def finished(
     elif now > (1.0 + _DEAR) * optimum.value:
         more = 100.0 * (now / optimum.value - 1.0)
         sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
-    kept = before is not None and now >= before and motion is None and _within_limits(spec, of)
+    kept = before is not None and now >= before and motion is None
+    if kept and of.limits:
+        verdicts = {row.name: row.verdict for row in predict(spec).requirements}
+        kept = all(verdicts.get(name) == "met" for name in of.limits)
     if kept or not np.isfinite(now):
         try:
             plan = rounded(spec, steps_of(spec)).spec
@@ -310,6 +313,8 @@ def finished(
             f"nothing better than the plan as it was ({now:.4g} {of.unit}), which is kept; try more moves or starts"
             + (f" ({sentence})" if not np.isfinite(now) or optimum.value < 0.9 * now else "")
         )
+    compiled = of.compiled(structure.coordinates)
+    ends = [exactly(compiled, point) for point in state.points]
     return Optimised(
         plan,
         of.name,
@@ -319,7 +324,7 @@ def finished(
         now,
         converged,
         sentence,
-        _ends(of.compiled(structure.coordinates), state),
+        tuple(sorted(value if np.all(excess <= KEPT) else float(np.inf) for value, excess in ends)),
         optimum.gradient_norm,
         active_limits(coordinates, optimum.point) if isinstance(coordinates, Coordinates) else (),
         shadow_prices(of, coordinates, optimum) if isinstance(coordinates, Coordinates) else (),
@@ -359,18 +364,6 @@ def polished(
         if not gained:
             break
     return coordinates, optimum
-
-
-def _ends(compiled: Compiled, state: SearchState) -> tuple[float, ...]:
-    """Where each start ended, the best first; `inf` where a limit is exceeded."""
-    ends = [exactly(compiled, point) for point in state.points]
-    return tuple(sorted(value if np.all(excess <= KEPT) else float(np.inf) for value, excess in ends))
-
-
-def _within_limits(spec: Spec, of: Measure) -> bool:
-    """Whether the prediction of the spec's own plan meets the targets that limit the search."""
-    rows = {row.name: row.verdict for row in predict(spec).requirements} if of.limits else {}
-    return all(rows.get(name) == "met" for name in of.limits)
 
 
 def best_programme(
@@ -437,8 +430,7 @@ PRICED: Final = (
 
 def shadow_prices(of: Measure, coordinates: Coordinates, optimum: Optimum) -> tuple[Price, ...]:
     """The objective's derivatives in the limits. At an optimum the derivative through the free numbers vanishes
-    (envelope theorem); the multipliers count that easing a limit also changes the binding targets.
-    """
+    (envelope theorem); the multipliers count that easing a limit also changes the binding targets."""
     compiled = of.compiled(coordinates)
     slopes = compiled(optimum.point)
     derivatives = np.exp(slopes.logs[0]) * (

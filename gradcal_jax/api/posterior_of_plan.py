@@ -90,8 +90,7 @@ def contrasts_of(
     model: SensorModel, requirement: Requirement, name: Statistic, at: tuple[np.ndarray, np.ndarray] | None = None
 ) -> Contrasts:
     """The residual on a grid (by default `box`) as linear functions of the parameters; those of missions are scaled
-    such that the unweighted statistic `name` is the weighted one.
-    """
+    such that the unweighted statistic `name` is the weighted one."""
     if isinstance(requirement, HeadingRequirement):
         rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
         return mission_contrasts(model, np.stack(rows)).times(weights(requirement, name)[:, 0])

@@ -62,8 +62,7 @@ def with_done(spec: AnySpec, done: Sequence[Span], pause_s: float = PAUSE_S) -> 
 def known_so_far(spec: Spec | UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
     """The residual of each requirement after the executed spans of the spec's plan, and after the plan has continued
     from `goes_on_s` (s, its clock): the end of the last span while a run is under way, or the start of a repeated step.
-    Of a whole unit only whole cycles count.
-    """
+    Of a whole unit only whole cycles count."""
     if isinstance(spec, UnitSpec):
         return _known_of_unit(spec, done, goes_on_s)
     ends_s, rows = spec.schedule.duration, list[KnownRow]()

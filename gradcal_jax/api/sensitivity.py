@@ -31,8 +31,7 @@ _ENCODER, _DISCREPANCY = "encoder's error by angle", "model discrepancy"
 
 def sensitivities(spec: Spec | UnitSpec) -> Sensitivities:
     """The elasticities of every requirement of a spec, on the axis of its largest residual; of a whole unit by central
-    differences. Errors: `ValueError` where nothing is required or observed.
-    """
+    differences. Errors: `ValueError` where nothing is required or observed."""
     if isinstance(spec, UnitSpec):
         return unit_sensitivities(spec)
     expect_whole(spec, "a sensitivity")

@@ -35,8 +35,6 @@ _LEAST_MOVES: Final = 4
 # Numbers of turns at the table that are searched where the cycle's length is free.
 _FREE_VISITS: Final = (3, 4, 6)
 _FREE: Final = {"duration": "duration", "rest": "duration", "turn": "duration", "peak_rate": "peak_rate"}
-
-
 # Numbers of slopes of a programme for a standing axis.
 _STRETCHES: Final = (2, 4, 6)
 

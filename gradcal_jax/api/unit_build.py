@@ -23,6 +23,8 @@ SPECIFIC_FORCE_BIAS = "bias"
 SECOND_ORDER = "second_order"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
 _ROUGH = 16
+# Standard deviation of an angle that is known exactly, rad: far below any encoder's.
+_EXACT = 1e-12
 # Rounding of a move's rate, at the rate up to which accelerometers are read.
 _SLACK = 1e-9
 
@@ -94,10 +96,6 @@ def _installation(spec: UnitSpec) -> tuple[model.InstallationTerm, ...]:
     if spec.sensor.sample_clock_error:
         terms.append(model.CommonScale(np.array([float(spec.sensor.sample_clock_error)]), "sample_clock"))
     return tuple(terms)
-
-
-# rad: far below any encoder.
-_EXACT = 1e-12
 
 
 # The axes to which the terms of a section belong: none, the other axes, all of them, pairs of them.

@@ -56,8 +56,7 @@ class InternalMisalignment(NamedTuple):
 
 class UnitReport(NamedTuple):
     """The estimate of one unit, in SI except `requirements`. `channels`: tests of χ² and whiteness of each channel's
-    rows; `gravity`: rms of |f| − g over the rests, m/s², before the calibration and after it.
-    """
+    rows; `gravity`: rms of |f| − g over the rests, m/s², before the calibration and after it."""
 
     unit: str
     built: AssembledUnit
@@ -187,8 +186,7 @@ def _read(
     about: np.ndarray | None = None,
 ) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
     """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
-    estimate, linearised about `about`.
-    """
+    estimate, linearised about `about`."""
     try:
         done = estimation.executed_unit(seen, built.motion.geometry)
     except ValueError as error:

@@ -48,8 +48,7 @@ _RELAXED = (
 
 class _Look(NamedTuple):
     """The time of the plan in steps: `start`, `duration` s, the temperature (°C) at their `begin` and `end`, and
-    whether their data are `used`.
-    """
+    whether their data are `used`."""
 
     start: np.ndarray
     duration: np.ndarray

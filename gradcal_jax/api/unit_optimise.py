@@ -35,8 +35,7 @@ _MANY = 6
 
 class UnitOptimum(NamedTuple):
     """An optimised unit spec, with its requirements before and after: `rows` of (name, unit, before, now); None: not
-    observable. `gain`: geometric mean of before over now.
-    """
+    observable. `gain`: geometric mean of before over now."""
 
     spec: UnitSpec
     rows: tuple[tuple[str, str, float | None, float | None], ...]
@@ -107,8 +106,7 @@ def optimise_unit(
 
 class CycleValue:
     """The objective of a cycle: the logarithm of residual over target, on a coarse grid; with `uncertain` noise its
-    mean over the scenarios, or the worst.
-    """
+    mean over the scenarios, or the worst."""
 
     def __init__(self, spec: UnitSpec):
         design = spec.design or UnitDesign()
@@ -240,8 +238,7 @@ def _gram_of(built: AssembledUnit) -> np.ndarray:
 
 def _statistics(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[float | None]:
     """Every requirement's statistic in the units of `UNIT_OF_QUANTITY`, from the Gram matrix: its scaled columns are
-    far from parallel where everything is observable.
-    """
+    far from parallel where everything is observable."""
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
     seen = values > 1e-13 * values[-1]

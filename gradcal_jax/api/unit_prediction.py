@@ -19,8 +19,7 @@ from gradcal_jax.trajectory import TableMotion, body_nodes
 
 def predict_unit(spec: UnitSpec) -> Prediction:
     """The residual of every requirement after a unit's plan, and every parameter's standard deviation (1σ). Errors:
-    none.
-    """
+    none."""
     built = assemble_unit(spec)
     known = posterior_of_unit(built)
     return Prediction(
@@ -32,8 +31,7 @@ def predict_unit(spec: UnitSpec) -> Prediction:
 
 def of_plan(spec: Spec | UnitSpec, model: SensorModel | UnitModel, known: Mapping[Any, Posterior]) -> dict[str, Any]:
     """The part of a prediction that is common to all plans: title, times, the reported parameters and their covariance;
-    axes, which are independent, in order.
-    """
+    axes, which are independent, in order."""
     count = model.calibrated
     names, units, reported = model.names(), model.units(), model.to_reported[:count]
     rows, size = [], len(known) * count

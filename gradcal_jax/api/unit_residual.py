@@ -51,8 +51,7 @@ UNITS_OF_TERMS = {
 class UnitResidual(NamedTuple):
     """Standard deviations of one quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`, on the
     temperatures (°C) and, for the scale factor, the rates (rad/s) of a requirement. `si`: how many of the unit are one
-    in SI.
-    """
+    in SI."""
 
     labels: tuple[str, ...]
     temperatures: np.ndarray
@@ -65,8 +64,7 @@ class UnitResidual(NamedTuple):
 class QuantityElement(NamedTuple):
     """A linear function of a unit's parameters on `g` points: `rows` `(g, k)` of those in `where`. `alone`, `variance`:
     of the discrepancy, which is not in the calibration: its posterior variance is replaced by that of its prior
-    (None: no such part).
-    """
+    (None: no such part)."""
 
     label: str
     where: slice
@@ -125,8 +123,7 @@ def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequi
 
 def summed_up(requirement: UnitRequirement, left: UnitResidual) -> dict[str, float | None]:
     """The statistics by name; None: not observable. Each element has a statistic over temperature (and rate); over
-    several elements it is the worst or, for "all", the root mean square.
-    """
+    several elements it is the worst or, for "all", the root mean square."""
     names: list[Statistic] = [
         name for name in STATISTICS if name != "mean of max" or isinstance(requirement, GyroScaleFactorRequirement)
     ]
@@ -224,8 +221,7 @@ def internal_misalignments(
     model: UnitModel, kind: ChannelKind, temperatures: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Misalignments that no rotation of the unit changes, by name, `(n_T, p)`: sums of opposite misalignments and, for
-    accelerometers, the rotation of their triad against the gyros'.
-    """
+    accelerometers, the rotation of their triad against the gyros'."""
 
     def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
         return _row(model, which, i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures)

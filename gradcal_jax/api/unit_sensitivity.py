@@ -63,8 +63,7 @@ class Sensitivities(NamedTuple):
 
 def unit_sensitivities(spec: UnitSpec) -> Sensitivities:
     """The elasticities of every requirement of a unit's spec. Errors: `ValueError` where nothing is required or
-    observed.
-    """
+    observed."""
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
     nominal = _residuals(spec)

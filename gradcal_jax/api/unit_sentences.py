@@ -41,8 +41,7 @@ def prior_deviations(built: AssembledUnit) -> np.ndarray:
 
 def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     """A sentence for each thing that the plan cannot observe, remedies first; and for requirements beyond the plan's
-    temperatures.
-    """
+    temperatures."""
     names = unobserved_parameters(built, known)
     motion = built.motion
     axes = frames(motion.geometry, motion.angles()[0], motion.mounting).axes
@@ -82,8 +81,7 @@ _FAMILIES = {
 
 def _limited_by_priors(built: AssembledUnit, known: Posterior) -> list[str]:
     """Errors of the installation that the plan does not observe and that dominate the error of a parameter of the unit:
-    any plan, or this one, cannot separate the two (a gauge freedom of the measurement).
-    """
+    any plan, or this one, cannot separate the two (a gauge freedom of the measurement)."""
     model, names = built.model, built.model.names()
     own = model.to_reported[: model.calibrated]
     spread = own @ known.spread
@@ -197,8 +195,7 @@ def _orthogonality_is_hidden(built: AssembledUnit, known: Posterior) -> bool:
 
 def _reversals(built: AssembledUnit, axes: np.ndarray) -> list[str]:
     """Sentences on outer axes without turns at opposite inner angles: there the misalignment towards the axis cannot be
-    separated from the non-orthogonality of outer and inner axis.
-    """
+    separated from the non-orthogonality of outer and inner axis."""
     motion, table = built.motion, built.spec.rig.table
     sentences: list[str] = []
     for k in range(len(table.axis) - 1):

@@ -30,8 +30,7 @@ _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_
 
 def unit_timeline(spec: UnitSpec) -> contract.UnitTimeline:
     """Every segment of a unit's plan with attitudes, the terms of each channel, and all priors. Errors: `ValueError`
-    for a spec with [[done]].
-    """
+    for a spec with [[done]]."""
     if spec.done:
         raise goes_on("a timeline")
     built = assemble_unit(spec)

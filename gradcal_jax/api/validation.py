@@ -98,8 +98,7 @@ def validate(
 def acceptances(calibration: Calibration, validations: list[AxisValidation]) -> list[Acceptance]:
     """Verdicts on the targets in the calibration: every cell's mean error must be within the target (simple acceptance)
     or, where the requirement has a risk, within the acceptance limit for that risk of an error beyond the target. Cells
-    of a single move or rest have no scatter, and are left out.
-    """
+    of a single move or rest have no scatter, and are left out."""
     rows: list[Acceptance] = []
     by_axis = {one.axis: one for one in validations}
     for result in calibration.result:

@@ -71,8 +71,7 @@ def _number(count: int) -> str:
 
 def distinct_rates(spec: Spec) -> int | None:
     """The number of different rates, counted with sign, at which the plan turns; None where a move's rate varies
-    throughout.
-    """
+    throughout."""
     schedule = spec.schedule
     if isinstance(schedule, StandardSchedule):
         return len({round(rate * DEG_PER_S, 6) for rate in schedule.rates})

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line (default: the process's own) and return its exit status. Does not raise for a user's
-    mistake.
-    """
+    mistake."""
     from gradcal_jax.cli.app import run
 
     return run(arguments)

@@ -60,8 +60,7 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
 
 def blind_of(spec: "Spec | UnitSpec") -> list[str]:
     """A sentence for each combination of parameters that the plan cannot observe; for a whole unit all warnings of
-    `check`.
-    """
+    `check`."""
     use_float64()
     from gradcal_jax import api
     from gradcal_jax.api.flow import check as check_of

@@ -213,8 +213,7 @@ def _options(
     temperature: str | None,
 ) -> dict[str, Any]:
     """The options' texts as fields of `api.estimate_options.Options`, in SI. Raises `ValueError` with the option's
-    name.
-    """
+    name."""
     earth = 0.0
     if earth_rate is not None and latitude is not None:
         raise ValueError("--earth-rate and --latitude both give the Earth rate: use one of them")

@@ -52,8 +52,7 @@ def drawable(plot: Path | None) -> None:
 
 def save_figure(draw: "Callable[[Any], Figure]", plot: Path | None, *, quiet: bool) -> None:
     """Draw with `gradcal_jax.plots`, write the figure and, unless `quiet`, print its name. Without a `plot`, do
-    nothing.
-    """
+    nothing."""
     if plot is None:
         return
     from gradcal_jax import plots

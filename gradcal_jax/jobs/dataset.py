@@ -124,8 +124,7 @@ def variable_name(text: str) -> str:
 
 def read_dataset(path: str | Path) -> "xarray.Dataset":
     """The results of a sweep as labelled arrays: residuals in the unit of their attributes (ppm, deg/h; 1σ) over the
-    sweep's axes, verdicts, and the reason for every failed point. Errors: `ValueError` for another kind of file.
-    """
+    sweep's axes, verdicts, and the reason for every failed point. Errors: `ValueError` for another kind of file."""
     try:
         results = load_netcdf(path)
     except NetcdfError as error:

@@ -28,8 +28,7 @@ OVER_RATE: Final = ("scale_factor", "gyro_scale_factor")
 
 class Residual(NamedTuple):
     """One requirement on one channel: the statistics in the order of `STATISTICS` (None: not defined, or not
-    observable), in the unit of `UNIT_OF`, and the verdict: "met", "missed", "unobservable" or "" without a target.
-    """
+    observable), in the unit of `UNIT_OF`, and the verdict: "met", "missed", "unobservable" or "" without a target."""
 
     requirement: int
     channel: str

@@ -29,8 +29,7 @@ _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix")
 @dataclass(frozen=True)
 class SweepEstimate:
     """The result of `dry_run`: seconds of the first chunk, of a further one, and in all; of the first chunk's points
-    `failing` have no result.
-    """
+    `failing` have no result."""
 
     points: int
     failing: int

@@ -69,8 +69,7 @@ class ResultRow(NamedTuple):
 
 class Correction(NamedTuple):
     """The corrections of one axis at one temperature: bias (deg/h) and scale factor at ± the fastest rate (ppm), with
-    U.
-    """
+    U."""
 
     axis: str
     temperature_c: float
@@ -107,8 +106,7 @@ def certificate_of(
     performed: str = "",
 ) -> Certificate:
     """The contents of a certificate. `performed`: a date, or the first and the last as "2026-11-21..2026-11-22"; by
-    default that of the run. Errors: `ValueError` without a calibration, or for an invalid date.
-    """
+    default that of the run. Errors: `ValueError` without a calibration, or for an invalid date."""
     calibration = sources.calibration
     if calibration is None:
         raise ValueError("a certificate needs a calibration: name its file, or the folder of a run that has one")

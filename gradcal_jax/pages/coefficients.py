@@ -18,8 +18,7 @@ _SUPERSCRIPTS: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"
 
 class ParameterFact(NamedTuple):
     """A coefficient in `unit`, the function that it multiplies, its estimated and predicted one sigma, and the true
-    value of a simulation.
-    """
+    value of a simulation."""
 
     name: str
     axis: str
@@ -59,8 +58,7 @@ def parameter_fact(
     name: str, axis: str, multiplies: str, unit: str, factor: float, *numbers: float | None
 ) -> ParameterFact:
     """A coefficient in `unit`, of which `factor` are one in SI. `numbers` (SI): value, one sigma, predicted one sigma,
-    truth.
-    """
+    truth."""
     value, std, _, truth = numbers
     off = None if value is None or truth is None or not std else (value - truth) / std
     value, std, predicted, truth = (None if number is None else number * factor for number in numbers)
@@ -96,8 +94,7 @@ def agreement(
     values: Mapping[str, float], known: Covariance | None, hidden: Mapping[str, float]
 ) -> tuple[float, int, float] | None:
     """χ² of the errors of all coefficients by the estimate's covariance, its degrees of freedom, and the probability of
-    a larger one; None where a true value is not known.
-    """
+    a larger one; None where a true value is not known."""
     if known is None or not all(name in hidden for name in known.names):
         return None
     from scipy.special import chdtrc

@@ -57,8 +57,7 @@ class Picture(NamedTuple):
 def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], float]) -> list[list[Picture]]:
     """For each requirement whose box is in no earlier one: its maps on one colour scale, then their curves. A map that
     looks like the one before it is shown as their ratio. `targets`: the limits on the standard deviation, by
-    requirement and axis.
-    """
+    requirement and axis."""
     groups: list[list[Picture]] = []
     drawn: list[MapFact] = []
     for fact in facts:
@@ -159,12 +158,8 @@ def _holds(outer: MapFact, inner: MapFact) -> bool:
     if (outer.axis, outer.quantity) != (inner.axis, inner.quantity):
         return False
     one, other = outer.maps[0][1], inner.maps[0][1]
-    return bool(
-        one.temperature_c[0] <= other.temperature_c[0]
-        and one.temperature_c[-1] >= other.temperature_c[-1]
-        and one.rate_dps[0] <= other.rate_dps[0]
-        and one.rate_dps[-1] >= other.rate_dps[-1]
-    )
+    sides = ((one.temperature_c, other.temperature_c), (one.rate_dps, other.rate_dps))
+    return all(bool(wide[0] <= narrow[0] and wide[-1] >= narrow[-1]) for wide, narrow in sides)
 
 
 def _alike(box: Box, other: Box) -> bool:

@@ -64,10 +64,7 @@ def provenance_of(sources: Sources) -> list[tuple[str, str]]:
         rows += [("unit", calibration.serial_number), ("frame", calibration.frame), ("order", calibration.order)]
         names = {
             "program": "estimated by",
-            "estimator": "estimator",
-            "readings": "readings",
-            "rows": "rows",
-            "log": "log",
+            **{key: key for key in ("estimator", "readings", "rows", "log")},
             "spec": "model",
         }
         rows += [(words, calibration.provenance[key]) for key, words in names.items() if key in calibration.provenance]

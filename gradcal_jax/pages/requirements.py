@@ -57,8 +57,7 @@ def fact_of(row: RequirementRow, result: Result | UnitResult | None, **more: Any
 
 class MapFact(NamedTuple):
     """Residual maps of one requirement and axis, in the order before, predicted, achieved, as far as they are known;
-    for missions the curves of their error.
-    """
+    for missions the curves of their error."""
 
     name: str
     axis: str

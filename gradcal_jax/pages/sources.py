@@ -23,8 +23,7 @@ CALIBRATION_IN_RUN = "calibration.toml"
 @dataclass(frozen=True)
 class Sources:
     """The sources of a page. `unit`: the spec of a whole unit, in the place of a recipe. `limits`: the proven lower
-    limits, by requirement. `paths`: name and SHA-256 of each file; `notes`: mismatches between the sources.
-    """
+    limits, by requirement. `paths`: name and SHA-256 of each file; `notes`: mismatches between the sources."""
 
     unit: UnitSpec | None = None
     unit_calibration: UnitCalibration | None = None

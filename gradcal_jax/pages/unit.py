@@ -31,15 +31,19 @@ _MOST_ROWS = 80
 
 def unit_report_data(sources: Sources) -> ReportData:
     """All numbers of a page of a unit: of its plan, its calibration, or both. Raises `ValueError` for a run that never
-    began.
-    """
+    began."""
     spec, calibration, run = sources.unit, sources.unit_calibration, sources.run
     prediction = None if spec is None else api.predict(spec)
     history = None if run is None else history_of(run)
     hidden = _hidden(sources)
     notes = [*sources.notes, *(() if prediction is None else prediction.warnings)]
-    if calibration is not None and calibration.unobservable:
-        notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
+    axes: tuple[AxisFact, ...] = ()
+    if calibration is not None:
+        values = {row["name"]: row["value"] for row in coefficient_rows(calibration)}
+        agreed = agreement(values, calibration.covariance, hidden)
+        axes = (axis_fact(calibration, calibration.serial_number, (), agreed),)
+        if calibration.unobservable:
+            notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
     simulated = any(source is not None and source.simulated for source in (history, calibration))
     versions = versions_of(("gradcal_jax", "numpy", "scipy", "jax")).items()
     title = (None if spec is None else spec.title) or (None if calibration is None else calibration.title)
@@ -49,7 +53,7 @@ def unit_report_data(sources: Sources) -> ReportData:
         before_is="",
         requirements=tuple(_requirements(prediction, calibration)),
         parameters=tuple(_parameters(prediction, calibration, hidden)),
-        axes=() if calibration is None else (_unit_fact(calibration, hidden),),
+        axes=axes,
         examples=(),
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=() if spec is None else tuple(_assumed(spec)),
@@ -102,12 +106,6 @@ def _parameter(name: str, si: str, *numbers: float | None) -> ParameterFact:
     channel, _, symbol = name.partition(".")
     kind, _, axis = channel.rpartition("_")
     return parameter_fact(symbol, axis, kind, *UNITS_OF_TERMS.get(si, (si, 1.0)), *numbers)
-
-
-def _unit_fact(calibration: UnitCalibration, hidden: dict[str, float]) -> AxisFact:
-    """Tests of the fit and, for a simulation, the agreement of all coefficients with the true values."""
-    values = {row["name"]: row["value"] for row in coefficient_rows(calibration)}
-    return axis_fact(calibration, calibration.serial_number, (), agreement(values, calibration.covariance, hidden))
 
 
 def parameter_table(prediction: Prediction) -> list[tuple[str, ...]]:

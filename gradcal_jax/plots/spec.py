@@ -18,8 +18,7 @@ def draw_heading(
     curves: Sequence[tuple[str, ErrorCurve]], *, own: bool = True, first: int = 0, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
     """The heading error after calibrations over time (deg, 1σ), each with a label; with `own`, also the unit's own
-    noise and the sum of both. `first`: the index of the first curve's style.
-    """
+    noise and the sum of both. `first`: the index of the first curve's style."""
     ax = new_axes(ax)
     drawn: list[Line2D] = []
 

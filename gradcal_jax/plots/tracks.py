@@ -85,8 +85,7 @@ def _shape(move: TrackMove) -> list[tuple[float, float]]:
         return list(zip(inner.tolist(), [0.0, *(float(r) for r in move.rates), 0.0], strict=True))
     if move.cycles is not None:
         time = np.linspace(0.0, lasting, _WAVE * move.cycles + 1)
-        return list(
-            zip(time.tolist(), (peak * np.sin(2.0 * np.pi * move.cycles * time / lasting)).tolist(), strict=True)
-        )
+        rate = peak * np.sin(2.0 * np.pi * move.cycles * time / lasting)
+        return list(zip(time.tolist(), rate.tolist(), strict=True))
     ramp = 0.0 if move.acceleration is None else min(abs(peak) / float(move.acceleration), lasting / 2.0)
     return [(0.0, 0.0), (ramp, peak), (lasting - ramp, peak), (lasting, 0.0)]

@@ -45,11 +45,8 @@ def draw_unit_residual(requirement: UnitRequirement, residual: UnitResidual, *, 
         ax.axhline(target, color="black", linewidth=0.8, linestyle=":")
         ax.annotate("target", (0.01, target), xycoords=("axes fraction", "data"), va="bottom", fontsize=8)
     what = "largest over temperature, " if by_rate else ""
-    ax.set(
-        xlabel="rate, deg/s" if by_rate else "temperature, °C",
-        ylabel=f"{what}1σ, {residual.unit}",
-        title=requirement.name,
-    )
+    xlabel = "rate, deg/s" if by_rate else "temperature, °C"
+    ax.set(xlabel=xlabel, ylabel=f"{what}1σ, {residual.unit}", title=requirement.name)
     from_zero(ax)
     ax.set_ylim(top=1.08 * ax.get_ylim()[1])
     if len(residual.labels) > 1:

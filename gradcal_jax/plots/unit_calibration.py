@@ -104,9 +104,8 @@ def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Ax
     left = report.solution.accelerometer.left / G * 1e6
     drawn = ax.scatter(np.arange(1, len(left) + 1), left, s=14, color=PALETTE[0])
     ax.axhline(0.0, color="black", linewidth=0.7)
-    ax.set(
-        xlabel="position", ylabel="|f| - g, µg", title=f"the norm of gravity: {np.sqrt(np.mean(left**2)):.3g} µg rms"
-    )
+    title = f"the norm of gravity: {np.sqrt(np.mean(left**2)):.3g} µg rms"
+    ax.set(xlabel="position", ylabel="|f| - g, µg", title=title)
     return ax, drawn
 
 

@@ -214,7 +214,7 @@ def instability(
     walk = fit.angle_random_walk.value if angle_random_walk is None else angle_random_walk
     if angle_random_walk is None and walk <= fit.angle_random_walk.standard_error:
         raise LogError(
-            f"the Allan deviation of axis {rest.axis} shows no angle random walk, which the bound stands on: give the "
+            f"the Allan deviation of axis {rest.axis} shows no angle random walk, which the bound needs: give the "
             'data sheet\'s with --random-walk, such as "0.1 deg/sqrt(h)"'
         )
     times = identify.integration_times(max(shortest_s, interval), longest, interval, count=count)
@@ -329,7 +329,7 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
         notes.append(
             f"the fitted terms do not follow the curve (χ² {fit.chi_squared:.4g} of {fit.chi_squared_degrees} degrees; "
             f"{identify.MISFIT:.0%} of records of such noise are as far off), least of all near "
-            f"{fit.farthest_time_s:.3g} s: the record holds something else (a trend, a period, what temperature did); "
+            f"{fit.farthest_time_s:.3g} s: the record holds something else (a trend, a period, a thermal effect); "
             + (
                 f"times above {last:.3g} s are left out of the fit"
                 if last < fit.averaging_time_s[-1] / 2

@@ -11,7 +11,7 @@ from gradcal_jax.information import Posterior
 from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
 from gradcal_jax.trajectory import EARTH_RATE
 
-# A picture's curve has so many points.
+# Number of points of a curve in a figure.
 _CURVE = 61
 # The sensor's clock is the same in the calibration and in the mission: the calibration's part counts it.
 _NOT_OWN = ("sample clock", "turn-on bias")
@@ -34,8 +34,8 @@ def flights_of(requirement: HeadingRequirement) -> list[tuple[Flight, float]]:
 def own_noise(built: Assembled, flight: Flight, time: float) -> dict[str, float]:
     """Standard deviation of the integrated rate (rad) at `time` (s) in a mission, by source of the unit's own noise.
 
-    The turn-on bias is drawn twice where a calibration estimates the bias: in its run, of which it keeps it, and in the
-    mission. A rate random walk counts from the mission's beginning.
+    Where a calibration estimates the bias, two turn-on biases count: that of its run, which is in the map, and that
+    of the mission. A rate random walk counts from the mission's beginning.
     """
     model, sensor = built.model, built.spec.sensor
     deviations = {"angle random walk": float(model.angle_random_walk) * time**0.5}

@@ -159,8 +159,8 @@ def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
     walk = fit.angle_random_walk
     if not walk.value > walk.standard_error:
         raise LogError(
-            f"the Allan deviation of axis {axis} of unit {unit} shows no angle random walk, which the estimate stands "
-            "on: record for longer, or give a spec with --spec"
+            f"the Allan deviation of axis {axis} of unit {unit} shows no angle random walk, which the estimate "
+            "needs: record for longer, or give a spec with --spec"
         )
     if not plausible(fit):
         raise LogError(f"axis {axis} of unit {unit}: {too_noisy(fit)}")

@@ -112,18 +112,16 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
             ax.legend()
 
     words = "Temperature of the chamber on the plan's clock"
-    words += "." if history is None else ", which stands while a step is waited for: planned and done."
+    words += "." if history is None else ", which stops while a step waits: plan and run."
     if recipe is None:
-        words = (
-            "Temperature of the chamber as it was read, on the plan's clock, which stands while a step is waited for."
-        )
+        words = "Temperature of the chamber by its readings, on the plan's clock, which stops while a step waits."
     known = recipe is not None or (history is not None and len(history.chamber_s))
     pictures = [picture("temperature", words, temperatures, _LOW)] if known else []
     done = {} if history is None else history.rates
     for axis in done if recipe is None else turned_axes(recipe):
         how = " as planned."
         if axis in done:
-            how = (", as" if recipe is None else ": planned, and as") + " turned by the commands that it executed."
+            how = (", as" if recipe is None else ": planned, and as") + " turned by its executed commands."
         pictures.append(
             picture(f"rate-{axis}", f"Rate of table axis {axis}{how}", lambda ax, a=axis: rates(ax, a), _LOW)
         )

@@ -119,10 +119,10 @@ def _verdict(data: ReportData) -> str:
     with_target = [row for row in data.requirements if row.target is not None]
     done = "achieved" if achieved else "predicted"
     if data.verdict == "met":
-        return f"Met: every target of the requirements is kept by what is {done} ({_against(with_target)})."
+        return f"Met: every target is met by the {done} residuals ({_against(with_target)})."
     if data.verdict == "missed":
         missed = [row for row in with_target if row.verdict == "missed"]
-        return f"Missed: what is {done} exceeds a target ({_against(missed)})."
+        return f"Missed: the {done} residual exceeds a target ({_against(missed)})."
     if data.verdict == "unobservable":
         names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "unobservable"))
         return f"Unobservable: this plan does not observe {names}."
@@ -198,7 +198,7 @@ def _parameters(data: ReportData) -> dict[str, Any]:
         ]
 
     return {
-        "parameter_head": ["parameter", "stands before", *(head for head, *_ in kept), "unit"],
+        "parameter_head": ["parameter", "multiplies", *(head for head, *_ in kept), "unit"],
         "parameter_rows": [
             [f"{row.name}, axis {row.axis}" if several else row.name, row.multiplies, *numbers(row), row.unit]
             for row in rows

@@ -76,7 +76,7 @@ def test_the_page_of_a_calibration(folder, capsys):
     assert main(["report", found, "-o", page, "--force"]) == 0
     alone = (folder / "page.html").read_text(encoding="utf-8")
     assert alone.count("<svg") == 4
-    assert "What is planned" not in alone
+    assert "Plan of the unit" not in alone
     capsys.readouterr()
     assert main(["report", found, found, "-o", page, "--force"]) == 2
     assert "second unit calibration" in capsys.readouterr().err

@@ -150,7 +150,7 @@ def test_parameters_and_their_hidden_truth_are_those_of_the_files(made, whole):
         assert number(row["1σ predicted"]) == pytest.approx(predicted[name] * factor, rel=1e-3)
         assert number(row["hidden truth"]) == pytest.approx(truth["x"][name] * factor, rel=1e-5)
         assert number(row["off by"]) == pytest.approx((values[name] - truth["x"][name]) / std, rel=0.05)
-    assert [row["stands before"] for row in rows] == ["1", "T′", "1", "ω′", "T′", "ω′·T′"]
+    assert [row["multiplies"] for row in rows] == ["1", "T′", "1", "ω′", "T′", "ω′·T′"]
 
 
 def test_the_standards_terms_are_those_of_a_map_that_is_known(made):

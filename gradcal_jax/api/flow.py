@@ -58,10 +58,10 @@ def optimise(
 
     `steps`: iterations of each start. `quick`: few starts, within some per cent of the best in seconds. `until_met`: no
     further than to a plan that meets every target with a margin of 10 %. `watch` is called with progress
-    (`api.optimise.Step`: `best` in `unit`, `share` of the work). Returns `api.optimise.Optimised`: the rounded `spec`,
-    `now` its residual and `before` the first plan's, in `unit` (ppm or deg/h; minutes, where time is minimised),
-    `converged` and a `sentence` with the reason, the limits that bind and their shadow prices. It is the best of
-    several local optima: `limit` bounds what another plan could still gain.
+    (`api.optimise.SearchStep`: `best` in `unit`, `share` of the work). Returns `api.optimise.Optimised`: the rounded
+    `spec`, `now` its residual and `before` the first plan's, in `unit` (ppm or deg/h; minutes, where time is
+    minimised), `converged` and a `sentence` with the reason, the limits that bind and their shadow prices. It is the
+    best of several local optima: `limit` bounds what another plan could still gain.
 
     Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, for
     targets that are not met in the time allowed, and for `until_met` without a target or with a minimised time.

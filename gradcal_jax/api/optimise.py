@@ -298,10 +298,7 @@ def finished(
     elif now > (1.0 + _DEAR) * optimum.value:
         more = 100.0 * (now / optimum.value - 1.0)
         sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
-    kept = before is not None and now >= before and motion is None
-    if kept and of.limits:
-        verdicts = {row.name: row.verdict for row in predict(spec).requirements}
-        kept = all(verdicts.get(name) == "met" for name in of.limits)
+    kept = before is not None and now >= before and motion is None and _within_limits(spec, of)
     if kept or not np.isfinite(now):
         try:
             plan = rounded(spec, steps_of(spec)).spec
@@ -364,6 +361,12 @@ def polished(
         if not gained:
             break
     return coordinates, optimum
+
+
+def _within_limits(spec: Spec, of: Measure) -> bool:
+    """Whether the prediction of the spec's own plan meets the targets that limit the search."""
+    rows = {row.name: row.verdict for row in predict(spec).requirements} if of.limits else {}
+    return all(rows.get(name) == "met" for name in of.limits)
 
 
 def best_programme(

@@ -1,9 +1,8 @@
-"""One way to write the core for two array libraries: NumPy computes a value at once, JAX whatever is differentiated,
-batched or compiled.
+"""Array functions for NumPy and JAX: NumPy for single values, JAX for derivatives, batches and compiled programs.
 
-The core's formulas take the namespace of their arguments. A number that is asked for once (a prediction, a sweep's
-point, an estimate) goes through NumPy, where there is nothing to compile; a search traces the very same lines with JAX.
-What the two libraries write differently stands here.
+The core's formulas take the namespace of their arguments. A number that is computed once (a prediction, a sweep's
+point, an estimate) uses NumPy, without compilation; a search traces the same lines with JAX. This module has the
+operations that the two libraries write differently.
 """
 
 from collections.abc import Callable
@@ -16,8 +15,8 @@ import numpy as np
 
 from gradcal_jax import machine
 
-# An array of either library, for annotations: `Float[AnyArray, "n p"]`. What is done with it is the same for both,
-# which a type checker cannot follow; shapes and kinds are checked where the tests run.
+# An array of either library, for annotations: `Float[AnyArray, "n p"]`. A type checker cannot follow operations on
+# both, so it sees Any; the tests check shapes and dtypes.
 if TYPE_CHECKING:
     AnyArray = Any
 else:
@@ -29,8 +28,8 @@ Carry = TypeVar("Carry")
 class PytreeModule(eqx.Module):
     """An Equinox module whose methods are Python's own.
 
-    Equinox makes every method, each time it is looked up, a pytree with its module in it, so that it can be handed to
-    a transformation. Nobody hands over one of these, and a whole unit's prediction looks up hundreds.
+    At each access, Equinox wraps a method in a pytree with its module, so that it can be passed to a transformation.
+    These methods are never passed to one, and a whole unit's prediction accesses hundreds.
     """
 
     __getattribute__ = object.__getattribute__
@@ -39,15 +38,14 @@ class PytreeModule(eqx.Module):
 def namespace(*trees: Any) -> Any:
     """`jax.numpy` where any array within the arguments (pytrees) is JAX's, else `numpy`."""
     if all(type(tree) is np.ndarray for tree in trees):
-        return np  # without a walk through trees: hundreds of times for one unit
+        return np  # fast path, used hundreds of times for one unit
     return jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(trees)) else np
 
 
 def put(into: Any, where: Any, values: Any) -> Any:
     """`into` with `into[where] = values`; under JAX places beyond the end are dropped, which is what padding points to.
 
-    `where` indexes as in NumPy, no place twice: JAX need not find out which value came last. The argument itself is not
-    changed.
+    `where` indexes as in NumPy, no place twice, so that JAX need not order the writes. The argument is not changed.
     """
     if namespace(into, values) is jnp:
         return jnp.asarray(into).at[where].set(values, mode="drop", unique_indices=True)
@@ -78,7 +76,7 @@ def summed(values: Any, first: np.ndarray) -> Any:
 
 
 def cross(a: Any, b: Any) -> Any:
-    """`a × b` over the last axis; NumPy's own moves axes to and fro, which takes longer than the products."""
+    """`a × b` over the last axis; NumPy's own moves axes, which takes longer than the products."""
     (ax, ay, az), (bx, by, bz) = ([v[..., k] for k in range(3)] for v in (a, b))
     return namespace(a, b).stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
@@ -98,7 +96,7 @@ def repeated(count: int, body: Callable[[Carry], Carry], start: Carry) -> Carry:
 
 
 def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over: Any) -> Any:
-    """What `step(carry, row) -> (carry, out)` gives for the rows of `over`, one after the other, stacked."""
+    """The stacked outputs of `step(carry, row) -> (carry, out)` over the rows of `over`."""
     if namespace(start, over) is jnp:
         return jax.lax.scan(step, start, over)[1]
     rows = []
@@ -109,7 +107,7 @@ def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over:
 
 
 def running_sum(values: Any) -> Any:
-    """Sums of all rows up to each one, that one included."""
+    """Cumulative sums of the rows."""
     return np.cumsum(values, axis=0) if namespace(values) is np else machine.running_sum(values)
 
 

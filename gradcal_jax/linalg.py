@@ -15,12 +15,12 @@ from jaxtyping import Array, Bool, Float
 
 from gradcal_jax.arrays import AnyArray, namespace
 
-# Rows this many times as tall as wide are worth two products.
+# Rows at least this many times as tall as wide are factored by products (Cholesky) instead of QR.
 _TALL = 8
-# Smallest over largest diagonal of the first Cholesky factor; NaN, where there is none, is not sound either.
+# Least ratio of smallest to largest diagonal of a sound first Cholesky factor; NaN (no factor) is not sound.
 _SOUND = 1e-5
-# Squared condition number (Frobenius) up to which the first factor is as good as any: what rounding makes of the
-# product is 1e-16 of it, at most.
+# Squared condition number (Frobenius) up to which the first factor is accurate enough: the product's rounding error
+# is at most 1e-16 of it.
 _WELL_CONDITIONED = 1e5
 
 
@@ -71,7 +71,7 @@ def scaled_factor(rows: Float[Array, "n p"], below: Float[Array, "q p"]) -> tupl
     if n < _TALL * p:
         scale = column_norms(jnp.concatenate([rows, below]))
         return triangular_factor(scaled(scale)), scale
-    # The rows are gone through once: their product tells the lengths, too.
+    # One pass over the rows: their product also has the lengths on its diagonal.
     product = rows.T @ rows + below.T @ below
     square = jnp.diagonal(product)
     scale = jnp.where(square > 0.0, jnp.sqrt(square), 1.0)
@@ -79,9 +79,9 @@ def scaled_factor(rows: Float[Array, "n p"], below: Float[Array, "q p"]) -> tupl
 
 
 def _of_tall(product: Float[Array, "p p"], rows: Callable[[], Array]) -> Float[Array, "p p"]:
-    """R of tall rows, of which only the product is asked for where it says enough.
+    """R of tall rows from their product, or from the rows where the product is not accurate enough.
 
-    Cholesky of the product, once where their columns are far from parallel, or twice, which is as accurate as QR while
+    Cholesky of the product, once where the columns are far from parallel, or twice, which is as accurate as QR while
     the first factor is not too ill conditioned (Yamamoto and others, 2015) and needs a tenth of its time; otherwise QR.
     """
     first, p = jnp.linalg.cholesky(product).T, product.shape[0]
@@ -126,7 +126,7 @@ def factor_tangent(factor: Float[Array, "p p"], d_gram: Float[Array, "p p"]) -> 
 
 
 def dead_of(factor: Float[Array, "p p"]) -> Bool[Array, " p"]:
-    """Where an upper triangular R has nothing but rounding on its diagonal."""
+    """Where the diagonal of an upper triangular R is zero but for rounding."""
     diagonal = jnp.diagonal(factor)
     return diagonal <= factor.shape[1] * jnp.finfo(factor.dtype).eps * jnp.max(diagonal, initial=0.0)
 

@@ -191,7 +191,7 @@ def estimate_ours(log, times: np.ndarray) -> np.ndarray:
     from gradcal_jax.files import parse_spec
 
     (channel,) = estimate_calibration(parse_spec(SPEC), log).channels
-    return 1.0 + _scale_factors(channel.found.parameters[0], channel.model)
+    return 1.0 + _scale_factors(channel.estimate.parameters[0], channel.model)
 
 
 def _scale_factors(parameters: np.ndarray, model) -> np.ndarray:

@@ -23,8 +23,8 @@ _CORRELATION_TIMES_A_PIECE = 3.0
 class Assembled(NamedTuple):
     """A spec in the core's terms: the model of a channel, and the schedule of each.
 
-    `moves`: what the first moves of every schedule are, with their shapes. `sources`: which processes of the model's
-    noise belong to which source, by the names that people use. `past`: what was done before the plan begins.
+    `moves`: the first moves of every schedule, with their shapes. `sources`: the indices of the model's noise processes
+    by the name of their error source. `past`: the motion before the plan begins.
     """
 
     spec: Spec
@@ -41,7 +41,7 @@ class Assembled(NamedTuple):
         return tuple(self.schedules)
 
     def trajectory(self, channel: Axis | None = None) -> trajectory.Trajectory:
-        """What was done and what the plan does, as the sensor on a channel (the first one) sees it."""
+        """The motion before the plan and of the plan, as the sensor of a channel (default: the first) sees it."""
         channel = channel or self.channels[0]
         line = self.schedules[channel].trajectory(self.thermal_lag)
         return self.past[channel].then(line) if channel in self.past else line
@@ -50,7 +50,7 @@ class Assembled(NamedTuple):
 def assemble(spec: Spec) -> Assembled:
     """Sensor model and schedules of a spec.
 
-    Errors: `TypeError` for what is no spec, `MemoryError` for a plan with more readings than this machine can hold.
+    Errors: `TypeError` for anything but a spec, `MemoryError` for a plan with more readings than this machine can hold.
     """
     expect_spec(spec)
     if too := too_large(spec):
@@ -62,19 +62,19 @@ def assemble(spec: Spec) -> Assembled:
 
 
 def _past(spec: Spec, lag: float | None) -> dict[Axis, Past]:
-    """What `[[done]]` says, joined."""
-    found: dict[Axis, Past] = {}
+    """The motion of all `[[done]]` entries, joined, by channel."""
+    pasts: dict[Axis, Past] = {}
     for part in spec.done:
         plans, _ = _schedules(gradient_schedule(part.plan, spec.rig), spec.sensor)
         for channel, plan in plans.items():
             line = plan.trajectory(lag).between(float(part.start), float(part.end))
-            line = found[channel].then(line) if channel in found else line
-            found[channel] = Past(line, np.asarray(float(part.pause)))
-    return found
+            line = pasts[channel].then(line) if channel in pasts else line
+            pasts[channel] = Past(line, np.asarray(float(part.pause)))
+    return pasts
 
 
 def _processes(sensor: Sensor) -> tuple[Processes, dict[str, tuple[int, ...]]]:
-    """All noise processes of a sensor, and which of them belong to which source."""
+    """All noise processes of a sensor, and their indices by error source."""
     parts = slow_processes(sensor)
     if (error := sensor.temperature_error) is not None:
         gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
@@ -96,7 +96,7 @@ def _processes(sensor: Sensor) -> tuple[Processes, dict[str, tuple[int, ...]]]:
 
 
 def slow_processes(sensor: Sensor | GyroTriad | AccelerometerTriad) -> list[tuple[str, Processes]]:
-    """Drifts, a rate random walk and instabilities of the scale factor, as far as the sensor has them."""
+    """The sensor's drifts, rate random walk and scale-factor instabilities, with their names."""
     figures = lambda d: (float(d.standard_deviation), float(d.correlation_time))  # noqa: E731
     parts = [("bias instability", model.gauss_markov(*figures(d))) for d in sensor.drift]
     if isinstance(sensor, AccelerometerTriad):
@@ -140,8 +140,7 @@ def basis(section) -> model.Basis:
 
 def map_of(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
     """`B(T)` or `M(T, ω)` with its priors, from a spec. The constant of a bias *is* this run's turn-on bias, so their
-    priors add.
-    """
+    priors add."""
     beyond, rate, degree = section.discrepancy, None, 0
     if isinstance(section, ScaleFactor):
         rate, degree = basis(section.rate), 0 if section.discrepancy is None else section.discrepancy.rate_degree
@@ -156,7 +155,7 @@ def map_of(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
 
 
 def or_infinite(value: float | None) -> float:
-    """A prior that is absent is flat."""
+    """The prior's standard deviation; infinite (a flat prior) where it is absent."""
     return np.inf if value is None else float(value)
 
 
@@ -189,7 +188,7 @@ def _schedules(
 def chamber_programme(
     plan: GradientSchedule | UnitSchedule,
 ) -> tuple[trajectory.Programme, tuple[tuple[int, int], ...]]:
-    """The chamber's programme, and from which of its knots to which data are used."""
+    """The chamber's programme, and the pairs of its knots between which data are used."""
     segments = plan.segments
     ends = np.array([segment.start for segment in segments] + [plan.duration])
     nearest = lambda time: int(np.argmin(np.abs(ends - time)))  # noqa: E731
@@ -198,7 +197,7 @@ def chamber_programme(
 
 
 def shortest_correlation_time(sensor: Sensor) -> float:
-    """Of the processes that the rate drives (s); `inf` without any."""
+    """The shortest correlation time of the processes driven by the rate (s); `inf` without any."""
     times = [float(d.correlation_time) for d in sensor.scale_factor_instability]
     if sensor.temperature_error is not None and sensor.temperature_error.correlation_time is not None:
         times.append(float(sensor.temperature_error.correlation_time))
@@ -206,7 +205,7 @@ def shortest_correlation_time(sensor: Sensor) -> float:
 
 
 def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: float) -> Move:
-    """A move of a spec as the core has it; times in s."""
+    """A move of a spec in the core's terms; times in s."""
     if move.is_rest:
         return trajectory.rest(move.duration, move.read_every, read_at_end=move.read_end)
     return trajectory.turn(

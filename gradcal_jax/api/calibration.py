@@ -45,9 +45,9 @@ from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import unobservable_combinations
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
-# A scale-factor error beyond this is of no sensor.
+# No gyro has a larger scale-factor error.
 _ABSURD = 0.5
-# A disagreement between halves of the data that chance leaves once in a thousand.
+# Standard deviations by which two halves of the data differ by chance once in a thousand.
 _APART = 3.3
 
 
@@ -66,8 +66,8 @@ class Verdict(NamedTuple):
 
 
 class MeasuredDiscrepancy(NamedTuple):
-    """Of one map and axis, in `unit`: standard deviation of the coefficients beyond the structure, with its 95 %
-    interval (`high` None: no end), of so many units together; `block` is what a spec says of it."""
+    """The discrepancy of one map and axis, from `units` units together: standard deviation (`unit`) of the coefficients
+    beyond the structure, with its 95 % interval (`high` None: unbounded). `block`: its table in a spec."""
 
     quantity: str
     axis: str
@@ -80,23 +80,23 @@ class MeasuredDiscrepancy(NamedTuple):
 
 
 class EstimateReport(NamedTuple):
-    """What `estimate_calibration` gives: a calibration for each unit, and behind it every channel's estimate."""
+    """The result of `estimate_calibration`: a calibration for each unit, and every channel's estimate."""
 
     calibrations: tuple[Calibration, ...]
     channels: tuple[UnitChannel, ...]
     verdicts: dict[str, tuple[Verdict, ...]]
     """By unit."""
     messages: dict[str, tuple[str, ...]]
-    """By unit: what the calibration should not be used without having read."""
+    """By unit: sentences to read before the calibration is used."""
     discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
     """By axis and map, of all units together."""
 
     @property
     def as_wished(self) -> bool:
-        """Every requirement met, everything observable, every test passed."""
+        """Whether every requirement is met, every parameter observable and every test passed."""
         rows = [row for rows in self.verdicts.values() for row in rows]
         met = all(row.verdict in (None, "met") for row in rows)
-        seen = all(not channel.found.known[0].hidden.shape[1] for channel in self.channels)
+        seen = all(not channel.estimate.known[0].hidden.shape[1] for channel in self.channels)
         return met and seen and all(consistent(channel) for channel in self.channels)
 
 
@@ -127,7 +127,7 @@ def estimate_points(
     """
     options = options or Options()
     channel = point_channel(assemble(spec), points, options)
-    # As long as the points together, at their interval: what a calibration says of its log.
+    # The calibration describes its log: here one as long as all points together, sampled at their interval.
     time = np.arange(len(points.output_rad_per_s), dtype=np.float64) * float(getattr(spec.schedule, "integration", 1.0))
     log = Log(
         time, points.output_rad_per_s[None, :, None], (points.unit,), (points.axis,), points.temperature_c[None],
@@ -154,26 +154,28 @@ def _report(
 
 
 def _refuse_the_absurd(channel: UnitChannel) -> None:
-    """A scale factor that no gyro has is of a wrong reference, and no calibration. Raises `LogError`."""
+    """Raise `LogError` for a scale-factor error that no gyro has: the reference must be wrong."""
     scale = channel.model.scale
     if scale is None or scale.rate is None:
         return
     where = channel.model.where(SCALE_FACTOR)
     temperature = np.linspace(*channel.valid_temperature_c, 5)
     rate = np.linspace(*channel.valid_rate_rad_per_s, 7)
-    if not rate.any() or not np.all(np.isfinite(channel.found.known[0].deviations(channel.model.to_reported[where]))):
+    if not rate.any() or not np.all(
+        np.isfinite(channel.estimate.known[0].deviations(channel.model.to_reported[where]))
+    ):
         return
-    table = channel.found.parameters[0][where].reshape(scale.temperature.size, scale.rate.size)
+    table = channel.estimate.parameters[0][where].reshape(scale.temperature.size, scale.rate.size)
     values = scale.temperature(temperature) @ table @ np.asarray(scale.rate(rate)).T
     if (largest := float(np.max(np.abs(values)))) > _ABSURD:
         raise LogError(
-            f"axis {channel.axis} of {channel.unit}: a scale-factor error of {largest * PPM:.4g} ppm is no gyro's: is "
-            "the reference of another axis, unit or sign, or are turns not as they were said?"
+            f"axis {channel.axis} of {channel.unit}: a scale-factor error of {largest * PPM:.4g} ppm is not a gyro's: "
+            "is the reference of another axis, unit or sign, or are the listed turns wrong?"
         )
 
 
 def consistent(channel: UnitChannel) -> bool:
-    """Whether every test of the fit is passed."""
+    """Whether every test of the fit passes."""
     tests = channel.consistency
     structure = not any(test.noticed for test in channel.structure)
     return structure and tests.fit.passed and tests.whiteness.passed and all(s.agreement.passed for s in tests.splits)
@@ -184,7 +186,7 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
     rows: list[Verdict] = []
     for requirement in spec.requirement:
         # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
-        values = residual_map(built, channel.found.known[0], requirement)[2] * excess_of(channel.consistency)
+        values = residual_map(built, channel.estimate.known[0], requirement)[2] * excess_of(channel.consistency)
         value, worst = (finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
         judged = verdict(requirement, values), decision_rule(requirement), requirement.coverage
         unit = UNIT_OF[requirement.quantity][0]
@@ -193,35 +195,35 @@ def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
 
 
 def excess_of(tests: Consistency) -> float:
-    """What the noise must be multiplied by where the fit is worse than chance leaves it, otherwise 1."""
+    """The factor by which residuals exceed the spec's noise where the χ² test fails; otherwise 1."""
     return max(1.0, tests.noise_scale) if not tests.fit.passed and tests.fit.degrees > 0 else 1.0
 
 
 def words(channel: UnitChannel, several: bool = False) -> list[str]:
-    """What the data say of the model, in sentences."""
+    """Where the data contradict the model or do not observe it, in sentences."""
     tests = channel.consistency
     where = f"axis {channel.axis}: " if several else ""
-    found, names = [where + message for message in channel.messages], channel.model.names()
-    unseen = unobservable_combinations(channel.found.known[0], channel.model)
-    found += [f"{where}the data say nothing of {combination}" for combination in unseen]
+    sentences, names = [where + message for message in channel.messages], channel.model.names()
+    unseen = unobservable_combinations(channel.estimate.known[0], channel.model)
+    sentences += [f"{where}the data say nothing of {combination}" for combination in unseen]
     if tests.fit.degrees > 0:
-        found += [where + sentence for sentence in of_noise(tests, not tests.fit.passed, "sensor")]
+        sentences += [where + sentence for sentence in of_noise(tests, not tests.fit.passed, "sensor")]
     if not tests.whiteness.passed:
-        found.append(f"{where}the residuals are not white: something lasts from reading to reading that the spec lacks")
-    found += [where + structure_in_words(test) for test in channel.structure if test.noticed]
+        sentences.append(f"{where}the residuals are not white: the spec's noise does not explain their correlation")
+    sentences += [where + structure_in_words(test) for test in channel.structure if test.noticed]
     for split in tests.splits:
         if split.agreement.passed:
             continue
         worst = [names[k] for k in np.flatnonzero(np.abs(np.nan_to_num(split.differences)) > _APART)]
         culprits = f"; these do not generalise: {', '.join(worst)}" if worst else ""
-        found.append(
-            f"{where}{split.name}: they do not say the same (chance {split.agreement.probability:.1g}){culprits}"
+        sentences.append(
+            f"{where}{split.name}: the parts disagree (chance {split.agreement.probability:.1g}){culprits}"
         )
-    return found
+    return sentences
 
 
 def of_noise(tests: Consistency, larger: bool, what: str) -> list[str]:
-    """How the residuals compare with the spec's noise, where they are `larger`, or far smaller; in a sentence."""
+    """A sentence where the residuals are `larger`, or far smaller, than the spec's noise says."""
     if larger:
         return [
             f"the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model lacks "
@@ -236,7 +238,7 @@ def of_noise(tests: Consistency, larger: bool, what: str) -> list[str]:
 
 
 def structure_in_words(test: StructureTest) -> str:
-    """What the data ask of the structure of a map."""
+    """A sentence on the degrees of a map that the data need."""
     assert test.asked is not None
     of_temperature, of_rate = test.asked
     degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
@@ -247,7 +249,7 @@ def structure_in_words(test: StructureTest) -> str:
 
 
 def discrepancies(spec: Spec, channels: Sequence[UnitChannel]) -> list[MeasuredDiscrepancy]:
-    """What the channels of all units together say of each map's discrepancy. Errors: none."""
+    """The discrepancy of each map and axis, from all units together."""
     rows: list[MeasuredDiscrepancy] = []
     for axis in dict.fromkeys(c.axis for c in channels):
         for quantity, of in tested_maps(spec).items():
@@ -299,17 +301,17 @@ def _calibration(
 
 
 def _result(row: Verdict) -> Result:
-    given: dict[str, Any] = {"value": row.value, "worst": row.worst, "target": row.target, "verdict": row.verdict}
+    values: dict[str, Any] = {"value": row.value, "worst": row.worst, "target": row.target, "verdict": row.verdict}
     if row.target is not None:
-        given |= {"coverage": row.coverage, "rule": row.rule}
-        given["risk"] = None if row.requirement.risk is None else float(row.requirement.risk)
+        values |= {"coverage": row.coverage, "rule": row.rule}
+        values["risk"] = None if row.requirement.risk is None else float(row.requirement.risk)
     return Result(
         name=row.requirement.name,
         axis=row.axis,
         quantity=row.requirement.quantity,
         statistic=f"{row.requirement.statistic}, 1 sigma",
         unit=row.unit,
-        **{name: value for name, value in given.items() if value is not None},
+        **{name: value for name, value in values.items() if value is not None},
     )
 
 
@@ -327,7 +329,7 @@ def _estimator(options: Options, channel: UnitChannel) -> str:
 
 
 def _residuals(white: np.ndarray) -> Residuals:
-    """How whitened residuals (in standard deviations, in order of time) are spread, and their size along the run."""
+    """The histogram of whitened residuals (in standard deviations, in order of time), and their rms along the run."""
     counts = np.histogram(white, np.concatenate([[-np.inf], np.arange(-4.0, 4.25, 0.5), [np.inf]]))[0]
     tenths = np.array_split(white, 10) if len(white) >= 100 else []
     return Residuals(counts=tuple(counts.tolist()), rms=tuple(float(np.sqrt(np.mean(part**2))) for part in tenths))
@@ -337,33 +339,33 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
     model = channel.model
     count, bias, scale = model.calibrated, model.where(BIAS), model.where(SCALE_FACTOR)
     reported = model.to_reported[:count]
-    values = reported @ channel.found.parameters[0]
-    known = channel.found.known[0]
+    values = reported @ channel.estimate.parameters[0]
+    known = channel.estimate.known[0]
     names = model.names()[:count]
     deviations = known.deviations(reported)
     seen = np.flatnonzero(np.isfinite(deviations))
     covariance = known.covariance(reported) * excess_of(channel.consistency) ** 2
     low, high = channel.valid_temperature_c
     slow, fast = channel.valid_rate_rad_per_s
-    given: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     if (of := spec.sensor.bias) is not None:
         own = _named(bias_names(of.temperature), names, values[bias], bias)
-        given["bias"] = BiasMap(temperature=of.temperature, coefficients=own)
+        fields["bias"] = BiasMap(temperature=of.temperature, coefficients=own)
     if (of := spec.sensor.scale_factor) is not None:
         own = _named(scale_factor_names(of.temperature, of.rate), names, values[scale], scale)
-        given["scale_factor"] = ScaleFactorMap(temperature=of.temperature, rate=of.rate, coefficients=own)
+        fields["scale_factor"] = ScaleFactorMap(temperature=of.temperature, rate=of.rate, coefficients=own)
     if model.term(TEMPERATURE_GRADIENT) is not None:
-        given["bias_temperature_gradient"] = float(values[model.where(TEMPERATURE_GRADIENT)][0])
+        fields["bias_temperature_gradient"] = float(values[model.where(TEMPERATURE_GRADIENT)][0])
     if channel.lag_s > 0.0:
-        given["thermal_lag"] = Quantity.of(channel.lag_s, "s")
+        fields["thermal_lag"] = Quantity.of(channel.lag_s, "s")
     tests = channel.consistency
     named = [("χ² of the fit", tests.fit), ("whiteness of the residuals", tests.whiteness)]
     named += [(split.name, split.agreement) for split in tests.splits]
-    given["fit"] = fit_rows((n, t) for n, t in named if np.isfinite(t.statistic) and np.isfinite(t.probability))
-    given["residuals"] = _residuals(channel.found.residuals[0])
+    fields["fit"] = fit_rows((n, t) for n, t in named if np.isfinite(t.statistic) and np.isfinite(t.probability))
+    fields["residuals"] = _residuals(channel.estimate.residuals[0])
     hidden = tuple(unobservable_combinations(known, model))
     if hidden:
-        given["unobservable"] = hidden
+        fields["unobservable"] = hidden
     return AxisCalibration(
         name=channel.axis,
         valid_temperature=(_shown(low, 1.0, "degC"), _shown(high, 1.0, "degC")),
@@ -371,12 +373,12 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
         covariance=Covariance(
             names=tuple(names[k] for k in seen), matrix=tuple(map(tuple, covariance[np.ix_(seen, seen)].tolist()))
         ),
-        **given,
+        **fields,
     )
 
 
 def _shown(value: float, factor: float, unit: str) -> Quantity:
-    """A quantity of one decimal in the unit in which people read it."""
+    """A quantity with one decimal, in `unit`."""
     dimension = "temperature" if unit == "degC" else "angular rate"
     return Quantity.read(f"{value * factor:.1f} {unit}".replace("-0.0 ", "0.0 "), dimension)
 
@@ -411,8 +413,8 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
     model = channel.model
     reported = model.to_reported
     names = model.names()
-    known = channel.found.known[0]
-    values, deviations = reported @ channel.found.parameters[0], known.deviations(reported)
+    known = channel.estimate.known[0]
+    values, deviations = reported @ channel.estimate.parameters[0], known.deviations(reported)
     covariance, seen = known.covariance(reported), np.isfinite(deviations)
     tests = channel.consistency
     return {
@@ -472,7 +474,7 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
 
 
 def _verdict_row(row: Verdict) -> dict[str, Any]:
-    asked = {name: getattr(row.requirement, name) for name in ("name", "quantity", "statistic")}
-    # In the order in which people look for them.
+    fields = {name: getattr(row.requirement, name) for name in ("name", "quantity", "statistic")}
+    # The order of the keys in JSON.
     order = ("name", "axis", "quantity", "statistic", "value", "worst", "unit", "target", "verdict", "coverage", "rule")
-    return {name: (asked | row._asdict())[name] for name in order}
+    return {name: (fields | row._asdict())[name] for name in order}

@@ -1,4 +1,4 @@
-"""An interrupted optimisation on disk, for the same spec alone."""
+"""Checkpoint files of interrupted optimisations; each belongs to one spec."""
 
 import hashlib
 import zipfile
@@ -15,7 +15,7 @@ _FORMAT = "gradcal-search/1"
 
 
 def write_checkpoint(path: Path, spec: Spec, checkpoint: Checkpoint) -> None:
-    """Keep a checkpoint: whole or not at all."""
+    """Write a checkpoint, atomically."""
     arrays: dict[str, np.ndarray] = {"format": np.array(_FORMAT), "spec": np.array(_fingerprint(spec))}
     arrays["at"] = np.array([checkpoint.structure, checkpoint.best_structure])
     for name, state in (("state", checkpoint.state), ("best", checkpoint.best)):
@@ -25,7 +25,7 @@ def write_checkpoint(path: Path, spec: Spec, checkpoint: Checkpoint) -> None:
 
 
 def read(path: Path, spec: Spec) -> Checkpoint:
-    """A checkpoint of the same spec. Errors: `ValueError` with a sentence for any other file."""
+    """Read the checkpoint of a spec. Errors: `ValueError` for a file of another spec or format."""
     if not path.exists():
         raise ValueError(f"there is no interrupted search to go on from: {path} does not exist")
     try:

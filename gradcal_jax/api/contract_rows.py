@@ -1,4 +1,4 @@
-"""Parts that the contracts of a single axis and of a whole unit share: maps, bases, shapes of moves."""
+"""Rows common to the contracts of a single axis and of a whole unit: maps, bases, shapes of moves."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import sqrt
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def shape_row(move: Move | ResolvedMove, angle: float) -> dict[str, Any]:
-    """The shape's own parameters of a move, as the contract names them."""
+    """The shape of a move and its parameters, by their names in the contract."""
     row: dict[str, Any] = {"shape": move.shape, "peak_rate": float(move.peak_rate), "angle": angle}
     if move.shape in ("cosine ramps", "linear ramps"):
         row["ramp"] = float(move.ramp)
@@ -43,7 +43,7 @@ def shape_row(move: Move | ResolvedMove, angle: float) -> dict[str, Any]:
 
 
 def map_row(section: Bias | ScaleFactor) -> MapRow:
-    """A gyro's bias or scale factor as the contracts have it."""
+    """A gyro's bias or scale factor as a row of the contracts."""
     beyond, smooth = section.discrepancy, section.smoothness is not None
     by_rate = isinstance(section, ScaleFactor)
     return MapRow(
@@ -64,17 +64,17 @@ def map_row(section: Bias | ScaleFactor) -> MapRow:
 
 
 def _along(section: Bias | ScaleFactor) -> tuple[Literal["temperature", "rate"], ...]:
-    """The axes whose coefficients have neighbours: those of a polynomial have none."""
-    found: list[Literal["temperature", "rate"]] = []
+    """The axes along which smoothness acts; the coefficients of a polynomial have no neighbours."""
+    axes: list[Literal["temperature", "rate"]] = []
     if not isinstance(section.temperature, TemperaturePolynomial):
-        found.append("temperature")
+        axes.append("temperature")
     if isinstance(section, ScaleFactor) and not isinstance(section.rate, RatePolynomial):
-        found.append("rate")
-    return tuple(found)
+        axes.append("rate")
+    return tuple(axes)
 
 
 def basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:
-    """`smooth`: whether a smoothness prior is on the map's coefficients, which are the reported ones."""
+    """A basis as a row. `smooth`: whether the map's (reported) coefficients have a smoothness prior."""
     if isinstance(section, TemperaturePolynomial | RatePolynomial):
         return BasisRow(
             basis="polynomial",
@@ -107,14 +107,14 @@ def process_rows(sections: Iterable[Any]) -> tuple[ProcessRow, ...]:
 
 
 def temperatures_between(times: Any, chamber: Any, begin: float, end: float) -> dict[str, Any]:
-    """The chamber's temperature (°C) at both ends of a segment (s), and where it bends between them."""
+    """The chamber's temperature (°C) at both ends of a segment (s), and its bends between them."""
     bends = [(float(t), float(c)) for t, c in zip(times, chamber, strict=True) if begin + 1e-6 < t < end - 1e-6]
     first, last = (float(c) for c in np.interp([begin, end], times, chamber))
     return {"temperature_start": first, "temperature_end": last, "temperature_bends": tuple(bends) or None}
 
 
 def section_of(triad: GyroTriad | AccelerometerTriad, term: str) -> str:
-    """The table of [sensor.gyro] or [sensor.accelerometer] that a term is from."""
+    """The key of [sensor.gyro] or [sensor.accelerometer] from which a term was built."""
     return next(key for key in type(triad).model_fields if term.startswith(key) or key == "cross_coupling")
 
 
@@ -135,9 +135,8 @@ def coefficient_rows(calibration: "UnitCalibration") -> list[dict[str, Any]]:
 
 
 def random_walks(gyro: "Sensor | GyroTriad") -> dict[str, Any]:
-    """A gyro's noise as calibrations have it: white noise, and the rate random walk with every drift as the one that it
-    is over times much shorter than its own.
-    """
+    """A gyro's noise for a calibration file: white noise and rate random walk. Over times much shorter than its
+    correlation time, a drift is a rate random walk and is added to it."""
     square = float(gyro.rate_random_walk or 0.0) ** 2
     square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in gyro.drift)
     slow = {"rate_random_walk": Quantity.of(sqrt(square), "rad/s/sqrt(s)")} if square > 0.0 else {}
@@ -145,16 +144,16 @@ def random_walks(gyro: "Sensor | GyroTriad") -> dict[str, Any]:
 
 
 def provenance_of(logs: "Sequence[Log]", unit: str, sources: Mapping[str, str], **own: str) -> dict[str, str]:
-    """What a calibration of a unit says of where it comes from. `sources`: names of files; `own`: of the estimate."""
+    """The provenance of a unit's calibration. `sources`: names of files; `own`: entries of the estimator."""
     from gradcal_jax.files.calibration import LOG_HASH
 
-    given = {key: text for key, text in {**logs[0].provenance, **sources}.items() if text}
+    texts = {key: text for key, text in {**logs[0].provenance, **sources}.items() if text}
     digests = " ".join(log.fingerprint(unit) for log in logs)
-    return {"program": f"gradcal {gradcal_jax.__version__}", **own, **given, LOG_HASH: digests}
+    return {"program": f"gradcal {gradcal_jax.__version__}", **own, **texts, LOG_HASH: digests}
 
 
 def fit_rows(tests: "Iterable[tuple[str, Test]]") -> "tuple[FitTest, ...]":
-    """Tests of a fit, by name, as calibrations have them."""
+    """Tests of a fit, by name, as rows of a calibration file."""
     from gradcal_jax.files.calibration import FitTest
 
     return tuple(

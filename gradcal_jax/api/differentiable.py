@@ -1,4 +1,4 @@
-"""A spec as a pure function of its figures: what the designs of others are made with, in JAX's own terms."""
+"""A spec's requirements as a pure function of its figures, for optimisation outside this package with JAX."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -22,7 +22,7 @@ from gradcal_jax.model import SensorModel
 from gradcal_jax.trajectory import Rule, Schedule, rule_of
 
 _LAG = "thermal lag"
-# Of the plan's moves and of the programme's stretches: their fields, and whether they are the moves' own.
+# Fields of the moves and of the programme's stretches, and whether a field belongs to the moves.
 _PLAN = {
     "move durations": (lambda s: s.duration, True),
     "peak rates": (lambda s: s.peak_rate, True),
@@ -35,13 +35,13 @@ _PLAN = {
 
 
 class Differentiable(eqx.Module):
-    """Every requirement's residual, a pure function of `quantities`: for `jax.grad`, `vmap`, `jit` and what stands on
-    them. A pytree.
+    """Every requirement's residual as a pure function of `quantities`, for `jax.grad`, `vmap`, `jit` and libraries that
+    use them. A pytree.
 
     `quantities`: the spec's own figures by name, SI (°C, K/s for the chamber): numbers of the sensor and the rig, `()`
     or one for each such error, `(k,)`; of each move of the plan's cycle, `(m,)`; of each stretch of the chamber's
-    programme, `(s,)`, with the step (K) at its beginning. Whoever changes times keeps them such that the moves fit;
-    rests that fill what is left follow.
+    programme, `(s,)`, with the step (K) at its beginning. Changed times must leave room for the moves; rests that fill
+    a stretch follow.
     """
 
     quantities: dict[str, np.ndarray]
@@ -54,50 +54,50 @@ class Differentiable(eqx.Module):
     _rule: Rule = eqx.field(static=True)
 
     def __call__(self, quantities: Mapping[str, Any]) -> dict[str, Float[AnyArray, ""]]:
-        """Residuals in ppm or deg/h, by the names of the requirements; what is not among `quantities` is the spec's.
+        """Residuals in ppm or deg/h, by requirement; quantities that are absent have the spec's values.
 
-        Errors: `ValueError` for a name that the spec has not.
+        Errors: `ValueError` for a name that the spec does not have.
         """
         if unknown := set(quantities) - set(self.quantities):
             raise ValueError(f"the spec has no {sorted(unknown)[0]!r}: it has {', '.join(self.quantities)}")
-        given: dict[str, Any] = {**self.quantities, **quantities}
-        schedule, model = self._planned(given), self._sensed(given)
-        xp = namespace(*given.values())
+        figures: dict[str, Any] = {**self.quantities, **quantities}
+        schedule, model = self._planned(figures), self._sensed(figures)
+        xp = namespace(*figures.values())
         if xp is jnp:
-            # NumPy's arrays take no traced numbers of JAX; which pieces there are stays known.
+            # NumPy arrays cannot hold traced values; integer arrays (which pieces there are) stay concrete.
             traced = lambda x: jnp.asarray(x) if eqx.is_inexact_array(x) else x  # noqa: E731
             schedule, model = jax.tree.map(traced, (schedule, model))
-        info = information(schedule.trajectory(given.get(_LAG)), model, self._rule)
+        info = information(schedule.trajectory(figures.get(_LAG)), model, self._rule)
         return {name: xp.asarray(c(info) * self._factors[name]) for name, c in self._criteria.items()}
 
-    def _planned(self, given: Mapping[str, Any]) -> Schedule:
+    def _planned(self, figures: Mapping[str, Any]) -> Schedule:
         schedule, moves = self._schedule, np.array(self._moves)
         for name, (field, of_moves) in _PLAN.items():
-            if name in given:
-                whole = put(field(schedule), moves, given[name]) if of_moves else given[name]
+            if name in figures:
+                whole = put(field(schedule), moves, figures[name]) if of_moves else figures[name]
                 schedule = eqx.tree_at(field, schedule, whole)
         return schedule
 
-    def _sensed(self, given: Mapping[str, Any]) -> SensorModel:
+    def _sensed(self, figures: Mapping[str, Any]) -> SensorModel:
         model = self._model
         for name, field in FIGURES.items():
-            if name in given:
-                model = eqx.tree_at(field, model, given[name])
+            if name in figures:
+                model = eqx.tree_at(field, model, figures[name])
         for name, members in self._sources.items():
             initial, driving = model.processes.initial_std, model.processes.diffusion
             at = np.array(members)
-            share = given[name] / self.quantities[name]
+            share = figures[name] / self.quantities[name]
             changed = put(initial, at, initial[at] * share), put(driving, at, driving[at] * share)
             model = eqx.tree_at(lambda m: (m.processes.initial_std, m.processes.diffusion), model, changed)
         return model
 
 
 def differentiable(spec: Spec, axis: Axis | None = None) -> Differentiable:
-    """A spec's requirements as a pure function of the sensor's, the rig's and the plan's figures, for one `axis` (the
-    first). What it gives for the spec's own `quantities` is what `predict` says, in ppm or deg/h.
+    """A spec's requirements as a pure function of the sensor's, the rig's and the plan's figures, for one `axis`
+    (default: the first). At the spec's own `quantities` it equals `predict`, in ppm or deg/h.
 
-    Wants float64 (`jax_enable_x64`). Integrals are divided as the spec's own plan needs it. Errors: `ValueError` where
-    nothing is required, or of an axis that the plan does not turn.
+    Needs float64 (`jax_enable_x64`). The quadrature rule is that of the spec's own plan. Errors: `ValueError` for a
+    spec without requirements, or an axis that the plan does not turn.
     """
     expect_whole(spec, "a function of the plan's figures")
     built = assemble(spec)
@@ -122,12 +122,12 @@ def differentiable(spec: Spec, axis: Axis | None = None) -> Differentiable:
 
 def _figures(built: Assembled, schedule: Schedule, moves: np.ndarray) -> dict[str, np.ndarray]:
     model, processes = built.model, built.model.processes
-    found: dict[str, AnyArray] = {n: of(model) for n, of in FIGURES.items() if np.asarray(of(model)).any()}
+    figures: dict[str, AnyArray] = {n: of(model) for n, of in FIGURES.items() if np.asarray(of(model)).any()}
     for name, members in built.sources.items():
         at = np.array(members)
         walks = processes.initial_std[at] == 0.0
-        found[name] = np.where(walks, processes.diffusion[at], processes.initial_std[at])
+        figures[name] = np.where(walks, processes.diffusion[at], processes.initial_std[at])
     if built.thermal_lag is not None:
-        found[_LAG] = np.asarray(built.thermal_lag)
-    found |= {name: field(schedule)[moves] if own else field(schedule) for name, (field, own) in _PLAN.items()}
-    return {name: np.array(value, dtype=float) for name, value in found.items()}
+        figures[_LAG] = np.asarray(built.thermal_lag)
+    figures |= {name: field(schedule)[moves] if own else field(schedule) for name, (field, own) in _PLAN.items()}
+    return {name: np.array(value, dtype=float) for name, value in figures.items()}

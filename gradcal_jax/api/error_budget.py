@@ -1,4 +1,4 @@
-"""What a plan is limited by: the share of every error source in a residual."""
+"""The error budget of a plan: the share of every error source in each residual."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -27,14 +27,14 @@ FIGURES: Final[dict[str, Field]] = {
     "standstill offset": lambda m: m.reference.standstill_offset,
     "timing error": lambda m: m.reference.timing_error,
 }
-"""Where the noise figures that every model has stand, by the names that people use."""
+"""Accessors of the noise figures that every model has, by error source."""
 
 
 def error_budget(built: Assembled, channel: Axis, known: Posterior) -> dict[str, dict[str, float]]:
     """For each requirement, the share of each error source in its statistic: `∂ ln s / ∂ ln σ`.
 
-    The residual is homogeneous of degree one in all standard deviations together, so the shares add up to one; what the
-    sources leave is the priors'. Requirements that the plan cannot observe are left out.
+    The residual is homogeneous of degree one in all standard deviations together, so the shares add up to one; the
+    rest after all sources is the share of the priors. Requirements that the plan cannot observe are left out.
     """
     model, line = built.model, built.trajectory(channel)
     by_rates = unweighted_estimator(built.spec)
@@ -51,39 +51,39 @@ def error_budget(built: Assembled, channel: Axis, known: Posterior) -> dict[str,
         places = contrasts_of(model, requirement, requirement.statistic)
         slope = Sensitivity(known, places, requirement.statistic, values)
         if readings is None:
-            found = unweighted_shares(least_squares(line, model), slope.of_covariance, parts)
+            budget = unweighted_shares(least_squares(line, model), slope.of_covariance, parts)
         else:
-            found = noise_shares(steps, readings, slope.of_gram, parts)
-            found |= _of_priors(model, slope)
-        found = {name: value / total for name, value in found.items()}
-        rest = 1.0 - sum(found.values())
+            budget = noise_shares(steps, readings, slope.of_gram, parts)
+            budget |= _of_priors(model, slope)
+        budget = {name: value / total for name, value in budget.items()}
+        rest = 1.0 - sum(budget.values())
         if abs(rest) > 5e-3:
-            found[PRIOR] = rest
-        shares[requirement.name] = dict(sorted(found.items(), key=lambda item: -item[1]))
+            budget[PRIOR] = rest
+        shares[requirement.name] = dict(sorted(budget.items(), key=lambda item: -item[1]))
     return shares
 
 
 def _of_priors(model: SensorModel, slope: Sensitivity) -> dict[str, float]:
     """The same derivative for errors of the rig and of the structure that are parameters with a prior."""
-    found: dict[str, float] = {}
+    budget: dict[str, float] = {}
     for term in model.terms:
         name = ENCODER if term is model.harmonics else DISCREPANCY if isinstance(term, Discrepancy) else None
         if name is not None:
             rows, where = term.prior_rows(), model.where(term.name)
-            found[name] = found.get(name, 0.0) - 2.0 * float(np.sum(slope.of_gram[where, where] * (rows.T @ rows)))
-    if DISCREPANCY in found:
-        found[DISCREPANCY] += 2.0 * slope.of_beyond
-    return found
+            budget[name] = budget.get(name, 0.0) - 2.0 * float(np.sum(slope.of_gram[where, where] * (rows.T @ rows)))
+    if DISCREPANCY in budget:
+        budget[DISCREPANCY] += 2.0 * slope.of_beyond
+    return budget
 
 
 def active_sources(built: Assembled) -> list[str]:
-    """Names of the sources of noise that are not zero, and that the plan meets."""
+    """Names of the error sources that are not zero and act on this plan."""
     moves = len(built.trajectory().moving_pieces)
     return [name for name in known_sources(built) if name != "timing error" or moves]
 
 
 def known_sources(built: Assembled) -> list[str]:
-    """Names of the sources of noise that are not zero, of those that its readings may have."""
+    """Names of the error sources that are not zero and act on this kind of reading."""
     rates = built.trajectory().rates
     unread = ("reading noise", "standstill offset", "timing error") if rates else ("rate accuracy",)
     figures = [n for n, of in FIGURES.items() if n not in unread and float(np.asarray(of(built.model))) > 0.0]
@@ -91,12 +91,12 @@ def known_sources(built: Assembled) -> list[str]:
 
 
 def only(built: Assembled, name: str) -> SensorModel:
-    """The model with one source of noise alone."""
+    """The model with one error source alone."""
     return scaled(built, {n: float(n == name) for n in active_sources(built)})
 
 
 def scaled(built, factors: Mapping[str, Any]) -> SensorModel:
-    """The model of whatever has one and its `sources`, with sources of noise multiplied by factors."""
+    """The model of `built` with its error sources multiplied by factors."""
     model = built.model
     sizes: list = [1.0] * model.processes.count
     for name, members in built.sources.items():
@@ -119,7 +119,7 @@ def scaled(built, factors: Mapping[str, Any]) -> SensorModel:
 
 
 def limited_by(shares: dict[str, float] | None) -> str | None:
-    """The largest shares, in words."""
+    """The error sources with the largest shares, in words."""
     if not shares:
         return None
     largest = [(name, share) for name, share in shares.items() if share >= 0.1] or list(shares.items())[:1]

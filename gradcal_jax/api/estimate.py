@@ -1,6 +1,6 @@
-"""A log and a spec -> increments -> the estimation room -> calibrations, with what the fit says of itself.
+"""From a log and a spec to the estimate of every channel, with tests of the fit.
 
-The spec says what the sensor's noise, the table's readings and the maps are; what was done is read from the log.
+The spec describes the sensor's noise, the table's readings and the maps; the executed motion is read from the log.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from gradcal_jax.files.schedule import StandardSchedule
 def estimate_channels(
     spec: Spec, log: Log, *, axes: Sequence[str] = (), units: Sequence[str] = (), options: Options | None = None
 ) -> list[UnitChannel]:
-    """Every asked axis of every asked unit (all, without them), by the spec's model.
+    """The estimate of every axis in `axes` of every unit in `units` (default: all), by the spec's model.
 
     **Raises:** `LogError` and `ValueError` with a sentence where the log does not hold what the estimate needs.
     """
@@ -30,7 +30,7 @@ def estimate_channels(
     wanted_axes = [log.axes[log.axis_index(a)] for a in axes] or _common_axes(built, log)
     if options.earth_rate and len(wanted_axes) > 1:
         raise ValueError(
-            "the Earth's rate along each of several axes is another, and changes as others turn: estimate one at a "
+            "the Earth's rate differs between axes, and changes while other axes turn: estimate one axis at a "
             "time with --axis, or describe the table in a whole unit's spec (gradcal new two-axis-table), which has it"
         )
     wanted_units = [log.unit_index(u) for u in units] or list(range(len(log.units)))
@@ -53,7 +53,7 @@ def _common_axes(built: Assembled, log: Log) -> list[str]:
 
 
 def _channel(built: Assembled, log: Log, axis: str, units: list[int], options: Options) -> list[UnitChannel]:
-    """All units of one axis. Those whose samples may be integrated over the same rows share one whitening."""
+    """All units of one axis. Units whose samples are integrated over the same rows share one whitening."""
     rows = {unit: rows_of(built, log, axis, unit, options) for unit in units}
     if isinstance(built.spec.schedule, StandardSchedule):
         return [standard_channel(built, log, axis, unit, rows[unit], options) for unit in units]

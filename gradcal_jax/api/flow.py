@@ -1,7 +1,7 @@
-"""The steps of the flow that start from a spec as single calls, each by the name of the command that prints its result.
+"""The steps that start from a spec, each one function with the name of its command.
 
-Where a room's own function yields progress or takes its input in pieces, it stands behind one of these. Those that
-start from a log, which load more of SciPy than all else together, stand in `api.log_flow`.
+They wrap functions that yield progress or take their input in parts. Steps that start from a log are in
+`api.log_flow`, since they load most of SciPy.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,10 +26,10 @@ from gradcal_jax.files.unit_spec import UnitSpec
 
 
 def check(spec: Spec | UnitSpec) -> list[str]:
-    """What a spec's prediction should not be read without, in sentences: what the plan cannot observe, and where a
-    requirement goes beyond the temperatures (°C) and rates (deg/s) that the plan visits. Empty: nothing.
+    """Warnings on a spec's prediction, in sentences: parameter combinations that the plan cannot observe, and
+    requirements beyond the temperatures (°C) and rates (deg/s) that the plan visits.
 
-    Errors: none; whatever is wrong with a file, `read_spec` has refused already.
+    Errors: none; `read_spec` has validated the spec.
     """
     if isinstance(spec, UnitSpec):
         unit = assemble_unit(spec)
@@ -39,7 +39,7 @@ def check(spec: Spec | UnitSpec) -> list[str]:
 
 
 def compare(*specs: Spec | UnitSpec) -> list[Prediction]:
-    """The prediction of each spec (`predict`: s, ppm, deg/h), with what its requirements are limited by.
+    """The prediction of each spec (`predict`: s, ppm, deg/h), with the error sources that limit each requirement.
 
     Errors: as `predict`.
     """
@@ -57,14 +57,14 @@ def optimise(
     """The best plan that gradient descent finds for a spec with a [design], rounded to the controllers' steps.
 
     `steps`: iterations of each start. `quick`: few starts, within some per cent of the best in seconds. `until_met`: no
-    further than to a plan that meets every target with a margin of 10 %. `watch` is told of progress
-    (`api.optimise.Step`: `best` in `unit`, `share` of the work). Returns `api.optimise.Optimised`: the rounded `spec`,
-    `now` its residual and `before` the first plan's, in `unit` (ppm or deg/h; minutes, where time is minimised),
-    `converged` and a `sentence` that says why or why not, the limits that bind and what easing them is worth. The best
-    of several local optima: `limit` says how much another plan could still gain.
+    further than to a plan that meets every target with a margin of 10 %. `watch` is called with progress
+    (`api.optimise.SearchStep`: `best` in `unit`, `share` of the work). Returns `api.optimise.Optimised`: the rounded
+    `spec`, `now` its residual and `before` the first plan's, in `unit` (ppm or deg/h; minutes, where time is
+    minimised), `converged` and a `sentence` with the reason, the limits that bind and their shadow prices. It is the
+    best of several local optima: `limit` bounds what another plan could still gain.
 
     Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, for
-    targets that are not met in the time allowed, and for `until_met` without a target or of the shortest plan.
+    targets that are not met in the time allowed, and for `until_met` without a target or with a minimised time.
     """
     expect_spec(spec)
     shortest = spec.design is not None and spec.design.minimise in TIMES
@@ -80,12 +80,12 @@ def optimise(
 
 
 def limit(spec: Spec | UnitSpec) -> list[PlanLimit]:
-    """What no plan on this rig in this time can do better than, for every scale-factor requirement of a gradient plan;
-    of a whole unit, for every requirement with a proof (`gradcal_jax.api.unit_limit`).
+    """The proven lower limit on the residual of any plan on this rig in this time: for every scale-factor requirement
+    of a gradient plan; of a whole unit, for every requirement with a proof (`gradcal_jax.api.unit_limit`).
 
     Each `api.limit.PlanLimit` has `certified` (proven) and `value` (of the spec's own plan) in `unit`, the plan's
-    `efficiency`, and `relaxed`: what the proof lets a plan do that the rig does not. The derivation, a convex problem
-    with its certificate, stands in `gradcal_jax.design.limit`.
+    `efficiency`, and `relaxed`: the limits of the rig that the proof leaves out. The derivation, a convex problem with
+    its certificate, is in `gradcal_jax.design.limit`.
 
     Errors: `ValueError` for a plan without moves, and without a requirement that has a proof.
     """
@@ -103,12 +103,12 @@ def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS
 
 
 def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:
-    """What one per cent more of every figure of sensor, rig and plan changes, in per cent of each residual.
+    """The change of each residual, in per cent, for one per cent more of every figure of sensor, rig and plan.
 
     `rows` of (requirement, figure, percent), the largest first; `residuals` of (value, unit) by requirement, in ppm or
-    deg/h. For an optimised plan it is also what is left once the plan is optimised again (envelope theorem). Of a whole
-    unit they are central differences of the prediction, two predictions a figure.
+    deg/h. For an optimised plan the change is the same after the plan is optimised again (envelope theorem). Those of
+    a whole unit are central differences of the prediction, two predictions a figure.
 
-    Errors: `ValueError` where nothing is required, or where the plan cannot observe what is.
+    Errors: `ValueError` for a spec without requirements, or with one that the plan cannot observe.
     """
     return sensitivities(spec if isinstance(spec, UnitSpec) else expect_spec(spec))

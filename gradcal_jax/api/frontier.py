@@ -14,7 +14,7 @@ _BLIND: Final = (
 
 
 class FrontierPoint(NamedTuple):
-    """`motion` s, without soaks, and the best plan found for it; or why there is none."""
+    """A ramp of `motion` s, without soaks, with its best plan, or the `reason` why there is none."""
 
     motion: float
     plan: Optimised | None
@@ -28,7 +28,7 @@ def frontier(
     steps: int = STEPS,
     watch: Callable[[float, SearchStep], None] = lambda _, __: None,
 ) -> Iterator[FrontierPoint]:
-    """Optimise for each of `times` (s, without soaks). `watch` is told every step. Errors: as `optimise` for all."""
+    """Optimise for each of `times` (s, without soaks); `watch` is called at every step. Errors: as `optimise`."""
     for time in times:
         try:
             for event in optimise(spec, steps=steps, motion=time):
@@ -52,7 +52,7 @@ def shortest(points: list[FrontierPoint], target: float) -> float | None:
     Between points the logarithm of the residual is taken as linear in that of the time.
     """
     known = sorted((p.motion, p.plan.now) for p in points if p.plan is not None and np.isfinite(p.plan.now))
-    # A longer plan may always do what a shorter one does and then wait: what search missed is not the frontier's.
+    # A longer plan can do what a shorter one does and then wait, so the frontier never rises.
     best = np.minimum.accumulate([value for _, value in known]) if known else np.array([])
     for k in range(len(known)):
         if best[k] <= target:

@@ -1,4 +1,4 @@
-"""The gradient method: what was done is read from the log, and the maps are found at rates that they make."""
+"""The gradient method: the executed motion is read from the log; maps and true rates are estimated in turn."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ _CORRELATION_TIMES_A_PIECE = 3.0
 def gradient_channels(
     built: Assembled, log: Log, axis: str, members: list[int], rows: dict[int, Rows], options: Options
 ) -> dict[int, UnitChannel]:
-    """`members`: units whose samples may be integrated over the same rows; they share one whitening."""
+    """The units `members`, whose samples are integrated over the same rows and share one whitening."""
     first = rows[members[0]]
     model = built.model
     rest_bias = float(np.mean(first.rate[first.standing & first.usable])) if first.standing.any() else 0.0
@@ -56,7 +56,7 @@ def gradient_channels(
     messages = list(first.messages)
     if first.angle is None:
         messages.append(
-            "the log has no table angle: only what the sensor says at rest is used, and no scale factor can be seen"
+            "the log has no table angle: only rates at rest are used, and the scale factor is not observable"
         )
     line = done.line
     steps = noise_steps(line, model)
@@ -65,7 +65,7 @@ def gradient_channels(
     )
     readings = np.stack([of_unit(rows[u]) for u in members], axis=1)
     moving = line.moving
-    # Of each piece, for reports.
+    # Mean temperature, rate and time of each piece, for reports.
     ends, mean_rate = first.temperature[done.rows], line.terms[:, 0]
     temperature = 0.5 * (ends[1:] + ends[:-1])
     time = first.time[done.rows[1:]]
@@ -90,27 +90,27 @@ def gradient_channels(
         return Observations(steps, np.stack(columns), readings, time, temperature, mean_rate)
 
     def settle(lag: float, parameters: np.ndarray | None = None) -> tuple[Observations, Whitened, Estimate, float]:
-        """Map and regressors in turn, until neither changes; by how many standard deviations the maps still did."""
+        """Alternate maps and regressors until they converge; also the maps' last change in standard deviations."""
         moved = np.inf
         for _ in range(_ROUNDS):
             observations = observe(lag, parameters)
             white = estimation.whitened(observations, model)
-            found = estimation.solve(white)
+            estimate = estimation.solve(white)
             if model.scale is None or not moving.any():
                 moved = 0.0
             elif parameters is not None:
-                moved = _moved(found, parameters, model)
+                moved = _moved(estimate, parameters, model)
             if moved < _SETTLED:
                 break
-            parameters = found.parameters
-        return observations, white, found, moved  # pyright: ignore[reportPossiblyUnboundVariable]
+            parameters = estimate.parameters
+        return observations, white, estimate, moved  # pyright: ignore[reportPossiblyUnboundVariable]
 
     lag, lag_std = _fitted_lag(settle) if options.lag == "fit" else (float(options.lag), None)
     observations, white, settled, moved = settle(lag)
     if moved >= _SETTLED:
         messages.append(
-            "the maps have not settled: taken at the rates that they themselves make of the sensor's, they still "
-            f"change by {moved:.2g} standard deviations; the maps are wild, or the noise figures far too small"
+            "the maps have not converged: between iterations, each at the rates corrected by the one before, they "
+            f"change by {moved:.2g} standard deviations; the maps are too flexible, or the noise figures too small"
         )
     hidden = [
         (term, level, whitened_columns(observe(lag, settled.parameters, term)))
@@ -143,11 +143,11 @@ def _longest_piece(model: SensorModel) -> float:
     return _CORRELATION_TIMES_A_PIECE / float(np.max(model.processes.decay[driven]))
 
 
-def _moved(found: Estimate, before: np.ndarray, model: SensorModel) -> float:
-    """The largest change of any parameter since the round before, in its standard deviations."""
+def _moved(estimate: Estimate, before: np.ndarray, model: SensorModel) -> float:
+    """The largest change of any parameter since the last iteration, in its standard deviations."""
     largest = 0.0
     rows = model.to_reported
-    for now, then, known in zip(found.parameters, before, found.known, strict=True):
+    for now, then, known in zip(estimate.parameters, before, estimate.known, strict=True):
         std = known.deviations(rows)
         change = np.abs(rows @ (now - then))
         seen = np.isfinite(std) & (std > 0.0)
@@ -156,24 +156,24 @@ def _moved(found: Estimate, before: np.ndarray, model: SensorModel) -> float:
 
 
 def _fitted_lag(settle) -> tuple[float, float]:
-    """The lag at which the smallest χ² of all units together lies, and what it is uncertain by (curvature of χ²)."""
+    """The lag that minimises χ² of all units together, and its standard deviation (from the curvature of χ²)."""
     known: dict[float, float] = {}
     last: list[np.ndarray | None] = [None]
 
     def chi_squared(lag: float) -> float:
         if lag not in known:
-            _, _, found, _ = settle(lag, last[0])
-            last[0] = found.parameters
-            known[lag] = float(found.chi_squared.sum())
+            _, _, minimum, _ = settle(lag, last[0])
+            last[0] = minimum.parameters
+            known[lag] = float(minimum.chi_squared.sum())
         return known[lag]
 
     grid = [0.0, *np.geomspace(5.0, LONGEST_LAG_S, 12)]
     values = [chi_squared(lag) for lag in grid]
     best = int(np.argmin(values))
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found: Any = optimize.minimize_scalar(chi_squared, bounds=(low, high), method="bounded", options={"xatol": 0.05})
-    lag = float(found.x) if found.fun < values[best] else grid[best]
-    # Three lags that differ, also where the one found is none at all.
+    minimum: Any = optimize.minimize_scalar(chi_squared, bounds=(low, high), method="bounded", options={"xatol": 0.05})
+    lag = float(minimum.x) if minimum.fun < values[best] else grid[best]
+    # Three different lags, also where the minimum is at zero.
     width = max(0.05 * lag, 1.0)
     around = max(lag - width, 0.0) + width * np.arange(3.0)
     bend = np.polyfit(around, [chi_squared(x) for x in around], 2)[0]

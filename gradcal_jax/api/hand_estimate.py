@@ -1,4 +1,4 @@
-"""A log of a unit, held still in many positions and turned by hand -> its calibration, without table and spec."""
+"""The calibration of a unit from a log of many positions at rest, turned by hand between them; no table, no spec."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -26,19 +26,18 @@ from gradcal_jax.files.unit_correction import triad_of
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.units import DEG_PER_H, G
 
-# Of the three mean squares of gravity's direction along axes: below, all positions lie near one plane.
+# Smallest eigenvalue of the mean of gravity's outer product below which all positions lie near one plane.
 _FLAT = 0.01
 _FRAME = "the accelerometers' own: x along accelerometer x, y in the plane of accelerometers x and y"
 _GYRO_RATE = {"basis": "polynomial", "degree": 0, "scale": "300 deg/s"}
 
 
 class HandReport(NamedTuple):
-    """The estimate of one unit. `tests` by name; `gravity_left` (m/s²) rms of |f| − g over the positions, `turns_left`
-    (rad) rms by which gravity's direction is missed after a turn, in each of two directions across it.
-    """
+    """The estimate of one unit. `tests` by name; `gravity_left` (m/s²): rms of |f| − g over the positions; `turns_left`
+    (rad): rms error of gravity's direction after a turn, in each of two directions across it."""
 
     unit: str
-    found: ByHand
+    solution: ByHand
     calibration: UnitCalibration
     tests: dict[str, Test]
     gravity_left: float
@@ -47,7 +46,7 @@ class HandReport(NamedTuple):
 
     @property
     def as_wished(self) -> bool:
-        """Everything observed, every test passed."""
+        """Whether every parameter is observable and every test passed."""
         return not self.calibration.unobservable and all(test.passed for test in self.tests.values())
 
 
@@ -59,15 +58,15 @@ def estimate_by_hand(
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> list[HandReport]:
-    """The calibration of every asked unit (all, without `units`) in a log of many positions, by `gravity` (m/s²).
+    """The calibration of every unit in `units` (default: all) from a log of many positions, by `gravity` (m/s²).
 
     Accelerometers by |f| = g over the standstills, then gyros by the turns of gravity between them
     (`gradcal_jax.estimation.hand`). Readings may be raw counts. `options`: `api.estimate_options.Options`, of which
     this takes `earth_rate` (rad/s, straight up), `clock` and `temperature_c`; `sources`: names of files, for the
-    provenance. Returns reports with a `calibration` (SI), tests, what is left of gravity (m/s²) and of the turns (rad),
+    provenance. Returns reports with a `calibration` (SI), tests, residuals of gravity (m/s²) and of the turns (rad),
     and `messages`.
 
-    Errors: `LogError` with a sentence where the log does not hold what the estimate needs.
+    Errors: `LogError` where the log lacks what the estimate needs.
     """
     if not gravity > 0.0:
         raise ValueError(f"gravity is {gravity:g} m/s²: it must be positive")
@@ -94,10 +93,10 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             messages.append(
                 f"the log marks no standstills: {int(standing.max()) + 1} were found where rates and forces are quiet"
             )
-        found = solve_by_hand(HandRows(time, rates, force, usable, standing), gravity, options.earth_rate)
+        solution = solve_by_hand(HandRows(time, rates, force, usable, standing), gravity, options.earth_rate)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
-    held, force_fit, rate_fit = found.positions, found.accelerometer, found.gyro
+    held, force_fit, rate_fit = solution.positions, solution.accelerometer, solution.gyro
     density = lambda noise, gain, unit: Quantity.of(float(np.sqrt(np.mean(noise))) / gain, unit)  # noqa: E731
     between = slice(int(held.rows[0, 0]), int(held.rows[-1, 1]) + 1)
     fastest = np.degrees(np.nanmax(np.abs((rates[between] - rate_fit.centre) / rate_fit.gain)))
@@ -106,10 +105,10 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         "accelerometers: norm of gravity": force_fit.test,
         "accelerometers: whiteness from position to position": estimation.whiteness(force_fit.left, force_fit.taken),
         "gyros: turns of gravity": rate_fit.test,
-        "gyros: rates at rest": found.at_rest,
+        "gyros: rates at rest": solution.at_rest,
     }
-    channels = tuple(_channels(found))
-    names, matrix = _covariance(found)
+    channels = tuple(_channels(solution))
+    names, matrix = _covariance(solution)
     hidden = np.concatenate([force_fit.hidden, rate_fit.hidden])
     low, high = float(temperature[between].min()), float(temperature[between].max())
     ends = float(np.floor(low * 10.0) / 10.0), float(np.ceil(high * 10.0) / 10.0)
@@ -140,17 +139,17 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             name,
             sources,
             estimator=f"norm and turns of gravity, {gravity:.9g} m/s^2; {len(held.duration)} positions, "
-            f"{found.turns} turns",
+            f"{solution.turns} turns",
         ),
     )
     left = [float(np.sqrt(np.mean(fit.left**2))) for fit in (force_fit, rate_fit)]
-    messages += _words(found, tests, calibration.unobservable, gravity, options.earth_rate)
-    return HandReport(name, found, calibration, tests, left[0], left[1], tuple(messages))
+    messages += _words(solution, tests, calibration.unobservable, gravity, options.earth_rate)
+    return HandReport(name, solution, calibration, tests, left[0], left[1], tuple(messages))
 
 
-def _channels(found: ByHand) -> Iterator[CalibratedChannel]:
-    """What said = centre + gain · (…) comes to in the file's terms."""
-    gyro, force = found.gyro, found.accelerometer
+def _channels(solution: ByHand) -> Iterator[CalibratedChannel]:
+    """The coefficients of reading = centre + gain · (…) as terms of a calibration file."""
+    gyro, force = solution.gyro, solution.accelerometer
     for j, a in enumerate(AXIS_NAMES):
         row = gyro.gain * gyro.parameters.reshape(3, 7)[j]
         terms = [
@@ -182,23 +181,25 @@ def _channels(found: ByHand) -> Iterator[CalibratedChannel]:
         yield CalibratedChannel(kind="accelerometer", axis=a, term=tuple(terms))
 
 
-def _covariance(found: ByHand) -> tuple[list[str], np.ndarray]:
+def _covariance(solution: ByHand) -> tuple[list[str], np.ndarray]:
     """Names of all coefficients, accelerometers first, and their covariance in SI."""
     names = [f"accelerometer_{a}.a" for a in "xyz"]
     names += [f"accelerometer_{'xyz'[j]}." + ("s" if j == l else f"m_{'xyz'[l]}") for j, l in LOWER]
     for j, a in enumerate(AXIS_NAMES):
         names += [f"gyro_{a}." + ("b00" if j == l else f"m_{'xyz'[l]}") for l in range(3)]
         names += [f"gyro_{a}.a", *(f"gyro_{a}.g_{b}" for b in "xyz")]
-    gains = np.repeat([found.accelerometer.gain, found.gyro.gain], [9, 21])
-    whole = np.block([[found.accelerometer.covariance, found.cross], [found.cross.T, found.gyro.covariance]])
+    gains = np.repeat([solution.accelerometer.gain, solution.gyro.gain], [9, 21])
+    whole = np.block(
+        [[solution.accelerometer.covariance, solution.cross], [solution.cross.T, solution.gyro.covariance]]
+    )
     return names, whole * np.outer(gains, gains)
 
 
 def _words(
-    found: ByHand, tests: dict[str, Test], unseen: Sequence[str], gravity: float, earth_up: float
+    solution: ByHand, tests: dict[str, Test], unseen: Sequence[str], gravity: float, earth_up: float
 ) -> Iterator[str]:
-    """What the data say, in sentences."""
-    force, gyro, held = found.accelerometer, found.gyro, found.positions
+    """Findings of the estimate, in sentences."""
+    force, gyro, held = solution.accelerometer, solution.gyro, solution.positions
     for fit, what, unit in ((force, "forces", "m/s²"), (gyro, "rates", "rad/s")):
         if fit.gain != 1.0:
             yield f"the {what} are counts, about {fit.gain:.4g} of them one {unit}: the scale factors hold that, too"
@@ -208,52 +209,52 @@ def _words(
         normal = ", ".join(f"{v:+.2f}" for v in axes[:, 0])
         yield (
             f"all positions lie near one plane: gravity was never along ({normal}) of the unit's x, y, z; hold it with "
-            "that direction up and down, too"
+            "that direction up, and down"
         )
     for k, a in enumerate("xyz"):
         for words, most in (("up", up[:, k].max()), ("down", -up[:, k].min())):
             if most < 0.5:
                 yield f"axis {a} was never held within 60° of {words}"
     if unseen:
-        yield f"the data say nothing of {', '.join(unseen)}: the file holds them as of an ideal unit"
+        yield f"the data say nothing of {', '.join(unseen)}: the file has their values of an ideal unit"
     if force.beyond > 0.0:
         yield (
             f"|f| - g differs from position to position by {force.beyond / G * 1e6:.3g} µg more than noise explains: "
-            "was the unit quite still, and is the error in proportion to the force? The covariance counts it"
+            "did the unit stand still, and is its error proportional to the force? The covariance includes it"
         )
     if gyro.beyond > 0.0:
         yield (
-            f"gravity's direction after a turn is missed by {gyro.beyond * 1e6:.3g} µrad more than noise explains: the "
-            "gyros have errors that their scale, misalignment and sensitivity to acceleration do not hold, or the unit "
-            "moved in a standstill. The covariance counts it"
+            f"gravity's direction after a turn has {gyro.beyond * 1e6:.3g} µrad more error than noise explains: the "
+            "gyros have errors besides scale factor, misalignment and sensitivity to acceleration, or the unit "
+            "moved in a standstill. The covariance includes it"
         )
-    if found.unsteady > 0.0:
+    if solution.unsteady > 0.0:
         yield (
-            f"the gyros' rates at rest differ by {found.unsteady * DEG_PER_H:.3g} deg/h more than noise and their "
-            "sensitivity to acceleration explain: drift, it seems. The covariance counts it"
+            f"the gyros' rates at rest differ by {solution.unsteady * DEG_PER_H:.3g} deg/h more than noise and their "
+            "sensitivity to acceleration explain, probably by drift. The covariance includes it"
         )
     if not (white := tests["accelerometers: whiteness from position to position"]).passed:
-        yield f"|f| - g is not independent from position to position (chance {white.probability:.1g}): it warms or ages"
+        yield f"|f| - g is correlated from position to position (chance {white.probability:.1g}): it warms or ages"
     if earth_up == 0.0:
         yield (
-            "of the Earth's rate what points up is in the sensitivities to acceleration, up to 15 deg/h at 1 g: with "
-            "--latitude it is taken off"
+            "the Earth's rate along the vertical, up to 15 deg/h at 1 g, is in the sensitivities to acceleration; "
+            "--latitude subtracts it"
         )
-    yield f"the accelerometers' scale factors are as right as g is: {gravity:.6g} m/s²"
+    yield f"the accelerometers' scale factors are as accurate as g: {gravity:.6g} m/s²"
 
 
 def hand_estimate_rows(report: HandReport) -> dict[str, Any]:
     """All numbers of an estimate for another program, SI."""
-    found = report.calibration
+    calibration = report.calibration
     return {
         "unit": report.unit,
-        "simulated": found.simulated,
-        "parameters": coefficient_rows(found),
-        "positions": len(report.found.positions.duration),
-        "turns": report.found.turns,
+        "simulated": calibration.simulated,
+        "parameters": coefficient_rows(calibration),
+        "positions": len(report.solution.positions.duration),
+        "turns": report.solution.turns,
         "gravity_rms_m_per_s2": report.gravity_left,
         "turns_rms_rad": report.turns_left,
-        "tests": [row.model_dump(mode="json") for row in found.fit],
-        "unobservable": list(found.unobservable),
+        "tests": [row.model_dump(mode="json") for row in calibration.fit],
+        "unobservable": list(calibration.unobservable),
         "messages": list(report.messages),
     }

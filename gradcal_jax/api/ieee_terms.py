@@ -1,8 +1,8 @@
-"""What a calibration file says of its own uncertainty: residual maps as predictions have, and the standards' terms.
+"""The uncertainty of a calibration file: residual maps as in predictions, and the terms of the standards.
 
 Everything follows from the file's coefficients and covariance `C`: a quantity that is linear in the coefficients,
-`cᵀβ`, has the standard deviation `√(cᵀCc)`. The names of terms are those of IEEE 952, 1431 and 1780; each says in
-words what was computed, since the standards leave room.
+`cᵀβ`, has the standard deviation `√(cᵀCc)`. The names of terms are those of IEEE 952, 1431 and 1780; each has its
+exact definition in words, since the standards leave room.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ _TEMPERATURES, _RATES = 101, 121
 
 
 class IeeeTerm(NamedTuple):
-    """A figure in the standards' words. `std`: one sigma, None where the data do not tell; `computed`: from what."""
+    """A term of the standards. `std`: one sigma, None where it is not observable; `computed`: its definition."""
 
     name: str
     value: float
@@ -42,8 +42,8 @@ class Box(NamedTuple):
     unit: str
 
 
-def found_map(axis: AxisCalibration, quantity: str, temperature_c: Floats, rate_dps: Floats) -> tuple[Box, Box]:
-    """The map that was found and its standard deviation on a grid. Errors: `ValueError` for a map it does not have."""
+def calibration_map(axis: AxisCalibration, quantity: str, temperature_c: Floats, rate_dps: Floats) -> tuple[Box, Box]:
+    """The map of a calibration and its standard deviation on a grid. Errors: `ValueError` for a map that it lacks."""
     unit, factor = UNIT_OF[quantity]
     grid_t, grid_w = np.meshgrid(temperature_c, rate_dps / DEG_PER_S, indexing="ij")
     names, rows = _rows(axis, quantity, grid_t.ravel(), grid_w.ravel())
@@ -72,7 +72,7 @@ def grid_of(axis: AxisCalibration, requirement: Requirement | None, quantity: st
 
 
 def prior_map(spec: Spec, requirement: Requirement) -> Box | None:
-    """What is known before any calibration: the spec's priors on a requirement's box; None where they are flat."""
+    """The prior standard deviation on a requirement's box, before any calibration; None where the prior is flat."""
     if requirement.quantity in ("heading", "north"):
         return None
     section = spec.sensor.bias if requirement.quantity == "bias" else spec.sensor.scale_factor
@@ -168,7 +168,7 @@ def _rows(axis: AxisCalibration, quantity: str, temperature_c: Floats, rate: Flo
 
 
 def _deviations(axis: AxisCalibration, names: list[str], rows: Floats) -> Floats:
-    """One sigma of each row; `inf` where it needs a coefficient of which the data say nothing."""
+    """One sigma of each row; `inf` where it involves a coefficient that is not observable."""
     if axis.covariance is None:
         return np.full(len(rows), np.inf)
     place = {name: k for k, name in enumerate(axis.covariance.names)}
@@ -176,6 +176,6 @@ def _deviations(axis: AxisCalibration, names: list[str], rows: Floats) -> Floats
     seen = [k for k, name in enumerate(names) if name in place]
     where = [place[names[k]] for k in seen]
     part = rows[:, seen]
-    found = np.sqrt(np.maximum(np.einsum("gi,ij,gj->g", part, matrix[np.ix_(where, where)], part), 0.0))
+    deviations = np.sqrt(np.maximum(np.einsum("gi,ij,gj->g", part, matrix[np.ix_(where, where)], part), 0.0))
     unseen = np.delete(rows, seen, axis=1)
-    return np.where(np.any(unseen != 0.0, axis=1), np.inf, found)
+    return np.where(np.any(unseen != 0.0, axis=1), np.inf, deviations)

@@ -1,4 +1,4 @@
-"""A recorded log -> the instability of its channels: Direct Bound and Allan deviation, ready for people and specs."""
+"""The instability of the channels of a log at rest: Direct Bound and Allan deviation."""
 
 import itertools
 from collections.abc import Sequence
@@ -13,22 +13,22 @@ from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.files.log import EvenSeries, Log, LogError
 from gradcal_jax.units import ARCSEC, DEG_PER_SQRT_H
 
-# A lag is taken for real where it leaves less than this share of what the fit without one leaves.
+# A fitted lag is used where it reduces the rms residual to less than this share.
 _LAG_PAYS = 0.9
 _LONGEST_LAG_S = 1800.0
-# Without as wide a span of temperature (K) nothing can be said of B(T), and none is removed.
+# Over a narrower span of temperature (K), B(T) cannot be estimated and is not removed.
 _TELLING_SPAN = 5.0
-# rad/√s. The coarsest gyro that we know of, the ADXRS150 of 2002, has 0.05 deg/s/√Hz, which is 3 deg/√h; what is
-# quieter than the other figure is a large fibre-optic or ring laser gyro, which few people have.
+# rad/√s. The noisiest gyro known to us, the ADXRS150 of 2002, has 0.05 deg/s/√Hz, which is 3 deg/√h; below the
+# other figure are only large fibre-optic and ring laser gyros, which few people have.
 _NOISIEST = 4.0 / DEG_PER_SQRT_H
 _QUIETEST = 0.006 / DEG_PER_SQRT_H
 
 
 @dataclass(frozen=True)
 class RestRecord:
-    """One channel of a log at rest on an even grid, with B(T) taken off where asked.
+    """One channel of a log at rest on an even grid, less B(T) if requested.
 
-    `rate` `(samples,)` rad/s, `valid` `(samples,)`: what may be used, `temperature_c` `(samples,)` °C.
+    `rate` `(samples,)` rad/s, `valid` `(samples,)`: usable samples, `temperature_c` `(samples,)` °C.
     """
 
     axis: str
@@ -37,7 +37,7 @@ class RestRecord:
     valid: np.ndarray
     sample_interval_s: float
     time_s: np.ndarray
-    """`(samples,)`: of the record's clock; NaN where a gap stands."""
+    """`(samples,)` by the record's clock; NaN in a gap."""
     temperature_c: np.ndarray | None
     thermal: identify.ThermalBias | None
     messages: tuple[str, ...]
@@ -45,27 +45,27 @@ class RestRecord:
 
 @dataclass(frozen=True)
 class Instability:
-    """What `instability` found of a channel."""
+    """The result of `instability` for a channel."""
 
     rest: RestRecord
     allan: identify.AllanDeviation
     allan_fit: identify.AllanFit
     bound: identify.DirectBound
     temperature_c: tuple[float, float] | None
-    """The range that was looked at; None: all of the record."""
+    """The temperatures of the rows used; None: all of the record."""
     scatter: tuple[float, float] | None
-    """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None where they are too few."""
+    """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None for too few blocks."""
 
     @property
     def deciding_span_s(self) -> tuple[float, float]:
-        """When the drift that decides happened, by the record's clock: from the average over Δ to its end."""
+        """The time span of the largest relative drift, by the record's clock: from the average over Δ to its end."""
         bound, interval = self.bound, self.rest.sample_interval_s
         first = bound.deciding_start_index - round(bound.averaging_time_s / interval)
         last = bound.deciding_start_index + round(bound.deciding_time_s / interval) - 1
         return float(self.rest.time_s[first]), float(self.rest.time_s[last])
 
     def drift_block(self) -> str:
-        """The `[[sensor.drift]]` of a spec; a comment alone where no drift shows."""
+        """The `[[sensor.drift]]` of a spec; only a comment where no drift shows."""
         walk = f'angle_random_walk = "{number(self.bound.angle_random_walk * DEG_PER_SQRT_H)} deg/sqrt(h)"'
         if not self.bound.drift_shows:
             hidden = number(self.bound.hidden_drift_std * DEG_PER_H)
@@ -94,12 +94,12 @@ def at_rest(
     lag: float | str = "auto",
     without: Sequence[tuple[float, float]] = (),
 ) -> RestRecord:
-    """One channel, masked where the table moves, less its bias over temperature.
+    """One channel, masked where the table moves, with its bias over temperature subtracted.
 
     `without`: spans of the record's time (s) to leave out.
-    `bias_degree`: of the polynomial B(T) taken off; None: 3 where the record spans 5 K or more, otherwise the mean
-    alone; −1: nothing is taken off. `lag` of the bias behind the temperature: seconds, "fit", or "auto": fitted, and
-    used where it leaves a tenth less. **Raises:** `LogError` where nothing of the record is at rest.
+    `bias_degree`: of the subtracted polynomial B(T); None: 3 where the record spans 5 K or more, otherwise 0; −1:
+    nothing is subtracted. `lag` of the bias behind the temperature: seconds, "fit", or "auto": fitted, and used where
+    it reduces the rms by a tenth. **Raises:** `LogError` where nothing of the record is at rest.
     """
     even = log.even(axis, unit)
     valid = even.valid.copy()
@@ -139,8 +139,8 @@ def at_rest(
             )
         if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:
             messages.append(
-                f"that lag is the longest looked at, {_LONGEST_LAG_S / 60:.0f} min: the record does not tell it, and "
-                "drift may be passing for it"
+                f"that lag is the longest allowed, {_LONGEST_LAG_S / 60:.0f} min: the record does not determine it; "
+                "it may be drift"
             )
     rate[~valid] = 0.0
     named = log.axes[log.axis_index(axis)], log.units[log.unit_index(unit)]
@@ -150,7 +150,7 @@ def at_rest(
 def _thermal(
     even: EvenSeries, valid: np.ndarray, temperature: np.ndarray, degree: int, lag: float | str
 ) -> tuple[identify.ThermalBias, identify.ThermalBias]:
-    """B(T) as asked for, and the one without a lag."""
+    """B(T) with the requested lag, and B(T) without a lag."""
 
     def fit(lag_time_s: float | None) -> identify.ThermalBias:
         return identify.fit_thermal_bias(
@@ -186,10 +186,11 @@ def instability(
     temperature_c: tuple[float, float] | None = None,
     count: int = 200,
 ) -> Instability:
-    """Allan deviation with its fit, and the paper's Direct Bound with its random walk (or the one given, rad/√s).
+    """Allan deviation with its fit, and the paper's Direct Bound with that fit's random walk or `angle_random_walk`
+    (rad/√s).
 
-    Integration times are cut to what the longest unbroken stretch holds. `temperature_c`: only rows within this range,
-    and no window that leaves it. **Raises:** `LogError` where too little is left.
+    Integration times are limited by the longest unbroken stretch. `temperature_c`: only windows of rows within this
+    range. **Raises:** `LogError` where too little is left.
     """
     valid = rest.valid
     if temperature_c is not None:
@@ -213,7 +214,7 @@ def instability(
     walk = fit.angle_random_walk.value if angle_random_walk is None else angle_random_walk
     if angle_random_walk is None and walk <= fit.angle_random_walk.standard_error:
         raise LogError(
-            f"the Allan deviation of axis {rest.axis} shows no angle random walk, which the bound stands on: give the "
+            f"the Allan deviation of axis {rest.axis} shows no angle random walk, which the bound needs: give the "
             'data sheet\'s with --random-walk, such as "0.1 deg/sqrt(h)"'
         )
     times = identify.integration_times(max(shortest_s, interval), longest, interval, count=count)
@@ -235,13 +236,13 @@ def temperature_ranges(rest: RestRecord, parts: int) -> list[tuple[float, float]
     return [(float(a), float(b)) for a, b in itertools.pairwise(edges)]
 
 
-def instability_row(found: Instability) -> dict[str, Any]:
+def instability_row(result: Instability) -> dict[str, Any]:
     """Plain numbers for `--json`: units in the names."""
-    bound, thermal = found.bound, found.rest.thermal
+    bound, thermal = result.bound, result.rest.thermal
     return {
-        "axis": found.rest.axis,
-        "unit": found.rest.unit,
-        "temperature_c": found.temperature_c,
+        "axis": result.rest.axis,
+        "unit": result.rest.unit,
+        "temperature_c": result.temperature_c,
         "drift_shows": bound.drift_shows,
         "drift_std_deg_per_h": bound.drift_std * DEG_PER_H,
         "correlation_time_s": bound.correlation_time_s,
@@ -249,9 +250,9 @@ def instability_row(found: Instability) -> dict[str, Any]:
         "margin": bound.margin,
         "averaging_time_s": bound.averaging_time_s,
         "deciding_time_s": bound.deciding_time_s,
-        "deciding_span_s": found.deciding_span_s,
-        "drift_std_scatter_deg_per_h": None if found.scatter is None else found.scatter[0] * DEG_PER_H,
-        "correlation_time_scatter_ln": None if found.scatter is None else found.scatter[1],
+        "deciding_span_s": result.deciding_span_s,
+        "drift_std_scatter_deg_per_h": None if result.scatter is None else result.scatter[0] * DEG_PER_H,
+        "correlation_time_scatter_ln": None if result.scatter is None else result.scatter[1],
         "hidden_drift_std_deg_per_h": finite(bound.hidden_drift_std * DEG_PER_H),
         "advised_averaging_time_s": bound.advised_averaging_time_s,
         "boundary": np.stack([bound.boundary_correlation_time_s, bound.boundary_drift_std * DEG_PER_H], 1).tolist(),
@@ -267,7 +268,7 @@ def instability_row(found: Instability) -> dict[str, Any]:
             "lag_s": thermal.lag_time_s,
             "residual_rms_deg_per_h": thermal.residual_rms * DEG_PER_H,
         },
-        "messages": [*found.rest.messages, *allan_notes(found.allan_fit), *bound.messages],
+        "messages": [*result.rest.messages, *allan_notes(result.allan_fit), *bound.messages],
     }
 
 
@@ -308,7 +309,7 @@ def allan_row(rest: RestRecord, allan: identify.AllanDeviation, fit: identify.Al
 
 
 def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
-    """What a fit leaves out, and whether its model holds, in sentences."""
+    """Times that a fit leaves out, and whether its model fits, in sentences."""
     notes: list[str] = []
     if not plausible(fit):
         notes.append(too_noisy(fit))
@@ -321,14 +322,14 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     if fit.low_passed:
         notes.append(
             f"a low-pass averages the samples: times below {fit.fitted_time_s[0]:.3g} s are left out of the fit, and "
-            "quantisation cannot be told"
+            "quantisation cannot be estimated"
         )
     if fit.chance < identify.MISFIT:
         last = fit.fitted_time_s[-1]
         notes.append(
             f"the fitted terms do not follow the curve (χ² {fit.chi_squared:.4g} of {fit.chi_squared_degrees} degrees; "
             f"{identify.MISFIT:.0%} of records of such noise are as far off), least of all near "
-            f"{fit.farthest_time_s:.3g} s: the record holds something else (a trend, a period, what temperature did); "
+            f"{fit.farthest_time_s:.3g} s: the record holds something else (a trend, a period, a thermal effect); "
             + (
                 f"times above {last:.3g} s are left out of the fit"
                 if last < fit.averaging_time_s[-1] / 2
@@ -339,7 +340,7 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
 
 
 def too_noisy(fit: identify.AllanFit) -> str:
-    """What to ask whoever has such a record."""
+    """The questions on a record with an implausible angle random walk."""
     return (
         f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.3g} deg/sqrt(h) is more than any gyro "
         "has: are rates in deg/s stated as rad/s, or stamps in ms as s, or did the sensor move?"
@@ -347,10 +348,10 @@ def too_noisy(fit: identify.AllanFit) -> str:
 
 
 def plausible(fit: identify.AllanFit) -> bool:
-    """Whether some gyro is as noisy as that; otherwise a unit is wrong, or the sensor moved."""
+    """Whether a gyro can have this angle random walk; otherwise a unit is wrong, or the sensor moved."""
     return fit.angle_random_walk.value <= _NOISIEST
 
 
 def axes_asked_for(log: Log, wanted: Sequence[str]) -> list[str]:
-    """The axes asked for, or all of the log's. **Raises:** `LogError` for one that is not there."""
+    """The axes in `wanted`, or all of the log's. **Raises:** `LogError` for an axis that the log lacks."""
     return [log.axes[log.axis_index(axis)] for axis in wanted] or list(log.axes)

@@ -1,4 +1,4 @@
-"""The proven limit on any plan that does what a spec's plan is allowed to, and how near that plan comes."""
+"""The proven lower limit on any plan with the rig and time of a spec, and the efficiency of the spec's plan."""
 
 from contextlib import suppress
 from itertools import pairwise
@@ -34,7 +34,7 @@ from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Programme, programme
 from gradcal_jax.units import time_text
 
-# The time at the table is cut into at least so many equal parts, each at one temperature; or two in each turn there.
+# The time at the table is divided into at least this many equal parts of one temperature, two or more for each turn.
 _PARTS = 48
 _MOST_WINDOWS = 40
 _AT_KNOT = 1e-6
@@ -43,12 +43,10 @@ Windows = list[tuple[float, float]]
 
 
 class PlanLimit(NamedTuple):
-    """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: what the relaxed problem attains.
+    """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: the optimum of the relaxed problem.
 
-    `kept`: what those plans have in common, in words.
-
-    `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: what
-    the proof lets a plan do that the rig does not, in words.
+    `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: limits
+    of the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words.
     """
 
     name: str
@@ -63,10 +61,10 @@ class PlanLimit(NamedTuple):
 
 
 def plan_limit(
-    requirement, of: tuple[str, float], found: tuple[float, float], value: float | None, *words
+    requirement, of: tuple[str, float], figures: tuple[float, float], value: float | None, *words
 ) -> PlanLimit:
-    """From what is `found` in SI, certified and reached; `of`: the unit, and how many of it are one in SI."""
-    certified, reached = (figure * of[1] for figure in found)
+    """A limit from `figures` in SI, certified and reached; `of`: the unit, and how many of it are one in SI."""
+    certified, reached = (figure * of[1] for figure in figures)
     efficiency = None if value is None else certified / value
     return PlanLimit(requirement.name, requirement.statistic, of[0], certified, reached, value, efficiency, *words)
 
@@ -74,9 +72,8 @@ def plan_limit(
 def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     """The limit of every requirement on the scale factor, on heading and on north, of a gradient plan with motion.
 
-    `motion` s: of another time without soaks than the plan or [design] has; values and efficiencies are the plan's.
-    Errors: `ValueError` where there is no such requirement, nothing can be proven of one, or the plan is of another
-    kind.
+    `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.
+    Errors: `ValueError` where there is no such requirement, no proof for one, or another kind of plan.
     """
     expect_whole(spec, "a limit")
     if isinstance(spec.schedule, StandardSchedule) or spec.schedule.cycle is None:
@@ -93,10 +90,11 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
 
 
 class _Window(NamedTuple):
-    """When and where the axis may turn, and the noise that its motion meets at least.
+    """When and at which temperatures the axis may turn, and the least noise density of its motion.
 
-    `time`, `every`: s of the axis at the table, and of all data. `windows` (s) and `temperature`, the sensor's and its
-    rate there; `used`: all times whose data are; none of either where the programme is free.
+    `time`, `every`: duration (s) of the axis at the table, and of all data. `windows` (s) at the table, and the
+    sensor's `temperature` and its rate there; `used`: windows (s) of all used data. Both are empty where the programme
+    is free.
     """
 
     spec: Spec
@@ -114,21 +112,21 @@ class _Window(NamedTuple):
 
     def limit(self, requirement: Requirement, row) -> PlanLimit:
         model = self.built.model
-        asked = criterion_of(model, requirement)
+        criterion = criterion_of(model, requirement)
         if requirement.quantity == "scale_factor":
             temperature, rate = box(requirement)
             sure = scale_factor_floor(model, self.windows, self.temperature, temperature)
-            found, relaxed = self._of_scale_factor(asked, np.repeat(sure, len(rate))), self.relaxed
+            result, relaxed = self._of_scale_factor(criterion, np.repeat(sure, len(rate))), self.relaxed
         else:
-            found, relaxed = self._of_functionals(asked)
-        if asked.alone is not None:
+            result, relaxed = self._of_functionals(criterion)
+        if criterion.alone is not None:
             relaxed = (*relaxed, "what the data say of the discrepancy is part of the calibration")
-        return plan_limit(requirement, UNIT_OF[requirement.quantity], found, row.decisive, relaxed, self.kept)
+        return plan_limit(requirement, UNIT_OF[requirement.quantity], result, row.decisive, relaxed, self.kept)
 
-    def _of_scale_factor(self, asked: Criterion, sure: np.ndarray) -> Limit:
-        """The limit of what is asked of the scale factor, the bias known; `sure`: a variance that no plan removes."""
+    def _of_scale_factor(self, criterion: Criterion, sure: np.ndarray) -> Limit:
+        """The limit of a criterion on the scale factor, the bias known; `sure`: a variance that no plan removes."""
         return limit(
-            asked,
+            criterion,
             self.built.model,
             motion_time=self.time,
             temperatures=self.temperatures,
@@ -139,17 +137,17 @@ class _Window(NamedTuple):
             prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
         )
 
-    def _of_functionals(self, asked: Criterion) -> tuple[Limit, tuple[str, ...]]:
-        """Of combinations of bias and scale factor the larger of two limits: either map is known, the other not."""
+    def _of_functionals(self, criterion: Criterion) -> tuple[Limit, tuple[str, ...]]:
+        """The limit of a combination of bias and scale factor: the larger of two limits with one of the maps known."""
         model = self.built.model
-        rows = np.asarray(asked.rows)
+        rows = np.asarray(criterion.rows)
         of_bias, of_scale = rows[:, model.where(BIAS)], rows[:, model.where(SCALE_FACTOR)]
-        found: list[tuple[Limit, tuple[str, ...]]] = []
+        bounds: list[tuple[Limit, tuple[str, ...]]] = []
         if np.any(of_scale):
             relaxed = (*self.relaxed, *(["the bias is known"] if model.bias is not None else []))
             if np.any(model.processes.rate_gain):
                 relaxed = (*relaxed, "errors that multiply the rate are left out")
-            found.append((self._of_scale_factor(asked, np.zeros(len(rows))), relaxed))
+            bounds.append((self._of_scale_factor(criterion, np.zeros(len(rows))), relaxed))
         if np.any(of_bias):
             if self.used:
                 floor = bias_floor(model, self.used, self.temperature, of_bias)
@@ -158,10 +156,10 @@ class _Window(NamedTuple):
                 ends = float(np.min(self.temperatures)), float(np.max(self.temperatures))
                 floor = bias_floor_anywhere(model, self.every, ends, of_bias)
                 relaxed = ("the time is spread over the temperatures as is best", "of the noise only the random walk")
-            value = statistic(asked.statistic, np.sqrt(floor).reshape(asked.shape))
+            value = statistic(criterion.statistic, np.sqrt(floor).reshape(criterion.shape))
             relaxed += ("the scale factor is known",) if model.scale is not None else ()
-            found.append((Limit(value, value), relaxed))
-        return max(found, key=lambda pair: pair[0].certified)
+            bounds.append((Limit(value, value), relaxed))
+        return max(bounds, key=lambda pair: pair[0].certified)
 
 
 def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
@@ -169,13 +167,13 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     free = set() if design is None else set(design.free)
     cycle = schedule.cycle
     assert cycle is not None
-    # A cycle that fills the ramp, as a recipe's does, is made for that ramp alone.
+    # A cycle that fills the ramp, as in a recipe, fits only that ramp.
     as_is = motion is None and (design is None or design.minimise in TIMES or 2.0 * cycle.duration > schedule.motion)
     one_ramp: tuple[float, float] | None = None
     with suppress(ValueError):  # of any other programme
         one_ramp = ramp_ends(spec)
     if as_is or one_ramp is None:
-        # What the plan does: its stretches, soaks that are used and every slope among them.
+        # The plan as it is: its stretches with soaks that are used and every slope.
         free -= {"gradient", "cycle"} if one_ramp is None else set()
         chamber = built.schedules[built.channels[0]].programme
         spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
@@ -212,7 +210,7 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     fixed, windows, used = "gradient" not in free, [], []
     if fixed:
         used = _between_knots(spans, chamber.times())
-        # Wherever a cycle of free length puts the axis's turns, they lie in what is used.
+        # With a cycle of free length, the turns may lie anywhere in the used data.
         turning = visits if tied else spans
         temperatures = followed(_parts(turning, max(_PARTS, 2 * len(turning))))[0]
         windows = _between_knots(turning, chamber.times())
@@ -230,7 +228,7 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
 
 
 def _spacing(built: Assembled, cycle: ResolvedCycle) -> tuple[float, float]:
-    """The least time between readings, and between standstills (s): of the plan, and of those that are searched."""
+    """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
     turns = [m.duration for m in cycle.moves if not m.is_rest]
     rests = [m.read_every for m in cycle.moves if m.read_every is not None]
     apart = min([LEAST_TURN, *turns])
@@ -253,11 +251,11 @@ def _parts(windows: Windows, count: int) -> np.ndarray:
 
 def _between_knots(windows: Windows, knots: np.ndarray) -> Windows:
     """The windows, divided where the chamber's slope changes."""
-    found: Windows = []
+    parts: Windows = []
     for begin, end in windows:
         inside = knots[(knots > begin + _AT_KNOT) & (knots < end - _AT_KNOT)]
-        found += [(float(a), float(b)) for a, b in pairwise([begin, *inside, end])]
-    return found
+        parts += [(float(a), float(b)) for a, b in pairwise([begin, *inside, end])]
+    return parts
 
 
 def _sensor(chamber: Programme, lag: float | None) -> Course:
@@ -276,13 +274,13 @@ def _sensor(chamber: Programme, lag: float | None) -> Course:
 def _visits(cycle: ResolvedCycle, start: float, time: float) -> Windows:
     """When the axis has the table (begin, end; s) in a stretch of that time."""
     period = cycle.duration
-    visits = int((time + period - cycle.moving + 1e-6) // period)
-    found: Windows = []
-    for begin in start + period * np.arange(visits):
+    count = int((time + period - cycle.moving + 1e-6) // period)
+    visits: Windows = []
+    for begin in start + period * np.arange(count):
         here = float(begin)
-        found.append((here, here))
+        visits.append((here, here))
         for move in cycle.moves:
             there = here + move.repeat * move.duration
-            found.append((there, there)) if move.other_axes else found.append((found.pop()[0], there))
+            visits.append((there, there)) if move.other_axes else visits.append((visits.pop()[0], there))
             here = there
-    return [(begin, end) for begin, end in found if end > begin]
+    return [(begin, end) for begin, end in visits if end > begin]

@@ -1,4 +1,4 @@
-"""The steps of the flow that start from a log as single calls, as those of `api.flow` that start from a spec."""
+"""The steps that start from a log, each one function with the name of its command, as in `api.flow`."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -27,12 +27,12 @@ def instability(
     bias_degree: int | None = None,
     lag: float | Literal["auto", "fit", "none"] = "auto",
 ) -> noise.Instability:
-    """The drift that bounds what a record at rest shows: the Direct Bound of Berman's equations 6 and 7.
+    """The smallest drift that bounds a record at rest: the Direct Bound of Berman's equations 6 and 7.
 
     One channel, masked where the table moves, less its bias over temperature (`bias_degree`, `lag` in s: see
-    `api.instability.at_rest`). The drift is counted from an average of `averaging_time_s`, over `shortest_s` to
-    `longest_s`, and must stay within `margin` standard deviations. `angle_random_walk`: rad/√s; None: the Allan
-    deviation's. `temperature_c`: rows between two temperatures alone. Returns `bound` (`drift_std` in rad/s,
+    `api.instability.at_rest`). The drift is measured from an average over `averaging_time_s`, for `shortest_s` to
+    `longest_s`, and must stay within `margin` standard deviations. `angle_random_walk`: rad/√s; None: from the Allan
+    deviation. `temperature_c`: only rows between two temperatures. Returns `bound` (`drift_std` in rad/s,
     `correlation_time_s`), the Allan deviation with its fit, and `drift_block()`, text for a spec.
 
     Errors: `LogError` where nothing stands still, or too little is left.
@@ -88,20 +88,20 @@ def estimate(
     neighbours_k: float | None = None,
     temperature_c: float | None = None,
 ) -> EstimateReport:
-    """The calibration of every unit in a log by a spec's model, with covariance, tests of the model and verdicts.
+    """The calibration of every unit in a log, by a spec's model, with covariance, tests and verdicts.
 
-    Noise, table and maps are the spec's; what was done is read from the log. `axes`, `units`: which; all without them.
-    `earth_rate` rad/s along the sensor's axis is taken off. `robust`: readings that the model cannot explain count for
-    less (Huber). `lag` s of the maps behind the measured temperature, or "fit". `smoothness` "auto": of bins and
-    B-splines, as strong as the data make most probable. `clock`: whose time is integrated over. `read_every` s: spacing
-    of readings at rest. `table_axis`: which turns the sensor's. `neighbours_k`: also without a structure, moves within
-    so many kelvins together. `temperature_c`: at which a log without a thermometer was recorded.
+    Noise, table and maps are the spec's; the executed motion is read from the log. `axes`, `units`: default all.
+    `earth_rate` rad/s along the sensor's axis is subtracted. `robust`: Huber weights for outliers. `lag` s of the maps
+    behind the measured temperature, or "fit". `smoothness` "auto": that of bins and B-splines at maximum marginal
+    likelihood. `clock`: the clock over whose time rates are integrated. `read_every` s: spacing of readings at rest.
+    `table_axis`: the axis that turns the sensor's. `neighbours_k`: also group moves of one rate within this temperature
+    difference, without a structure. `temperature_c` of a log without a thermometer.
 
-    Returns `calibrations` (SI, one a unit; `write_calibration` keeps them), `verdicts` (ppm or deg/h) and `messages` by
-    unit, every channel's fit, and `as_wished`. Generalised least squares of the whitened readings: the covariance that
-    `predict` predicts, of what was done.
+    Returns `calibrations` (SI, one a unit; `write_calibration` writes them), `verdicts` (ppm or deg/h) and `messages`
+    by unit, every channel's fit, and `as_wished`. Generalised least squares of the whitened readings: the covariance
+    that `predict` predicts, for the executed motion.
 
-    Errors: `LogError` and `ValueError` where the log does not hold what the estimate needs.
+    Errors: `LogError` and `ValueError` where the log lacks what the estimate needs.
     """
     options = Options(
         earth_rate=earth_rate,

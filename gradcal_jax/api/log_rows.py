@@ -1,4 +1,4 @@
-"""One unit's rows of one axis, as a log has them, ready for integration."""
+"""Rows of a log of one unit and axis, prepared for integration."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
@@ -19,7 +19,7 @@ AnySpec = TypeVar("AnySpec", Spec, UnitSpec)
 
 
 class Rows(NamedTuple):
-    """One unit's rows of one axis, ready for integration."""
+    """Rows of one unit and axis, prepared for integration."""
 
     time: np.ndarray
     step: np.ndarray
@@ -30,12 +30,12 @@ class Rows(NamedTuple):
     standing: np.ndarray
     usable: np.ndarray
     starts: np.ndarray
-    """At which each unbroken stretch begins."""
+    """Indices at which each unbroken stretch begins."""
     messages: tuple[str, ...]
 
 
 def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) -> Rows:
-    """What the log has of them; `messages` say what was done about what it has not. Raises `LogError`."""
+    """The rows of a unit and axis; `messages`: what was inferred or left out. Raises `LogError`."""
     time, messages = time_of(log, options)
     raw = log.rate_rad_per_s[unit, :, log.axis_index(axis)]
     rate, usable = np.where(np.isfinite(raw), raw, 0.0), usable_rows(log, unit) & np.isfinite(raw)
@@ -60,8 +60,10 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
             messages.append(f"{count} rows of rest without a table angle are no reference, and are not read")
             standing = standing & known
         angle = angle if known.all() else np.interp(time, time[known], angle[known])
-    step, said = np.diff(time, prepend=time[0]), tuple(messages)
-    return Rows(time, step, rate, temperature, angle, table_rate, standing, usable, log.stretch_starts, said)
+    step = np.diff(time, prepend=time[0])
+    return Rows(
+        time, step, rate, temperature, angle, table_rate, standing, usable, log.stretch_starts, tuple(messages)
+    )  # fmt: skip
 
 
 def usable_rows(log: Log, unit: int) -> np.ndarray:
@@ -72,17 +74,18 @@ def usable_rows(log: Log, unit: int) -> np.ndarray:
 
 
 def time_of(log: Log, options: Options) -> tuple[np.ndarray, list[str]]:
-    """The times (s) over which rates are integrated, by the clock that was chosen, and what is to be said of it."""
+    """The times (s) over which rates are integrated, by the chosen clock, and messages on that clock."""
     if options.clock != "host":
         return log.time_s, []
-    time, said = host_time(log)
-    return time, [said]
+    time, sentence = host_time(log)
+    return time, [sentence]
 
 
 def host_time(log: Log) -> tuple[np.ndarray, str]:
-    """The sensor's stamps in seconds of the computer: by straight lines through both, of one slope.
+    """The sensor's time stamps in seconds of the host clock, by straight lines of one slope, and a sentence on the
+    slope.
 
-    Each unbroken stretch has a line of its own: in a break the sensor's stamps may have been laid on the computer's.
+    Each unbroken stretch has an offset of its own: at a break the sensor's clock may have been set to the host's.
     """
     if log.host_time_s is None:
         raise LogError("the log has no host time, so the sensor's clock cannot be held against it")
@@ -101,21 +104,20 @@ def host_time(log: Log) -> tuple[np.ndarray, str]:
         slopes = np.add.reduceat(sensor * host, starts) / levers
         slope = float(np.average(slopes, weights=stds**-2.0))
         known = f"1σ {np.sum(stds**-2.0) ** -0.5 * 1e6:.2g} ppm from when its samples arrived"
-    said = f"a second of the sensor is {slope:.9f} s of the computer ({known}); "
+    sentence = f"a second of the sensor is {slope:.9f} s of the computer ({known}); "
     time = log.time_s[0] + slope * (log.time_s - log.time_s[0])
-    return time, said + "rates are integrated over the computer's time"
+    return time, sentence + "rates are integrated over the computer's time"
 
 
 def of_host_clock(spec: AnySpec, logs: Sequence[Log], options: Options) -> AnySpec:
-    """The spec by which logs are estimated: where rates are integrated over the computer's time, the sample clock's
-    error is that of the line through both clocks, of which the logs say how well it is known, and no longer the spec's.
-    """
+    """The spec for an estimate: where rates are integrated over the host's time, the sample clock's error is replaced
+    by the standard deviation of the line through both clocks, if the logs state it."""
     if options.clock != "host":
         return spec
     fits = [_clock_fits(log)[1] for log in logs]
     if any(stds is None for stds in fits):
         return spec
-    # Every log is laid on the computer's clock by a slope of its own; what is common is not more than the least sure.
+    # Every log has a slope of its own to the host's clock; the error that they share is at most the largest of them.
     std = max(float(np.sum(stds**-2.0)) ** -0.5 for stds in fits if stds is not None)
     sensor = spec.sensor.model_copy(update={"sample_clock_error": Quantity.of(std, "ppm")})
     return spec.model_copy(update={"sensor": sensor})
@@ -124,8 +126,8 @@ def of_host_clock(spec: AnySpec, logs: Sequence[Log], options: Options) -> AnySp
 def _clock_fits(log: Log) -> tuple[np.ndarray, np.ndarray | None]:
     """The rows at which lines begin, and the standard deviations of their slopes.
 
-    The host times of a log that was made of a run lie on the lines that were fitted there, which its provenance tells.
-    Of others the stretches are taken; how well their slopes are known is for the stamps to say.
+    The provenance of a run's log has the lines that were fitted to its host times. Other logs have one line for each
+    stretch, and the standard deviations (None) follow from the stamps.
     """
     rows = [int(word) for word in log.provenance.get("clock_from_row", "0").split(", ")]
     stds = np.array([float(word) for word in log.provenance.get("clock_rate_std", "").split(", ") if word])
@@ -135,27 +137,28 @@ def _clock_fits(log: Log) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _centred(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """About the mean of each stretch."""
+    """Values less the mean of their stretch."""
     counts = np.diff(starts, append=len(values))
-    # First about the stretch's first value: the mean of a computer's stamps, seconds since 1970, is rounded.
+    # Less the stretch's first value first: the mean of a computer's stamps, seconds since 1970, is rounded.
     above = values - np.repeat(values[starts], counts)
     return above - np.repeat(np.add.reduceat(above, starts) / counts, counts)
 
 
-def bridged_temperature(log: Log, unit: int, said: float | None) -> np.ndarray:
-    """The thermometer's, bridged by straight lines, or the one that was said: a calibration holds at some."""
+def bridged_temperature(log: Log, unit: int, constant_c: float | None) -> np.ndarray:
+    """The thermometer's temperature with gaps interpolated, or `constant_c` (°C) for a log without one."""
     values = None if log.temperature_c is None else log.temperature_c[unit]
     if values is None or not (known := np.isfinite(values)).any():
-        if said is None:
-            raise LogError('the log has no temperature: say at which it was recorded, such as --temperature "23 degC"')
-        return np.full(len(log.time_s), said)
-    if said is not None:
+        if constant_c is None:
+            raise LogError('the log has no temperature: give that of the recording, such as --temperature "23 degC"')
+        return np.full(len(log.time_s), constant_c)
+    if constant_c is not None:
         raise LogError("--temperature is for logs without one: this log has its own")
     return values if known.all() else np.interp(log.time_s, log.time_s[known], values[known])
 
 
 def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
-    """Which of the table's axes turns a sensor's; None where the log has none. Raises `LogError` where unclear."""
+    """The table axis that turns a sensor axis; None for a log without table axes. Raises `LogError` where it is
+    unclear."""
     if named is not None:
         if named not in log.table_axes:
             raise LogError(f"the log has no table axis '{named}': it has {', '.join(log.table_axes) or 'none'}")
@@ -167,18 +170,18 @@ def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
     if not log.table_axes:
         return None
     raise LogError(
-        f"which of the table's axes ({', '.join(log.table_axes)}) turns the sensor about {axis}? Say it with "
+        f"which of the table's axes ({', '.join(log.table_axes)}) turns the sensor about {axis}? Name it with "
         "--table-axis"
     )
 
 
 def temperature_followed(rows: Rows, lag: float) -> np.ndarray:
-    """The temperature that the maps follow."""
+    """The rows' temperature with a first-order lag (s), at which the maps are evaluated."""
     return correction.followed(rows.temperature, rows.time, rows.starts, lag)
 
 
 def count_rows(log: Log, unit: int, used: np.ndarray) -> dict[str, int]:
-    """Rows read by what became of them: ``used``, removed or masked by reason, or without a reference."""
+    """Numbers of rows: ``used``, removed or masked by reason, and without a reference."""
     masked = log.counts(unit)
     usable = masked.pop("used")
     count = int(np.count_nonzero(used & log.usable(unit)))

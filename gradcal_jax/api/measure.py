@@ -1,4 +1,4 @@
-"""What a design minimises, from a spec: one number of a plan, and by how much it exceeds the other targets."""
+"""The objective of a spec's [design]: one number of a plan, and by how much the plan exceeds the other targets."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple, cast
@@ -32,7 +32,7 @@ _GRID = 41
 
 
 class Measure(NamedTuple):
-    """What a [design] minimises, in `unit`. `name`: as people call it. `limits`: requirements whose targets are limits.
+    """The objective of a [design], in `unit`. `name`: for people. `limits`: requirements whose targets are limits.
 
     `cases`, `factors`, `targets`, `robust`: of an `Objective`, which `compiled` makes for coordinates.
     """
@@ -47,7 +47,7 @@ class Measure(NamedTuple):
 
     def compiled(self, coordinates: AnyCoordinates) -> Compiled:
         """The objective over coordinates, through the program of the class of their sizes."""
-        # Any plan of theirs in which all moves says how finely to integrate.
+        # Any plan in which everything moves determines the quadrature rule.
         plan = coordinates.decode(np.linspace(0.1, 0.9, coordinates.size))
         lines = [case.trajectory(plan) for case in self.cases]
         for case, line in zip(self.cases, lines, strict=True):
@@ -62,8 +62,8 @@ class Measure(NamedTuple):
 
     def exact(self, schedule: Schedule) -> float:
         """The exact value of one plan, in the unit."""
-        made = Objective(None, self.cases, self.factors, self.targets, self.robust)
-        return float(made.of_schedule(schedule)[0])
+        objective = Objective(None, self.cases, self.factors, self.targets, self.robust)
+        return float(objective.of_schedule(schedule)[0])
 
 
 def design_of(spec: Spec) -> Design:
@@ -86,10 +86,10 @@ def design_block(spec: Spec) -> str:
 
 
 def measure(spec: Spec) -> Measure:
-    """What the spec's [design] minimises; for a time, the requirement with a target that is farthest from it."""
+    """The objective of the spec's [design]; for a minimised time, the largest residual over its target."""
     design = design_of(spec)
     if design.whole_turns:
-        # Whole turns cancel what repeats with the angle; before the turns are whole, it only hides the way.
+        # Whole turns cancel the encoder's harmonics; while turns are not yet whole, these only disturb the search.
         spec = changed(spec, {"rig.table.angle.harmonics": None})
     scenarios = [(s, assemble(s), weight) for s, weight in scenario_specs(spec)]
     limiting = [r for r in spec.requirement if r.target is not None and r.name != design.minimise]
@@ -117,7 +117,7 @@ def measure(spec: Spec) -> Measure:
     if design.notice is not None:
         models, noticing, believed = _noticing(scenarios, design.notice)
         limits = [[*limit, one] for limit, one in zip(limits, noticing, strict=True)]
-        # What is missed of a hidden map has a target like any residual.
+        # The chance of missing a hidden map has a target like any residual.
         targets = np.append(targets, 1.0 - float(design.notice.power))
         names += ("the chance to miss a hidden map",)
     cases = tuple(
@@ -137,8 +137,8 @@ def measure(spec: Spec) -> Measure:
 
 
 def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
-    """Models with the hidden map among their parameters, what each misses of it, and how many parameters are believed
-    (None: all, where the sensor has a discrepancy of its own)."""
+    """Models with the hidden map among their parameters, the criterion of missing it, and the number of parameters of
+    the believed model (None: all, where the sensor has a discrepancy of its own)."""
     models, missing, believed = [], [], None
     for spec, built, _ in scenarios:
         tested = tested_maps(spec)[SCALE_FACTOR]
@@ -155,14 +155,14 @@ def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
 
 
 def _limit(requirement: Requirement) -> float:
-    """What the limiting statistic may come to, in SI."""
+    """The largest allowed value of the limiting statistic, in SI."""
     limit = limit_of(requirement)
     assert limit is not None  # only requirements with a target limit a search
     return limit[1] / UNIT_OF[requirement.quantity][1]
 
 
 def _criterion(built: Assembled, requirement: Requirement, *, limited: bool = False) -> Criterion:
-    """The statistic to be small: the requirement's own, or the one that its target limits."""
+    """The criterion of a requirement's own statistic or, if `limited`, of the one that its target limits."""
     limit = limit_of(requirement) if limited else None
     return criterion_of(built.model, requirement, None if limit is None else limit[0], _GRID)
 

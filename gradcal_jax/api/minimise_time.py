@@ -12,10 +12,10 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.schedule import StandardSchedule
 
 NO_UNTIL_MET = "a search for the shortest plan ends where its targets are just met: leave --until-met out"
-# The time is found to this share; so many durations are tried at most.
+# Relative accuracy of the time; the largest number of durations that are tried.
 _NEAR = 1.02
 _TRIES = 8
-# No plan this much shorter than the time allowed is looked at.
+# The shortest duration that is tried, as a share of the time allowed.
 _SHORTEST = 1.0 / 20.0
 
 
@@ -25,14 +25,14 @@ def minimise_time(
     """As `optimise`, for [design] that minimises "motion time" or "total time" under the requirements' targets.
 
     Values are durations in min, of the motion alone: a soak adds the same to each. Errors: `ValueError` where the
-    targets are not met in the time allowed, with how near the best plan comes; `KeyboardInterrupt` where it is stopped
-    before any plan meets them.
+    targets are not met in the time allowed, with the best plan's residual; `KeyboardInterrupt` where `stop` ends the
+    search before any plan meets them.
     """
     assert spec.design is not None
     longest = motion_time(spec, spec.design)
     _refuse_what_no_plan_meets(spec, longest)
     short, long = _least(spec, longest), longest
-    # What the plan leaves over its target, for the shortest that is too short and the longest that is not.
+    # Residual over target of the longest duration that is too short.
     too_much: float | None = None
     best: Optimised | None = None
     for tried in range(_TRIES):
@@ -44,11 +44,11 @@ def minimise_time(
             break
         else:
             time = _between(short, long, too_much, best.now)
-        found = None
+        plan = None
         try:
             for event in optimise(spec, steps=steps, quick=quick, motion=time, stop=stop):
                 if isinstance(event, Optimised):
-                    found = event
+                    plan = event
                 else:
                     share = (tried + event.share) / _TRIES
                     words = f"{event.best:.3g} of the target in {time / 60.0:.4g} min"
@@ -58,18 +58,18 @@ def minimise_time(
         except ValueError:
             if time == longest:
                 raise
-        if found is not None and found.now <= 1.0:
-            best, long = found, time
+        if plan is not None and plan.now <= 1.0:
+            best, long = plan, time
             if tried == 0:
                 break
         else:
-            short, too_much = time, None if found is None else found.now
+            short, too_much = time, None if plan is None else plan.now
         if best is None and stop():
             raise KeyboardInterrupt
-        if best is None and time == longest and found is not None:
+        if best is None and time == longest and plan is not None:
             raise ValueError(
                 f"no plan found meets the target in {longest / 60.0:.4g} min: "
-                f"the best leaves {found.now:.3g} times as much"
+                f"the best leaves {plan.now:.3g} times as much"
             )
     assert best is not None
     yield _as_time(spec, best, long, longest)
@@ -93,7 +93,7 @@ def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
 
 
 def _least(spec: Spec, longest: float) -> float:
-    """No plan is shorter: the ramp as steep as the chamber manages, with one turn at the table."""
+    """A lower bound on the duration: the steepest ramp of the chamber, with one turn at the table."""
     schedule = spec.schedule
     if isinstance(schedule, StandardSchedule) or schedule.cycle is None:
         return longest * _SHORTEST
@@ -103,13 +103,13 @@ def _least(spec: Spec, longest: float) -> float:
 
 
 def _between(short: float, long: float, too_much: float | None, enough: float) -> float:
-    """Where the residual meets the target, its logarithm taken as linear in that of the time."""
+    """The time at which the residual meets the target, interpolated linearly in logarithms."""
     share = 0.5 if too_much is None else np.log(too_much) / (np.log(too_much) - np.log(enough))
     return float(short * (long / short) ** np.clip(share, 0.1, 0.9))
 
 
 def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimised:
-    """The result in minutes; what a limit costs follows from the residual's slopes: −(∂r/∂limit)/(∂r/∂time)."""
+    """The result in minutes; the price of a limit follows from the residual's derivatives: −(∂r/∂limit)/(∂r/∂time)."""
     minutes = time / 60.0
     per_minute = next((p.change for p in best.prices if p.per == "minute"), 0.0)
     prices = tuple(
@@ -122,7 +122,7 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
         name="motion time",
         unit="min",
         before=spec.gradient_schedule.motion / 60.0 if not isinstance(spec.schedule, StandardSchedule) else None,
-        found=minutes,
+        optimum=minutes,
         now=minutes,
         sentence=f"{best.sentence}; at {best.now:.3g} of the target, of {longest / 60.0:.4g} min allowed",
         starts=(),

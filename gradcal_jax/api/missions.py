@@ -1,4 +1,4 @@
-"""Missions of a spec in the core's terms, and what of their error the unit's own noise is."""
+"""Missions of a spec in the core's terms, and the part of their error that is the unit's own noise."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from gradcal_jax.information import Posterior
 from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
 from gradcal_jax.trajectory import EARTH_RATE
 
-# A picture's curve has so many points.
+# Number of points of a curve in a figure.
 _CURVE = 61
 # The sensor's clock is the same in the calibration and in the mission: the calibration's part counts it.
 _NOT_OWN = ("sample clock", "turn-on bias")
@@ -23,32 +23,32 @@ def earth_gain(requirement: NorthRequirement) -> float:
 
 
 def flights_of(requirement: HeadingRequirement) -> list[tuple[Flight, float]]:
-    """The missions, and the time (s) in each at which its error is asked for."""
-    found = []
+    """The missions, and the time (s) in each at which the requirement applies."""
+    flights = []
     for mission in requirement.mission:
         time, rate, temperature, _ = (np.array(column) for column in mission.rows)
-        found.append((Flight(time, rate, temperature), float(requirement.after or time[-1])))
-    return found
+        flights.append((Flight(time, rate, temperature), float(requirement.after or time[-1])))
+    return flights
 
 
 def own_noise(built: Assembled, flight: Flight, time: float) -> dict[str, float]:
     """Standard deviation of the integrated rate (rad) at `time` (s) in a mission, by source of the unit's own noise.
 
-    The turn-on bias is drawn twice where a calibration estimates the bias: in its run, of which it keeps it, and in the
-    mission. A rate random walk counts from the mission's beginning.
+    Where a calibration estimates the bias, two turn-on biases count: that of its run, which is in the map, and that
+    of the mission. A rate random walk counts from the mission's beginning.
     """
     model, sensor = built.model, built.spec.sensor
-    found = {"angle random walk": float(model.angle_random_walk) * time**0.5}
+    deviations = {"angle random walk": float(model.angle_random_walk) * time**0.5}
     for name, members in built.sources.items():
         if name not in _NOT_OWN:
-            found[name] = own_variance(flight, model.processes, members, time) ** 0.5
+            deviations[name] = own_variance(flight, model.processes, members, time) ** 0.5
     if sensor.turn_on_bias:
-        found["turn-on bias"] = float(sensor.turn_on_bias) * time * (1.0 if sensor.bias is None else 2.0**0.5)
-    return found
+        deviations["turn-on bias"] = float(sensor.turn_on_bias) * time * (1.0 if sensor.bias is None else 2.0**0.5)
+    return deviations
 
 
 class OwnNoise(NamedTuple):
-    """Of a requirement: what its own noise comes to, all together and by source, and of each mission (deg)."""
+    """The unit's own noise in a requirement (deg): in total, by source, and of each mission."""
 
     total: float
     sources: dict[str, float]
@@ -56,8 +56,8 @@ class OwnNoise(NamedTuple):
 
 
 def own_noise_of(built: Assembled, requirement: Requirement) -> OwnNoise | None:
-    """What no calibration takes off a heading or north (deg), of missions their root mean square by weight, or the
-    largest; None for a map, which has no noise."""
+    """The noise in a heading or north (deg) that no calibration removes; over several missions the weighted root mean
+    square, or the maximum. None for a requirement on a map."""
     if isinstance(requirement, NorthRequirement):
         time = float(requirement.after)
         still = Flight(np.array([0.0, time]), np.zeros(2), np.zeros(2))
@@ -77,7 +77,7 @@ def own_noise_of(built: Assembled, requirement: Requirement) -> OwnNoise | None:
 
 
 def mission_table(built: Assembled, requirement: HeadingRequirement, left: np.ndarray) -> tuple[MissionRow, ...]:
-    """Every mission with what the calibration leaves of it, `left` (deg), and its own noise."""
+    """Every mission with the error that the calibration leaves, `left` (deg), and its own noise."""
     own = own_noise_of(built, requirement)
     assert own is not None
     rows = zip(requirement.mission, flights_of(requirement), left.ravel(), own.missions, strict=True)
@@ -89,9 +89,8 @@ def mission_table(built: Assembled, requirement: HeadingRequirement, left: np.nd
 
 
 class ErrorCurve(NamedTuple):
-    """The error of the integrated rate (deg, 1σ) at times (s) of a mission, `(n,)` each: what the calibration leaves,
-    and the unit's own noise.
-    """
+    """The error of the integrated rate (deg, 1σ) at times (s) of a mission, `(n,)` each: `left` by the calibration, and
+    the unit's own noise."""
 
     file: str
     time: np.ndarray
@@ -100,12 +99,12 @@ class ErrorCurve(NamedTuple):
 
 
 def error_curves(built: Assembled, known: Posterior, requirement: HeadingRequirement) -> list[ErrorCurve]:
-    """How the error of each mission grows."""
-    found = []
+    """The error of each mission over time."""
+    curves = []
     for mission, (flight, end) in zip(requirement.mission, flights_of(requirement), strict=True):
         at = np.linspace(0.0, end, _CURVE)[1:]
         left = mission_contrasts(built.model, mission_rows(built.model, flight, at)).left(known)
         own = [np.linalg.norm(list(own_noise(built, flight, float(time)).values())) for time in at]
-        curves = (np.degrees(np.concatenate([[0.0], values])) for values in (left, own))
-        found.append(ErrorCurve(mission.file, np.concatenate([[0.0], at]), *curves))
-    return found
+        pair = (np.degrees(np.concatenate([[0.0], values])) for values in (left, own))
+        curves.append(ErrorCurve(mission.file, np.concatenate([[0.0], at]), *pair))
+    return curves

@@ -1,4 +1,4 @@
-"""The Monte Carlo twin of a spec: simulated calibrations beside the prediction."""
+"""Monte Carlo simulation of a spec's calibration, compared with the prediction."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from gradcal_jax.information import WishartTest, monte_carlo_errors, wishart_tes
 
 
 class TwinRow(NamedTuple):
-    """One requirement: the decisive statistic predicted and of the simulated runs, in `unit`."""
+    """One requirement: its statistic as predicted and over the simulated runs, in `unit`."""
 
     name: str
     axis: str
@@ -21,8 +21,8 @@ class TwinRow(NamedTuple):
 
 
 def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
-    """Simulate `runs` calibrations of a spec's plan; by requirement (ppm, deg/h), and for each axis the covariance's
-    test against the prediction (likelihood ratio of a Wishart matrix).
+    """Simulate `runs` calibrations of a spec's plan. Returns a row for each requirement (ppm, deg/h), and for each axis
+    the test of the sample covariance against the predicted one (likelihood ratio of a Wishart matrix).
 
     Errors: `ValueError` for fewer runs than parameters, and where the plan leaves something unobservable.
     """

@@ -1,4 +1,4 @@
-"""`optimise`: from a spec with [design] to the best plan found, rounded, with what there is to say about it."""
+"""`optimise`: from a spec with [design] to the best plan of a search, rounded, with the limits that bind it."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -35,32 +35,32 @@ from gradcal_jax.files.rounding import rounded, steps_of
 
 STEPS: Final = 240
 MARGIN: Final = 0.1
-"""A target is met with margin where the residual stays this share below what it asks for."""
+"""A target is met with margin where the residual is less than the target by this share."""
 _MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
 BY_HAND: Final = (
     'rig.table.drive is "hand": the search makes turns of a motor. Search the plan with drive = "motor" and moves '
     'without shape = "hand", then write its turns as ones by hand, with the durations that a person needs'
 )
 """Why no plan of turns by hand is searched."""
-# A turn within this share of its cap is said to be at its limit.
+# A turn within this share of its limit counts as limited.
 _AT_LIMIT: Final = 1e-3
 _FIRST: Final = 100
 _POLISH: Final = 1000
 _POLISHES: Final = 3
 _BRIEF_POLISH: Final = 40
-# What leaving out vanished turns may cost.
+# The largest relative increase of the objective for which vanished turns are left out.
 _NO_WORSE: Final = 1e-3
-# Rounding that costs more than this share is said.
+# A larger relative cost of rounding is reported.
 _DEAR: Final = 0.05
-# From the best programme so many steps of these sizes (shares of the time, of the chamber's range) are tried.
+# Number of random steps from the best programme, and their sizes (shares of the time, of the chamber's range).
 _HOPS: Final = 80
 _HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
 
 
 class SearchStep(NamedTuple):
-    """How far an optimisation is: `best` in `unit`, of `name`; `share` of the work that is done, 0 to 1.
+    """Progress of an optimisation: `best` in `unit`, of `name`; `share` of the work that is done, 0 to 1.
 
-    `missed`: what the best plan so far does not keep, in words.
+    `missed`: the limits that the best plan so far exceeds, in words.
     """
 
     name: str
@@ -74,7 +74,7 @@ class SearchStep(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """All that an optimisation needs to go on: which structure it is at, its state, and the best of those before."""
+    """The state of an optimisation for resuming it: the current structure and its state, and the best ones so far."""
 
     structure: int
     state: SearchState
@@ -83,7 +83,7 @@ class Checkpoint(NamedTuple):
 
 
 class Price(NamedTuple):
-    """What a limit costs: how the objective changes when the limit is eased by one `per`."""
+    """The shadow price of a limit: the change of the objective when the limit is eased by one `per`."""
 
     limit: str
     per: str
@@ -91,18 +91,18 @@ class Price(NamedTuple):
 
 
 class Optimised(NamedTuple):
-    """An optimised spec (rounded) and how it was found. Values in `unit`.
+    """An optimised spec (rounded), and the record of its search. Values in `unit`.
 
-    `before`: of the plan in the spec, None where it observes too little; `found`: of the optimum; `now`: of the rounded
-    plan, exactly. `starts`: where the starts of the chosen structure ended, `inf` where one exceeds a limit. `active`:
-    the limits that bind, in words.
+    `before`: of the plan in the spec, None where it observes too little; `optimum`: before rounding; `now`: of the
+    rounded plan, exactly. `starts`: where the starts of the chosen structure ended, `inf` where one exceeds a limit.
+    `active`: the limits that bind, in words.
     """
 
     spec: Spec
     name: str
     unit: str
     before: float | None
-    found: float
+    optimum: float
     now: float
     converged: bool
     sentence: str
@@ -114,24 +114,24 @@ class Optimised(NamedTuple):
 
 
 def belief_of(spec: Spec) -> str:
-    """What a design without a discrepancy believes, as a sentence; empty where every polynomial map has one."""
+    """A sentence on the maps that a design takes as exact; empty where each has a discrepancy or smoothness."""
     sections = {"bias": spec.sensor.bias, "scale factor": spec.sensor.scale_factor}
     sure = [name for name, s in sections.items() if s is not None and s.discrepancy is None and s.smoothness is None]
     if not sure:
         return ""
     return (
-        f"believed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure of the "
-        "spec; a discrepancy there says how far from it they may be, and gives a plan that survives it"
+        f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure of the "
+        "spec; a discrepancy in the spec allows deviations from it, and gives a plan that is robust against them"
     )
 
 
 def record_of(best: Optimised) -> dict[str, object]:
-    """What a recipe and --json keep of an optimisation."""
+    """An optimisation as a table of a recipe and of --json."""
     record: dict[str, object] = {
         "before": best.before,
         "objective": best.name,
         "unit": best.unit,
-        "found": best.found,
+        "found": best.optimum,
         "now": finite(best.now),
         "converged": best.converged,
         "sentence": best.sentence,
@@ -150,8 +150,8 @@ def exact(spec: Spec, of: Measure) -> float:
     rows = [row for row in spec.requirement if row.name == design.minimise]
     if rows and len(of.cases) == 1:
         # Of several axes the worst.
-        found = [row.decisive for row in predict(spec).requirements if row.name == rows[0].name]
-        return max(np.inf if value is None else value for value in found)
+        values = [row.decisive for row in predict(spec).requirements if row.name == rows[0].name]
+        return max(np.inf if value is None else value for value in values)
     built = assemble(spec)
     value = of.exact(built.schedules[built.channels[0]])
     return value if np.isfinite(value) else np.inf
@@ -181,13 +181,13 @@ def optimise(
     checkpoint: Checkpoint | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[SearchStep | Optimised]:
-    """Yield a `Step` every few iterations and the `Optimised` plan at the end.
+    """Yield a `SearchStep` every few iterations and the `Optimised` plan at the end.
 
     `quick`: few starts, and a brief polish by the same program. `until_met`: no further than to a plan that, rounded,
-    meets every target with `MARGIN`, and nothing where the spec's own does. `motion` s: time without soaks, in the
-    place of [design]'s. `checkpoint`: go on from a step's. `stop`: asked after every step; once true, the best so far
-    is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is turned by
-    hand or, with `until_met`, there is no target.
+    meets every target with `MARGIN`; no search where the spec's own plan does. `motion` s: time without soaks, in the
+    place of [design]'s. `checkpoint`: resume from that of a step. `stop`: called after every step; once true, the best
+    plan so far is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is
+    turned by hand or, with `until_met`, there is no target.
     """
     design = design_of(spec)
     if spec.rig.table.drive == "hand" and not (isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None):
@@ -197,15 +197,15 @@ def optimise(
     known = finite(before)
 
     def enough(plan: Callable[[], Spec], value: float, words: str, sentence: str) -> Optimised | None:
-        """The plan as the controllers take it, where that meets every target with margin in every scenario."""
+        """The rounded plan, where it meets every target with margin in every scenario."""
         try:
-            made = rounded(plan(), steps_of(spec)).spec
+            candidate = rounded(plan(), steps_of(spec)).spec
         except SpecError:
             return None
-        if not all(targets_met(scenario) for scenario, _ in scenario_specs(made)):
+        if not all(targets_met(scenario) for scenario, _ in scenario_specs(candidate)):
             return None
-        now = exact(made, of)
-        return Optimised(made, of.name, of.unit, known, value, now, True, sentence, (), None, (), (), words)
+        now = exact(candidate, of)
+        return Optimised(candidate, of.name, of.unit, known, value, now, True, sentence, (), None, (), (), words)
 
     if until_met:
         if design.notice is not None:
@@ -216,7 +216,7 @@ def optimise(
             return
 
     def reached_by(compiled: Compiled, state: SearchState) -> tuple[float, str]:
-        """What the best point of a search comes to, and what it does not keep."""
+        """The objective at the best point of a search, and the limits that it exceeds."""
         value, excess = exactly(compiled, state.best_point)
         return value, missed_limit(excess, of.limits)
 
@@ -277,12 +277,14 @@ def finished(
     stop: Callable[[], bool],
     quick: bool,
 ) -> Optimised:
-    """Polish and round the best point of a search; the plan as it was where that is no better."""
-    coordinates, found = polished(of, structure.coordinates, state.best_point, design_of(spec).seed, stop, quick=quick)
-    # As a recipe will have it, so that the number is of what is executed. Whatever comes of it, a plan is written.
-    sentence, converged = found.sentence, found.converged
+    """Polish and round the best point of a search; keep the spec's own plan where that is as good."""
+    coordinates, optimum = polished(
+        of, structure.coordinates, state.best_point, design_of(spec).seed, stop, quick=quick
+    )
+    # Rounded as in a recipe, so that the value is that of the executed plan. A plan is returned in every case.
+    sentence, converged = optimum.sentence, optimum.converged
     try:
-        plan = rounded(plan_to_spec(spec, *_pruned(of, coordinates, found.point)), steps_of(spec)).spec
+        plan = rounded(plan_to_spec(spec, *_pruned(of, coordinates, optimum.point)), steps_of(spec)).spec
         now = exact(plan, of)
     except SpecError as error:
         plan, now = spec, np.inf
@@ -291,36 +293,38 @@ def finished(
         converged = False
         hint = "give finer ones"
         if any(r.name == design_of(spec).minimise and r.quantity in ("heading", "north") for r in spec.requirement):
-            hint = "give the maps priors, or other requirements targets: a mission alone asks for little else"
+            hint = "give the maps priors, or other requirements targets: a mission alone constrains little else"
         sentence = f"rounded to the controllers' steps the plan observes too little, {hint}; {sentence}"
-    elif now > (1.0 + _DEAR) * found.value:
-        more = 100.0 * (now / found.value - 1.0)
+    elif now > (1.0 + _DEAR) * optimum.value:
+        more = 100.0 * (now / optimum.value - 1.0)
         sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
     kept = before is not None and now >= before and motion is None and _within_limits(spec, of)
     if kept or not np.isfinite(now):
         try:
             plan = rounded(spec, steps_of(spec)).spec
         except SpecError:
-            plan, sentence = spec, f"{sentence}; nor can the plan as it was be rounded, which is kept as it is"
+            plan, sentence = spec, f"{sentence}; the plan as it was cannot be rounded either, and is kept unchanged"
         now, converged = exact(plan, of), False
     if kept:
         sentence = (
-            f"nothing better than the plan as it was ({now:.4g} {of.unit}): that is kept; try more moves or starts"
-            + (f" ({sentence})" if not np.isfinite(now) or found.value < 0.9 * now else "")
+            f"nothing better than the plan as it was ({now:.4g} {of.unit}), which is kept; try more moves or starts"
+            + (f" ({sentence})" if not np.isfinite(now) or optimum.value < 0.9 * now else "")
         )
+    compiled = of.compiled(structure.coordinates)
+    ends = [exactly(compiled, point) for point in state.points]
     return Optimised(
         plan,
         of.name,
         of.unit,
         before,
-        found.value,
+        optimum.value,
         now,
         converged,
         sentence,
-        _ends(of.compiled(structure.coordinates), state),
-        found.gradient_norm,
-        active_limits(coordinates, found.point) if isinstance(coordinates, Coordinates) else (),
-        shadow_prices(of, coordinates, found) if isinstance(coordinates, Coordinates) else (),
+        tuple(sorted(value if np.all(excess <= KEPT) else float(np.inf) for value, excess in ends)),
+        optimum.gradient_norm,
+        active_limits(coordinates, optimum.point) if isinstance(coordinates, Coordinates) else (),
+        shadow_prices(of, coordinates, optimum) if isinstance(coordinates, Coordinates) else (),
         structure.words,
     )
 
@@ -334,39 +338,33 @@ def polished(
     *,
     quick: bool = False,
 ) -> tuple[AnyCoordinates | ProgrammeKnots, Optimum]:
-    """The optimum that the best point of a search leads to, and its coordinates, without turns that vanish."""
-    # Fewer turns would be another class of sizes, for which to compile.
+    """The local optimum from the best point of a search, with its coordinates; without turns that vanish."""
+    # Fewer turns would be another size class, which would have to be compiled.
     if not quick:
         coordinates, point = _pruned(of, coordinates, point)
     if isinstance(coordinates, ProgrammeCoordinates):
         return best_programme(of, *coordinates.knots(point), seed, stop)
     if quick:
         return coordinates, polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH, names=of.limits)
-    found = polish(of.compiled(coordinates), point, steps=_FIRST, rounds=1, names=of.limits)
+    optimum = polish(of.compiled(coordinates), point, steps=_FIRST, rounds=1, names=of.limits)
     for _ in range(_POLISHES):
-        if found.converged:
+        if optimum.converged:
             break
-        # Turns that vanish meanwhile leave valleys without end: without them it converges.
-        fewer, point = _pruned(of, coordinates, found.point)
+        # A vanishing turn leaves a flat valley in which a polish does not converge, so it is removed.
+        fewer, point = _pruned(of, coordinates, optimum.point)
         again = polish(of.compiled(fewer), point, steps=_POLISH, rounds=1, names=of.limits)
-        allowed = found.value * (1.0 + _NO_WORSE) if fewer.size < coordinates.size else found.value
+        allowed = optimum.value * (1.0 + _NO_WORSE) if fewer.size < coordinates.size else optimum.value
         if not again.held or again.value > allowed:
             break
-        gained = again.value < found.value or fewer.size < coordinates.size
-        coordinates, found = fewer, again
+        gained = again.value < optimum.value or fewer.size < coordinates.size
+        coordinates, optimum = fewer, again
         if not gained:
             break
-    return coordinates, found
-
-
-def _ends(compiled: Compiled, state: SearchState) -> tuple[float, ...]:
-    """Where each start ended, the best first; `inf` where a limit is exceeded."""
-    ends = [exactly(compiled, point) for point in state.points]
-    return tuple(sorted(value if np.all(excess <= KEPT) else float(np.inf) for value, excess in ends))
+    return coordinates, optimum
 
 
 def _within_limits(spec: Spec, of: Measure) -> bool:
-    """Whether the spec's own plan keeps the targets that limit the search, as far as a prediction says."""
+    """Whether the prediction of the spec's own plan meets the targets that limit the search."""
     rows = {row.name: row.verdict for row in predict(spec).requirements} if of.limits else {}
     return all(rows.get(name) == "met" for name in of.limits)
 
@@ -374,26 +372,25 @@ def _within_limits(spec: Spec, of: Measure) -> bool:
 def best_programme(
     of: Measure, knots: ProgrammeKnots, point: np.ndarray, seed: int, stop: Callable[[], bool]
 ) -> tuple[ProgrammeKnots, Optimum]:
-    """Polish a programme, hop from the best, polish again: programmes that differ in which limits they run along are
-    optima of their own, between which no descent leads."""
+    """Polish a programme, then polish from random steps about the best: programmes that lie on different limits are
+    separate local optima."""
     objective, linear = of.compiled(knots), knots.limits
-    found, generator = polish(objective, point, linear=linear, names=of.limits), np.random.default_rng(seed)
+    optimum, generator = polish(objective, point, linear=linear, names=of.limits), np.random.default_rng(seed)
     for k in range(_HOPS):
         if stop():
             break
         step = _HOP_STEPS[k % len(_HOP_STEPS)] * generator.standard_normal(point.shape)
-        other = polish(objective, knots.near(found.point + step), linear=linear, names=of.limits)
-        if other.held and other.value < found.value:
-            found = other
-    return knots, found
+        other = polish(objective, knots.near(optimum.point + step), linear=linear, names=of.limits)
+        if other.held and other.value < optimum.value:
+            optimum = other
+    return knots, optimum
 
 
 def _pruned(of: Measure, coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
-    """The plan without turns that shrank to nothing, which are not for a technician to make, unless that costs what
-    rounding may not: a plan of few turns may need even the briefest.
+    """The plan without turns that shrank to nothing, unless that costs more than rounding may: a plan of few turns may
+    need even the briefest.
 
-    Where travel is limited all turns may be brief, and more time would only make them slower: those that round to
-    nothing are written as rests.
+    Where travel is limited all turns may be brief; there those that round to nothing are written as rests.
     """
     if not isinstance(coordinates, Coordinates) or "duration" not in coordinates.free or coordinates.travels:
         return coordinates, point
@@ -409,22 +406,22 @@ def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...
     cycle = coordinates.cycle(point)
     peaks = np.abs(cycle.peak_rates)[coordinates.turns]
     fastest = int(np.sum(peaks > float(coordinates.limits.max_rate) * (1.0 - _AT_LIMIT)))
-    found = ["the time at the table"]
+    binding = ["the time at the table"]
     if fastest:
-        found.append(f"the largest rate, in {fastest} of {len(peaks)} turns")
+        binding.append(f"the largest rate, in {fastest} of {len(peaks)} turns")
     if coordinates.travels:
         angles = np.cumsum(coordinates.angles(cycle))
         if np.max(np.abs(angles)) > float(coordinates.limits.travel) * (1.0 - _AT_LIMIT):
-            found.append("the travel")
+            binding.append("the travel")
     if "gradient" in coordinates.free:
         slopes = np.abs(cycle.steps) / coordinates.lasting()
         steep = int(np.sum(slopes > float(coordinates.limits.max_slope) * (1.0 - _AT_LIMIT)))
         if steep:
-            found.append(f"the chamber's slope, in {steep} of {len(slopes)} stretches")
-    return tuple(found)
+            binding.append(f"the chamber's slope, in {steep} of {len(slopes)} stretches")
+    return tuple(binding)
 
 
-# What `Coordinates.eased` takes is in SI; people ease it by these.
+# Limits by the index of `Coordinates.eased`: name, unit in which the limit is eased, and that unit in SI.
 PRICED: Final = (
     ("ramp time, cycle and turns with it", "minute", 60.0),
     ("largest rate", "deg/s", np.pi / 180.0),
@@ -434,15 +431,17 @@ PRICED: Final = (
 )
 
 
-def shadow_prices(of: Measure, coordinates: Coordinates, found: Optimum) -> tuple[Price, ...]:
-    """The objective's derivatives in the limits. At an optimum the free numbers need not move (envelope theorem), but
-    what else binds (targets, what is to be noticed) is eased with them, at its own cost."""
+def shadow_prices(of: Measure, coordinates: Coordinates, optimum: Optimum) -> tuple[Price, ...]:
+    """The objective's derivatives in the limits. At an optimum the derivative through the free numbers vanishes
+    (envelope theorem); the multipliers count that easing a limit also changes the binding targets."""
     compiled = of.compiled(coordinates)
-    slopes = compiled(found.point)
-    given = np.exp(slopes.logs[0]) * (slopes.of_eased[0] + multipliers(compiled, found.point) @ slopes.of_eased[1:])
+    slopes = compiled(optimum.point)
+    derivatives = np.exp(slopes.logs[0]) * (
+        slopes.of_eased[0] + multipliers(compiled, optimum.point) @ slopes.of_eased[1:]
+    )
     bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
     return tuple(
         Price(name, per, float(g) * size)
-        for (name, per, size), g, counts in zip(PRICED, given, bound, strict=True)
+        for (name, per, size), g, counts in zip(PRICED, derivatives, bound, strict=True)
         if counts
     )

@@ -1,4 +1,4 @@
-"""A point of the free coordinates as a spec: rounded to what the controllers are told, still filling its time."""
+"""A point of the free coordinates as a spec, rounded to the controllers' steps, that still fills its time."""
 
 import math
 from typing import NamedTuple
@@ -23,18 +23,18 @@ from gradcal_jax.files.rounding import ControllerSteps, steps_of
 from gradcal_jax.formulas import RAMPED_SHAPES
 
 DEG = math.pi / 180.0
-# A stretch of fewer steps of slope is held level: its time would not survive the rounding.
+# A stretch of fewer steps of slope becomes a soak: rounding would change its duration too much.
 _LEVEL = 5
-# To which what is left at the end of a programme is written; s.
+# Resolution of the soak that fills the end of a programme; s.
 _TIME = 0.1
-# So many steps longer a turn may become than it was, to fit; what is left of a visit that does not count, s.
+# Steps of time by which a turn may become longer to fit; a difference of a visit's time that is negligible, s.
 _LONGER = 100
 _LEFT = 1e-6
-_HAIR = 1.0 + 1e-9
+_ROUNDING = 1.0 + 1e-9
 
 
 def plan_to_spec(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> Spec:
-    """The spec with the plan of a point of the coordinates, rounded to what the controllers are told."""
+    """The spec with the plan of a point of the coordinates, rounded to the controllers' steps."""
     if isinstance(coordinates, StandardCoordinates):
         return _standard(spec, *coordinates.plan_of(point))
     if isinstance(coordinates, ProgrammeCoordinates | ProgrammeKnots):
@@ -57,7 +57,7 @@ def _standard(spec: Spec, temperatures: np.ndarray, rates: np.ndarray, integrati
 
 
 def _static(spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, point: np.ndarray) -> Spec:
-    """Stretches at slopes and temperatures that the controller is told, as steep as the chamber manages at most."""
+    """Stretches at slopes and temperatures of the controller's steps, no steeper than the chamber allows."""
     steps, programme = steps_of(spec), coordinates.programme(point)
     here = _on_grid(float(programme.start), float(steps.temperature))
     items: list[dict[str, object]] = [
@@ -85,9 +85,9 @@ def _on_grid(value: float, step: float) -> float:
 def _stretches(
     here: float, ends: np.ndarray, goals: np.ndarray, chamber: _Chamber, steps: ControllerSteps
 ) -> list[dict[str, object]]:
-    """Ramps and soaks whose slopes and temperatures the controller is told, at the times `ends` (s) near the `goals`.
+    """Ramps and soaks with slopes and temperatures of the controller's steps, near the `goals` at the times `ends` (s).
 
-    What rounding takes from one stretch is made up for in the next; a stretch that rounds to nothing is a soak.
+    The next stretch compensates the rounding of one; a stretch that rounds to nothing is a soak.
     """
     slope_step, step = float(steps.slope), float(steps.temperature)
     items: list[dict[str, object]] = []
@@ -118,8 +118,8 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> Spec:
     every = float(frame.read_every)
     reading = {"read_every": _s(every)} if coordinates.others_read else {"read": "none"}
     visits: list[list[_Move]] = [[] for _ in range(coordinates.groups)]
-    given = spec.gradient_schedule.cycle
-    axes = ["x"] if given is None else axes_of(given)
+    original = spec.gradient_schedule.cycle
+    axes = ["x"] if original is None else axes_of(original)
     for move in _moves(spec, coordinates, cycle):
         moves = visits[move.element.group]
         if not move.angle and moves and not moves[-1].angle:
@@ -127,7 +127,7 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> Spec:
             moves[-1] = moves[-1]._replace(duration=moves[-1].duration + move.duration)
         else:
             moves.append(move)
-    # What the plan's axes leave of the time between turns at the table is for axes that are not in the plan.
+    # The time between turns at the table less the plan's other axes belongs to axes that are not in the plan.
     idle = float(frame.other_time) - (len(axes) - 1) * float(frame.own_time)
     idle = idle if idle > 1e-6 else 0.0
     every_move: list[dict[str, object]] = []
@@ -148,7 +148,7 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> Spec:
 
 
 class _Move(NamedTuple):
-    """A move on the controllers' grids: a turn by `angle`, whose ramps take about `ramp`; a rest where it is zero.
+    """A move on the controllers' grids: a turn by `angle` with ramps of about `ramp`; a rest where `angle` is zero.
 
     `peak`: of a ramped turn, at which that angle takes just that duration.
     """
@@ -160,7 +160,7 @@ class _Move(NamedTuple):
     peak: float = 0.0
 
     def keys(self) -> dict[str, object]:
-        """Of a turn: what stands in a spec."""
+        """The keys of a turn in a spec."""
         turns = self.angle / (2.0 * math.pi)
         whole = abs(turns - round(turns)) < 1e-12 * abs(turns)
         angle = {"turns": round(turns)} if whole else {"turn": f"{self.angle / DEG:.12g} deg"}
@@ -176,7 +176,7 @@ class _Move(NamedTuple):
         size, steep = abs(self.angle), STEEPNESS[self.element.shape] / float(limits.max_acceleration)
         if self.element.shape not in RAMPED_SHAPES:
             peak = size / formulas.turned_angle(self.element.shape, 1.0, duration)
-            fits = peak <= float(limits.max_rate) * _HAIR and steep * peak <= duration * _HAIR
+            fits = peak <= float(limits.max_rate) * _ROUNDING and steep * peak <= duration * _ROUNDING
             return self._replace(duration=duration) if fits else None
         if (square := duration**2 - 4.0 * steep * size) < 0.0:
             return None
@@ -184,10 +184,10 @@ class _Move(NamedTuple):
         least = max(size / (duration - min(self.ramp, 0.5 * duration)), 2.0 * size / (duration + root))
         most = min(float(limits.max_rate), 2.0 * size / duration, 0.5 * (duration + root) / steep)
         peak = math.ceil(least / step - 1e-6) * step
-        return self._replace(duration=duration, peak=peak) if 0.0 < peak <= most * _HAIR else None
+        return self._replace(duration=duration, peak=peak) if 0.0 < peak <= most * _ROUNDING else None
 
     def lesser(self, duration: float, limits: Limits, step: float, fine: float) -> "_Move | None":
-        """As much of the same turn, in multiples of `fine` (rad), as its rate makes in a shorter time."""
+        """The same turn shortened to `duration` at its rate, its angle a multiple of `fine` (rad)."""
         peak = self.peak or abs(self.angle) / formulas.turned_angle(self.element.shape, 1.0, self.duration)
         short = self._replace(duration=duration, angle=0.0, peak=0.0)
         count = _most(short, math.copysign(peak, self.angle), limits, fine) if duration > 0.0 else 0
@@ -197,9 +197,9 @@ class _Move(NamedTuple):
 def _moves(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> list[_Move]:
     """The moves on the controllers' grids.
 
-    Rates are kept as they are, or, where travel is limited, the places at which turns end: nothing then adds up over
-    the cycles, and a cycle that is made again ends where it began. A turn that does not fit into its time gets more of
-    it, from the longest turn of its visit or else from its longest rests, reading by reading.
+    Rates are kept or, where travel is limited, the positions at which turns end: rounding then does not accumulate over
+    the cycles, and a cycle ends where it began. A turn that does not fit into its time gets more of it, from the
+    longest turn of its visit or else from its longest rests, reading by reading.
     """
     steps, limits = steps_of(spec), coordinates.limits
     every, quick, brief, fine = (float(v) for v in (coordinates.frame.read_every, steps.rate, steps.time, steps.angle))
@@ -229,7 +229,7 @@ def _moves(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> list[_M
 
 
 def _most(rest: _Move, peak: float, limits: Limits, fine: float) -> int:
-    """How many times `fine` (rad) a turn of about that rate makes in its time, as far as its acceleration lets it."""
+    """The angle, in multiples of `fine` (rad), of a turn with about that peak rate in its time and acceleration."""
     steep, duration, shape = STEEPNESS[rest.element.shape], rest.duration, rest.element.shape
     if shape in RAMPED_SHAPES:
         steepest = float(limits.max_acceleration) / steep
@@ -238,7 +238,7 @@ def _most(rest: _Move, peak: float, limits: Limits, fine: float) -> int:
     else:
         fastest = min(abs(peak), float(limits.max_acceleration) * duration / steep)
         size = float(formulas.turned_angle(shape, fastest, duration))
-    # Angles in thousandths of a degree are cut off, whole turns as near as they may be.
+    # Angles in thousandths of a degree are rounded towards zero, whole turns to the nearest.
     count = math.floor(size / fine + (0.5 if fine > 1.0 else 1e-6))
     while count and rest._replace(angle=count * fine).lasting(duration, limits, 1e-9) is None:
         count -= 1
@@ -248,7 +248,7 @@ def _most(rest: _Move, peak: float, limits: Limits, fine: float) -> int:
 def _fill(
     members: list[int], moves: list[_Move], coordinates: Coordinates, every: float, step: float, fine: float
 ) -> None:
-    """Make the moves of a visit last as long as it does, where they can; turns no further where nothing else helps."""
+    """Make the moves of a visit fill its time if they can; turns become smaller only where nothing else helps."""
     turns = sorted((i for i in members if moves[i].angle), key=lambda i: -moves[i].duration)
     left = float(coordinates.frame.own_time) - sum(moves[i].duration for i in members)
     while abs(left) > _LEFT:
@@ -271,9 +271,9 @@ def _fill(
 
 
 def _rounded(coordinates: Coordinates, durations: np.ndarray, every: float, step: float) -> np.ndarray:
-    """Durations whose rests hold whole numbers of readings; each visit's longest turn takes what is left."""
+    """Durations with rests of whole numbers of readings; each visit's longest turn takes the rest of its time."""
     own = float(coordinates.frame.own_time)
-    found = np.empty_like(durations)
+    rounded = np.empty_like(durations)
     elements = coordinates.elements()
     for group in range(coordinates.groups):
         members = [i for i, e in enumerate(elements) if e.group == group]
@@ -281,10 +281,10 @@ def _rounded(coordinates: Coordinates, durations: np.ndarray, every: float, step
         for i in members:
             is_rest = elements[i].shape == "rest"
             unit = every if is_rest else step
-            found[i] = max(1, round(durations[i] / unit)) * unit
+            rounded[i] = max(1, round(durations[i] / unit)) * unit
         last = max(turns or members, key=lambda i: durations[i])
-        found[last] = max(step, own - sum(found[i] for i in members if i != last))
-    return found
+        rounded[last] = max(step, own - sum(rounded[i] for i in members if i != last))
+    return rounded
 
 
 def _programme(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> dict[str, object]:
@@ -294,7 +294,7 @@ def _programme(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> dic
     soak = spec.gradient_schedule.segments[0]
     if "gradient" not in coordinates.free:
         rate = abs(end - start) / float(frame.motion_time)
-        # The slope fixes the time: written with all its digits.
+        # The slope determines the time, and is written with all its digits.
         return {
             "plan.programme": None,
             "plan.temperature": [_c(start), _c(end)],

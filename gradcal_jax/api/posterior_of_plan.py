@@ -1,4 +1,4 @@
-"""What is known after a spec's plan, on its requirements' boxes."""
+"""The posterior covariance after a spec's plan, and residuals on its requirements' boxes."""
 
 from typing import Final, Literal, NamedTuple
 
@@ -27,7 +27,7 @@ UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h", "deg"], float]]] = {
 
 
 def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterior:
-    """What is known after the plan, by the estimator that the spec names."""
+    """The posterior after the plan, by the estimator that the spec names."""
     line, model = built.trajectory(channel), built.model
     return unweighted(line, model) if unweighted_estimator(built.spec) else posterior(information(line, model))
 
@@ -38,7 +38,7 @@ def unweighted_estimator(spec: Spec) -> bool:
 
 
 class Survey(NamedTuple):
-    """Where a plan takes a sensor: coldest and warmest (°C), and its fastest rate (rad/s), on a grid of each piece."""
+    """The coldest and warmest temperature (°C) and the fastest rate (rad/s) of a plan, on a grid of each piece."""
 
     coldest: float
     warmest: float
@@ -46,7 +46,7 @@ class Survey(NamedTuple):
 
 
 def survey(built: Assembled, channel: Axis | None = None) -> Survey:
-    """Where the plan takes the sensor on one axis."""
+    """The range of temperature and rate that the plan visits on one axis."""
     line = built.trajectory(channel)
     grid = np.broadcast_to(np.linspace(0.0, 1.0, 33), (len(line.moving_pieces), 33))
     used = ~line.gap
@@ -59,7 +59,7 @@ def residual_map(
     built: Assembled, known: Posterior, requirement: Requirement, *, si: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Temperatures (°C), rates (deg/s) and the residual `(n_T, n_ω)` in the unit of `UNIT_OF`, on a requirement's box;
-    of missions `(n, 1)`, and numbers in the place of temperatures.
+    for missions `(n, 1)`, with mission indices in the place of temperatures.
 
     `si`: the rates in rad/s, the residual in 1, rad/s or rad.
     """
@@ -74,8 +74,8 @@ def residual_map(
 
 
 def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; of missions
-    their numbers."""
+    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
+    their indices."""
     if isinstance(requirement, HeadingRequirement):
         return np.arange(float(len(requirement.mission))), np.zeros(1)
     cold, warm = requirement.temperature
@@ -89,8 +89,8 @@ def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, 
 def contrasts_of(
     model: SensorModel, requirement: Requirement, name: Statistic, at: tuple[np.ndarray, np.ndarray] | None = None
 ) -> Contrasts:
-    """What the calibration leaves on a grid (by default `box`), as combinations of the parameters; of missions weighted
-    for the statistic `name`, whose plain form is then the weighted one."""
+    """The residual on a grid (by default `box`) as linear functions of the parameters; those of missions are scaled
+    such that the unweighted statistic `name` is the weighted one."""
     if isinstance(requirement, HeadingRequirement):
         rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
         return mission_contrasts(model, np.stack(rows)).times(weights(requirement, name)[:, 0])
@@ -102,7 +102,7 @@ def criterion_of(
     model: SensorModel, requirement: Requirement, name: Statistic | None = None, most: int | None = None
 ) -> Criterion:
     """A requirement's statistic, or the one of that `name`, for a design (SI). `most`: see `box`; for a search, which
-    wants no row of its own for every place."""
+    interpolates a polynomial map between few places."""
     name, at = name or requirement.statistic, box(requirement, most)
     shape, between = (len(at[0]), len(at[1])), None
     if most is not None and not isinstance(requirement, HeadingRequirement):
@@ -112,7 +112,7 @@ def criterion_of(
 
 
 def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
-    """The places at which to look at a map's residual, and what makes those of the grid of them."""
+    """The places at which a map's residual is evaluated, and the matrices that interpolate it onto the grid."""
     bases = [(of.temperature, of.beyond and of.beyond.temperature), (of.rate, of.beyond and of.beyond.rate)]
     pairs = []
     for at, both in zip((temperatures, rates), bases, strict=True):
@@ -125,7 +125,7 @@ def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
 
 
 def weights(requirement: Requirement, name: Statistic) -> np.ndarray:
-    """By what residuals `(n, 1)` of missions are multiplied, for a statistic of them to be the weighted one."""
+    """Factors `(n, 1)` of the residuals of missions that make a plain statistic the weighted one."""
     if not isinstance(requirement, HeadingRequirement) or name not in ("rms", "mean"):
         return np.ones((1, 1))
     share = np.array([[mission.weight] for mission in requirement.mission])
@@ -148,14 +148,14 @@ def _gain(requirement: Requirement) -> float:
 
 
 def target_of(requirement: Requirement) -> float | None:
-    """In the unit of `UNIT_OF`."""
+    """The target in the unit of `UNIT_OF`."""
     return None if requirement.target is None else float(requirement.target) * UNIT_OF[requirement.quantity][1]
 
 
 def limit_of(requirement: Requirement) -> tuple[Statistic, float] | None:
-    """What a target asks of the residual map (1σ): a statistic of it, and what it may come to at most (`UNIT_OF`).
+    """The limit that a target sets to the residual map (1σ): a statistic, and its largest allowed value (`UNIT_OF`).
 
-    Simple acceptance: the requirement's own statistic, `target / coverage`. Guarded: the worst place, by the risk.
+    Simple acceptance: the requirement's own statistic, `target / coverage`. Guarded: the maximum, by the risk.
     """
     target = target_of(requirement)
     if target is None:
@@ -176,7 +176,7 @@ def decision_rule(requirement: Requirement) -> str:
 
 
 def verdict(requirement: Requirement, values: np.ndarray) -> Literal["met", "missed", "unobservable"] | None:
-    """What a residual map (of `UNIT_OF`, 1σ) is against a requirement's target by its rule, if it has one."""
+    """The verdict on a residual map (in `UNIT_OF`, 1σ) by a requirement's decision rule; None without a target."""
     if not np.isfinite(statistic_of(requirement, values)):
         return "unobservable"
     limit = limit_of(requirement)

@@ -1,4 +1,4 @@
-"""The contract gradcal-prediction/1, filled from a spec."""
+"""The prediction of a spec, as the contract gradcal-prediction/1."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -35,23 +35,23 @@ from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 
-# A unit's error is drawn on a grid of at most this many temperatures and rates.
+# The chances of keeping a target are computed on a grid of at most this many temperatures and rates.
 _GRID = 41
 
 
 def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
-    `limits`: also say of each requirement what it is limited by, and between what it lies where noise figures are
-    `uncertain`. `notices`: also say which hidden structure of the maps the plan would notice. `outlook`: also the
-    chance that a unit keeps a target, and what is left with every absent error term at what is typical. The covariance
-    is the exact one of generalised least squares under the spec's noise (`gradcal_jax.information`). What cannot be
-    observed is None, with a warning. Errors: none; whatever is wrong with a file, `read_spec` has refused already.
+    `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
+    `notices`: also which hidden structure of the maps the plan would notice. `outlook`: also the chance that a unit
+    meets a target, and the residual with every absent error term at its typical value. The covariance is the exact one
+    of generalised least squares under the spec's noise (`gradcal_jax.information`). What cannot be observed is None,
+    with a warning. Errors: none; `read_spec` has validated the spec.
     """
     if isinstance(spec, UnitSpec):
-        found = predict_unit(spec)
-        between = _between(found.requirements, [predict_unit(one) for one in extremes(spec)] if limits else [])
-        return found.model_copy(update={"requirements": tuple(between)})
+        prediction = predict_unit(spec)
+        between = _between(prediction.requirements, [predict_unit(one) for one in extremes(spec)] if limits else [])
+        return prediction.model_copy(update={"requirements": tuple(between)})
     built = assemble(spec)
     known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}
     shares = {channel: error_budget(built, channel, of) for channel, of in known.items()} if limits else {}
@@ -77,30 +77,30 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
 
 
 def _between(rows: Sequence[RequirementRow], others: list[Prediction]) -> Sequence[RequirementRow]:
-    """The rows with the least and the largest of what they are in the other predictions, which have the same rows."""
+    """The rows with the smallest and largest value over these and other predictions of the same requirements."""
     if not others:
         return rows
-    found = []
+    ranges = []
     for k, row in enumerate(rows):
         values = [one.requirements[k].decisive for one in others]
         known = [v for v in (row.decisive, *values) if v is not None]
-        found.append(row.model_copy(update={"uncertain": (min(known), max(known)) if known else None}))
-    return found
+        ranges.append(row.model_copy(update={"uncertain": (min(known), max(known)) if known else None}))
+    return ranges
 
 
 def _requirement_row(built: Assembled, known: Posterior, requirement: Requirement, channel: Axis) -> RequirementRow:
     _, rates, values = residual_map(built, known, requirement)
-    found = {
+    statistics = {
         name: finite(statistic_of(requirement, values, name))
         for name in STATISTICS
         if name != "mean of max" or requirement.quantity == "scale_factor"
     }
-    target, worst = target_of(requirement), found["max"]
+    target, worst = target_of(requirement), statistics["max"]
     own, flown = own_noise_of(built, requirement), requirement if isinstance(requirement, HeadingRequirement) else None
     if flown is not None:
         rates = np.array([float(rate) * DEG_PER_S for rate in flown.rate])
     return RequirementRow(
-        **asked_and_left(requirement, found),
+        **asked_and_left(requirement, statistics),
         unit=UNIT_OF[requirement.quantity][0],
         axis=channel,
         rate_dps=(float(rates[0]), float(rates[-1])) if len(rates) > 1 else None,
@@ -118,8 +118,8 @@ def _requirement_row(built: Assembled, known: Posterior, requirement: Requiremen
 def _risks(built: Assembled, known: Posterior, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
     """The chances that a unit keeps the target (on a grid of at most 41 a side), and the risks of a second run.
 
-    That run is as uncertain as the first and independent of it: what both share (the sensor's clock, the encoder's
-    error by angle) no second run shows, so these are the chances of the rest.
+    That run is as uncertain as the first and independent of it. Errors that both runs share (the sensor's clock, the
+    encoder's error by angle) do not show in a second run, and are not in its risks.
     """
     if row.target is None or row.max is None or row.max == 0.0:
         return {}

@@ -36,8 +36,8 @@ def recipe(
 
     `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
     temperature counts as stable, and how long to wait for it. `keep_shapes`: the table follows any shape of motion;
-    without it turns become trapezoids of the same angle, peak rate and duration. `status`, `seed`, `optimisation` and
-    `notes` are kept as given; in `optimisation` only what TOML can hold. An optimised plan brings its own.
+    without it turns become trapezoids of the same angle, peak rate and duration. `status`, `seed`, `optimisation` (of
+    TOML's types) and `notes` are copied; an optimised plan has its own.
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
@@ -48,28 +48,30 @@ def recipe(
         status, optimisation = status or plan.sentence, optimisation or record_of(plan)
         seed = plan.spec.design.seed if seed is None and plan.spec.design is not None else seed
     steps = resolution or steps_of(spec)
-    made = rounded(spec, steps, keep_shapes=keep_shapes)
-    chamber, motion = tracks_of(made.spec)
-    rows = Predicted.of(predict(made.spec, limits=True, notices=True))
-    said: dict[str, Any] = {
+    executable = rounded(spec, steps, keep_shapes=keep_shapes)
+    chamber, motion = tracks_of(executable.spec)
+    rows = Predicted.of(predict(executable.spec, limits=True, notices=True))
+    fields: dict[str, Any] = {
         "format": FORMAT,
         "title": spec.title,
         "status": status or NOT_OPTIMISED,
-        "notes": (*notes, *made.notes) or None,
-        "rounded": made.changes or None,
-        "made": Made(by=f"gradcal {gradcal_jax.__version__}", versions=versions_of(_VERSIONS), **_given(seed=seed)),
+        "notes": (*notes, *executable.notes) or None,
+        "rounded": executable.changes or None,
+        "made": Made(
+            by=f"gradcal {gradcal_jax.__version__}", versions=versions_of(_VERSIONS), **_without_none(seed=seed)
+        ),
         "resolution": ControllerSteps(**{name: getattr(steps, name) for name in type(steps).model_fields}),
-        # Defaults too: they may be others in another version.
+        # With defaults, which may change in another version.
         "stability": Stability(**{n: getattr(stability or Stability(), n) for n in Stability.model_fields}),
         "chamber": chamber,
         "motion": motion,
         "prediction": rows,
         "optimisation": None if optimisation is None else dict(optimisation),
-        "spec": made.spec,
+        "spec": executable.spec,
     }
-    return Recipe(**_given(**said))
+    return Recipe(**_without_none(**fields))
 
 
-def _given(**values: Any) -> dict[str, Any]:
-    """A file holds no key for what is None."""
+def _without_none(**values: Any) -> dict[str, Any]:
+    """The values that are not None: a file has no key for None."""
     return {name: value for name, value in values.items() if value is not None}

@@ -1,10 +1,10 @@
-"""A run that was broken off: what is known by what was done, and the best plan for the time that is left.
+"""An interrupted run: the posterior after its executed part, and the best plan for the remaining time.
 
-What was done stands in the spec as `[[done]]`, so that every prediction of the new plan counts it: the same readings
-and the same noise as of a plan, without the pieces that were not executed. It is one run: the drifts go on through the
-pause, the turn-on bias stays what it was (the unit is not switched off), and the angle's origin is read anew. What
-follows is searched as any plan is, on a ramp from where the chamber's course was broken off to where it was to end.
-Of a whole unit the whole cycles count, and drifts begin anew: they are forgotten in a pause of half an hour.
+The executed part is in the spec as `[[done]]`, so that every prediction of the new plan includes its readings and
+noise. Both are one run: the drifts continue through the pause, the turn-on bias stays (the unit is not switched off),
+and the angle's origin is read anew. The remaining plan is searched like any plan, on a ramp from the temperature of the
+interruption to the end of the old ramp. Of a whole unit only whole cycles count, and drifts begin anew: after a pause
+of half an hour they are uncorrelated.
 """
 
 import math
@@ -29,18 +29,19 @@ from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information, posterior
 
 PAUSE_S = 1800.0
-_HAIR = 1e-6
-# What is left of a segment for less than this is over; s.
+_ROUNDING = 1e-6
+# A segment that ends within this time counts as over; s.
 _BRIEF_S = 1.0
-# The share of a turn at the table for which the axis stands where a search begins.
+# The share of a turn at the table for which the axis rests in the first plan of a search.
 _STANDS = 0.2
 _GO_ON = "go on with the run as it is, gradcal run --resume"
 Span = tuple[float, float]
-"""From when to when, on a plan's clock (s)."""
+"""Start and end on a plan's clock (s)."""
 
 
 class KnownRow(NamedTuple):
-    """What is known of a requirement: by what was done (`now`) and once the rest is (`at_end`); None: too little."""
+    """The residual of a requirement after the executed part (`now`) and after the whole plan (`at_end`); None: not
+    observable."""
 
     name: str
     axis: str
@@ -50,7 +51,7 @@ class KnownRow(NamedTuple):
 
 
 def with_done(spec: AnySpec, done: Sequence[Span], pause_s: float = PAUSE_S) -> AnySpec:
-    """The spec with spans of its own plan as what was done before it."""
+    """The spec with spans of its own plan as the part that was executed before it."""
     plan: dict[str, Any] = {"plan": tables_of(spec)["plan"]}
     if isinstance(spec, Spec):
         plan["pause"] = f"{pause_s:.9g} s"
@@ -59,9 +60,9 @@ def with_done(spec: AnySpec, done: Sequence[Span], pause_s: float = PAUSE_S) -> 
 
 
 def known_so_far(spec: Spec | UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
-    """What is left by what was done of the spec's plan, and once it has gone on from `goes_on_s` (s, its clock): where
-    the last span ends, while a run is under way, or where a step begins that is made again. Of a whole unit whole
-    cycles count."""
+    """The residual of each requirement after the executed spans of the spec's plan, and after the plan has continued
+    from `goes_on_s` (s, its clock): the end of the last span while a run is under way, or the start of a repeated step.
+    Of a whole unit only whole cycles count."""
     if isinstance(spec, UnitSpec):
         return _known_of_unit(spec, done, goes_on_s)
     ends_s, rows = spec.schedule.duration, list[KnownRow]()
@@ -84,7 +85,7 @@ def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> li
     built, plan = assemble_unit(spec), spec.schedule
     rest = [*done, (goes_on_s, plan.duration)]
     if done and abs(goes_on_s - done[-1][1]) < _BRIEF_S:
-        # A cycle that is under way goes on.
+        # The current cycle continues.
         rest = [*done[:-1], (done[-1][0], plan.duration)]
     rows = []
     for spans in (done, rest):
@@ -100,11 +101,11 @@ def _one_stretch(spec: UnitSpec, what: str) -> None:
 
 
 def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> AnySpec:
-    """The spec of what is still to be done, with what was: a ramp of `left_s` (None: what the plan had left) from where
-    the chamber was to where it was to end, and on it as many turns at the table as fit, about as long as they were; of
-    a whole unit, its cycle.
+    """The spec of the remaining plan, after the executed part: a ramp of `left_s` (None: the plan's remaining time)
+    from the temperature of the interruption to the plan's last one, with as many turns at the table of about the same
+    length as fit; of a whole unit, with its cycle.
 
-    Errors: `ValueError` for a standard plan, where nothing is left, and where what is left is not one ramp.
+    Errors: `ValueError` for a standard plan, where nothing is left, and where the remaining programme is not one ramp.
     """
     if isinstance(spec, UnitSpec):
         _one_stretch(spec, f"the rest is not planned anew: {_GO_ON}")
@@ -128,10 +129,10 @@ def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None,
     steepest = float(chamber.max_heating if ends_c > begins_c else chamber.max_cooling)
     fine, grid_k = float(steps.slope), float(steps.temperature)
     begins_c = grid_k * round(begins_c / grid_k)
-    # A slope that the controller takes, at which the ramp ends in time, or comes as far as the chamber can.
+    # A slope of the controller's steps at which the ramp ends in time, or the steepest that the chamber allows.
     span_k, least = abs(ends_c - begins_c), max(lasts_s, _BRIEF_S)
-    slope = fine * min(math.ceil(span_k / least / fine - _HAIR), math.floor(steepest / fine + _HAIR))
-    span_k = grid_k * math.floor(min(span_k, slope * lasts_s) / grid_k + _HAIR)
+    slope = fine * min(math.ceil(span_k / least / fine - _ROUNDING), math.floor(steepest / fine + _ROUNDING))
+    span_k = grid_k * math.floor(min(span_k, slope * lasts_s) / grid_k + _ROUNDING)
     if span_k <= 0.0:
         raise ValueError(f"no time is left for a ramp: {_GO_ON}")
     ends_c, lasts_s = begins_c + math.copysign(span_k, ends_c - begins_c), span_k / slope
@@ -164,22 +165,22 @@ def replan(
     quick: bool = False,
     watch: Callable[[SearchStep], None] = lambda _: None,
 ) -> Optimised:
-    """The best plan for what is left of a run, given what was done of it. Of a whole unit: `rest_of`, and `optimise`.
+    """The best plan for the rest of a run, after its executed part. For a whole unit use `rest_of` and `optimise`.
 
-    `spec`: of the recipe that was executed; `done`: from when to when, on its plan's clock (s), as
-    `hardware.stretches` reads it from the journal. `left_s`: how long the rest may take; None: as long as the plan had
-    left. `pause_s`: until it goes on. `quick`, `watch` and what is returned: as `optimise`; the returned spec has
-    `done`, and its values (ppm or deg/h) are of all that was and will be done.
+    `spec`: of the executed recipe; `done`: the executed spans on its plan's clock (s), as `hardware.stretches` reads
+    them from the journal. `left_s`: how long the rest may take; None: the plan's remaining time. `pause_s`: duration of
+    the interruption. `quick`, `watch` and the result: as `optimise`; the returned spec has `done`, and its values (ppm
+    or deg/h) are those of the whole run.
 
-    Errors: `ValueError` where nothing is left of the plan, or no ramp up or down, and as `optimise`.
+    Errors: `ValueError` where nothing is left of the plan, or not one ramp up or down, and as `optimise`.
     """
     return optimise(rest_of(spec, done, left_s=left_s, pause_s=pause_s), quick=quick, watch=watch)
 
 
 def _visits(spec: Spec, design: Mapping[str, Any], lasts_s: float) -> dict[str, Any]:
-    """A cycle of one turn at the table and the other axes' time after it, of which whole ones fill what is left.
+    """A cycle of one turn at the table and the other axes' time after it, a whole number of which fills the rest.
 
-    Both are nearly as long as in the spec, and the axis keeps its share. Its moves are only where a search begins;
+    Both are nearly as long as in the spec, and the axis keeps its share. The moves are only the start of a search;
     where their durations are not free, the spec's cycle stays.
     """
     cycle, tables = spec.gradient_schedule.cycle, tables_of(spec)["plan"]["cycle"]
@@ -190,7 +191,7 @@ def _visits(spec: Spec, design: Mapping[str, Any], lasts_s: float) -> dict[str, 
     own, other = visit_times(cycle)
     visits = max(1, round((lasts_s + other) / (own + other)))
     share, step = lasts_s / (visits * own + (visits - 1) * other), float(steps_of(spec).time)
-    each_s, other = (step * math.floor(share * time / step + _HAIR) for time in (own / len(axes), other))
+    each_s, other = (step * math.floor(share * time / step + _ROUNDING) for time in (own / len(axes), other))
     every_s = read_spacing(cycle)
     stands_s = every_s * max(1, int(_STANDS * each_s / every_s))
     turns_s = 0.5 * (each_s - stands_s)

@@ -1,8 +1,8 @@
-"""Sensors and rigs that a design must serve: what [[design.scenario]] says, and what `uncertain` figures may be.
+"""Sensors and rigs for which a plan is designed: those of [[design.scenario]], and the ends of `uncertain` figures.
 
 The residual never falls when a standard deviation of the noise rises: the covariance of the estimate grows with that of
-the readings. So the worst case has every standard deviation at its largest and the best at its smallest; only of
-correlation times nothing is known beforehand, and they are tried at both ends and as written.
+the readings. So the worst case has every standard deviation at its largest and the best at its smallest. The effect of
+a correlation time has no known sign, so both its ends and the written value are tried.
 """
 
 from itertools import product
@@ -14,28 +14,28 @@ from gradcal_jax.files.design import Scenario
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.unit_spec import UnitSpec
 
-# Of more uncertain correlation times than these, each end is tried with the others as they are written.
+# With more uncertain correlation times than this, each end is tried alone, the others as they are written.
 _TOGETHER = 2
 
 
 def scenario_specs(spec: AnySpec) -> list[tuple[AnySpec, float]]:
-    """The spec as each scenario has it, and its weight; the spec itself where nothing is uncertain.
+    """The spec of each scenario, with its weight; the spec itself where nothing is uncertain.
 
-    For a design that minimises the worst: every standard deviation at its largest. For one that minimises the mean: the
-    figures as written, and each end of each alone, all with the same weight.
+    For a design that minimises the worst case, every standard deviation is at its largest. For one that minimises the
+    mean, the figures are as written, and each end of each alone, all with the same weight.
     """
     robust = "mean" if spec.design is None else spec.design.robust
     scenarios = spec.design.scenario if isinstance(spec, Spec) and spec.design is not None else ()
-    given = [(changed(spec, overrides(s)), float(s.weight)) for s in scenarios]
+    chosen = [(changed(spec, overrides(s)), float(s.weight)) for s in scenarios]
     return [
         (changed(one, values) if values else one, weight)
-        for one, weight in given or [(spec, 1.0)]
+        for one, weight in chosen or [(spec, 1.0)]
         for values in (_corners(one, 1) if robust == "worst" else _star(one))
     ]
 
 
 def extremes(spec: AnySpec) -> list[AnySpec]:
-    """Specs among which are the best and the worst that uncertain figures allow; none where nothing is uncertain."""
+    """Specs that include the best and the worst case of uncertain figures; none where nothing is uncertain."""
     if not spec.sensor.uncertain_figures():
         return []
     return [changed(spec, values) for end in (0, 1) for values in _corners(spec, end)]

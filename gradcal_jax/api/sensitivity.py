@@ -1,8 +1,8 @@
-"""What one per cent of every figure of sensor, rig and plan is worth, in per cent of the residual.
+"""Elasticities of the residual: its change in per cent for one per cent of every figure of sensor, rig and plan.
 
 The derivative of the logarithm of a requirement's residual in the logarithm of the figure, by automatic
-differentiation through timeline, whitening and statistic, at the plan as it is: for an optimised plan this is also what
-remains after it is optimised again, to first order (envelope theorem).
+differentiation through timeline, whitening and statistic, at the plan as it is. For an optimised plan the derivative is
+the same after the plan is optimised again, to first order (envelope theorem).
 """
 
 import equinox as eqx
@@ -23,16 +23,15 @@ from gradcal_jax.information import information
 from gradcal_jax.model import Discrepancy, EncoderHarmonics, SensorModel
 from gradcal_jax.trajectory import Rule, Schedule, rule_of
 
-# Figures of the plan, by the names that people use.
+# Names of the plan's figures, for people.
 _TIME, _RATES = "time: ramp and turns last longer", "rates: all turns faster"
 _INTEGRATION, _LAG = "integration time", "thermal lag"
 _ENCODER, _DISCREPANCY = "encoder's error by angle", "model discrepancy"
 
 
 def sensitivities(spec: Spec | UnitSpec) -> Sensitivities:
-    """The elasticities of every requirement of a spec, on the axis where it leaves the most; of a whole unit by central
-    differences. Errors: `ValueError` where nothing is required or observed.
-    """
+    """The elasticities of every requirement of a spec, on the axis of its largest residual; of a whole unit by central
+    differences. Errors: `ValueError` where nothing is required or observed."""
     if isinstance(spec, UnitSpec):
         return unit_sensitivities(spec)
     expect_whole(spec, "a sensitivity")
@@ -41,14 +40,14 @@ def sensitivities(spec: Spec | UnitSpec) -> Sensitivities:
     built = assemble(spec)
     criteria = [criterion_of(built.model, r) for r in spec.requirement]
     names = _names(built)
-    found = {axis: _logs_and_slopes(built, axis, names, criteria) for axis in built.channels}
-    if not all(np.all(np.isfinite(values)) and np.all(np.isfinite(slopes)) for values, slopes in found.values()):
+    by_axis = {axis: _logs_and_slopes(built, axis, names, criteria) for axis in built.channels}
+    if not all(np.all(np.isfinite(values)) and np.all(np.isfinite(slopes)) for values, slopes in by_axis.values()):
         raise ValueError(
-            "the plan cannot observe what is required, so nothing can be said of its sensitivity: see check"
+            "the plan cannot observe what is required, so its sensitivity is not defined: see gradcal check"
         )
     rows, residuals = [], {}
     for i, r in enumerate(spec.requirement):
-        values, slopes = max(found.values(), key=lambda pair: pair[0][i])
+        values, slopes = max(by_axis.values(), key=lambda pair: pair[0][i])
         rows += [Elasticity(r.name, name, float(slopes[i, k])) for k, name in enumerate(names)]
         unit, factor = UNIT_OF[r.quantity]
         residuals[r.name] = float(np.exp(values[i])) * factor, unit
@@ -59,17 +58,17 @@ def sensitivities(spec: Spec | UnitSpec) -> Sensitivities:
 def _logs_and_slopes(
     built: Assembled, axis: Axis, names: list[str], criteria: list[Criterion]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms of the residuals (r,), and their derivatives in those of all figures (r, f)."""
+    """Logarithms of the residuals (r,), and their derivatives with respect to those of all figures (r, f)."""
     schedule = built.schedules[axis]
     rule = rule_of(built.model, schedule.trajectory(built.thermal_lag))
     ones = jnp.ones(len(names))
-    given = _Figures(built.model, schedule.padded(), tuple(criteria), built.thermal_lag, built.sources, rule)
-    values, slopes = _compiled(given, tuple(names), ones)
+    figures = _Figures(built.model, schedule.padded(), tuple(criteria), built.thermal_lag, built.sources, rule)
+    values, slopes = _compiled(figures, tuple(names), ones)
     return np.asarray(values), np.asarray(slopes)
 
 
 class _Figures(eqx.Module):
-    """What the figures are taken of; numbers are arguments of the compiled program."""
+    """What the elasticities depend on; its arrays are arguments of the compiled program."""
 
     model: SensorModel
     schedule: Schedule
@@ -80,10 +79,10 @@ class _Figures(eqx.Module):
 
 
 @eqx.filter_jit
-def _compiled(given: _Figures, names: tuple[str, ...], factors):
+def _compiled(figures: _Figures, names: tuple[str, ...], factors):
     def logs(factors):
         by = dict(zip(names, factors, strict=True))
-        model = scaled(given, by)
+        model = scaled(figures, by)
         for kind, field, name in (
             (EncoderHarmonics, lambda t: t.amplitudes, _ENCODER),
             (Discrepancy, lambda t: t.std, _DISCREPANCY),
@@ -92,31 +91,31 @@ def _compiled(given: _Figures, names: tuple[str, ...], factors):
                 if isinstance(term, kind) and name in by:
                     larger = eqx.tree_at(field, term, field(term) * by[name])
                     model = eqx.tree_at(lambda m, k=k: m.terms[k], model, larger)
-        lag = given.thermal_lag
-        line = _stretched(given.schedule, by).trajectory(None if lag is None else lag * by[_LAG])
-        info = information(line, model, given.rule)
-        return jnp.log(jnp.stack([c(info) for c in given.criteria]))
+        lag = figures.thermal_lag
+        line = _stretched(figures.schedule, by).trajectory(None if lag is None else lag * by[_LAG])
+        info = information(line, model, figures.rule)
+        return jnp.log(jnp.stack([c(info) for c in figures.criteria]))
 
     return logs(factors), jax.jacrev(logs)(factors)
 
 
 def _names(built: Assembled) -> list[str]:
-    """Figures that the spec has, by the names that people use."""
+    """Names of the figures that the spec has."""
     model, line = built.model, built.trajectory()
-    found = known_sources(built)
+    names = known_sources(built)
     if model.harmonics is not None:
-        found.append(_ENCODER)
+        names.append(_ENCODER)
     if any(isinstance(term, Discrepancy) for term in model.terms):
-        found.append(_DISCREPANCY)
+        names.append(_DISCREPANCY)
     if built.thermal_lag is not None:
-        found.append(_LAG)
+        names.append(_LAG)
     if line.rates:
-        return [*found, _INTEGRATION]
-    return [*found, _TIME, *([_RATES] if len(line.moving_pieces) else [])]
+        return [*names, _INTEGRATION]
+    return [*names, _TIME, *([_RATES] if len(line.moving_pieces) else [])]
 
 
 def _stretched(plan: Schedule, by: dict) -> Schedule:
-    """The plan with all its times longer and its turns faster; the temperatures that it visits stay."""
+    """The plan with its times and rates multiplied by factors; the temperatures that it visits stay."""
     programme = plan.programme
     if plan.rates:
         time = by[_INTEGRATION]

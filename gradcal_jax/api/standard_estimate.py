@@ -1,4 +1,4 @@
-"""The standard method: a rate's error at each stable temperature, where a log has points or a table lists them."""
+"""The standard method: rate errors at stable temperatures, from a log or a table of points."""
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from gradcal_jax.trajectory import Trajectory, held
 
 
 def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Rows, options: Options) -> UnitChannel:
-    """One unit at the plan's points, each a stretch of its own. Raises `LogError` where there is no reference."""
+    """The estimate of one unit from the plan's points in a log. Raises `LogError` without a reference rate."""
     schedule = built.spec.schedule
     assert isinstance(schedule, StandardSchedule)
     planned = np.asarray(schedule.rates, float)
@@ -37,7 +37,7 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
             table_rate = np.zeros(len(rows.time))
         else:
             raise LogError("the log has no table rate, which is the reference of the standard method")
-    found_points = estimation.plateaus(
+    points = estimation.plateaus(
         rows.time,
         rows.temperature,
         table_rate,
@@ -48,26 +48,26 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
         points=schedule.shared,
     )
     messages = list(rows.messages)
-    if found_points.missing:
-        t, w = found_points.missing[0]
+    if points.missing:
+        t, w = points.missing[0]
         messages.append(
-            f"{len(found_points.missing)} of the plan's points are not in the log, the first at {t:g} degC and "
+            f"{len(points.missing)} of the plan's points are not in the log, the first at {t:g} degC and "
             f"{np.degrees(w):.4g} deg/s"
         )
-    if found_points.unplanned:
+    if points.unplanned:
         messages.append(
-            f"{found_points.unplanned} points that the plan does not have are in the log, at held rates and stable "
-            "temperatures: they are used"
+            f"the log has {points.unplanned} points, at held rates and stable temperatures, that are not in the plan: "
+            "they are used"
         )
-    done = found_points.done
+    done = points.done
     counts = count_rows(log, unit, integrated_rows(done, len(log.time_s)))
     return _of_points(built, axis, log.units[unit], rows, table_rate, done, options, counts, messages)
 
 
 def point_channel(built: Assembled, points: RatePoints, options: Options) -> UnitChannel:
-    """A table of points, each as long as the plan integrates: as one row. Raises `LogError` for other plans.
+    """The estimate from a table of points, each of the plan's integration time. Raises `LogError` for other plans.
 
-    With σ of their own they are independent, but for the reference's error; without it each has the spec's noise anew.
+    Points are independent except for the reference's error; their noise is their own σ or, without it, the spec's.
     """
     schedule = built.spec.schedule
     if not isinstance(schedule, StandardSchedule):
@@ -89,14 +89,23 @@ def point_channel(built: Assembled, points: RatePoints, options: Options) -> Uni
         at_rest=none, moving=every, gap=none, rates=True, points="independent",
     )  # fmt: skip
     done = estimation.Executed(line, np.arange(count + 1), none)
-    said = [
-        "the points' order and times are not known: each has the spec's noise anew, and what they have in common (the "
-        "clock, the turn-on bias) is not in the covariance"
+    messages = [
+        "the points' order and times are not known: each has independent noise by the spec, and errors that they share "
+        "(the clock, the turn-on bias) are not in the covariance"
     ]
     if points.sigma_rad_per_s is not None:
-        said = ["the points' own sigma counts, in the place of the spec's noise; what they have in common is not in it"]
+        messages = ["the points' own sigma replaces the spec's noise; errors that the points share are not in it"]
     return _of_points(
-        built, points.axis, points.unit, rows, reference, done, options, {"used": count}, said, points.sigma_rad_per_s
+        built,
+        points.axis,
+        points.unit,
+        rows,
+        reference,
+        done,
+        options,
+        {"used": count},
+        messages,
+        points.sigma_rad_per_s,
     )
 
 
@@ -116,7 +125,7 @@ def _of_points(
     lag = 0.0 if options.lag == "fit" else float(options.lag)
     temperature_of_maps = temperature_followed(rows, lag)
     if options.lag == "fit":
-        messages.append("at stable temperatures there is no lag to be found: it is taken as zero")
+        messages.append("at stable temperatures a lag cannot be estimated: it is taken as zero")
     nodes = estimation.sample_nodes(
         table_rate, temperature_of_maps, rows.step, edges, line.moving, broken, np.zeros(len(broken))
     )
@@ -145,7 +154,7 @@ def _of_points(
     )
     section = built.spec.plan
     if sigma is None and isinstance(section, StandardPlanSection) and section.estimator == "least squares":
-        channel = channel._replace(found=_unweighted(channel, line))
+        channel = channel._replace(estimate=_unweighted(channel, line))
     return channel._replace(
         valid_temperature_c=covered_temperatures(line.level[~broken]),
         valid_rate_rad_per_s=covered_rates(mean_rate[~broken]),
@@ -158,6 +167,6 @@ def _unweighted(channel: UnitChannel, line: Trajectory) -> Estimate:
     estimator = least_squares(line, channel.model, observations.columns_of(0))
     beta = estimator.back @ (estimator.weights.T @ observations.readings[:, 0])
     residuals = channel.white.data[0] - channel.white.rows[0] @ beta
-    return channel.found._replace(
+    return channel.estimate._replace(
         parameters=beta[None], known=(unweighted(line, channel.model),), residuals=residuals[None]
     )

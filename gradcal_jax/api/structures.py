@@ -1,7 +1,7 @@
-"""Which structures a design is searched in: turns at the table, moves in each, cycles alike or each its own.
+"""The structures of a search: the number of turns at the table, of moves in each, and whether cycles are alike.
 
-What is whole in a plan (how many visits, how many moves) is not searched by gradients: a few structures are, and the
-best is taken. Moves that a structure has in excess shrink to nothing and are pruned.
+The integers of a plan (numbers of visits and of moves) have no gradient: a few structures are searched, and the best is
+taken. Moves that a structure has in excess shrink to nothing and are pruned.
 """
 
 from typing import Final, NamedTuple, cast
@@ -25,24 +25,22 @@ from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, StandardSchedule
 from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
 
-# A turn shorter than this does nothing that a reading would see; s.
+# Shortest useful turn; s.
 LEAST_TURN: Final = 1.0
-# More turns at the table than this share their moves: the cycle repeats after as many.
+# Largest number of turns at the table with moves of their own; beyond, the cycle repeats.
 _MOST_OWN: Final = 20
-# In all cycles together there are about so many moves, and in each at least four: one for every power of a cubic.
+# Moves of all cycles together, about, and of each at least: one for every power of a cubic.
 _MOVES: Final = 36
 _LEAST_MOVES: Final = 4
-# With the cycle's length free: so many turns at the table.
+# Numbers of turns at the table that are searched where the cycle's length is free.
 _FREE_VISITS: Final = (3, 4, 6)
 _FREE: Final = {"duration": "duration", "rest": "duration", "turn": "duration", "peak_rate": "peak_rate"}
-
-
-# A programme for a standing axis has so many slopes.
+# Numbers of slopes of a programme for a standing axis.
 _STRETCHES: Final = (2, 4, 6)
 
 
 class Structure(NamedTuple):
-    """Coordinates and what they are, in words."""
+    """Coordinates of a search, and their structure in words."""
 
     coordinates: AnyCoordinates
     words: str
@@ -75,7 +73,7 @@ def ramp_ends(spec: Spec) -> tuple[float, float]:
 
 
 def motion_time(spec: Spec, design: Design) -> float:
-    """How long the ramp may take (s): what [design] allows, else as it is. Errors: `ValueError` where none is left."""
+    """The duration of the ramp (s) by [design], else the plan's. Errors: `ValueError` where no time is left."""
     schedule = cast("GradientSchedule", spec.schedule)
     limits = [] if design.max_motion is None else [float(design.max_motion)]
     if design.max_total is not None:
@@ -91,7 +89,7 @@ def motion_time(spec: Spec, design: Design) -> float:
 def structures(spec: Spec, scenarios: list[Spec], *, motion: float | None = None) -> list[Structure]:
     """The structures to search; `motion` s replaces the time that [design] gives (without soaks).
 
-    Errors: `ValueError` where [design] frees what such a plan does not have, or leaves no time.
+    Errors: `ValueError` where [design] frees a quantity that such a plan lacks, or leaves no time.
     """
     design = cast("Design", spec.design)
     if isinstance(spec.schedule, StandardSchedule):
@@ -122,7 +120,7 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
         time = schedule.duration
     if motion is not None:
         time = motion + schedule.soak
-    # Beyond half as many temperatures again, soaks eat the time.
+    # Many more temperatures than needed would spend the time on soaks.
     counts = [n for n in range(fewest, 2 * fewest) if time / n > 1.05 * soak]
     if "temperatures" not in design.free:
         counts = [len(schedule.temperatures)]
@@ -133,10 +131,10 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
         )
     low, high = temperatures_of(spec, scenarios)
     numbers = [np.asarray(float(v)) for v in (soak, time, low, high, largest_rate(spec, scenarios))]
-    said = {"rates_free": "rates" in design.free, "points": schedule.shared}
+    options = {"rates_free": "rates" in design.free, "points": schedule.shared}
     rates = np.asarray(schedule.rates, dtype=float)
     return [
-        Structure(StandardCoordinates(*numbers, given_rates=rates, temperatures=n, **said), f"{n} temperatures")
+        Structure(StandardCoordinates(*numbers, given_rates=rates, temperatures=n, **options), f"{n} temperatures")
         for n in counts
     ]
 
@@ -166,20 +164,19 @@ def temperatures_of(spec: Spec, scenarios: list[Spec]) -> tuple[float, float]:
 
 
 def largest_rate(spec: Spec, scenarios: list[Spec]) -> float:
-    """What every scenario's table and sensor allow, rad/s."""
+    """The largest rate that every scenario's table and sensor allow, rad/s."""
     every = [spec, *scenarios]
     rates = [float(s.rig.table.max_rate) for s in every]
     return min(rates + [float(s.sensor.usable_rate) for s in every if s.sensor.usable_rate is not None])
 
 
 def axes_of(cycle: ResolvedCycle) -> list[Axis]:
-    """The axes that turn, in the order in which they do."""
+    """The axes that turn, in their order in the cycle."""
     return list(dict.fromkeys(move.axis for move in cycle.moves if not move.is_rest)) or ["x"]
 
 
 def visit_times(cycle: ResolvedCycle) -> tuple[float, float]:
-    """How long a turn at the table lasts, of all axes of the plan together, and the time after it of those that are
-    not in the plan (s)."""
+    """The duration (s) of one turn at the table for all axes of the plan, and the time after it for other axes."""
     others = [move.duration for move in cycle.moves if move.other_axes]
     each = (cycle.moving - sum(others)) / (len(others) + 1)
     return each, others[0] if others else cycle.duration - cycle.moving
@@ -190,7 +187,7 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
     axes = axes_of(cycle)
     time = motion_time(spec, design) if motion is None else motion
     free = frozenset(_FREE.get(name, name) for name in design.free) - {"cycle"}
-    # Several axes make the same moves in turn: the first is designed, which stands while the others do.
+    # Several axes make the same moves in turn: the first is designed, which stands while the others move.
     each, between = visit_times(cycle)
     own = each / len(axes)
     other = each + between - own
@@ -198,9 +195,9 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
     if "duration" not in free:
         if len(axes) > 1:
             raise ValueError("the moves of several axes are designed together: add duration to design.free")
-        return [_given(spec, scenarios, cycle, free, time)]
+        return [_own_cycle(spec, scenarios, cycle, free, time)]
     if "cycle" in design.free:
-        # The axis keeps its share of the time. Where it is alone, its last turn at the table ends with the ramp.
+        # The axis keeps its share of the time. The last turn at the table of a single axis ends with the ramp.
         after = 0 if len(axes) == 1 else 1
         choices = [(n, share * time / n, (1.0 - share) * time / (n - 1 + after)) for n in _FREE_VISITS]
     else:
@@ -209,14 +206,14 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
             raise ValueError(
                 f"one turn at the table takes {own * len(axes):.4g} s, the ramp only {time:.4g} s: give it more time"
             )
-    found = []
+    candidates = []
     for visits, each, between in choices:
         alike = design.cycles == "alike"
         groups = 1 if alike else -(-visits // max(1, -(-visits // _MOST_OWN)))
         cycles = visits if alike else max(1, visits // groups)
         groups = 1 if alike else visits // cycles
         rest = float(read_spacing(cycle))
-        # Half the time at the table may go into what turns and rests take at least.
+        # The shortest turns and rests may take half the time at the table.
         fitting = max(1, int(0.5 * each / (LEAST_TURN + rest)))
         wanted = 2 * _LEAST_MOVES if alike else max(_LEAST_MOVES, -(-_MOVES // groups))
         moves = design.moves or min(wanted, fitting)
@@ -233,8 +230,8 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
         )
         kind = "the same moves in each" if alike else "moves of their own"
         of = "" if len(axes) == 1 else f" of each of {len(axes)} axes"
-        found.append(Structure(coordinates, f"{cycles * groups} turns at the table{of} of {each:.4g} s, {kind}"))
-    return found
+        candidates.append(Structure(coordinates, f"{cycles * groups} turns at the table{of} of {each:.4g} s, {kind}"))
+    return candidates
 
 
 def _frame(spec: Spec, cycle: ResolvedCycle, own: float, other: float, time: float) -> Frame:
@@ -249,23 +246,23 @@ def read_spacing(cycle: ResolvedCycle) -> float:
 
 
 def ramped_shape(cycle: ResolvedCycle) -> str:
-    """Of the turns that a search makes."""
+    """The shape of the turns of a search: the first ramped one of the cycle."""
     return next((m.shape for m in cycle.moves if m.shape in RAMPED_SHAPES), "cosine ramps")
 
 
 def _elements(shape: str, groups: int, moves: int, rest: float, *, not_shared: bool, ends: bool) -> tuple[Element, ...]:
-    """Turns with rests between; a rest first, before which the axis has not stood, and last where none follows."""
-    found = [Element("rest", rest, 0)]
+    """Turns with rests between, after a first rest; a rest also after the last turn where no other rest follows it."""
+    elements = [Element("rest", rest, 0)]
     for group in range(groups):
         for i in range(moves):
-            found.append(Element(shape, LEAST_TURN, group))
+            elements.append(Element(shape, LEAST_TURN, group))
             if i < moves - 1 or not_shared or (ends and group == groups - 1):
-                found.append(Element("rest", rest, group))
-    return tuple(found)
+                elements.append(Element("rest", rest, group))
+    return tuple(elements)
 
 
-def _given(spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozenset[str], time: float) -> Structure:
-    """The spec's own cycle, whose durations stay."""
+def _own_cycle(spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozenset[str], time: float) -> Structure:
+    """The spec's own cycle with fixed durations."""
     moves = [move for move in cycle.moves for _ in range(move.repeat)]
     unsuited = {m.shape for m in moves} - {"rest", "cosine ramps", "linear ramps", "half sine", "raised cosine"}
     if unsuited:

@@ -1,4 +1,4 @@
-"""Which hidden maps a plan is tested for: the polynomials after a map's structure, and what the test will notice."""
+"""Tests for hidden structure of a map, by polynomials of higher degree, and the power of these tests."""
 
 from typing import Any, NamedTuple, cast
 
@@ -25,16 +25,16 @@ from gradcal_jax.information import (
 from gradcal_jax.model import BIAS, DISCREPANCY, SCALE_FACTOR, Discrepancy, SensorModel, make_map
 
 FALSE_ALARM = 0.01
-"""Level of the test where the spec has no design that says another."""
+"""Level of the test where the spec's [design] has no other."""
 _POWER = 0.9
-# So many degrees beyond the structure are tested where the spec does not say.
+# Number of degrees beyond the structure that are tested by default.
 _MORE = 2
-# A standard deviation for maps that have none of their own: any does, for what the plan sees does not depend on it.
+# A standard deviation for maps that have none of their own; the result does not depend on it.
 NOTIONAL = {BIAS: 10.0 / UNIT_OF["bias"][1], SCALE_FACTOR: 100.0 / UNIT_OF["scale_factor"][1]}
 
 
 class TestedMap(NamedTuple):
-    """The polynomials up to these degrees beyond the structure; `std` (1, rad/s) of each where the spec says one."""
+    """The polynomials beyond the structure, up to these degrees; `std` (1, rad/s) of each where the spec has one."""
 
     temperature_degree: int
     rate_degree: int
@@ -46,38 +46,38 @@ class TestedMap(NamedTuple):
 
 
 def tested_maps(spec: Spec) -> dict[str, TestedMap]:
-    """By quantity: of every map that is a polynomial. A discrepancy says degrees and size, a [design] `notice` too."""
-    found: dict[str, TestedMap] = {}
+    """The test of every polynomial map, by quantity, with degrees and size of its discrepancy or `notice`."""
+    maps: dict[str, TestedMap] = {}
     bias, scale = spec.sensor.bias, spec.sensor.scale_factor
     if bias is not None and isinstance(bias.temperature, TemperaturePolynomial):
         of = bias.discrepancy
         degree = bias.temperature.degree + _MORE if of is None else of.temperature_degree
-        found[BIAS] = TestedMap(degree, 0, None if of is None else float(of.standard_deviation))
+        maps[BIAS] = TestedMap(degree, 0, None if of is None else float(of.standard_deviation))
     if scale is None or not isinstance(scale.temperature, TemperaturePolynomial):
-        return found
+        return maps
     if not isinstance(scale.rate, RatePolynomial):
-        return found
+        return maps
     of, notice = scale.discrepancy, None if spec.design is None else spec.design.notice
     degrees = [scale.temperature.degree + _MORE, scale.rate.degree + _MORE]
     if of is not None:
         degrees = [of.temperature_degree, of.rate_degree]
     elif notice is not None:
-        asked = (notice.temperature_degree, notice.rate_degree)
-        degrees = [own if a is None else a for own, a in zip(degrees, asked, strict=True)]
-    said = notice if notice is not None else of
-    found[SCALE_FACTOR] = TestedMap(
+        notice_degrees = (notice.temperature_degree, notice.rate_degree)
+        degrees = [own if a is None else a for own, a in zip(degrees, notice_degrees, strict=True)]
+    stated = notice if notice is not None else of
+    maps[SCALE_FACTOR] = TestedMap(
         degrees[0],
         degrees[1],
-        None if said is None else float(said.standard_deviation),
+        None if stated is None else float(stated.standard_deviation),
         *(() if notice is None else (float(notice.false_alarm), float(notice.power))),
     )
-    return found
+    return maps
 
 
 def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     """The model with the hidden map of a quantity as its last term, where it has no discrepancy of its own.
 
-    No criterion counts it: it is there to be tested for.
+    No criterion includes that term: it is only tested for.
     """
     if where_hidden(model, quantity) is not None:
         return model
@@ -94,13 +94,13 @@ def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
 
 
 def hidden_maps(spec: Spec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
-    """The hidden maps that a log of the spec's sensor is tested for, and the level of false alarms of each test."""
-    found = [(where_hidden(with_hidden(spec, model, name), name), of) for name, of in tested_maps(spec).items()]
-    return [(hidden[0], of.false_alarm) for hidden, of in found if hidden is not None]
+    """The hidden maps that a log of the spec's sensor is tested for, with the false-alarm level of each test."""
+    maps = [(where_hidden(with_hidden(spec, model, name), name), of) for name, of in tested_maps(spec).items()]
+    return [(hidden[0], of.false_alarm) for hidden, of in maps if hidden is not None]
 
 
 def noticing(built: Assembled) -> tuple[NoticeRow, ...]:
-    """What the plan notices of hidden maps: for each axis and each map that is a polynomial."""
+    """The power of the plan's tests for hidden structure, for each axis and each polynomial map."""
     tested = tested_maps(built.spec)
     if not tested:
         return ()
@@ -111,21 +111,21 @@ def noticing(built: Assembled) -> tuple[NoticeRow, ...]:
     rows: list[NoticeRow] = []
     for channel in built.channels:
         for quantity, of in tested.items():
-            # What is seen of the map does not depend on the size of its prior; a small one would hide it in rounding.
-            asked = eqx.tree_at(std(quantity), model, np.asarray(NOTIONAL[quantity]))
-            info = information(built.trajectory(channel), asked)
-            # The other map counts as the spec has it: a hidden one that was only added to be tested is not there.
+            # The information on the map does not depend on its prior; with a small prior it would drown in rounding.
+            notional = eqx.tree_at(std(quantity), model, np.asarray(NOTIONAL[quantity]))
+            info = information(built.trajectory(channel), notional)
+            # The other map is that of the spec, without the hidden one that was added for its own test.
             others = [q for q in tested if q != quantity and where_hidden(built.model, q) is None]
-            term, where, believed = _without(info, asked, others, quantity)
+            term, where, believed = _without(info, notional, others, quantity)
             rows.append(_row(quantity, channel, of, gains_of_shares(kept(believed, where, term.std), float(term.std))))
     return tuple(rows)
 
 
 def _without(info: SquareRootInformation, model: SensorModel, others: list[str], quantity: str):
     """The discrepancy of a quantity, where it stands, and the information with those of `others` known to be zero."""
-    found = where_hidden(model, quantity)
-    assert found is not None
-    term, where = found
+    hidden = where_hidden(model, quantity)
+    assert hidden is not None
+    term, where = hidden
     keep = np.ones(model.size, bool)
     for other in others:
         gone = where_hidden(model, other)

@@ -1,4 +1,4 @@
-"""The contract gradcal-timeline/2, filled from a spec: segments, readings and the sensor's model."""
+"""The timeline of a spec as the contract gradcal-timeline/2: segments, readings and the sensor's model."""
 
 from typing import Any, cast, overload
 
@@ -33,9 +33,8 @@ def timeline(spec: UnitSpec) -> UnitTimeline: ...
 def timeline(spec: Spec | UnitSpec) -> Timeline | UnitTimeline:
     """Every segment and reading of a spec's plan in SI, axes one after the other; temperatures (°C) are the chamber's.
 
-    Enough for another program to work out the covariance alone: contract gradcal-timeline/2, or of a whole unit, with
-    the angles of all axes and attitudes, gradcal-unit-timeline/1. Errors: `ValueError` where
-    it goes on with what was done before.
+    Another program can compute the covariance from it alone: contract gradcal-timeline/2 or, for a whole unit, with the
+    angles of all axes and attitudes, gradcal-unit-timeline/1. Errors: `ValueError` for a spec with [[done]].
     """
     if isinstance(spec, UnitSpec):
         return unit_timeline(spec)
@@ -99,7 +98,7 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
     for pieces in np.split(np.arange(line.piece_count), np.flatnonzero(np.diff(line.segment)) + 1):
         first, last = pieces[0], pieces[-1]
         index = int(schedule.pieces.move[first])
-        # What follows the moves of the spec is standing that fills a stretch.
+        # After the moves of the spec the axis stands until the stretch ends.
         move, own = (built.moves[index] if index < len(built.moves) else None), {}
         if line.moving[first]:
             assert move is not None

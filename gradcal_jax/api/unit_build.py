@@ -16,20 +16,22 @@ from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Map, Polynomial, SignalMap, Term, UnitModel
 from gradcal_jax.trajectory import Geometry, Move, TableMotion
 
-# Names by which requirements and sentences find terms; a gyro's maps have the names of a single axis.
+# Names of terms, for requirements and sentences; a gyro's maps have the names of a single axis.
 MISALIGNMENT = "misalignment_{}"
 G_SENSITIVITY = "g_sensitivity_{}"
 SPECIFIC_FORCE_BIAS = "bias"
 SECOND_ORDER = "second_order"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
 _ROUGH = 16
-# A move at the rate up to which accelerometers are read reaches it but for rounding.
+# Standard deviation of an angle that is known exactly, rad: far below any encoder's.
+_EXACT = 1e-12
+# Rounding of a move's rate, at the rate up to which accelerometers are read.
 _SLACK = 1e-9
 
 
 class AssembledUnit(NamedTuple):
-    """A unit's spec in the core's terms. `points`: at how many along a piece functions of temperature are known.
-    `past`: what was done before the plan begins, a part after the other."""
+    """A unit's spec in the core's terms. `points`: quadrature points along a piece for functions of temperature.
+    `past`: the motions before the plan begins, in order."""
 
     spec: UnitSpec
     model: UnitModel
@@ -54,7 +56,7 @@ def assemble_unit(spec: UnitSpec) -> AssembledUnit:
 
 
 def unit_model(spec: UnitSpec) -> UnitModel:
-    """The channels of a unit, what is uncertain of its installation, and the encoders' noise."""
+    """The channels of a unit, the errors of its installation, and the encoders' noise."""
     sensor, channels = spec.sensor, []
     if (gyro := sensor.gyro) is not None:
         channels += [Channel(_sensor_model(gyro, axis), "gyro", AXIS_NAMES.index(axis)) for axis in gyro.axes]
@@ -77,7 +79,7 @@ def _installation(spec: UnitSpec) -> tuple[model.InstallationTerm, ...]:
     table, site = spec.rig.table, spec.rig.site
     terms: list[model.InstallationTerm] = []
     if table.tilt or table.azimuth:
-        # A prior of nothing is none: an angle that is known exactly keeps a tiny one.
+        # A zero prior would be no prior: an angle that is known exactly keeps a tiny one.
         stds = np.array([float(table.tilt)] * 2 + [float(table.azimuth)])
         terms.append(model.BaseTilt(np.maximum(stds, _EXACT)))
     if len(table.axis) > 1 and any(a.orthogonality for a in table.axis):
@@ -96,18 +98,14 @@ def _installation(spec: UnitSpec) -> tuple[model.InstallationTerm, ...]:
     return tuple(terms)
 
 
-# rad: far below any encoder.
-_EXACT = 1e-12
-
-
-# Over what a section's terms go: nothing, the other axes, all of them, pairs of them.
+# The axes to which the terms of a section belong: none, the other axes, all of them, pairs of them.
 _OVER: dict[str, Callable[[str], Iterable[tuple[str, ...]]]] = {
     "itself": lambda _: [()],
     "others": lambda axis: [(b,) for b in AXIS_NAMES if b != axis],
     "all": lambda _: [(b,) for b in AXIS_NAMES],
     "pairs": lambda _: combinations(AXIS_NAMES, 2),
 }
-# Section, over what, signals ({own}: the channel's axis), name, symbol, SI unit.
+# Section, axes, signals ({own}: the channel's axis), name, symbol, SI unit.
 _OF_GYRO = (
     ("misalignment", "others", ("rate {}",), MISALIGNMENT, "m_{}", "rad"),
     ("g_sensitivity", "all", ("force {}",), G_SENSITIVITY, "g_{}", "rad/s/(m/s^2)"),
@@ -126,7 +124,7 @@ _OF_ACCELEROMETER = (
 
 
 def _sensor_model(triad: GyroTriad | AccelerometerTriad, axis: str) -> model.SensorModel:
-    """A channel: a gyro's maps, the terms of its signals, and what its maps' structure leaves out."""
+    """A channel: a gyro's maps, the terms of its signals, and its maps' discrepancies."""
     maps: list[Map] = []
     if isinstance(triad, AccelerometerTriad):
         rows, white = _OF_ACCELEROMETER, triad.velocity_random_walk
@@ -151,8 +149,8 @@ def _signal_map(section, signals: tuple[str, ...], name: str, symbol: str, unit:
     over = getattr(section, "temperature", None)
     of_temperature: Basis = _CONSTANT if over is None else basis(over)
     std = or_infinite(section.prior)
-    said = {"signals": signals, "name": name, "symbol": symbol, "si_unit": unit, "has_prior": bool(np.isfinite(std))}
-    return SignalMap(temperature=of_temperature, std=np.asarray(std), **said)
+    fields = {"signals": signals, "name": name, "symbol": symbol, "si_unit": unit, "has_prior": bool(np.isfinite(std))}
+    return SignalMap(temperature=of_temperature, std=np.asarray(std), **fields)
 
 
 def geometry(rig: UnitRig) -> Geometry:
@@ -183,7 +181,7 @@ class RestPoses(NamedTuple):
 
 
 def rest_poses(built: AssembledUnit) -> RestPoses:
-    """Where a plan rests."""
+    """The rests of a plan."""
     motion = built.motion
     line, at = motion.line, segments_of(motion, built.model)
     before, _ = motion.angles()
@@ -215,7 +213,7 @@ def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
     line = schedule.trajectory(lag)
     count = len(schedule.duration) - len(steps)
     axis = np.array([step.axis for step in steps] + [-1] * count)[np.asarray(schedule.pieces.move)]
-    # Between two stretches the table stands where the cycle began, up to whole turns, and the unit is hung anew.
+    # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
     orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]

@@ -1,4 +1,4 @@
-"""One axis of one unit, estimated: smoothness, robustness and the tests, on columns that have settled."""
+"""The estimate of one axis of one unit: smoothness, robust weights and tests, on converged columns."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,33 +13,33 @@ from gradcal_jax.information import whiten
 from gradcal_jax.model import SCALE_FACTOR, Discrepancy, SensorModel
 
 LONGEST_LAG_S = 1800.0
-# To which the ranges of a calibration are rounded, outwards.
+# Steps to which the ranges of a calibration are rounded, outwards.
 _TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
 
 
 class UnitChannel(NamedTuple):
-    """One axis of one unit, estimated. `observations`, `found` and `white` hold this unit alone."""
+    """The estimate of one axis of one unit; `observations`, `estimate` and `white` are of this unit alone."""
 
     axis: str
     unit: str
     model: SensorModel
     observations: Observations
-    found: Estimate
+    estimate: Estimate
     white: Whitened
     consistency: estimation.Consistency
     weights: np.ndarray
-    """`(n,)`, of the readings used; 1: counted in full."""
+    """`(n,)`, Huber's, of the readings used; 1: full weight."""
     lag_s: float
     lag_std_s: float | None
     smoothness: Smoothness | None
     valid_temperature_c: tuple[float, float]
     valid_rate_rad_per_s: tuple[float, float]
     counts: dict[str, int]
-    """Rows of the log by what became of them; they add up to the rows read."""
+    """Numbers of rows used and left out, by reason; they add up to the rows read."""
     messages: tuple[str, ...]
     neighbours: tuple[estimation.Group, ...] = ()
     structure: tuple[StructureTest, ...] = ()
-    """Of every map that is a polynomial."""
+    """One test for every polynomial map."""
 
 
 def finished_channel(
@@ -50,65 +50,64 @@ def finished_channel(
     white: Whitened,
     options: Options,
     read: tuple[Rows, estimation.Executed],
-    found_lag: tuple[float, float | None],
+    fitted_lag: tuple[float, float | None],
     counts: dict[str, int],
     messages: Sequence[str],
     hidden: Sequence[tuple[Discrepancy, float, np.ndarray]] = (),
 ) -> UnitChannel:
-    """One unit: smoothness, robustness and the tests, on columns that have settled.
+    """The estimate of one unit: smoothness, robust weights and tests, on converged columns.
 
-    `read`: its rows, and what they show was done; `found_lag` s, with its standard deviation where it was fitted.
-    `hidden`: functions beyond a map's structure that are tested for, the level of false alarms, and the functions'
-    whitened columns `(n, k)`.
+    `read`: its rows and the executed motion; `fitted_lag` s, with its standard deviation where it was fitted.
+    `hidden`: the tested functions beyond a map's structure, the false-alarm level, and their whitened columns `(n, k)`.
     """
-    (rows, done), (lag, lag_std) = read, found_lag
+    (rows, done), (lag, lag_std) = read, fitted_lag
     messages, smoothness = list(messages), None
     if options.smoothness == "auto":
         smoothness = estimation.choose_smoothness(white, model)
         model = estimation.with_smoothness(model, smoothness.bias, smoothness.scale_factor)
         white = white._replace(prior=model.prior_rows())
         if smoothness.at_edge:
-            messages.append("the data do not tell how smooth the maps are: the strength stands at the edge looked at")
+            messages.append("the data do not determine the smoothness of the maps: it is at the edge of its range")
     structure = [
         estimation.structure_test(_without(white, model, term.name), columns, term, level)
         for term, level, columns in hidden
     ]
-    found = estimation.solve(white)
+    estimate = estimation.solve(white)
     weights = np.ones(white.data.shape[1])
     if options.robust:
         robust = estimation.estimate_robustly(observations, model, threshold=options.threshold)
-        found, white, weights = robust.estimate, robust.white[0], robust.weights[0]
+        estimate, white, weights = robust.estimate, robust.white[0], robust.weights[0]
         messages += counting_less(weights, observations.time_s[observations.used])
-    tests = estimation.consistency(found, white, 0, _subsets(observations, rows), model.to_reported)
+    tests = estimation.consistency(estimate, white, 0, _subsets(observations, rows), model.to_reported)
     if lag_std is not None and lag > 0.99 * LONGEST_LAG_S:
-        messages.append(f"the lag stands at the longest looked at, {lag:.0f} s: the data do not tell it")
+        messages.append(f"the lag is at the longest allowed, {lag:.0f} s: the data do not determine it")
     if lag_std is not None and lag < 2.0 * lag_std:
-        messages.append(f"no lag of the maps shows: the one found is {lag:.2g} s, and uncertain by {lag_std:.2g} s")
+        messages.append(f"no lag of the maps shows: the estimate is {lag:.2g} s, its uncertainty (1σ) {lag_std:.2g} s")
     integrated = integrated_rows(done, len(rows.time))
     inside = rows.temperature[integrated]
     groups: tuple[estimation.Group, ...] = ()
     if options.neighbours_k is not None:
-        groups, said = _neighbours(model, observations, found, rows, done, options.neighbours_k)
-        messages += said
-    ranges = covered_temperatures(inside), _fastest(model, found, rows, lag, integrated)
-    said, asked = tuple(dict.fromkeys(messages)), tuple(test for test in structure if test is not None)
+        groups, sentences = _neighbours(model, observations, estimate, rows, done, options.neighbours_k)
+        messages += sentences
+    ranges = covered_temperatures(inside), _fastest(model, estimate, rows, lag, integrated)
+    sentences, structure_tests = tuple(dict.fromkeys(messages)), tuple(test for test in structure if test is not None)
     return UnitChannel(
-        axis, unit, model, observations, found, white, tests, weights, lag, lag_std, smoothness, *ranges, counts, said,
-        groups, asked,
+        axis, unit, model, observations, estimate, white, tests, weights, lag, lag_std, smoothness, *ranges, counts,
+        sentences, groups, structure_tests,
     )  # fmt: skip
 
 
 def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str] = ()) -> list[str]:
-    """The readings that a robust estimate trusts the least, in a sentence; `names`: of the channel of each."""
+    """A sentence on the readings with the smallest robust weights; `names`: the channel of each reading."""
     low = np.argsort(weights)[: np.count_nonzero(weights < 1.0)]
     if not len(low):
         return []
     named = ", ".join(f"{f'{names[k]} ' if names else ''}at {time_s[k]:.6g} s" for k in low[:5])
-    return [f"{len(low)} of {len(weights)} readings count for less than in full, the least {named}"]
+    return [f"{len(low)} of {len(weights)} readings have less than full weight, the least {named}"]
 
 
 def whitened_columns(observations: Observations) -> np.ndarray:
-    """The columns `(U, N, k)` or `(N, k)` of observations as whitened rows of the readings used: `(U or 1, n, k)`."""
+    """The columns `(U, N, k)` or `(N, k)` of observations, whitened, for the readings used: `(U or 1, n, k)`."""
     every = observations.columns if observations.columns.ndim == 3 else observations.columns[None]
     side = np.concatenate(list(every), axis=1)
     rows = whiten(observations.steps, side)[observations.used]
@@ -116,7 +115,7 @@ def whitened_columns(observations: Observations) -> np.ndarray:
 
 
 def _without(white: Whitened, model: SensorModel, name: str) -> Whitened:
-    """The rows without a term's columns and priors, as if it were not there."""
+    """The rows without a term's columns and priors."""
     own = np.zeros(model.size, bool)
     own[model.where(name)] = True
     kept = ~np.any(white.prior[:, own] != 0.0, axis=1)
@@ -126,18 +125,18 @@ def _without(white: Whitened, model: SensorModel, name: str) -> Whitened:
 def _neighbours(
     model: SensorModel,
     observations: Observations,
-    found: Estimate,
+    estimate: Estimate,
     rows: Rows,
     done: estimation.Executed,
     width_k: float,
 ) -> tuple[tuple[estimation.Group, ...], list[str]]:
-    """The moves without a structure, beside what the map says of each."""
+    """The mean scale factor of moves at nearly one temperature, without a structure, beside the map's."""
     if done.line.rates or rows.angle is None or model.scale is None:
-        return (), ["there are no moves between two rests whose angle is known, so no neighbours to take together"]
+        return (), ["there are no moves between two rests with a known angle, so there are no neighbours to group"]
     scale = model.where(SCALE_FACTOR)
     moves = estimation.moves_between_rests(
         observations.readings[:, 0],
-        observations.columns_of(0)[:, scale] @ found.parameters[0][scale],
+        observations.columns_of(0)[:, scale] @ estimate.parameters[0][scale],
         np.diff(rows.angle[done.rows]),
         np.diff(rows.time[done.rows]),
         observations.temperature_c,
@@ -145,35 +144,35 @@ def _neighbours(
         done.broken,
     )
     groups = estimation.closest_neighbours(moves, width_k)
-    said = [] if groups else ["no move has a rest right before and after it, so there are no neighbours"]
-    return groups, said
+    messages = [] if groups else ["no move has a rest right before and after it, so there are no neighbours"]
+    return groups, messages
 
 
 def _fastest(
-    model: SensorModel, found: Estimate, rows: Rows, lag: float, integrated: np.ndarray
+    model: SensorModel, estimate: Estimate, rows: Rows, lag: float, integrated: np.ndarray
 ) -> tuple[float, float]:
-    """Slowest and fastest true rate of the rows that turn and were integrated, rad/s; zero where none was."""
+    """Slowest and fastest true rate of the integrated rows in motion, rad/s; zero without any."""
     turning = ~rows.standing & rows.usable & integrated
     if rows.angle is None or not turning.any():
         return 0.0, 0.0
     rates = estimation.true_rate(
-        model, found.parameters[0], rows.rate[turning], temperature_followed(rows, lag)[turning]
+        model, estimate.parameters[0], rows.rate[turning], temperature_followed(rows, lag)[turning]
     )
     return covered_rates(rates)
 
 
 def covered_temperatures(temperature_c: np.ndarray) -> tuple[float, float]:
-    """°C, from the lowest to the highest."""
+    """The lowest and the highest temperature, °C."""
     return _outwards(float(temperature_c.min()), float(temperature_c.max()), _TEMPERATURE_STEP_K)
 
 
 def covered_rates(rates: np.ndarray) -> tuple[float, float]:
-    """rad/s, from the slowest to the fastest, rest included."""
+    """The slowest and the fastest rate, rest included, rad/s."""
     return _outwards(min(float(rates.min()), 0.0), max(float(rates.max()), 0.0), _RATE_STEP_RAD_PER_S)
 
 
 def _outwards(low: float, high: float, step: float) -> tuple[float, float]:
-    """The range, rounded to whole steps so that it holds what it held."""
+    """The range, rounded outwards to whole steps."""
     return float(np.floor(low / step + 1e-6) * step), float(np.ceil(high / step - 1e-6) * step)
 
 
@@ -191,7 +190,7 @@ def integrated_rows(done: estimation.Executed, count: int) -> np.ndarray:
 
 
 def _subsets(observations: Observations, rows: Rows) -> dict[str, np.ndarray]:
-    """Halves of the readings that ought to agree."""
+    """Divisions of the readings into two parts whose estimates should agree."""
     used = observations.used
     time = observations.time_s[used]
     result: dict[str, np.ndarray] = {}

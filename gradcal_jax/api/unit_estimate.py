@@ -1,6 +1,6 @@
-"""A log of a whole unit and its spec -> every parameter of unit and table, tests by channel, verdicts, a calibration.
+"""The estimate of a whole unit from its log and spec: parameters of unit and table, tests, verdicts, a calibration.
 
-The spec says what the noise, the table and the terms are; what was done is read from the log.
+The spec describes the noise, the table and the terms; the executed motion is read from the log.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,16 +38,16 @@ from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, Map, SignalMap
 
-# Between two recordings of one unit that is hung anew, s: far longer than any drift lasts, where nothing says more.
+# Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
-# Residuals so many times the noise are of another table, order of axes, or sign.
+# Residuals of this many times the noise come from a wrong table, order of axes, or sign.
 _ABSURD = 100.0
-# An error of the table so many times what the spec calls its uncertainty is said.
+# An error of the table of more than this many times its standard deviation by the spec is reported.
 _CONTRADICTED = 4.0
 
 
 class InternalMisalignment(NamedTuple):
-    """What no rotation of the unit changes, rad: non-orthogonality of two axes, or of the triads to one another."""
+    """A misalignment that no rotation of the unit changes, rad: between two axes, or between the triads."""
 
     name: str
     value: float
@@ -55,14 +55,13 @@ class InternalMisalignment(NamedTuple):
 
 
 class UnitReport(NamedTuple):
-    """The estimate of one unit, SI unless said. `channels`: χ² and whiteness of each channel's own rows; `gravity`: rms
-    of |f| − g over the rests, m/s², before the calibration and after it.
-    """
+    """The estimate of one unit, in SI except `requirements`. `channels`: tests of χ² and whiteness of each channel's
+    rows; `gravity`: rms of |f| − g over the rests, m/s², before the calibration and after it."""
 
     unit: str
     built: AssembledUnit
     executed: ExecutedUnit
-    found: UnitEstimate
+    solution: UnitEstimate
     calibration: UnitCalibration
     requirements: tuple[RequirementRow, ...]
     consistency: Consistency
@@ -73,7 +72,7 @@ class UnitReport(NamedTuple):
 
     @property
     def as_wished(self) -> bool:
-        """Every target met, everything observed, every test passed."""
+        """Whether every target is met, every parameter observable and every test passed."""
         tests = [self.consistency.fit, *(t for pair in self.channels.values() for t in pair)]
         tests += [split.agreement for split in self.consistency.splits]
         met = all(row.verdict in (None, "met") for row in self.requirements)
@@ -81,7 +80,7 @@ class UnitReport(NamedTuple):
 
 
 def _rare(tests: int) -> float:
-    """Chance below which one of so many tests counts: 1 % that any of them fires by chance alone."""
+    """The level of each of several tests, such that with 1 % chance any of them fails by chance."""
     return 0.01 / tests
 
 
@@ -93,14 +92,14 @@ def estimate_units(
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> list[UnitReport]:
-    """The calibration of every asked unit (all, without `units`) in a log; with several mountings, one log for each.
+    """The calibration of every unit in `units` (default: all) in a log; with several mountings, one log for each.
 
     `options`: `api.estimate_options.Options`, of which a unit takes `lag` (s), `clock` and `temperature_c`; `sources`:
     names of files, for the provenance. Returns a report for each unit: `calibration` (SI), `requirements` in people's
-    units, tests of the fit by channel, what no rotation changes (rad), and `messages`. Gauss-Newton through the finite
+    units, tests of the fit by channel, internal misalignments (rad), and `messages`. Gauss-Newton through the finite
     geometry with the whitened Jacobian of the prediction (`gradcal_jax.estimation.unit_solve`).
 
-    Errors: `LogError` and `ValueError` with a sentence where the logs do not hold what the estimate needs.
+    Errors: `LogError` and `ValueError` where the logs lack what the estimate needs.
     """
     options = options or Options()
     if spec.rig.table.standing != "held":
@@ -132,43 +131,43 @@ def _report(
     temperature = correction.followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)
     model = built.model
     threshold = options.threshold if options.robust else None
-    done, readings, found = fitted_twice(built, name, rows, temperature, threshold)
+    done, readings, solution = fitted_twice(built, name, rows, temperature, threshold)
     at = segments_of(done.motion, model)
     half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
     of_segment = rows.time_s[done.rows[at.first + 1]]
     began = temperature[done.rows[at.first]]
     heating = temperature[done.rows[at.last + 1]] > began
-    used = found.used
+    used = solution.used
     subsets = {
         "heating against cooling": heating[at.row_segment][used],
         "first against second half": (of_segment < half)[at.row_segment][used],
     }
     few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
-    tests = estimation.consistency(found.estimate, found.white, 0, few, model.to_reported, found.taken)
+    tests = estimation.consistency(solution.estimate, solution.white, 0, few, model.to_reported, solution.taken)
     channels: dict[str, tuple[Test, Test]] = {}
     for i, c in enumerate(model.channels):
         own = at.row_channel[used] == i
-        left, taken = found.estimate.residuals[0][own], found.taken[own]
+        left, taken = solution.estimate.residuals[0][own], solution.taken[own]
         free = round(len(left) - float(np.sum(taken**2)))
         channels[c.name] = estimation.chi_squared_test(float(left @ left), free), estimation.whiteness(left, taken)
-    known = Posterior(found.known.spread * excess_of(tests), found.known.hidden)
+    known = Posterior(solution.known.spread * excess_of(tests), solution.known.hidden)
     requirements = tuple(requirement_row(built, known, r) for r in built.spec.requirement)
     covered = _covered(done, rows, temperature)
-    calibration = _calibration(built, logs, name, found, tests, channels, requirements, covered, options, sources)
-    seen = tuple(_internal(built, found, covered[0])), _gravity(readings, calibration, temperature)
-    report = UnitReport(name, built, done, found, calibration, requirements, tests, channels, *seen, ())
+    calibration = _calibration(built, logs, name, solution, tests, channels, requirements, covered, options, sources)
+    seen = tuple(_internal(built, solution, covered[0])), _gravity(readings, calibration, temperature)
+    report = UnitReport(name, built, done, solution, calibration, requirements, tests, channels, *seen, ())
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
-    lesser = counting_less(found.weights, of_segment[at.row_segment][used], names)
-    return report._replace(messages=(*messages, *lesser, *_words(report, found)))
+    lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
+    return report._replace(messages=(*messages, *lesser, *_words(report, solution)))
 
 
 def fitted_twice(
     built: AssembledUnit, name: str, rows: UnitRows, temperature: np.ndarray, threshold: float | None = None
 ) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
-    """What was done, what the unit said of it, and the estimate, at a `temperature` (degC) for each row.
+    """The executed motion, the readings of it and the estimate, with a `temperature` (degC) for each row.
 
-    How a move went is first taken from the gyros as they are, then corrected by what that gave: a scale factor of a
-    per cent that depends on the rate is otherwise seen at the wrong rates.
+    The rates within a move are first the gyros' own, then corrected by the first estimate: a rate-dependent scale
+    factor of a per cent would otherwise be estimated at wrong rates.
     """
     first = _read(built, name, rows, rows, temperature, threshold)[2]
     held = tuple(_channels(built, built.model.to_reported @ first.parameters))
@@ -186,37 +185,37 @@ def _read(
     felt: np.ndarray | None = None,
     about: np.ndarray | None = None,
 ) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
-    """What was done, by the rates of `seen`; what the unit, which felt such forces, said of it; and the estimate, near
-    `about`."""
+    """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
+    estimate, linearised about `about`."""
     try:
         done = estimation.executed_unit(seen, built.motion.geometry)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     readings = estimation.readings_of(built.model, done, rows, temperature, built.points, felt)
-    found = estimation.estimate_unit(readings, about, threshold=threshold)
-    scale = float(np.sqrt(found.estimate.chi_squared[0] / max(int(found.estimate.degrees[0]), 1)))
+    solution = estimation.estimate_unit(readings, about, threshold=threshold)
+    scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
     if scale > _ABSURD:
         raise LogError(
-            f"{name}: what the unit says is {scale:.3g} times further from the table than the noise explains: is the "
-            "unit mounted as the spec says, with its axes and signs, and the table's angles likewise?"
+            f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
+            "mounting, the unit's axes and signs and the table's angles those of the spec?"
         )
-    return done, readings, found
+    return done, readings, solution
 
 
 def unit_rows(
     built: AssembledUnit, logs: Sequence[Log], name: str, options: Options
 ) -> tuple[UnitRows, tuple[str, ...]]:
-    """One unit's rows of all its logs, one after the other, and what was done about what they have not."""
+    """The rows of one unit in all its logs, in order, and messages on what was inferred or left out."""
     parts, messages, end = [], [], None
     for k, log in enumerate(logs):
-        part, said = _rows_of_log(built, log, name, options)
-        messages += said
+        part, notes = _rows_of_log(built, log, name, options)
+        messages += notes
         begin = part.time_s[0] if end is None else end + _REHUNG_S
         shifted = part.time_s - part.time_s[0] + begin
         mounting = part.mounting if len(logs) == 1 else np.full(len(shifted), k)
         if (highest := int(mounting.max())) >= len(built.spec.rig.table.mounting):
-            raise LogError(f"the log was recorded in mounting {highest + 1}, which the spec has not")
-        # No standstill goes on while the unit is hung anew.
+            raise LogError(f"the log was recorded in mounting {highest + 1}, which the spec does not have")
+        # A change of the mounting ends a standstill.
         part.standing[np.flatnonzero(np.diff(mounting, prepend=mounting[0] if k == 0 else -1))] = False
         parts.append(part._replace(time_s=shifted, mounting=mounting))
         end = shifted[-1]
@@ -246,12 +245,14 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
     angles = _table_angles(built, log)
     if log.standstill is not None:
         standing = log.standstill >= 0
-        # One may follow another at once, where a run broke off at rest and went on at rest elsewhere.
+        # One standstill directly follows another where a run was interrupted at rest and resumed at rest elsewhere.
         standing[1:] &= (np.diff(log.standstill) == 0) | ~standing[:-1]
     elif gyros.any():
-        found = estimation.find_standstills(np.nan_to_num(rates[:, gyros]), log.sample_interval_s, valid=usable)
-        standing = found >= 0
-        messages.append(f"the log marks no standstills: {int(found.max()) + 1} were found where the rates are quiet")
+        standstill = estimation.find_standstills(np.nan_to_num(rates[:, gyros]), log.sample_interval_s, valid=usable)
+        standing = standstill >= 0
+        messages.append(
+            f"the log marks no standstills: {int(standstill.max()) + 1} were found where the rates are quiet"
+        )
     else:
         raise LogError("a log without gyros must mark its standstills (a column standstill in the column map)")
     smooth = estimation.smoothed_temperature(time, temperature)
@@ -260,7 +261,7 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
 
 
 def _table_angles(built: AssembledUnit, log: Log) -> np.ndarray:
-    """`(n, L)` of the spec's axes, in its order."""
+    """The table's angles `(n, L)` about the spec's axes, in its order."""
     names = [axis.name for axis in built.spec.rig.table.axis]
     if log.table_angle_rad is None:
         raise LogError(f"the log has no angles of the table ({', '.join(names)}), which are the reference")
@@ -275,7 +276,7 @@ def _table_angles(built: AssembledUnit, log: Log) -> np.ndarray:
 
 
 def _covered(done, rows: UnitRows, temperature: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Temperatures (°C) and rates (rad/s) that the rows which count went through."""
+    """The ranges of temperature (°C) and rate (rad/s) of the rows used."""
     inside = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
     fastest = np.nanmax(np.abs(rows.rates[inside]), initial=0.0) if np.isfinite(rows.rates).any() else 0.0
     at, fastest = temperature[inside], np.radians(np.ceil(np.degrees(fastest) * 10.0) / 10.0)
@@ -283,17 +284,17 @@ def _covered(done, rows: UnitRows, temperature: np.ndarray) -> tuple[tuple[float
     return (np.floor(at.min() * 10.0) / 10.0, np.ceil(at.max() * 10.0) / 10.0), (-float(fastest), float(fastest))
 
 
-# --- what the data say ------------------------------------------------------------------------------------------------
+# --- findings --------------------------------------------------------------------------------------------------------
 
 
-def _internal(built: AssembledUnit, found: UnitEstimate, covered: tuple[float, float]):
-    """Non-orthogonality at the middle of the temperatures."""
+def _internal(built: AssembledUnit, solution: UnitEstimate, covered: tuple[float, float]):
+    """Internal misalignments at the middle of the temperatures."""
     middle = np.array([0.5 * (covered[0] + covered[1])])
     for kind in KINDS:
         triad = getattr(built.spec.sensor, kind)
         if triad is not None and triad.misalignment is not None and len(triad.axes) == 3:
             for label, row in internal_misalignments(built.model, kind, middle):
-                value, std = float(row[0] @ found.parameters), float(found.known.deviations(row)[0])
+                value, std = float(row[0] @ solution.parameters), float(solution.known.deviations(row)[0])
                 yield InternalMisalignment(f"{kind} {label}", value, std)
 
 
@@ -321,35 +322,37 @@ def _gravity(
     return before, after
 
 
-def _words(report: UnitReport, found: UnitEstimate) -> list[str]:
-    """What the data say of the model, in sentences."""
-    tests, said = report.consistency, []
+def _words(report: UnitReport, solution: UnitEstimate) -> list[str]:
+    """Where the data contradict the model or do not observe it, in sentences."""
+    tests, sentences = report.consistency, []
     rare = _rare(1 + 2 * len(report.channels) + len(tests.splits))
-    if found.moved > 1e-2:
-        said.append(
-            f"the estimate has not settled: it still moves by {found.moved:.2g} of its standard deviations a round; "
-            "the table is further from its drawing than small angles"
+    if solution.moved > 1e-2:
+        sentences.append(
+            f"the estimate has not converged: its last step is {solution.moved:.2g} of its standard deviations; "
+            "the table differs from the spec by more than small angles"
         )
-    said += of_noise(tests, tests.fit.probability < rare and tests.noise_scale > 1.0, "unit")
+    sentences += of_noise(tests, tests.fit.probability < rare and tests.noise_scale > 1.0, "unit")
     for name, (size, white) in report.channels.items():
         where = name.replace("_", " ")
         if size.probability < rare:
             scale = np.sqrt(size.statistic / max(size.degrees, 1))
-            said.append(f"{where}: its residuals are {scale:.3g} times what the spec's noise says")
+            sentences.append(f"{where}: its residuals are {scale:.3g} times what the spec's noise says")
         if white.probability < rare:
-            said.append(f"{where}: its residuals are not white: something lasts from row to row that the spec lacks")
+            sentences.append(
+                f"{where}: its residuals are not white: the spec's noise does not explain their correlation"
+            )
     for split in tests.splits:
         if split.agreement.probability < rare:
-            said.append(f"{split.name}: they do not say the same (chance {split.agreement.probability:.1g})")
+            sentences.append(f"{split.name}: the parts disagree (chance {split.agreement.probability:.1g})")
     for error in report.calibration.table:
         if abs(error.value) > _CONTRADICTED * error.prior:
-            said.append(
-                f"the table's {error.name.replace('_', ' ')} came out at {error.value / error.prior:+.1f} times what "
-                "the spec calls its uncertainty: is the drawing right?"
+            sentences.append(
+                f"the table's {error.name.replace('_', ' ')} is {error.value / error.prior:+.1f} times its standard "
+                "deviation by the spec: is the spec of the table right?"
             )
     if report.calibration.unobservable:
-        said.append(f"the data say nothing of {', '.join(report.calibration.unobservable)}")
-    return said
+        sentences.append(f"the data say nothing of {', '.join(report.calibration.unobservable)}")
+    return sentences
 
 
 # --- the file ---------------------------------------------------------------------------------------------------------
@@ -359,7 +362,7 @@ def _calibration(
     built: AssembledUnit,
     logs: Sequence[Log],
     name: str,
-    found: UnitEstimate,
+    solution: UnitEstimate,
     tests: Consistency,
     channels: dict[str, tuple[Test, Test]],
     requirements: tuple[RequirementRow, ...],
@@ -369,14 +372,14 @@ def _calibration(
 ) -> UnitCalibration:
     model, spec = built.model, built.spec
     reported = model.to_reported
-    values, deviations = reported @ found.parameters, found.known.deviations(reported)
+    values, deviations = reported @ solution.parameters, solution.known.deviations(reported)
     names, units = model.names(), model.units()
     priors = prior_deviations(built)
     own = slice(0, model.calibrated)
     held = list(_channels(built, values))
     kept = {f"{c.name}.{n}" for c in held for term in c.term for n in term.coefficients}
     covariant = [k for k in range(model.calibrated) if np.isfinite(deviations[k]) and names[k] in kept]
-    matrix = found.known.covariance(reported[own])[np.ix_(covariant, covariant)]
+    matrix = solution.known.covariance(reported[own])[np.ix_(covariant, covariant)]
     fits = [("chi-squared of the fit", tests.fit)]
     for channel, (size, white) in channels.items():
         fits += [(f"{channel}: chi-squared", size), (f"{channel}: whiteness", white)]
@@ -406,15 +409,15 @@ def _calibration(
             for k in range(model.calibrated, model.size)
         ),
         "fit": fit_rows([*fits, *((split.name, split.agreement) for split in tests.splits)]),
-        "unobservable": tuple(n for n in unobserved_parameters(built, found.known) if n in kept),
+        "unobservable": tuple(n for n in unobserved_parameters(built, solution.known) if n in kept),
         "noise": _noise(spec, logs[0]),
         "result": tuple(_result(row) for row in requirements),
         "provenance": provenance_of(
             logs,
             name,
             sources,
-            estimator=f"Gauss-Newton through the finite geometry, {found.rounds} rounds",
-            rows=str(int(np.count_nonzero(found.used))),
+            estimator=f"Gauss-Newton through the finite geometry, {solution.rounds} rounds",
+            rows=str(int(np.count_nonzero(solution.used))),
         ),
     }  # fmt: skip
     if options.lag:
@@ -423,7 +426,7 @@ def _calibration(
 
 
 def _channels(built: AssembledUnit, values: np.ndarray) -> Iterator[CalibratedChannel]:
-    """The channels with what was found of each; reported parameters `(p,)`."""
+    """The calibrated channels, from all reported parameters `(p,)`."""
     begin = 0
     for c in built.model.channels:
         yield _channel(built.spec, c, values[begin : begin + c.model.size])
@@ -447,37 +450,37 @@ def _channel(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Calibrated
 
 
 def _noise(spec: UnitSpec, log: Log) -> UnitNoise:
-    given: dict[str, Any] = {"sample_rate": Quantity.of(1.0 / log.sample_interval_s, "Hz")}
+    densities: dict[str, Any] = {"sample_rate": Quantity.of(1.0 / log.sample_interval_s, "Hz")}
     if (gyro := spec.sensor.gyro) is not None:
-        given |= random_walks(gyro)
+        densities |= random_walks(gyro)
     if (force := spec.sensor.accelerometer) is not None:
-        given["velocity_random_walk"] = force.velocity_random_walk
-    return UnitNoise(**given)
+        densities["velocity_random_walk"] = force.velocity_random_walk
+    return UnitNoise(**densities)
 
 
 def _result(row: RequirementRow) -> UnitResult:
-    given = {"value": row.decisive, "target": row.target, "verdict": row.verdict}
+    values = {"value": row.decisive, "target": row.target, "verdict": row.verdict}
     return UnitResult(
         name=row.name,
         quantity=row.quantity,
         axis=row.axis or "",
         statistic=f"{row.statistic}, 1 sigma",
         unit=row.unit,
-        **{key: v for key, v in given.items() if v is not None},
+        **{key: v for key, v in values.items() if v is not None},
     )
 
 
 def unit_estimate_rows(report: UnitReport) -> dict[str, Any]:
-    """All numbers of an estimate for another program, SI unless a unit stands beside them."""
-    found = report.calibration
+    """All numbers of an estimate for `--json`, in SI unless they have a unit beside them."""
+    calibration = report.calibration
     return {
         "unit": report.unit,
-        "simulated": found.simulated,
-        "parameters": coefficient_rows(found),
-        "table": [row.model_dump(mode="json") for row in found.table],
+        "simulated": calibration.simulated,
+        "parameters": coefficient_rows(calibration),
+        "table": [row.model_dump(mode="json") for row in calibration.table],
         "requirements": [row.model_dump(mode="json", exclude_none=True) for row in report.requirements],
         "internal_misalignment": [row._asdict() for row in report.internal],
         "gravity_rms_m_per_s2": report.gravity,
-        "tests": [row.model_dump(mode="json") for row in found.fit],
+        "tests": [row.model_dump(mode="json") for row in calibration.fit],
         "messages": list(report.messages),
     }

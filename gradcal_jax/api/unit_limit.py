@@ -1,17 +1,18 @@
-"""What no plan of a whole unit leaves less of, in the time that the data of the spec's plan take.
+"""Proven lower limits on the residuals of any plan of a whole unit, in the time of the data of the spec's plan.
 
-Two proofs. A **bias** `ψ(T)ᵀβ` under white noise and drift: who knew all else exactly and the error itself at every
-instant, moving or not, would know β as generalised least squares does; every row of any plan is a function of that.
+Two proofs. A **bias** `ψ(T)ᵀβ` under white noise and drift: with all else known exactly and the error itself observed
+at every instant, moving or not, generalised least squares has a known covariance of β; every row of any plan is a
+function of these observations.
 
-Whatever is read in proportion to a **signal** s under white noise N² (a column `∫ψ s dt`): with all else known exactly,
-the drift too, its information is `∫ψψᵀs²dt/N²` beside its prior's. Of the k elements of a quantity that share ψ, N and
-prior the squares of the signals add up to at most `bound` at every instant, because |f| = g and |ω| ≤ the fastest
-axis's rate (one turns at a time, on the Earth): so their mean information is at most `J = bound/k ∫ψψᵀdt/N² + prior`.
-As `(ψᵀJ⁻¹ψ)^½` is convex in J, the mean of their standard deviations, and so the worst and the root mean square, is at
-least that of J, at every temperature; and so is every statistic over temperature.
+A parameter multiplied by a **signal** s under white noise N² (a column `∫ψ s dt`): with all else known exactly, the
+drift too, its information is `∫ψψᵀs²dt/N²` plus its prior's. For the k elements of a quantity that share ψ, N and
+prior, the squares of the signals add up to at most `bound` at every instant, because |f| = g and |ω| ≤ the fastest
+axis's rate (one axis turns at a time, on the Earth): so their mean information is at most `J = bound/k ∫ψψᵀdt/N² +
+prior`. As `(ψᵀJ⁻¹ψ)^½` is convex in J, the mean of their standard deviations, and so the worst and the root mean
+square, is at least that of J, at every temperature; and so is every statistic over temperature.
 
-A gyro's scale factor is a function of the rate, too: its limit is that of a single axis (`design.limit`) that turns all
-the time, in white noise.
+A gyro's scale factor is also a function of the rate: its limit is that of a single axis (`design.limit`) in white
+noise that turns all the time.
 """
 
 from typing import NamedTuple
@@ -32,23 +33,22 @@ from gradcal_jax.information import information, square_root, statistic
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap
 from gradcal_jax.trajectory import EARTH_RATE
 
-# Longest of the steps in which the data's time is looked at: of the shortest correlation time, and s.
+# Longest time step of the integrals: as a share of the shortest correlation time, and in s.
 _SHARE_OF_CORRELATION = 0.05
 _LONGEST_S = 5.0
 _NODES = 4
-# Of the course, at which a scale factor's motion is shared out.
+# Number of temperatures among which a scale factor's motion is divided.
 _TEMPERATURES = 48
 _RELAXED = (
     "everything else is known exactly",
-    "the unit is read at every instant, moving or not, and all that turns or points is shared out as is best",
-    "but for biases the noise is white",
+    "the unit is read at every instant, moving or not, with the best distribution of turns and poses",
+    "the noise is white, except for biases",
 )
 
 
 class _Look(NamedTuple):
-    """The data's time in steps: `start`, `duration` s, the temperature (°C) as each begins and ends, and whether its
-    data are used.
-    """
+    """The time of the plan in steps: `start`, `duration` s, the temperature (°C) at their `begin` and `end`, and
+    whether their data are `used`."""
 
     start: np.ndarray
     duration: np.ndarray
@@ -60,13 +60,12 @@ class _Look(NamedTuple):
 def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
     """The limit of every requirement of a unit's plan for which there is a proof.
 
-    Errors: `ValueError` where there is none for any, with the quantities that have one, and where the plan goes on with
-    what was done before.
+    Errors: `ValueError` where no requirement has a proof, and for a spec with [[done]].
     """
     if spec.done:
         raise goes_on("a limit")
     built = assemble_unit(spec)
-    proven = [(r, found) for r in spec.requirement if (found := _certified(built, r)) is not None]
+    proven = [(r, bound) for r in spec.requirement if (bound := _certified(built, r)) is not None]
     if not proven:
         raise ValueError(
             "a limit of a unit is proven for biases, scale factors that are polynomials, misalignments to the table or "
@@ -74,13 +73,13 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
         )
     after = posterior_of_unit(built)
     return [
-        plan_limit(r, UNIT_OF_QUANTITY[r.quantity], found, requirement_row(built, after, r).decisive, _RELAXED)
-        for r, found in proven
+        plan_limit(r, UNIT_OF_QUANTITY[r.quantity], bound, requirement_row(built, after, r).decisive, _RELAXED)
+        for r, bound in proven
     ]
 
 
 def _certified(built: AssembledUnit, requirement: UnitRequirement) -> tuple[float, float] | None:
-    """A requirement's limit in SI, certified and reached by the relaxed problem; None without a proof."""
+    """A requirement's limit in SI: certified, and the optimum of the relaxed problem; None without a proof."""
     cold, warm = (float(t) for t in requirement.temperature)
     temperatures = np.linspace(cold, warm, requirement.grid[0])
     if isinstance(requirement, GyroScaleFactorRequirement):
@@ -96,7 +95,7 @@ def _certified(built: AssembledUnit, requirement: UnitRequirement) -> tuple[floa
 def _of_scale_factor(
     built: AssembledUnit, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
 ) -> tuple[float, float] | None:
-    """Of a gyro that turns all the time, as fast as the rig's fastest axis."""
+    """The limit for a gyro that turns all the time, at up to the rate of the rig's fastest axis."""
     channel = _channel(built, "gyro", requirement.axis)
     scale = channel.model.scale
     if scale is None or not isinstance(scale.rate, Polynomial) or scale.beyond is not None:
@@ -107,9 +106,9 @@ def _of_scale_factor(
     look = _look(built, np.inf)
     time = np.cumsum(np.where(look.used, look.duration, 0.0))
     middles = time[-1] * (np.arange(_TEMPERATURES) + 0.5) / _TEMPERATURES
-    # Of the used time alone: what stands still in this sum is a gap.
+    # The cumulated used time, which does not increase in a gap.
     at = np.searchsorted(time, middles)
-    found = limit(
+    result = limit(
         criterion(alone, "scale_factor", temperatures, rates, requirement.statistic),
         alone,
         motion_time=float(time[-1]),
@@ -118,7 +117,7 @@ def _of_scale_factor(
         max_rate=_fastest(built),
         noise_density=white**2,
     )
-    return found.certified, found.reached
+    return result.certified, result.reached
 
 
 def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
@@ -132,7 +131,7 @@ def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: n
     else:
         assert isinstance(term, SignalMap)
         bias = model.make_map(term.temperature, prior_std=float(term.std) if term.has_prior else np.inf)
-    # The processes that a bias meets at any rate.
+    # Only the processes that act at rate zero.
     processes = channel.model.processes
     at_rest = jax.tree.map(lambda of: of[np.asarray(processes.rate_gain) == 0.0], processes)
     alone = model.gyro_model(bias, None, float(channel.model.angle_random_walk), at_rest)
@@ -149,7 +148,8 @@ def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: n
         )  # fmt: skip
         return information(line, alone).deviations(bias.values(temperatures, 0.0 * temperatures)) ** 2
 
-    # Integrals over steps know less than the instants do: what a step half as long adds, all others add at most again.
+    # Integrals over steps have less information than instants: halving all further steps adds at most as much as this
+    # one.
     coarse, fine = variance(step), variance(0.5 * step)
     return np.sqrt(np.maximum(fine - np.abs(coarse - fine), 0.0))
 
@@ -179,10 +179,10 @@ def _of_signal(built: AssembledUnit, requirement: UnitRequirement, temperatures:
 
 
 def _most(built: AssembledUnit, requirement: UnitRequirement, channels: list[Channel]) -> tuple[str, float] | None:
-    """The quantity's term, and the most that the squares of its elements' signals can be on the average."""
+    """The quantity's term, and the largest possible mean square of its elements' signals."""
     gravity = float(built.motion.geometry.gravity)
     fastest = _fastest(built)
-    # Of the channels i, how many misalignments m_ij look along the same axis j.
+    # Number of misalignments m_ij of the channels i along the same axis j.
     beside = max(sum(c.axis != j for c in channels) for j in range(3)) / (2 * len(channels))
     return {
         "gyro_misalignment": (MISALIGNMENT.format(""), fastest**2 * beside),
@@ -199,7 +199,7 @@ def _fastest(built: AssembledUnit) -> float:
 
 
 def _channel(built: AssembledUnit, kind: str, axis: str) -> Channel:
-    """A channel of that kind, of the axis if it is one; all are alike."""
+    """The channel of that kind and axis; for "worst" and "all" the first, since all are alike."""
     return next(c for c in built.model.channels if c.kind == kind and axis in ("worst", "all", AXIS_NAMES[c.axis]))
 
 

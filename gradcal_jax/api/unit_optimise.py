@@ -1,4 +1,4 @@
-"""`optimise` of a whole unit: the cycle of poses, moves and rests that leaves the least of several requirements."""
+"""`optimise` for a whole unit: the cycle of poses, moves and rests that minimises the residuals of its requirements."""
 
 import functools
 import math
@@ -22,21 +22,20 @@ from gradcal_jax.information import Posterior, repeated_gram, segments_of, unit_
 from gradcal_jax.model import UnitModel
 
 EVALUATIONS, QUICK_EVALUATIONS = 4000, 400
-# By how much worse a plan may be that is still taken at the beginning, of the logarithm: less, from a good plan.
+# Initial temperature of the annealing, in the logarithm of the objective; low, since it begins at a good plan.
 WARMEST = 0.01
-# Neighbours of a plan that are worked out side by side, where there are as many processes.
+# Neighbours of a plan that are evaluated in parallel, by as many processes.
 TOGETHER = 2
 _SEARCH_GRID = 21
-# Of an angle step: rounding.
+# Rounding, as a share of an angle step.
 _SLACK = 1e-9
-# Cycles of a plan from which on three stand for all.
+# From this number of cycles, the information of all cycles is computed from three.
 _MANY = 6
 
 
 class UnitOptimum(NamedTuple):
-    """An optimised unit spec, and its requirements before and after, in people's units: `rows` of (name, unit, before,
-    now); None: not observable. `gain`: geometric mean of before over now.
-    """
+    """An optimised unit spec, with its requirements before and after: `rows` of (name, unit, before, now); None: not
+    observable. `gain`: geometric mean of before over now."""
 
     spec: UnitSpec
     rows: tuple[tuple[str, str, float | None, float | None], ...]
@@ -54,17 +53,17 @@ def optimise_unit(
     stop: Callable[[], bool] = lambda: False,
     values: Callable[[Sequence[PoseCycle]], Iterable[float]] | None = None,
 ) -> Iterator[PoseState | UnitOptimum]:
-    """Yields the state of the search after every `TOGETHER` evaluations, and the optimum at the end.
+    """Yield the state of the search after every `TOGETHER` evaluations, and the optimum at the end.
 
     `evaluations`: plans that are tried; `warmest`: see `design.pose_search.anneal`. `until_met`: no further than to a
-    plan that meets every target with `MARGIN`. `values`: works `CycleValue` out for several cycles, in several
-    processes say; the optimum does not depend on it.
+    plan that meets every target with `MARGIN`. `values`: evaluates `CycleValue` for several cycles, for example in
+    several processes; the optimum does not depend on it.
 
     Errors: `ValueError` where there is no requirement (or, with `until_met`, no target), the table is turned by hand,
     or the plan's turns are no whole numbers of the angle step.
     """
     if not spec.requirement:
-        raise ValueError("what is to be minimised? Give the spec a [[requirement]]")
+        raise ValueError("the spec has no [[requirement]] to minimise: add one")
     if spec.rig.table.drive == "hand":
         raise ValueError(BY_HAND)
     value = CycleValue(spec)
@@ -72,7 +71,7 @@ def optimise_unit(
     if until_met and all(r.target is None for r in spec.requirement):
         raise ValueError("to stop when every target is met, give a requirement a target")
     state, judged, seed = None, None, design.seed if seed is None else seed
-    # A plan beyond a gyro's full scale begins the search slowed down to it.
+    # The first plan of the search is slowed down to the gyros' full scale.
     start = tuple(item._replace(rate=min(item.rate, limits.rates[item.axis])) for item in _items(spec, design))
     for state in anneal(
         start,
@@ -93,22 +92,21 @@ def optimise_unit(
     assert state is not None
     tables = spec.model_dump(mode="json", exclude_unset=True)
     tables["plan"]["cycle"]["moves"] = value.moves_in_words(state.best)
-    found = unit_spec_of(tables)
+    optimised = unit_spec_of(tables)
     fine = tuple(quantity_of(value.built, r) for r in spec.requirement)
-    before, after = (_statistics(value.known[0] + _gram_of(assemble_unit(s)), fine) for s in (spec, found))
+    before, after = (_statistics(value.known[0] + _gram_of(assemble_unit(s)), fine) for s in (spec, optimised))
     rows = tuple(
         (r.name, UNIT_OF_QUANTITY[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
     )
     ratios = [math.log(b / a) for b, a in zip(before, after, strict=True) if a and b]
     yield UnitOptimum(
-        found, rows, math.exp(float(np.mean(ratios))) if ratios else 1.0, round(state.share * evaluations)
+        optimised, rows, math.exp(float(np.mean(ratios))) if ratios else 1.0, round(state.share * evaluations)
     )
 
 
 class CycleValue:
-    """What the search minimises, of a cycle: the logarithm of residual over target, on a coarse grid; of `uncertain`
-    noise its mean over the scenarios, or the worst.
-    """
+    """The objective of a cycle: the logarithm of residual over target, on a coarse grid; with `uncertain` noise its
+    mean over the scenarios, or the worst."""
 
     def __init__(self, spec: UnitSpec):
         design = spec.design or UnitDesign()
@@ -123,9 +121,9 @@ class CycleValue:
         own = tuple(q for q in self.quantities if q.requirement.name == design.minimise)
         self.minimised = self.quantities if design.minimise in (ALL, WORST) else own
         rows = self.built.model.prior_rows()
-        # In each scenario, before the plan begins: by the priors and by what was done.
+        # The information in each scenario before the plan begins: from priors and motions before it.
         self.known = [rows.T @ rows + self._past(model) for model in self.models]
-        # Whether cycles differ in temperature alone, which runs straight; see `information.repeated`.
+        # Whether cycles differ only in temperature, which is linear in time; see `information.repeated`.
         self.repeats = (
             len(spec.schedule.stretches) == 1
             and sum(segment.used for segment in spec.schedule.segments) == 1
@@ -145,12 +143,12 @@ class CycleValue:
         return self.over_scenarios([together(logs) for logs in self._logs(cycle, self.minimised)])
 
     def largest_ratio(self, cycle: PoseCycle) -> float:
-        """The logarithm of the largest residual over its target, in whichever scenario."""
+        """The logarithm of the largest residual over its target, over all scenarios."""
         limited = tuple(q for q in self.quantities if q.requirement.target is not None)
         return max(max(logs) for logs in self._logs(cycle, limited))
 
     def _logs(self, cycle: PoseCycle, quantities: tuple[RequiredQuantity, ...]) -> list[list[float]]:
-        """In each scenario and of each quantity the logarithm of the residual, over the target where there is one."""
+        """The logarithm of the residual, over the target where there is one, in each scenario for each quantity."""
         plan = self.plan(cycle)
         if plan is None:
             return [[math.inf] * len(quantities)]
@@ -166,7 +164,7 @@ class CycleValue:
         ]
 
     def _grams(self, plan: UnitSchedule) -> list[np.ndarray]:
-        """What the rows of a plan say in each scenario; of a cycle that repeats, from three of its cycles."""
+        """The information of a plan's rows in each scenario; of a repeating cycle, from three of its cycles."""
         (stretch, *_), turns = plan.stretches, np.zeros(len(plan.start))
         for step in plan.steps:
             if step.axis >= 0:
@@ -179,7 +177,7 @@ class CycleValue:
         return [_gram_of(built._replace(model=model)) for model in self.models]
 
     def _of_three(self, plan: UnitSchedule) -> list[np.ndarray] | None:
-        """The same from three of its cycles, where they stand for all."""
+        """The same from three of its cycles; None where three do not determine all."""
         (stretch,) = plan.stretches
         (segment,) = (s for s in plan.segments if s.used)
         shorter = 3.0 * plan.period + stretch.leftover
@@ -219,7 +217,7 @@ class CycleValue:
         return replace(self.schedule, stretches=tuple(stretches), steps=tuple(steps))
 
     def moves_in_words(self, cycle: PoseCycle) -> list[dict[str, str]]:
-        """The cycle as a file has it."""
+        """The cycle as a list of moves for a spec."""
         axes, moves = self.built.spec.rig.table.axis, []
         for item in cycle:
             if item.steps:
@@ -233,15 +231,14 @@ class CycleValue:
 
 
 def _gram_of(built: AssembledUnit) -> np.ndarray:
-    """What the rows of a plan say."""
+    """The information (Gram matrix) of the whitened rows of a plan."""
     rows = whiten(*unit_system(built.motion, built.model, built.body_nodes()))
     return rows.T @ rows
 
 
 def _statistics(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[float | None]:
-    """Every requirement's statistic in people's units. By the product of the rows, whose columns, scaled, are far from
-    parallel where all is observed.
-    """
+    """Every requirement's statistic in the units of `UNIT_OF_QUANTITY`, from the Gram matrix: its scaled columns are
+    far from parallel where everything is observable."""
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
     seen = values > 1e-13 * values[-1]
@@ -269,7 +266,7 @@ def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:
 
 
 def _items(spec: UnitSpec, design: UnitDesign) -> PoseCycle:
-    """The spec's own cycle, to begin with."""
+    """The spec's own cycle, as the start of the search."""
     step, items = float(design.angle_step), []
     for s in spec.schedule.steps:
         for _ in range(s.move.repeat):

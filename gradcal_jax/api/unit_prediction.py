@@ -1,4 +1,4 @@
-"""The contract gradcal-prediction/1 for a whole unit."""
+"""The prediction for a whole unit, as the contract gradcal-prediction/1."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
@@ -18,7 +18,8 @@ from gradcal_jax.trajectory import TableMotion, body_nodes
 
 
 def predict_unit(spec: UnitSpec) -> Prediction:
-    """What a unit's plan leaves of every requirement, with every parameter's standard deviation (1σ). Errors: none."""
+    """The residual of every requirement after a unit's plan, and every parameter's standard deviation (1σ). Errors:
+    none."""
     built = assemble_unit(spec)
     known = posterior_of_unit(built)
     return Prediction(
@@ -29,9 +30,8 @@ def predict_unit(spec: UnitSpec) -> Prediction:
 
 
 def of_plan(spec: Spec | UnitSpec, model: SensorModel | UnitModel, known: Mapping[Any, Posterior]) -> dict[str, Any]:
-    """What a prediction says of any plan: its title, its times, rows of the reported parameters, and their covariance;
-    axes one after the other, which are independent.
-    """
+    """The part of a prediction that is common to all plans: title, times, the reported parameters and their covariance;
+    axes, which are independent, in order."""
     count = model.calibrated
     names, units, reported = model.names(), model.units(), model.to_reported[:count]
     rows, size = [], len(known) * count
@@ -55,17 +55,17 @@ def of_plan(spec: Spec | UnitSpec, model: SensorModel | UnitModel, known: Mappin
 
 
 def posterior_of_unit(built: AssembledUnit) -> Posterior:
-    """What is known of a unit after its plan, and what was done before."""
+    """The posterior of a unit after its plan and the motions before it."""
     return known_of_motions(built, (*built.past, built.motion))
 
 
 def known_of_motions(built: AssembledUnit, motions: Sequence[TableMotion]) -> Posterior:
-    """What is known of a unit after several motions, each with drifts of its own."""
+    """The posterior of a unit after several motions, each with drifts of its own."""
     return posterior(unit_information([(m, body_nodes(m, built.points)) for m in motions], built.model))
 
 
 def asked_and_left(requirement: Requirement | UnitRequirement, values: Mapping[str, float | None]) -> dict[str, Any]:
-    """Of the row of a requirement what it asks for, and what is left by the name of each statistic."""
+    """The common fields of a requirement's row: what it asks for, and the value of each statistic."""
     return {
         **{name: getattr(requirement, name) for name in ("name", "quantity", "statistic")},
         "temperature_c": (float(requirement.temperature[0]), float(requirement.temperature[1])),
@@ -75,20 +75,20 @@ def asked_and_left(requirement: Requirement | UnitRequirement, values: Mapping[s
 
 
 def requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> RequirementRow:
-    """What is left of one requirement, in people's units."""
-    found = unit_residual(built, known, requirement)
-    values = summed_up(requirement, found)
+    """The residual and the verdict of one requirement."""
+    left = unit_residual(built, known, requirement)
+    values = summed_up(requirement, left)
     unit, factor = UNIT_OF_QUANTITY[requirement.quantity]
     target = None if requirement.target is None else float(requirement.target) * factor
     decisive = values[requirement.statistic]
     verdict = None if target is None else "met" if decisive is not None and decisive <= target else "missed"
-    worst = worst_axis(requirement, found)
+    worst = worst_axis(requirement, left)
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
     return RequirementRow(
         **asked_and_left(requirement, values),
         unit=cast("Any", unit),
         axis=requirement.axis,
-        rate_dps=(float(np.degrees(found.rates[0])), float(np.degrees(found.rates[-1]))) if by_rate else None,
+        rate_dps=(float(np.degrees(left.rates[0])), float(np.degrees(left.rates[-1]))) if by_rate else None,
         target=target,
         verdict="unobservable" if decisive is None else verdict,
         limited_by=None if worst is None else f"axis {worst}",

@@ -1,4 +1,4 @@
-"""What is left of each of a unit's quantities after a plan: linear functions of its parameters, and statistics."""
+"""Residuals of a unit's quantities after a plan: linear functions of its parameters, and statistics."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple, cast
@@ -33,7 +33,7 @@ UNIT_OF_QUANTITY = {
     "tilt": ("urad", 1e6),
     "heading": ("deg", np.degrees(1.0)),
 }
-"""Of each quantity the unit that people read, and that many of it are one in SI."""
+"""For each quantity its unit for people, and how many of it are one in SI."""
 UNITS_OF_TERMS = {
     "rad/s": ("deg/h", DEG_PER_H),
     "1": ("ppm", PPM),
@@ -45,14 +45,13 @@ UNITS_OF_TERMS = {
     "1/(m/s^2)": ("ug/g^2", 1e6 * G),
     "1/(m/s^2)^2": ("ug/g^3", 1e6 * G**2),
 }
-"""Of a coefficient's SI unit the same."""
+"""The same for the SI unit of each coefficient."""
 
 
 class UnitResidual(NamedTuple):
-    """Standard deviations of one quantity in people's `unit`: of each of the `m` elements `labels`, on the temperatures
-    (°C) and, of the scale factor, the rates (rad/s) of a requirement: `values` `(m, n_T, n_ω)`. `si`: how many of the
-    unit are one in SI.
-    """
+    """Standard deviations of one quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`, on the
+    temperatures (°C) and, for the scale factor, the rates (rad/s) of a requirement. `si`: how many of the unit are one
+    in SI."""
 
     labels: tuple[str, ...]
     temperatures: np.ndarray
@@ -64,8 +63,8 @@ class UnitResidual(NamedTuple):
 
 class QuantityElement(NamedTuple):
     """A linear function of a unit's parameters on `g` points: `rows` `(g, k)` of those in `where`. `alone`, `variance`:
-    of the part that no calibration carries, whose own is taken off and its prior's put in place (None: no such part).
-    """
+    of the discrepancy, which is not in the calibration: its posterior variance is replaced by that of its prior
+    (None: no such part)."""
 
     label: str
     where: slice
@@ -76,14 +75,14 @@ class QuantityElement(NamedTuple):
     def deviations(self, known: Posterior) -> np.ndarray:
         """Standard deviation on the points."""
         part = Posterior(known.spread[self.where], known.hidden[self.where])
-        found = part.deviations(self.rows)
+        deviation = part.deviations(self.rows)
         if self.alone is None:
-            return found
-        return np.sqrt(found**2 - part.deviations(self.alone) ** 2 + self.variance)
+            return deviation
+        return np.sqrt(deviation**2 - part.deviations(self.alone) ** 2 + self.variance)
 
 
 class RequiredQuantity(NamedTuple):
-    """A requirement's quantity on its grid, whatever the plan: what `UnitResidual` is made from."""
+    """A requirement's quantity on its grid, independent of the plan, for computing a `UnitResidual`."""
 
     requirement: UnitRequirement
     temperatures: np.ndarray
@@ -92,18 +91,18 @@ class RequiredQuantity(NamedTuple):
     beside: float
 
     def residual(self, known: Posterior) -> UnitResidual:
-        """What is left of it."""
+        """The residual of the quantity for a posterior."""
         shape = len(self.elements), len(self.temperatures), len(self.rates)
-        found = np.stack([element.deviations(known) for element in self.elements]).reshape(shape)
+        deviations = np.stack([element.deviations(known) for element in self.elements]).reshape(shape)
         if self.beside:
-            found = np.hypot(found, self.beside)
+            deviations = np.hypot(deviations, self.beside)
         unit, factor = UNIT_OF_QUANTITY[self.requirement.quantity]
         labels = tuple(element.label for element in self.elements)
-        return UnitResidual(labels, self.temperatures, self.rates, found * factor, unit, factor)
+        return UnitResidual(labels, self.temperatures, self.rates, deviations * factor, unit, factor)
 
 
 def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> RequiredQuantity:
-    """A requirement's quantity. `beside`: what the case's mounting adds to a misalignment counted from the table."""
+    """A requirement's quantity. `beside`: the mounting's uncertainty, added to a misalignment relative to the case."""
     cold, warm = (float(t) for t in requirement.temperature)
     temperatures, rates, beside = np.linspace(cold, warm, requirement.grid[0]), np.zeros(1), 0.0
     if isinstance(requirement, GyroScaleFactorRequirement):
@@ -118,37 +117,36 @@ def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> RequiredQ
 
 
 def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> UnitResidual:
-    """What is left of a requirement's quantity."""
+    """The residual of a requirement's quantity."""
     return quantity_of(built, requirement).residual(known)
 
 
-def summed_up(requirement: UnitRequirement, found: UnitResidual) -> dict[str, float | None]:
-    """The statistics by name; None where the plan cannot tell. Each element has its own over temperature (and rate);
-    of several the worst counts, or of "all" the root mean square.
-    """
+def summed_up(requirement: UnitRequirement, left: UnitResidual) -> dict[str, float | None]:
+    """The statistics by name; None: not observable. Each element has a statistic over temperature (and rate); over
+    several elements it is the worst or, for "all", the root mean square."""
     names: list[Statistic] = [
         name for name in STATISTICS if name != "mean of max" or isinstance(requirement, GyroScaleFactorRequirement)
     ]
-    return {name: summary_statistic(requirement, found, name) for name in names}
+    return {name: summary_statistic(requirement, left, name) for name in names}
 
 
-def summary_statistic(requirement: UnitRequirement, found: UnitResidual, name: Statistic) -> float | None:
-    """One of these statistics."""
-    each = np.array([statistic(name, values) for values in found.values])
+def summary_statistic(requirement: UnitRequirement, left: UnitResidual, name: Statistic) -> float | None:
+    """One statistic; see `summed_up`."""
+    each = np.array([statistic(name, values) for values in left.values])
     value = np.sqrt(np.mean(each**2)) if requirement.axis == "all" else np.max(each)
     return float(value) if np.isfinite(value) else None
 
 
 def decisive_value(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> float | None:
-    """The requirement's own statistic."""
+    """The residual of a requirement by its own statistic."""
     return summary_statistic(requirement, unit_residual(built, known, requirement), requirement.statistic)
 
 
-def worst_axis(requirement: UnitRequirement, found: UnitResidual) -> str | None:
-    """Which element decides, where one does."""
-    if requirement.axis == "all" or len(found.labels) < 2:
+def worst_axis(requirement: UnitRequirement, left: UnitResidual) -> str | None:
+    """The element with the largest statistic; None where all count together, or for a single one."""
+    if requirement.axis == "all" or len(left.labels) < 2:
         return None
-    return found.labels[int(np.argmax([statistic(requirement.statistic, v) for v in found.values]))]
+    return left.labels[int(np.argmax([statistic(requirement.statistic, v) for v in left.values]))]
 
 
 def _elements(
@@ -192,7 +190,7 @@ _TERMS = {
 def _of_term(
     model: UnitModel, channel: Channel, term: str, label: str, temperatures: np.ndarray, rates: np.ndarray
 ) -> QuantityElement:
-    """One term of a channel on the grid."""
+    """The linear function of one term of a channel on the grid."""
     of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
     if isinstance(of, Map):
         points = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
@@ -212,7 +210,7 @@ def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.nd
 
 
 def _row(model: UnitModel, kind: ChannelKind, axis: int, term: str, temperatures: np.ndarray) -> np.ndarray:
-    """Contrasts `(n_T, p)` of a term at rate zero; zero where the model has it not."""
+    """Contrasts `(n_T, p)` of a term at rate zero; zero where the model does not have it."""
     rows = np.zeros((len(temperatures), model.size))
     if (channel := model.channel(kind, axis)) is not None:
         rows[:, model.where(kind, axis)] = _signal_rows(channel, term, temperatures)
@@ -222,9 +220,8 @@ def _row(model: UnitModel, kind: ChannelKind, axis: int, term: str, temperatures
 def internal_misalignments(
     model: UnitModel, kind: ChannelKind, temperatures: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """What no rotation of the unit changes, by name, `(n_T, p)`: sums of opposite misalignments; of the accelerometers
-    also the rotation of their triad against the gyros'.
-    """
+    """Misalignments that no rotation of the unit changes, by name, `(n_T, p)`: sums of opposite misalignments and, for
+    accelerometers, the rotation of their triad against the gyros'."""
 
     def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
         return _row(model, which, i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures)

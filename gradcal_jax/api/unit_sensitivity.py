@@ -1,8 +1,8 @@
-"""What one per cent of every figure of a unit's sensor, rig and plan is worth: central differences of the prediction.
+"""Elasticities of a unit's residuals in every figure of sensor, rig and plan, by central differences.
 
-The figures are changed in the spec itself, by a thousandth up and down. Faster turns may fit another number of cycles
-into the ramp; the side that does is left out, and where both do there is no such row. Where all lasts longer, there are
-as many readings as before: whole numbers have no slope.
+The figures are changed in the spec itself, by a thousandth up and down. Faster turns may change the number of cycles in
+the ramp; such a side is left out, and where both are, the figure has no row. Where all times become longer, the number
+of readings stays, since an integer has no derivative.
 """
 
 import re
@@ -21,7 +21,7 @@ from gradcal_jax.units import dimension_of, format_quantity, parse, unit_of
 _STEP = 1e-3
 TIME = "time: ramp, rests and turns last longer"
 RATES = "rates: all turns faster"
-# Keys, and by which power of its factor a figure changes each; names that people use.
+# Patterns of keys, and the name of their figure for people.
 _FIGURES: tuple[tuple[str, str], ...] = (
     (r"sensor\.(gyro|accelerometer)\.(angle|velocity|rate)_random_walk", "{0}: {1} random walk"),
     (r"sensor\.(gyro|accelerometer)\.drift\[\d+\]\.standard_deviation", "{0}: drift"),
@@ -39,7 +39,7 @@ _FIGURES: tuple[tuple[str, str], ...] = (
     (r"rig\.table\.axis\[\d+\]\.angle\.harmonics\[\d+\]\.amplitude", "table: encoder's error by angle"),
     (r"rig\.table\.mounting\[\d+\]\.accuracy", "accuracy of the mounting"),
 )
-# Powers of a common factor of time: what is a time, a rate, a slope of temperature, an acceleration.
+# Powers of a common factor of time, by dimension.
 _POWERS = {"time": 1, "angular rate": -1, "temperature slope": -1, "angular acceleration": -2}
 _RIG = r"rig\.(table\.axis\[\d+\]\.max_(rate|acceleration)|chamber\.max_(heating|cooling))"
 _PLAN = r"plan\.(gradient|soak\.duration|programme\[\d+\]\.(soak|rate))"
@@ -47,7 +47,7 @@ _MOVES = r"plan\.cycle\.moves\[\d+\]\.(rest|duration|peak_rate|period|ramp)"
 
 
 class Elasticity(NamedTuple):
-    """`percent`: by how much the requirement's residual changes for one per cent more of `figure`."""
+    """`percent`: the change of the requirement's residual, in per cent, for one per cent more of `figure`."""
 
     requirement: str
     figure: str
@@ -63,15 +63,14 @@ class Sensitivities(NamedTuple):
 
 def unit_sensitivities(spec: UnitSpec) -> Sensitivities:
     """The elasticities of every requirement of a unit's spec. Errors: `ValueError` where nothing is required or
-    observed.
-    """
+    observed."""
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
     nominal = _residuals(spec)
     hidden = [r.name for r, value in zip(spec.requirement, nominal, strict=True) if not np.isfinite(value)]
     if hidden:
         names = ", ".join(hidden)
-        raise ValueError(f"the plan cannot observe {names}, so nothing can be said of its sensitivity: see check")
+        raise ValueError(f"the plan cannot observe {names}, so its sensitivity is not defined: see gradcal check")
     rows: list[Elasticity] = []
     for figure, powers in sensitive_figures(spec).items():
         percent = _elasticity(spec, powers, nominal)
@@ -84,21 +83,21 @@ def unit_sensitivities(spec: UnitSpec) -> Sensitivities:
 
 
 def sensitive_figures(spec: UnitSpec) -> dict[str, dict[str, int]]:
-    """The figures that a spec has, by the names that people use; of each its keys, with powers of the factor."""
-    found: dict[str, dict[str, int]] = {}
+    """The figures of a spec by name, each with its keys and their powers of the factor."""
+    figures: dict[str, dict[str, int]] = {}
     time = {f"rig.table.axis[{k}].angle.read_every": 1 for k in range(len(spec.rig.table.axis))}
     rates: dict[str, int] = {}
     for key, text in _texts(tables_of(spec), ""):
         for pattern, name in _FIGURES:
             if (match := re.fullmatch(pattern, key)) is not None and _number(text) != 0.0:
                 words = (group.replace("_", " ") for group in match.groups())
-                found.setdefault(name.format(*words), {})[key] = 1
+                figures.setdefault(name.format(*words), {})[key] = 1
         if re.fullmatch(f"{_RIG}|{_PLAN}|{_MOVES}", key):
             time[key] = _POWERS[dimension_of(unit_of(text))]
             if not re.fullmatch(_PLAN, key) and not key.endswith(".rest") and "chamber" not in key:
                 rates[key] = -time[key]
     moving = any(step.axis >= 0 for step in spec.schedule.steps)
-    return found | {TIME: time} | ({RATES: rates} if moving else {})
+    return figures | {TIME: time} | ({RATES: rates} if moving else {})
 
 
 def _texts(value: Any, key: str) -> Iterator[tuple[str, str]]:
@@ -117,7 +116,7 @@ def _number(text: str) -> float:
 
 
 def _elasticity(spec: UnitSpec, powers: Mapping[str, int], nominal: np.ndarray) -> np.ndarray | None:
-    """d ln(residuals)/d ln(figure), central where both sides have the plan's cycles."""
+    """d ln(residuals)/d ln(figure), by a central difference where both sides have the plan's number of cycles."""
     texts, cycles = dict(_texts(tables_of(spec), "")), [stretch.cycles for stretch in spec.schedule.stretches]
     for k, axis in enumerate(spec.rig.table.axis):
         texts.setdefault(f"rig.table.axis[{k}].angle.read_every", str(axis.angle.read_every))
@@ -140,7 +139,7 @@ def _elasticity(spec: UnitSpec, powers: Mapping[str, int], nominal: np.ndarray) 
 
 
 def _residuals(spec: UnitSpec) -> np.ndarray:
-    """Of every requirement its decisive value; infinite where it is not observed."""
+    """The value of every requirement's own statistic; infinite where it is not observable."""
     built = assemble_unit(spec)
     known = posterior_of_unit(built)
     values = [decisive_value(built, known, r) for r in spec.requirement]

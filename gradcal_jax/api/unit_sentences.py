@@ -1,4 +1,4 @@
-"""What a unit's plan cannot observe, and what would mend it, in sentences."""
+"""Sentences on what a unit's plan cannot observe, and on changes that would help."""
 
 import numpy as np
 
@@ -9,9 +9,9 @@ from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.trajectory import frames
 from gradcal_jax.units import G
 
-# A standard deviation that is still this share of its prior's: the plan says nothing of it.
+# A parameter counts as not observed where its standard deviation is more than this share of its prior's.
 NOT_OBSERVED = 0.9
-# Of a direction: nearly along it.
+# Cosine of the angle between directions that count as opposite.
 _ALONG = 0.9
 # Share of a turn's rate that a gyro must see.
 _SEEN = 0.3
@@ -20,11 +20,11 @@ _FLAT = 0.05
 
 
 def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[str]:
-    """Names of the unit's own parameters of which a plan, or data, say nothing."""
+    """Names of the unit's own parameters that a plan, or data, do not observe."""
     own = slice(built.model.calibrated)
     after, before = known.deviations(built.model.to_reported[own]), prior_deviations(built)[own]
-    said = np.isfinite(after) & ((after <= NOT_OBSERVED * before) | ~np.isfinite(before))
-    return [name for name, seen in zip(built.model.names(), said, strict=False) if not seen]
+    observed = np.isfinite(after) & ((after <= NOT_OBSERVED * before) | ~np.isfinite(before))
+    return [name for name, seen in zip(built.model.names(), observed, strict=False) if not seen]
 
 
 def prior_deviations(built: AssembledUnit) -> np.ndarray:
@@ -40,25 +40,24 @@ def prior_deviations(built: AssembledUnit) -> np.ndarray:
 
 
 def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
-    """A sentence for each thing that the plan cannot observe, the cure first where one is seen; and beyond what
-    temperatures the structure is trusted.
-    """
+    """A sentence for each thing that the plan cannot observe, remedies first; and for requirements beyond the plan's
+    temperatures."""
     names = unobserved_parameters(built, known)
     motion = built.motion
     axes = frames(motion.geometry, motion.angles()[0], motion.mounting).axes
-    said = _cures(built, axes, set(names))
+    sentences = _cures(built, axes, set(names))
     if any(".m_" in name for name in names) or _orthogonality_is_hidden(built, known):
-        said += _reversals(built, axes)
+        sentences += _reversals(built, axes)
     groups: dict[str, list[str]] = {}
     for name in names:
         channel, _, symbol = name.partition(".")
         groups.setdefault(channel, []).append(symbol)
-    said += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
-    said += _limited_by_priors(built, known) + _as_before(built, known)
-    return said + _saturated(built, axes) + _beyond(built)
+    sentences += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
+    sentences += _limited_by_priors(built, known) + _as_before(built, known)
+    return sentences + _saturated(built, axes) + _beyond(built)
 
 
-# Of an installation's parameter: what it is, in which unit its prior is said, and what tells more of it than any plan.
+# Name of an installation's parameter, unit of its prior, and a remedy other than a plan.
 _HANG = "hang the unit in several ways, or count misalignments from the table's axes"
 _FREEDOMS = {
     "sample_clock": ("the sample clock", "ppm", 1e6, "compare the clock with a better one"),
@@ -81,9 +80,8 @@ _FAMILIES = {
 
 
 def _limited_by_priors(built: AssembledUnit, known: Posterior) -> list[str]:
-    """Errors of the installation that stay as uncertain as they were and by themselves make a parameter of the unit
-    what it is: to any plan the two are one number (the gauge freedoms of the measurement), or to this one.
-    """
+    """Errors of the installation that the plan does not observe and that dominate the error of a parameter of the unit:
+    any plan, or this one, cannot separate the two (a gauge freedom of the measurement)."""
     model, names = built.model, built.model.names()
     own = model.to_reported[: model.calibrated]
     spread = own @ known.spread
@@ -112,20 +110,20 @@ def _limited_by_priors(built: AssembledUnit, known: Posterior) -> list[str]:
 
 
 def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
-    """Requirements whose figure the plan hardly changes."""
+    """Sentences on requirements whose residual the plan hardly reduces."""
     before = posterior(square_root(built.model.prior_rows()))
-    said = []
+    sentences = []
     for requirement in built.spec.requirement:
         then, now = (decisive_value(built, k, requirement) for k in (before, known))
         if then is not None and now is not None and now > NOT_OBSERVED * then:
-            said.append(
-                f"requirement '{requirement.name}' is left as it was known beforehand: the plan says nothing of it"
+            sentences.append(
+                f"requirement '{requirement.name}' stays as it was by the priors: the plan says nothing of it"
             )
-    return said
+    return sentences
 
 
 def _saturated(built: AssembledUnit, axes: np.ndarray) -> list[str]:
-    """Gyros that a turn takes beyond their full scale, less its margin: what they deliver then is no reading."""
+    """Sentences on gyros that a turn takes beyond their full scale less its margin, where their output is not valid."""
     gyro, motion = built.spec.sensor.gyro, built.motion
     if gyro is None or gyro.usable_rate is None:
         return []
@@ -158,35 +156,35 @@ def _beyond(built: AssembledUnit) -> list[str]:
 
 
 def _cures(built: AssembledUnit, axes: np.ndarray, names: set[str]) -> list[str]:
-    """What a look at the plan's poses explains of what cannot be observed."""
+    """Remedies for unobserved parameters that follow from the plan's poses and turns."""
     if not names:
         return []
     motion = built.motion
     moves = np.flatnonzero(motion.axis >= 0)
     up = rest_poses(built).up
-    said: list[str] = []
+    sentences: list[str] = []
     for c in built.model.channels:
         axis = AXIS_NAMES[c.axis]
         blind = {name for name in names if name.startswith(f"{c.name}.")}
         if c.kind == "accelerometer" and blind and len(up):
             for sign, where in ((1.0, "up"), (-1.0, "down")):
                 if not np.any(sign * up[:, c.axis] > 0.5):
-                    said.append(f"accelerometer {axis} never points {where}: add a pose")
+                    sentences.append(f"accelerometer {axis} never points {where}: add a pose")
         turned = np.any(np.abs(axes[moves, motion.axis[moves], c.axis]) > _SEEN)
         if c.kind == "gyro" and any(".b" in name for name in blind) and not turned:
-            said.append(f"no turn is about gyro {axis}: add one while a table axis lies along it")
+            sentences.append(f"no turn is about gyro {axis}: add one while a table axis lies along it")
     if any(".g_" in name for name in names) and len(up):
         spread = np.linalg.svd(np.column_stack([np.ones(len(up)), up]), compute_uv=False)
         if spread[-1] < _FLAT * spread[0]:
-            said.append(
+            sentences.append(
                 "the directions that point up while the table rests lie in one plane, so bias and acceleration "
                 "sensitivity cannot be told apart: four directions are needed that do not"
             )
-    return said
+    return sentences
 
 
 def _orthogonality_is_hidden(built: AssembledUnit, known: Posterior) -> bool:
-    """Whether gyros' misalignments stand beside an angle between two axes of which the plan says nothing."""
+    """Whether misalignments of gyros are estimated beside an angle between two axes that is not observed."""
     model, gyro = built.model, built.spec.sensor.gyro
     at = [i for i, name in enumerate(model.names()) if name.startswith("orthogonality_")]
     if gyro is None or gyro.misalignment is None or not at:
@@ -196,19 +194,18 @@ def _orthogonality_is_hidden(built: AssembledUnit, known: Posterior) -> bool:
 
 
 def _reversals(built: AssembledUnit, axes: np.ndarray) -> list[str]:
-    """Turns of an outer axis of which no two are seen from opposite sides: the misalignment towards the inner axis
-    hides behind the non-orthogonality of the two.
-    """
+    """Sentences on outer axes without turns at opposite inner angles: there the misalignment towards the axis cannot be
+    separated from the non-orthogonality of outer and inner axis."""
     motion, table = built.motion, built.spec.rig.table
-    said: list[str] = []
+    sentences: list[str] = []
     for k in range(len(table.axis) - 1):
         turning = np.unique(np.round(axes[motion.axis == k][:, k], 6), axis=0)
         if not len(turning):
-            said.append(f'the axis "{table.axis[k].name}" never turns: misalignments towards it are not seen')
+            sentences.append(f'the axis "{table.axis[k].name}" never turns: misalignments towards it are not seen')
         elif not np.any(turning @ turning.T < -_ALONG):
             inner = table.axis[k + 1].name
-            said.append(
+            sentences.append(
                 f'no turn of "{table.axis[k].name}" is repeated with "{inner}" half a turn further: misalignments '
                 f"cannot be told from the non-orthogonality of the two axes; add 180 deg of {inner}"
             )
-    return said
+    return sentences

@@ -1,4 +1,4 @@
-"""The contract gradcal-unit-timeline/1, filled from the spec of a whole unit."""
+"""The timeline of a whole unit's spec, as the contract gradcal-unit-timeline/1."""
 
 from typing import Any, cast
 
@@ -29,9 +29,8 @@ _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_
 
 
 def unit_timeline(spec: UnitSpec) -> contract.UnitTimeline:
-    """Every segment of a unit's plan with attitudes, what each channel is made of, and all priors. Errors: `ValueError`
-    where it goes on with what was done before.
-    """
+    """Every segment of a unit's plan with attitudes, the terms of each channel, and all priors. Errors: `ValueError`
+    for a spec with [[done]]."""
     if spec.done:
         raise goes_on("a timeline")
     built = assemble_unit(spec)
@@ -161,16 +160,16 @@ def _segments(built: AssembledUnit) -> list[contract.UnitSegmentRow]:
 
     if begin[0] > 0.0:
         add(0.0, float(begin[0]), None, None, read=(), used=False)
-    made, stretch, move = 0, 0, np.asarray(line.segment)[at.first]
+    number, stretch, move = 0, 0, np.asarray(line.segment)[at.first]
     step: UnitStep | None = None
     names = [c.name for c in built.model.channels]
     for k in range(len(at.first)):
         read = tuple(names[c] for c in at.row_channel[(at.row_segment == k) & at.used])
         gap = bool(line.gap[at.first[k]])
         if gap:
-            step, made, stretch = None, 0, stretch + 1
+            step, number, stretch = None, 0, stretch + 1
         elif k == 0 or move[k] != move[k - 1]:
-            inside = made < plan.stretches[stretch].cycles * len(steps)
-            step, made = steps[made % len(steps)] if inside else None, made + 1
+            inside = number < plan.stretches[stretch].cycles * len(steps)
+            step, number = steps[number % len(steps)] if inside else None, number + 1
         add(float(begin[k]), float(lasting[k]), step, k, read=read, used=not gap)
     return rows

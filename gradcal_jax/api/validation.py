@@ -1,8 +1,7 @@
-"""A calibration against a log that it was not made from: what is left, by temperature and rate.
+"""Validation of a calibration with an independent log: remaining errors by temperature and rate.
 
-The corrected rates are integrated from standstill to standstill; what a move's angle differs by from the table's,
-over the angle, is the scale factor that is left, and what the integrated rate at rest comes to, over the time, the
-bias. Beside each stands what the reference itself is uncertain by, where a spec says so.
+The corrected rates are integrated from standstill to standstill. The difference of a move's angle from the table's,
+over the angle, is the remaining scale-factor error; the integrated rate at rest, over the time, the remaining bias.
 """
 
 from typing import Any, NamedTuple
@@ -20,8 +19,8 @@ from gradcal_jax.information.conformity import acceptance_limit, specific_risk
 
 
 class Cell(NamedTuple):
-    """Moves (or stretches of rest) of one range of temperature (None: not known) and rate: mean error before and after,
-    and its scatter."""
+    """Moves (or rests) of one range of temperature (None: not known) and rate: mean error before and after, and the
+    scatter of the error after."""
 
     temperature_c: tuple[float, float] | None
     rate_dps: tuple[float, float] | None
@@ -33,7 +32,7 @@ class Cell(NamedTuple):
 
 
 class Acceptance(NamedTuple):
-    """A requirement of the calibration held against what was measured (JCGM 106, 8.2 and 8.3), in `unit`.
+    """The acceptance of a requirement of the calibration by measured errors (JCGM 106, 8.2 and 8.3), in `unit`.
 
     `error`, `std`: mean error of the cell with the largest risk, and its standard uncertainty by the scatter within the
     cell; `specific_risk`: the chance that the error there is beyond the target; `acceptance`: the largest error that is
@@ -53,7 +52,7 @@ class Acceptance(NamedTuple):
 
 
 class AxisValidation(NamedTuple):
-    """Of one axis. `scale_factor_ppm`, `bias_deg_per_h`: rms before and after, over all moves and all rests."""
+    """The validation of one axis. `scale_factor_ppm`, `bias_deg_per_h`: rms before and after, moves and rests."""
 
     axis: str
     moves: int
@@ -74,17 +73,17 @@ def validate(
     earth_rate: float = 0.0,
     table_axis: str | None = None,
 ) -> list[AxisValidation]:
-    """What a calibration leaves on a log that it was not made from (its own is refused): ppm of moves' angles and deg/h
+    """The errors that a calibration leaves on an independent log (its own is refused): ppm of moves' angles and deg/h
     at rest, rms before and after, by `temperature_parts` ranges of temperature (°C) and by rate (deg/s).
 
-    Every axis that both have. `earth_rate` rad/s along the sensor's axis is taken off; `table_axis`: which turns it.
-    Errors: `LogError` where the log holds neither moves with a reference nor rests.
+    For every axis of both. `earth_rate` rad/s along the sensor's axis is subtracted; `table_axis`: the one that turns
+    it. Errors: `LogError` where the log holds neither moves with a reference nor rests.
     """
     number = log.unit_index(unit)
     if calibration.provenance.get(LOG_HASH) == log.fingerprint(number):
         raise LogError(
-            "this log made the calibration: what it leaves there was fitted, and says nothing of another day. Validate "
-            "with a log that it was not made from"
+            "the calibration was estimated from this log, so its residuals here are those of the fit. Validate "
+            "with another log"
         )
     corrected = correction.apply(calibration, log, unit)
     result: list[AxisValidation] = []
@@ -96,13 +95,12 @@ def validate(
     return result
 
 
-def acceptances(calibration: Calibration, found: list[AxisValidation]) -> list[Acceptance]:
-    """Verdicts on the targets that the calibration carries: every cell's mean error must be within the target (simple
-    acceptance), or, where the requirement has a risk, within its acceptance limit, so that the chance of an error
-    beyond the target is no larger. Cells of a single move or rest have no scatter, and are left out.
-    """
+def acceptances(calibration: Calibration, validations: list[AxisValidation]) -> list[Acceptance]:
+    """Verdicts on the targets in the calibration: every cell's mean error must be within the target (simple acceptance)
+    or, where the requirement has a risk, within the acceptance limit for that risk of an error beyond the target. Cells
+    of a single move or rest have no scatter, and are left out."""
     rows: list[Acceptance] = []
-    by_axis = {one.axis: one for one in found}
+    by_axis = {one.axis: one for one in validations}
     for result in calibration.result:
         if result.target is None or result.axis not in by_axis:
             continue
@@ -115,7 +113,7 @@ def acceptances(calibration: Calibration, found: list[AxisValidation]) -> list[A
 
 def _judged(result: Result, cell: Cell) -> Acceptance:
     target, error = float(result.target or 0.0), cell.after
-    # The scatter is that of a population about its own mean.
+    # The scatter is the population's standard deviation about its own mean.
     std = cell.scatter / float(np.sqrt(cell.how_many - 1))
     limit = target if result.risk is None else acceptance_limit(std, target, result.risk)
     met = limit is not None and abs(error) <= limit
@@ -147,7 +145,7 @@ def _axis(
     temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(raw), np.nan)
     done = estimation.executed(
         log.time_s,
-        np.zeros_like(raw),  # of what was done the times alone are asked for here
+        np.zeros_like(raw),  # temperatures of the executed motion are not needed here
         np.where(usable, raw, 0.0),
         angle,
         standing,
@@ -196,7 +194,7 @@ def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:
 
 
 def _cells(temperature, speed, before, after, parts: int, unit: str) -> list[Cell]:
-    """By equal parts of the temperature, and by what rates were turned at."""
+    """Cells of equal ranges of temperature and of like rates."""
     known = np.isfinite(temperature)
     values = np.where(known, temperature, np.nanmean(temperature) if known.any() else 0.0)
     low, high = float(values.min()), float(values.max())
@@ -216,6 +214,6 @@ def _cells(temperature, speed, before, after, parts: int, unit: str) -> list[Cel
     return rows
 
 
-def validation_rows(found: list[AxisValidation]) -> list[dict[str, Any]]:
+def validation_rows(validations: list[AxisValidation]) -> list[dict[str, Any]]:
     """Plain numbers for `--json`."""
-    return [{**one._asdict(), "cells": [cell._asdict() for cell in one.cells]} for one in found]
+    return [{**one._asdict(), "cells": [cell._asdict() for cell in one.cells]} for one in validations]

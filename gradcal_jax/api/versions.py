@@ -1,4 +1,4 @@
-"""Versions of what the numbers come from."""
+"""Versions of Python and packages."""
 
 import platform
 from collections.abc import Sequence
@@ -6,11 +6,11 @@ from importlib.metadata import PackageNotFoundError, version
 
 
 def versions_of(packages: Sequence[str]) -> dict[str, str]:
-    """Of Python and of those of the packages that are installed."""
-    found = {"python": platform.python_version()}
+    """The versions of Python and of those of `packages` that are installed."""
+    versions = {"python": platform.python_version()}
     for name in packages:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return versions

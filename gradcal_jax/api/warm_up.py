@@ -1,10 +1,10 @@
-"""A record at rest that warms by itself -> B(T) with covariance, without a spec: vehicles' static gradient method.
+"""B(T) with covariance from a record at rest during warm-up, without a spec: the static gradient method for vehicles.
 
-A flight controller heats up after it is switched on; PX4 and ArduPilot fit a cubic to that and take it off. Here the
-same cubic comes from the one measurement model, with a spec made from the record: angle random walk from the Allan
-deviation of what a first fit leaves, bias instability and drift from `identify.slow_noise`, beside the map.
+A flight controller heats up after it is switched on; PX4 and ArduPilot fit a cubic to its bias and subtract it. Here
+the same cubic is estimated by the one measurement model, with a spec from the record: angle random walk from the Allan
+deviation of the residual of a first fit, bias instability and drift from `identify.slow_noise`, beside the map.
 
-A reading is the sensor's own integrated rate at rest: whatever rate the vehicle has passes for bias, the Earth's too.
+A reading is the sensor's integrated rate at rest: any rate of the vehicle, the Earth's too, becomes part of the bias.
 """
 
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ from gradcal_jax.files.sensor import Sensor
 from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 DEGREE = 3
-# K; over less the parts of a cubic are not told apart.
+# K; over a narrower span the terms of a cubic cannot be separated.
 _LEAST_SPAN = 10.0
 _BINS = 300
-# The steps of a thermometer that are larger than this, K, are drawn through.
+# A thermometer of larger steps than this, K, is interpolated.
 _COARSE_K = 0.2
 _EARTH = 15.04
 
@@ -40,9 +40,9 @@ def estimate_warm_up(
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> EstimateReport:
-    """The bias over temperature of every unit, a cubic, from records at rest; each log is of units of one clock.
+    """The bias over temperature, a cubic, of every unit in records at rest; each log has units of one clock.
 
-    Its covariance counts the noise that the record itself shows, slow noise included. `options`, `sources` as of
+    The covariance includes the noise of the record itself, slow noise too. `options`, `sources` as of
     `estimate_calibration`. **Raises:** `LogError` without a temperature that spans 10 K, without a rest, and where the
     record shows no angle random walk.
     """
@@ -65,7 +65,7 @@ def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: d
     log = _marked(log, unit)
     parts: list[EstimateReport] = []
     sensors: list[Sensor] = []
-    said = [
+    messages = [
         f"the rate of the vehicle is taken as zero: of the Earth's up to {_EARTH:.0f} deg/h is in the bias, unless "
         "--earth-rate takes it off"
     ] * (options.earth_rate == 0.0)
@@ -73,9 +73,9 @@ def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: d
         spec, words = warm_up_spec(log, axis, unit)
         parts.append(estimate_calibration(spec, log, axes=(axis,), units=(unit,), options=options, sources=sources))
         sensors.append(spec.sensor)
-        said += [words, *(f"axis {axis}: {m}" for m in parts[-1].messages[unit] if "no table angle" not in m)]
+        messages += [words, *(f"axis {axis}: {m}" for m in parts[-1].messages[unit] if "no table angle" not in m)]
     calibrations = [part.calibrations[0] for part in parts]
-    # Not the 1/f noise as a random walk, which it is over seconds alone.
+    # Without the 1/f noise, which resembles a random walk only over seconds.
     walk = max(s.angle_random_walk for s in sensors)
     slow = max(
         float(s.drift[-1].standard_deviation) / np.sqrt(float(s.drift[-1].correlation_time) / 2) for s in sensors
@@ -100,12 +100,12 @@ def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: d
         (whole,),
         tuple(channel for part in parts for channel in part.channels),
         {unit: tuple(row for part in parts for row in part.verdicts[unit])},
-        {unit: tuple(dict.fromkeys(said))},
+        {unit: tuple(dict.fromkeys(messages))},
     )
 
 
 def _marked(log: Log, unit: str) -> Log:
-    """With the standstills marked, and a coarse thermometer's steps drawn through."""
+    """The log with standstills marked, and the steps of a coarse thermometer interpolated."""
     index = log.unit_index(unit)
     if log.table_angle_rad is not None or log.table_rate_rad_per_s is not None:
         raise LogError("the log has a table's motion: its calibration needs a spec (--spec), which says what it is")
@@ -134,9 +134,10 @@ def _marked(log: Log, unit: str) -> Log:
 
 
 def _crossings(time: np.ndarray, temperature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(times, °C) at which a thermometer that rounds went from level to level: there it is off by nothing.
+    """The times and temperatures (°C) at which a rounding thermometer changes its level, where it has no rounding
+    error.
 
-    Levels between which it went to and fro count once. The ends are continued straight, as far as the level allows.
+    Repeated changes between two levels count once. The ends are extrapolated linearly, within half a level.
     """
     at = np.flatnonzero(np.diff(temperature))
     value, when = 0.5 * (temperature[at] + temperature[at + 1]), 0.5 * (time[at] + time[at + 1])
@@ -152,14 +153,14 @@ def _crossings(time: np.ndarray, temperature: np.ndarray) -> tuple[np.ndarray, n
 
 
 def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
-    """What the record says of one channel's noise, as a spec, and in a sentence. `log`: standstills marked."""
+    """A spec with the noise of one channel of a record, and a sentence on it. `log`: with standstills marked."""
     rest = at_rest(log, axis, unit, bias_degree=DEGREE, lag="none")
     fit = identify.fit_allan(identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid))
     walk = fit.angle_random_walk
     if not walk.value > walk.standard_error:
         raise LogError(
-            f"the Allan deviation of axis {axis} of unit {unit} shows no angle random walk, which the estimate stands "
-            "on: record for longer, or give a spec with --spec"
+            f"the Allan deviation of axis {axis} of unit {unit} shows no angle random walk, which the estimate "
+            "needs: record for longer, or give a spec with --spec"
         )
     if not plausible(fit):
         raise LogError(f"axis {axis} of unit {unit}: {too_noisy(fit)}")
@@ -206,13 +207,13 @@ read_every  = "1 s"
     words = (
         f"axis {axis}: noise by the record: angle random walk {number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h), "
         f"bias instability {number(slow.bias_instability * DEG_PER_H)} deg/h, and a drift of "
-        f"{number(slow.drift_std * DEG_PER_H)} deg/h that lasts as long as it: the mean of what it leaves possible"
+        f"{number(slow.drift_std * DEG_PER_H)} deg/h with the record's length as correlation time (posterior mean)"
     )
     return parse_spec(text), words
 
 
 def _slow_noise(rest: RestRecord, walk: float, centre: float, scale: float) -> identify.SlowNoise:
-    """From means over some hundred stretches of the record, as far as they hold data for half their length."""
+    """Slow noise from means over up to `_BINS` stretches of the record with data for at least half of each."""
     assert rest.temperature_c is not None
     assert rest.thermal is not None
     width = max(len(rest.rate) // _BINS, 1)

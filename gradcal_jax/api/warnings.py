@@ -1,4 +1,4 @@
-"""What a prediction should not be read without."""
+"""Warnings of a prediction."""
 
 from typing import cast
 
@@ -11,7 +11,7 @@ from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.formulas import RAMPED_SHAPES
 from gradcal_jax.information import Posterior, unobservable_combinations
 
-# Of a rate: what rounding to a controller's steps takes off is not worth a word.
+# Relative difference of rates that rounding to a controller's steps explains.
 _NEARLY = 1e-3
 
 
@@ -36,32 +36,32 @@ def _unobservable(built: Assembled, channel: str, known: Posterior) -> list[str]
 
 
 def _cures(built: Assembled, channel: str) -> list[str]:
-    """What the plan has too little of, counted against the coefficients that each kind of variety must tell apart."""
+    """What the plan has too few of: rates or temperatures, compared with the number of coefficients."""
     sensor, seen = built.spec.sensor, built.trajectory(cast("Axis", channel))
     surveyed = survey(built, cast("Axis", channel))
-    found: list[str] = []
+    cures: list[str] = []
     if sensor.scale_factor is not None:
         needed, rates = sensor.scale_factor.rate.size, distinct_rates(built.spec)
         if surveyed.fastest == 0.0:
-            found.append("the axis never turns: add turns")
+            cures.append("the axis never turns: add turns")
         elif rates is not None and rates < needed:
-            found.append(
+            cures.append(
                 f"{_number(rates)} distinct {'rate' if rates == 1 else 'rates'} for {_number(needed)} coefficients in "
                 f"rate: add a turn at {'a second' if rates == 1 else 'another'} rate"
             )
     if surveyed.warmest - surveyed.coldest < 1.0 and len(seen.ends()[0]):
         sizes = [part.temperature.size for part in (sensor.bias, sensor.scale_factor) if part is not None]
         if max(sizes) > 1:
-            found.append(f"one temperature for {_number(max(sizes))} coefficients in temperature: go through a range")
+            cures.append(f"one temperature for {_number(max(sizes))} coefficients in temperature: go through a range")
     elif isinstance(built.spec.plan, StandardPlan):
         sizes = [part.temperature.size for part in (sensor.bias, sensor.scale_factor) if part is not None]
         visited = len(set(built.spec.schedule.temperatures)) if isinstance(built.spec.schedule, StandardSchedule) else 0
         if visited < max(sizes):
-            found.append(
+            cures.append(
                 f"{_number(visited)} temperatures for {_number(max(sizes))} coefficients in temperature: add "
                 f"{_number(max(sizes) - visited)}"
             )
-    return found
+    return cures
 
 
 def _number(count: int) -> str:
@@ -70,7 +70,8 @@ def _number(count: int) -> str:
 
 
 def distinct_rates(spec: Spec) -> int | None:
-    """How many different rates, signs apart, the plan turns at; None where a move's rate varies all along."""
+    """The number of different rates, counted with sign, at which the plan turns; None where a move's rate varies
+    throughout."""
     schedule = spec.schedule
     if isinstance(schedule, StandardSchedule):
         return len({round(rate * DEG_PER_S, 6) for rate in schedule.rates})
@@ -82,28 +83,28 @@ def distinct_rates(spec: Spec) -> int | None:
 
 def warnings(built: Assembled, known: dict[Axis, Posterior]) -> list[str]:
     spec, sensor = built.spec, built.spec.sensor
-    found = [s for channel in built.channels for s in _unobservable(built, channel, known[channel])]
+    sentences = [s for channel in built.channels for s in _unobservable(built, channel, known[channel])]
     surveys = [survey(built, channel) for channel in built.channels]
     coldest, warmest = min(s.coldest for s in surveys), max(s.warmest for s in surveys)
     fastest = max(s.fastest for s in surveys)
     for requirement in spec.requirement:
         low, high = (float(t) for t in requirement.temperature)
         if low < coldest - 1e-6 or high > warmest + 1e-6:
-            found.append(
+            sentences.append(
                 f"requirement '{requirement.name}' asks for {low:g} … {high:g} °C, but the sensor goes through "
                 f"{coldest:.4g} … {warmest:.4g} °C only: beyond that the structure of the maps is trusted"
             )
         if requirement.quantity == "scale_factor" or requirement.quantity == "heading":
             widest = max(abs(float(r)) for r in requirement.rate)
             if widest > fastest * (1.0 + _NEARLY):
-                asked, reached = widest * DEG_PER_S, fastest * DEG_PER_S
-                found.append(
-                    f"requirement '{requirement.name}' asks for rates up to {asked:.4g} deg/s, but the plan reaches "
+                required, reached = widest * DEG_PER_S, fastest * DEG_PER_S
+                sentences.append(
+                    f"requirement '{requirement.name}' asks for rates up to {required:.4g} deg/s, but the plan reaches "
                     f"{reached:.4g} deg/s only: beyond that the structure of the map is trusted"
                 )
     if sensor.turn_on_bias and sensor.bias is not None:
-        found.append(
+        sentences.append(
             "within one run the turn-on bias cannot be told from a0: the bias map is this run's, and another "
             f"run's differs by {float(sensor.turn_on_bias) * DEG_PER_H:.4g} deg/h (standard deviation)"
         )
-    return found
+    return sentences

@@ -1,4 +1,4 @@
-"""The command line as a whole: which commands there are, and what becomes of their errors."""
+"""The command-line application: all commands, and the handling of their errors."""
 
 import contextlib
 import os
@@ -34,9 +34,9 @@ from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG
 from gradcal_jax.cli.timeline import timeline
 from gradcal_jax.cli.watch import watch
 
-_HELP: Final = """Calibration plans for gyros: what they will leave, known beforehand.
+_HELP: Final = """Calibration plans for gyros, with their residual errors predicted beforehand.
 
-A spec file says what sensor, rig and plan are. Begin with `gradcal start`, or `gradcal new --list`.
+A spec file describes sensor, rig and plan. Begin with `gradcal start`, or `gradcal new --list`.
 """
 
 GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
@@ -71,9 +71,9 @@ def build() -> App:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Parse and run one command line; every foreseeable failure is a sentence on stderr and an exit status."""
+    """Parse and run one command line; every expected failure is a sentence on stderr and an exit status."""
     for stream in (sys.stdout, sys.stderr):
-        # A terminal that cannot show ° or √ shows something else, not a traceback.
+        # A terminal that cannot show ° or √ gets a replacement, not a traceback.
         if (reconfigure := getattr(stream, "reconfigure", None)) is not None:
             reconfigure(errors="replace")
     try:
@@ -90,18 +90,18 @@ def run(arguments: Sequence[str] | None = None) -> int:
         complain("interrupted")
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader has gone (`gradcal … | head`); keep the interpreter from complaining about it at exit.
+        # The reader has closed the pipe (`gradcal … | head`); keep the interpreter from reporting it at exit.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except SystemExit as error:
-        # What prints help ends the program by itself when its reader has gone.
+        # Printing help ends the program by itself when its reader has closed the pipe.
         return BROKEN_PIPE if error.code == 1 else DONE if error.code in (None, 0) else WRONG_INPUT
     except MemoryError as error:
         complain(_too_large(error))
         return WRONG_INPUT
     except Exception as error:
-        # Whether a device or a run failed; the hardware room is asked only where a command has loaded it.
+        # A device or a run can have failed only where a command has loaded the hardware package.
         errors = sys.modules.get("gradcal_jax.hardware.errors")
         status = FAILED if errors is not None and isinstance(error, errors.HardwareError) else WRONG_INPUT
         if "RESOURCE_EXHAUSTED" in str(error):
@@ -115,10 +115,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _too_large(error: BaseException) -> str:
-    said = str(error).splitlines()[0] if str(error) else ""
-    if said and not said.startswith(("Unable", "RESOURCE", "std::")):
-        return said  # a sentence of ours
-    detail = f" ({said[:160]})" if said else ""
+    text = str(error).splitlines()[0] if str(error) else ""
+    if text and not text.startswith(("Unable", "RESOURCE", "std::")):
+        return text  # a message of this program
+    detail = f" ({text[:160]})" if text else ""
     return (
         f"out of memory{detail}: read less often, take a shorter plan or a part of the log (--rows), or fewer units at "
         "once; gradcal check says what a plan needs"
@@ -126,7 +126,7 @@ def _too_large(error: BaseException) -> str:
 
 
 def _wide(tokens: Sequence[str]) -> Any:
-    """Away from a terminal, help is not folded at 80 columns; the console for that is made only where help is asked."""
+    """A console that does not fold help at 80 columns away from a terminal; None where no help is requested."""
     if not is_plain(sys.stdout) or not (set(tokens) & {"--help", "-h"} or not tokens):
         return None
     from rich.console import Console

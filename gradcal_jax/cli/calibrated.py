@@ -1,4 +1,4 @@
-"""`gradcal apply`, `gradcal validate` and `gradcal export`: what becomes of a calibration."""
+"""`gradcal apply`, `gradcal validate` and `gradcal export`: uses of a calibration."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,7 +32,7 @@ def apply(
 ) -> int:
     """Correct the rates (of a whole unit: and specific forces) of a log by a calibration, and write them as a log.
 
-    The exit status is 1 where rows lie outside what the calibration covers; there its value at the edge holds.
+    The exit status is 1 where rows lie outside the range of the calibration; there its value at the edge is used.
 
     Parameters
     ----------
@@ -41,21 +41,21 @@ def apply(
     unit
         Which unit of the log; without it the one of the calibration's serial number, or the only one.
     json
-        Print what was written, and how many rows lie outside, as JSON.
+        Print the name of the log, and how many rows lie outside, as JSON.
     """
     from gradcal_jax.files.correction import apply as correct
     from gradcal_jax.files.log import write_log
     from gradcal_jax.files.unit_calibration import UnitCalibration, read_any_calibration
     from gradcal_jax.files.unit_correction import apply_unit
 
-    found = read_any_calibration(calibration)
+    content = read_any_calibration(calibration)
     writable(output, force)
     recorded = load(log, source, unit=unit)
-    number = _unit(recorded, found.serial_number, unit)
-    if isinstance(found, UnitCalibration):
-        corrected = apply_unit(found, recorded, number)
+    number = _unit(recorded, content.serial_number, unit)
+    if isinstance(content, UnitCalibration):
+        corrected = apply_unit(content, recorded, number)
     else:
-        corrected = correct(found, recorded, number)
+        corrected = correct(content, recorded, number)
     write_log(corrected.log, output)
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
     if json:
@@ -65,9 +65,9 @@ def apply(
         print(described(corrected.log, str(log)))
         for what, count in outside.items():
             if count:
-                print(f"note: {count} {what} lie outside what the calibration covers: its value at the edge was used")
+                print(f"note: {count} {what} lie outside the range of the calibration: its value at the edge was used")
         if corrected.left_alone:
-            print(f"note: not calibrated, and left as they were: axis {', '.join(corrected.left_alone)}")
+            print(f"note: not calibrated, and left unchanged: axis {', '.join(corrected.left_alone)}")
         print(f"wrote {output}")
     return NOT_AS_WISHED if any(outside.values()) else DONE
 
@@ -84,7 +84,7 @@ def validate(
     source: Recording = WHOLE,
     json: JsonNumbers = False,
 ) -> int:
-    """Hold a calibration against a log that it was not made from: what is left by temperature and rate.
+    """Compare a calibration with another log than its own: the errors that are left, by temperature and rate.
 
     The targets that the calibration carries are judged by their rule, guard band included. The exit status is 1 where
     one is missed, and where the calibration makes the errors larger instead of smaller.
@@ -96,25 +96,25 @@ def validate(
     table_axis
         The axis of the table that turns the sensor's.
     earth_rate
-        Of the Earth along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+        The Earth rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
     parts
-        In how many ranges of temperature.
+        Number of ranges of temperature.
     """
     from gradcal_jax.files.unit_calibration import expect_axes, read_any_calibration
 
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
-    found = expect_axes(read_any_calibration(calibration), "gradcal validate")
+    content = expect_axes(read_any_calibration(calibration), "gradcal validate")
     recorded = load(log, source, unit=unit)
     use_float64()
     from gradcal_jax.api import validation as work
 
-    name = _unit(recorded, found.serial_number, unit)
-    rows = work.validate(found, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis)
-    judged = work.acceptances(found, rows)
+    name = _unit(recorded, content.serial_number, unit)
+    rows = work.validate(content, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis)
+    judged = work.acceptances(content, rows)
     if json:
-        simulated = recorded.simulated or found.simulated
+        simulated = recorded.simulated or content.simulated
         verdicts = [row._asdict() for row in judged]
         print(as_json({"simulated": simulated, "axes": work.validation_rows(rows), "requirements": verdicts}))
     else:
@@ -140,7 +140,7 @@ def export(
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
-    """Write a calibration in the terms of another program, and say what that program cannot carry.
+    """Write a calibration in the format of another program, and list what that format cannot hold.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def export(
     output
         Write here; without it the text is printed, and the report goes to stderr.
     temperature
-        For kalibr and matrices, which are for one temperature: such as "25 degC".
+        The temperature of a kalibr or matrices file, such as "25 degC".
     instance
         Number of the sensor on the controller: 1 to 3 for ArduPilot, 0 to 3 for PX4.
     device_id
@@ -165,17 +165,17 @@ def export(
     from gradcal_jax.files.writing import write_whole
 
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
-    found = read_any_calibration(calibration)
+    content = read_any_calibration(calibration)
     if output is not None:
         writable(output, force)
     number = (0 if format == "px4" else 1) if instance is None else instance
     chosen = {"temperature_c": at, "instance": number, "device_id": device_id}
-    if isinstance(found, UnitCalibration):
+    if isinstance(content, UnitCalibration):
         if zero:
             raise ValueError("--zero is for calibrations of a gyro's axes, and this one is of a whole unit")
-        done = export_unit(found, format, **chosen)
+        done = export_unit(content, format, **chosen)
     else:
-        done = exports.export(found, format, **chosen, zeroed=zero)
+        done = exports.export(content, format, **chosen, zeroed=zero)
     if output is not None:
         write_whole(output, done.text)
     if json:
@@ -205,14 +205,14 @@ def _unit(log, serial_number: str, unit: str | None) -> str | int:
 
 
 def _acceptance_text(row: "Acceptance") -> str:
-    """A verdict, what it rests on and what it leaves out."""
+    """A verdict, with its rule and the measured error."""
     from gradcal_jax.cli.predict import percent
 
     limit = "none is accepted" if row.acceptance is None else f"at most {row.acceptance:.4g} {row.unit} is accepted"
     return (
         f"{row.name}, axis {row.axis}: {strong(row.verdict)}, {row.rule}\n"
-        f"  where it is likeliest beyond: {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ by the scatter alone, without "
-        f"what the table does to all moves alike); {limit}; specific risk {percent(row.specific_risk)}"
+        f"  at the largest risk: {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ of the scatter, without errors of the "
+        f"table that all moves share); {limit}; specific risk {percent(row.specific_risk)}"
     )
 
 
@@ -237,7 +237,7 @@ def _validation_text(row: "AxisValidation") -> str:
 
 
 def export_text(done: "Export") -> str:
-    """What an export loses, and its notes."""
+    """The losses of an export, and its notes."""
     lines: list[str] = []
     if done.losses:
         shown = [("axis", "what is lost", "at most", "")]

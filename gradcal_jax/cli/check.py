@@ -1,4 +1,4 @@
-"""`gradcal check`: everything wrong with a spec at once; if nothing is, what its plan does."""
+"""`gradcal check`: all errors of a spec at once; without any, a summary of its plan."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -21,9 +21,9 @@ _MOST_ROWS, _MOST_OF_UNIT = 24, 60
 
 
 def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) -> int:
-    """Say all that is wrong with a spec, or what its plan does.
+    """List all errors of a spec, or print what its plan does.
 
-    If nothing is wrong, it also says what the plan cannot observe.
+    Without errors, also list what the plan cannot observe.
 
     Parameters
     ----------
@@ -36,22 +36,22 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
 
-    found = any_spec_in(spec)
-    of_axes = None if isinstance(found, UnitSpec) else found
+    specification = any_spec_in(spec)
+    of_axes = None if isinstance(specification, UnitSpec) else specification
     too = None if of_axes is None else too_large(of_axes)
     wanted = not files_only and not too
     if json:
-        told = numbers(found) | ({} if of_axes is None else {"memory_bytes": needed_bytes(of_axes)})
-        print(as_json(told | {"unobservable": blind_of(found) if wanted else None}))
+        record = numbers(specification) | ({} if of_axes is None else {"memory_bytes": needed_bytes(of_axes)})
+        print(as_json(record | {"unobservable": blind_of(specification) if wanted else None}))
         return NOT_AS_WISHED if too else DONE
-    print(strong(found.title or str(spec)))
-    print(summary_of_unit(found) if isinstance(found, UnitSpec) else summary(found))
-    said = [] if of_axes is None else counted_as_zero(of_axes)
-    print("\n".join(said)) if said else None
+    print(strong(specification.title or str(spec)))
+    print(summary_of_unit(specification) if isinstance(specification, UnitSpec) else summary(specification))
+    absent = [] if of_axes is None else counted_as_zero(of_axes)
+    print("\n".join(absent)) if absent else None
     if too:
         print(f"too large: {too}")
         return NOT_AS_WISHED
-    blind = blind_of(found) if wanted else []
+    blind = blind_of(specification) if wanted else []
     for sentence in blind:
         print(f"{'note' if of_axes is None else 'cannot be observed'}: {sentence}")
     print("the spec is sound" + ("; see what it cannot observe" if blind else ""))
@@ -59,9 +59,8 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
 
 
 def blind_of(spec: "Spec | UnitSpec") -> list[str]:
-    """A sentence for each combination of parameters that the plan cannot observe; of a whole unit all that `check`
-    says.
-    """
+    """A sentence for each combination of parameters that the plan cannot observe; for a whole unit all warnings of
+    `check`."""
     use_float64()
     from gradcal_jax import api
     from gradcal_jax.api.flow import check as check_of
@@ -71,21 +70,21 @@ def blind_of(spec: "Spec | UnitSpec") -> list[str]:
 
 
 def numbers(spec: "Spec | UnitSpec") -> dict[str, Any]:
-    """What the plan does, for other programs: times in s."""
+    """A summary of the plan for other programs; times in s."""
     from gradcal_jax.files.absent import absent_terms
     from gradcal_jax.files.unit_spec import UnitSpec
 
-    told: dict[str, Any] = {"title": spec.title, "method": spec.plan.method}
-    told |= {f"{name}_s": getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
-    told["requirements"] = [r.name for r in spec.requirement]
+    record: dict[str, Any] = {"title": spec.title, "method": spec.plan.method}
+    record |= {f"{name}_s": getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
+    record["requirements"] = [r.name for r in spec.requirement]
     if isinstance(spec, UnitSpec):
-        return told
+        return record
     absent = [{"key": t.key, "typical": t.typical, "source": t.source} for t in absent_terms(spec)]
-    return told | {"notes": notes(spec), "counted_as_zero": absent}
+    return record | {"notes": notes(spec), "counted_as_zero": absent}
 
 
 def summary(spec: "Spec") -> str:
-    """What the plan does, in lines of plain text, from the file alone."""
+    """A summary of the plan as plain text, from the file alone."""
     from gradcal_jax.files.schedule import GradientSchedule
 
     schedule = spec.schedule
@@ -163,7 +162,7 @@ def _cycle(cycle: "ResolvedCycle", schedule: "GradientSchedule") -> list[str]:
 
 
 def _first(rows: list[tuple[str, ...]], count: int, right: tuple[int, ...] = ()) -> list[str]:
-    """The first rows of so many, and how many there are more."""
+    """The first rows of `count`, and the number of further ones."""
     return [columns(rows, right=right), *([f"  … and {count - len(rows)} more"] if count > len(rows) else [])]
 
 
@@ -177,7 +176,7 @@ def _move(move: "ResolvedMove") -> tuple[str, ...]:
 
 
 def _turn(move: "ResolvedMove", axis: str) -> tuple[str, ...]:
-    """How often, about which axis, what, how long, how far and how fast."""
+    """Number of repetitions, axis, shape, duration, angle and peak rate of a move."""
     count = f"{move.repeat} ×" if move.repeat > 1 else ""
     turn = ("", "")
     if not move.is_rest:
@@ -186,10 +185,10 @@ def _turn(move: "ResolvedMove", axis: str) -> tuple[str, ...]:
 
 
 def notes(spec: "Spec") -> list[str]:
-    """What is no fault but worth knowing: time left over, and requirements further out than the plan goes."""
+    """Notes on a sound spec: unused time, and requirements beyond the range of the plan."""
     from gradcal_jax.files.schedule import GradientSchedule
 
-    said: list[str] = []
+    sentences: list[str] = []
     schedule = spec.schedule
     if isinstance(schedule, GradientSchedule):
         used = [segment for segment in schedule.segments if segment.used]
@@ -197,23 +196,23 @@ def notes(spec: "Spec") -> list[str]:
         rates = [move.fastest for move in schedule.cycle.moves] if schedule.cycle is not None else [0.0]
         left = sum(stretch.leftover for stretch in schedule.stretches)
         if schedule.cycle is not None and left > 0.0:
-            said.append(f"after the last cycle's moves the axis stands for {time_text(left)}")
+            sentences.append(f"after the last cycle's moves the axis stands for {time_text(left)}")
     else:
         visited, rates = list(schedule.temperatures), [abs(rate) for rate in schedule.rates]
         if any(schedule.rates) and spec.rig.table.rate_accuracy is None:
-            said.append("rig.table.rate_accuracy is absent: the reference rate counts as exact")
+            sentences.append("rig.table.rate_accuracy is absent: the reference rate counts as exact")
     low, high = min(visited), max(visited)
     for requirement in spec.requirement:
         if requirement.temperature[0] < low - 1e-6 or requirement.temperature[1] > high + 1e-6:
-            said.append(f'requirement "{requirement.name}" goes beyond the plan\'s {low:.5g} to {high:.5g} degC')
+            sentences.append(f'requirement "{requirement.name}" goes beyond the plan\'s {low:.5g} to {high:.5g} degC')
         if requirement.quantity == "scale_factor" or requirement.quantity == "heading":
-            asked = max(abs(rate) for rate in requirement.rate)
-            if asked > max(rates) * (1.0 + 1e-6):
+            required = max(abs(rate) for rate in requirement.rate)
+            if required > max(rates) * (1.0 + 1e-6):
                 reached = math.degrees(max(rates))
-                said.append(
+                sentences.append(
                     f'requirement "{requirement.name}" goes beyond the plan\'s fastest rate, {reached:.5g} deg/s'
                 )
-    return said
+    return sentences
 
 
 def summary_of_unit(spec: "UnitSpec") -> str:
@@ -236,8 +235,8 @@ def summary_of_unit(spec: "UnitSpec") -> str:
         + (f"; {len(table.mounting)} mountings" if len(table.mounting) > 1 else "")
     )
     lines.append("plan: " + times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion"))
-    made = sum(stretch.cycles for stretch in schedule.stretches)
-    lines.append(f"cycle: {time_text(schedule.period)}, made {made} times")
+    cycles = sum(stretch.cycles for stretch in schedule.stretches)
+    lines.append(f"cycle: {time_text(schedule.period)}, made {cycles} times")
     rows = [_turn(step.move, table.axis[step.axis].name if step.axis >= 0 else "") for step in schedule.steps]
     lines += _first(rows[:_MOST_OF_UNIT], len(rows))
     left = sum(stretch.leftover for stretch in schedule.stretches)

@@ -1,4 +1,4 @@
-"""Printing: plain text unless a terminal asks for more; answers on stdout, complaints on stderr."""
+"""Printing: plain text away from a terminal; results on stdout, errors on stderr."""
 
 import os
 import sys
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def is_plain(stream: Any) -> bool:
-    """Whether a stream gets text without any escape sequences."""
+    """Whether a stream gets text without escape sequences."""
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return True
     return not stream.isatty()
@@ -18,6 +18,6 @@ def strong(text: str) -> str:
 
 
 def complain(text: str) -> None:
-    """An error's sentence on stderr."""
+    """Print an error on stderr."""
     mark = "gradcal: " if is_plain(sys.stderr) else "\x1b[1;31mgradcal:\x1b[0m "
     print(mark + text, file=sys.stderr, flush=True)

@@ -65,68 +65,40 @@ def estimate(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Estimate a calibration from a log by the model of a spec, and say whether the data agree with that model.
+    """Estimate a calibration from a log by the model of a spec, and test whether the data agree with that model.
 
-    Without a spec: the bias over temperature of a vehicle at rest that warms by itself, with the noise that its log
-    shows; with --gravity, a whole unit that was laid down in many positions and turned by hand between them.
+    Without a spec: the bias over temperature of a vehicle at rest that warms by itself, with the noise of its log;
+    with --gravity, a whole unit that was laid down in many positions and turned by hand between them.
 
     The exit status is 1 where a target is missed, something cannot be observed, or the data contradict the model.
 
-    Parameters
-    ----------
-    more
-        Of a whole unit that is hung on the table in several ways: the logs of the other mountings, in the spec's order.
-    spec
-        The spec: noise, table and maps of the sensor. What was done is read from the log itself.
-    recipe
-        The recipe that was run, in the place of a spec: the one inside it.
-    output
-        Write the calibration here; with several units, one file each, their names added.
-    axis
-        Which axis; may be repeated. Those of the spec, without it.
-    unit
-        Which unit; may be repeated. All, without it.
-    table_axis
-        The axis of the table that turns the sensor's.
-    earth_rate
-        Of the Earth along the sensor's axis, such as "10.4 deg/h"; it is taken off.
-    latitude
-        In the place of --earth-rate, for an axis that points straight up.
-    lag
-        Of the maps behind the measured temperature: a time, or "fit".
-    smoothness
-        Of bins and B-splines: "spec", or "auto": the strength at which the data are most probable.
-    robust
-        Let readings that the model cannot explain count for less (Huber), and name them.
-    clock
-        "sensor", or "host": integrate over the computer's time.
-    read_every
-        Spacing of the readings while the table stands.
-    neighbours
-        Also without a structure: moves of one rate within, say, "5 K" taken together, beside what the map says of them.
-    temperature
-        At which a log without a thermometer was recorded, such as "23 degC".
-    gravity
-        Of the place, such as "9.80665 m/s^2": calibrate three accelerometers and three gyros by it alone, without table
-        and spec. The unit lay still in some twenty positions in all directions, and was turned by hand between them;
-        readings may be raw counts.
-    parameters
-        Write the bias over temperature here too, as parameters of the flight controller (PX4, ArduPilot) whose log
-        this is.
-    points
-        What the columns mean of a table of points (gradcal-points/1): temperature, rate of the table, output and how
-        far it may be off, in the place of a log; see gradcal new point-map.
-    plot
-        Draw the fit into this file (.png, .svg, .pdf).
+    Parameters ---------- more For a whole unit in several mountings on the table: the logs of the other mountings, in
+    the spec's order. spec The spec: noise, table and maps of the sensor. The motion is read from the log itself. recipe
+    The recipe that was run, in the place of its spec. output Write the calibration here; with several units, one file
+    each, with the unit's name in the file's. axis Which axis; may be repeated. Those of the spec, without it. unit
+    Which unit; may be repeated. All, without it. table_axis The axis of the table that turns the sensor's. earth_rate
+    The Earth rate along the sensor's axis, such as "10.4 deg/h"; it is taken off. latitude In the place of
+    --earth-rate, for an axis that points straight up. lag The lag of the maps behind the measured temperature: a time,
+    or "fit". smoothness The smoothness of bins and B-splines: "spec", or "auto": the one at which the data are most
+    probable. robust Give readings that the model cannot explain less weight (Huber), and list them. clock The clock
+    over which rates are integrated: "sensor", or "host" (the computer's). read_every Spacing of the readings while the
+    table stands. neighbours Also without a structure: moves of one rate within, say, "5 K" taken together, beside the
+    map's values. temperature The temperature of a log without a thermometer, such as "23 degC". gravity The gravity at
+    the place, such as "9.80665 m/s^2": calibrate three accelerometers and three gyros by it alone, without table and
+    spec. The unit lay still in some twenty positions in all directions, and was turned by hand between them; readings
+    may be raw counts. parameters Write the bias over temperature here too, as parameters of the flight controller (PX4,
+    ArduPilot) whose log this is. points The point map of a table of points (gradcal-points/1), in the place of a log:
+    its columns of temperature, rate of the table, output and standard deviation; see gradcal new point-map. plot Draw
+    the fit into this file (.png, .svg, .pdf).
     """
     from gradcal_jax.files.unit_spec import UnitSpec
 
-    asked: dict[str, object] = {"--spec": spec, "--recipe": recipe, "--axis": axis, "--table-axis": table_axis}
-    asked |= {"--earth-rate": earth_rate, "--latitude": latitude, "--smoothness": smoothness != "spec"}
-    asked |= {"--robust": robust, "--lag": lag != "none", "--read-every": read_every != "1 s"}
-    asked |= {"--neighbours": neighbours, "--parameters": parameters, "--points": points, "a second log": more}
+    in_use: dict[str, object] = {"--spec": spec, "--recipe": recipe, "--axis": axis, "--table-axis": table_axis}
+    in_use |= {"--earth-rate": earth_rate, "--latitude": latitude, "--smoothness": smoothness != "spec"}
+    in_use |= {"--robust": robust, "--lag": lag != "none", "--read-every": read_every != "1 s"}
+    in_use |= {"--neighbours": neighbours, "--parameters": parameters, "--points": points, "a second log": more}
     if gravity is not None:
-        _refuse(asked, ("--latitude",), "not for a unit that was turned by hand (--gravity)")
+        _refuse(in_use, ("--latitude",), "not for a unit that was turned by hand (--gravity)")
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
     if gravity is not None:
         g = quantity(gravity, "acceleration", "--gravity")
@@ -137,14 +109,14 @@ def estimate(
         from gradcal_jax.api.hand_estimate import estimate_by_hand, hand_estimate_rows
         from gradcal_jax.cli.unit_estimate import say_units, text_of_held
 
-        found = estimate_by_hand(recorded, g, units=unit, options=Options(**options), sources={"log": log.name})
-        status = say_units(found, [described(recorded, str(log))], text_of_held, hand_estimate_rows, files, json=json)
-        save_figure(lambda plots: plots.unit_calibration.draw_by_hand(found[0]), plot, quiet=json)
+        reports = estimate_by_hand(recorded, g, units=unit, options=Options(**options), sources={"log": log.name})
+        status = say_units(reports, [described(recorded, str(log))], text_of_held, hand_estimate_rows, files, json=json)
+        save_figure(lambda plots: plots.unit_calibration.draw_by_hand(reports[0]), plot, quiet=json)
         return status
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if isinstance(model, UnitSpec):
         taken = ("--spec", "--recipe", "--robust", "--lag", "--read-every", "a second log")
-        _refuse(asked, taken, "for one gyro axis alone, and the spec is of a whole unit")
+        _refuse(in_use, taken, "for one gyro axis alone, and the spec is of a whole unit")
         paths = (log, *more)
         logs = [load(path, source) for path in paths]
         files = _files(output, unit or logs[0].units, force)
@@ -155,10 +127,10 @@ def estimate(
         from gradcal_jax.cli.unit_estimate import say_units, text_of_estimate
 
         sources = {"log": ", ".join(path.name for path in paths), "spec": (spec or recipe or Path()).name}
-        found = estimate_units(model, logs, units=unit, options=Options(**options, robust=robust), sources=sources)
-        said = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
-        status = say_units(found, said, text_of_estimate, unit_estimate_rows, files, json=json)
-        save_figure(lambda plots: plots.unit_calibration.draw_unit_estimate(found[0]), plot, quiet=json)
+        reports = estimate_units(model, logs, units=unit, options=Options(**options, robust=robust), sources=sources)
+        descriptions = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
+        status = say_units(reports, descriptions, text_of_estimate, unit_estimate_rows, files, json=json)
+        save_figure(lambda plots: plots.unit_calibration.draw_unit_estimate(reports[0]), plot, quiet=json)
         return status
     if more:
         raise ValueError("several logs are for a whole unit in several mountings; give one log")
@@ -224,9 +196,9 @@ def estimate(
     return DONE if report.as_wished else NOT_AS_WISHED
 
 
-def _refuse(asked: dict[str, object], taken: tuple[str, ...], words: str) -> None:
-    """Options other than those that are taken. Raises `ValueError`."""
-    if used := [name for name, value in asked.items() if value and name not in taken]:
+def _refuse(options: dict[str, object], taken: tuple[str, ...], words: str) -> None:
+    """Raise `ValueError` for any option in use that is not in `taken`."""
+    if used := [name for name, value in options.items() if value and name not in taken]:
         raise ValueError(f"{', '.join(used)}: {words}")
 
 
@@ -240,10 +212,11 @@ def _options(
     neighbours: str | None,
     temperature: str | None,
 ) -> dict[str, Any]:
-    """Texts as the fields of `api.estimate_options.Options`, in SI. Raises `ValueError`s that name the option."""
+    """The options' texts as fields of `api.estimate_options.Options`, in SI. Raises `ValueError` with the option's
+    name."""
     earth = 0.0
     if earth_rate is not None and latitude is not None:
-        raise ValueError("--earth-rate and --latitude say the same thing twice: give one of them")
+        raise ValueError("--earth-rate and --latitude both give the Earth rate: use one of them")
     if earth_rate is not None:
         earth = quantity(earth_rate, "angular rate", "--earth-rate")
     elif latitude is not None:
@@ -257,13 +230,13 @@ def _options(
         raise ValueError(f'--clock {clock!r}: expected "sensor" or "host"')
     every = quantity(read_every, "time", "--read-every")
     if every <= 0.0:
-        raise ValueError(f"--read-every {read_every!r}: must be longer than no time")
+        raise ValueError(f"--read-every {read_every!r}: must be longer than 0 s")
     width = None if neighbours is None else quantity(neighbours, "temperature difference", "--neighbours")
     if width is not None and width <= 0.0:
-        raise ValueError(f"--neighbours {neighbours!r}: must be some kelvins")
-    told = {"earth_rate": earth, "lag": lag_s, "smoothness": smoothness, "clock": clock}
+        raise ValueError(f"--neighbours {neighbours!r}: must be more than 0 K")
+    options = {"earth_rate": earth, "lag": lag_s, "smoothness": smoothness, "clock": clock}
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
-    return told | {"read_every": every, "neighbours_k": width, "temperature_c": at}
+    return options | {"read_every": every, "neighbours_k": width, "temperature_c": at}
 
 
 def _spec(spec: Path | None, recipe: Path | None) -> "Spec | UnitSpec":
@@ -278,7 +251,7 @@ def _spec(spec: Path | None, recipe: Path | None) -> "Spec | UnitSpec":
 
 
 def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, Path]:
-    """Which unit's calibration goes where: of several, their names are added. Each may be written."""
+    """The output file of each unit, checked to be writable; those of several units have their names added."""
     if output is None:
         return {}
     files = {units[0]: output}
@@ -313,14 +286,14 @@ def _text(report: "EstimateReport") -> str:
 
 
 def _discrepancy(row: "MeasuredDiscrepancy") -> list[str]:
-    """How large the structure is that the model lacks, and the block for a spec."""
+    """The size of the measured discrepancy, and its table for a spec."""
     several = f", {row.units} units together" if row.units > 1 else ""
-    high = "no end" if row.high is None else f"{row.high:.3g}"
-    said = (
+    high = "∞" if row.high is None else f"{row.high:.3g}"
+    heading = (
         f"discrepancy of the {row.quantity.replace('_', ' ')}, axis {row.axis}{several}: {row.standard_deviation:.3g} "
         f"{row.unit} (95 % interval {row.low:.3g} … {high})"
     )
-    return ["", said, *([f"  {line}" for line in row.block.splitlines()] if row.low > 0.0 else [])]
+    return ["", heading, *([f"  {line}" for line in row.block.splitlines()] if row.low > 0.0 else [])]
 
 
 def _channel(channel: "UnitChannel") -> str:
@@ -330,8 +303,8 @@ def _channel(channel: "UnitChannel") -> str:
 
     model = channel.model
     reported = model.to_reported
-    known = channel.found.known[0]
-    values, deviations = reported @ channel.found.parameters[0], known.deviations(reported)
+    known = channel.estimate.known[0]
+    values, deviations = reported @ channel.estimate.parameters[0], known.deviations(reported)
     shown = {
         "1": ("ppm", units.PPM),
         "rad/s": ("deg/h", units.DEG_PER_H),

@@ -37,7 +37,7 @@ def frontier(
     motion
         Durations without soaks: 50min..300min, or a list such as 60min,100min,3h.
     points
-        How many durations a range is divided into, ends included, evenly in their logarithm.
+        Number of durations in a range, ends included, evenly in their logarithm.
     output
         Write a recipe for each duration into this directory.
     steps
@@ -50,7 +50,7 @@ def frontier(
     from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
-    found = spec_in(spec)
+    specification = spec_in(spec)
     times = durations(motion, points)
     use_float64()
     from gradcal_jax import api
@@ -65,17 +65,17 @@ def frontier(
         line.show(f"{time_text(motion)}: {step.share:4.0%}  {amount(step.best, step.unit)}")
 
     with MovingLine(sys.stderr) as line:
-        for point in room.frontier(found, times, steps=steps, watch=show):
+        for point in room.frontier(specification, times, steps=steps, watch=show):
             reached.append(point)
             if output is not None and point.plan is not None:
                 write_toml(api.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
         r.name: limit[1]
-        for r in found.requirement
+        for r in specification.requirement
         if (limit := api.limit_of(r)) is not None
         and limit[0] == r.statistic
-        and found.design
-        and r.name == found.design.minimise
+        and specification.design
+        and r.name == specification.design.minimise
     }
     times_for = {name: room.shortest(reached, target) for name, target in targets.items()}
     if json:
@@ -91,7 +91,7 @@ def frontier(
         ]
         print(as_json({"points": rows, "shortest_s": times_for}))
     else:
-        print(strong(found.title or str(spec)))
+        print(strong(specification.title or str(spec)))
         shown = [("ramp", "residual", "search")]
         for p in reached:
             residual = "none" if p.plan is None else amount(p.plan.now, p.plan.unit)
@@ -99,8 +99,8 @@ def frontier(
         print(columns(shown, indent=""))
         for name, target in targets.items():
             time = times_for[name]
-            said = "is not reached in these durations" if time is None else f"takes a ramp of about {time_text(time)}"
-            print(f"{name} at {target:.4g} {next((p.plan.unit for p in reached if p.plan), '')} {said}")
+            result = "is not reached in these durations" if time is None else f"takes a ramp of about {time_text(time)}"
+            print(f"{name} at {target:.4g} {next((p.plan.unit for p in reached if p.plan), '')} {result}")
     save_figure(lambda plots: plots.draw_frontier(reached, targets), plot, quiet=json)
     return DONE if all(p.plan is not None and p.plan.converged for p in reached) else NOT_AS_WISHED
 

@@ -1,4 +1,4 @@
-"""`gradcal instability` and `gradcal allan`: what a record at rest says of a sensor's noise."""
+"""`gradcal instability` and `gradcal allan`: a sensor's noise from a record at rest."""
 
 import math
 from functools import partial
@@ -26,7 +26,7 @@ _DEGREE = (
     "spans 5 K, otherwise the mean."
 )
 BiasDegree = Annotated[int | None, Parameter(name="--bias-degree", help=_DEGREE)]
-_LAG = 'Of the bias behind the temperature: a time, "fit", "none", or "auto": fitted, and used where it pays.'
+_LAG = 'Lag of the bias behind the temperature: a time, "fit", "none", or "auto": used where it fits better.'
 Lag = Annotated[str, Parameter(help=_LAG)]
 _SPAN = 'A span of the record\'s time to leave out, such as "123 s..130 s"; may be repeated.'
 Without = Annotated[tuple[str, ...], Parameter(name="--without", negative="", help=_SPAN)]
@@ -52,14 +52,14 @@ def instability(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Find the drift that bounds what a record at rest shows: the paper's Direct Bound, as a block for a spec.
+    """Find the smallest drift that bounds a record at rest: the paper's Direct Bound, as a block for a spec.
 
-    The exit status is 1 where no drift shows above the angle random walk, or that is more than any gyro has.
+    The exit status is 1 where no drift shows above the angle random walk, or where that is more than any gyro has.
 
     Parameters
     ----------
     delta
-        Time of the average that the drift is counted from.
+        Time of the average from which the drift is counted.
     shortest
         Shortest integration time.
     longest
@@ -71,7 +71,7 @@ def instability(
     temperature
         Only rows between two temperatures: --temperature "20 degC" "40 degC".
     ranges
-        Also in so many equal ranges of temperature.
+        Also for each of this many equal ranges of temperature.
     plot
         Draw the largest drifts with their bound into this file (.png, .svg, .pdf).
     """
@@ -96,14 +96,14 @@ def instability(
     look = partial(
         work.instability, averaging_time_s=delta_s, shortest_s=shortest_s, longest_s=longest_s, margin=margin
     )
-    found: list[Instability] = []
+    results: list[Instability] = []
     parts: list[list[tuple[tuple[float, float], Instability | str]]] = []
     for name in work.axes_asked_for(recorded, axis):
         rest = work.at_rest(
             recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
         )
         whole = look(rest, angle_random_walk=walk, temperature_c=between)
-        found.append(whole)
+        results.append(whole)
         pieces: list[tuple[tuple[float, float], Instability | str]] = []
         for part in work.temperature_ranges(rest, ranges) if ranges > 1 else []:
             try:
@@ -115,7 +115,7 @@ def instability(
         parts.append(pieces)
     if json:
         rows = []
-        for whole, pieces in zip(found, parts, strict=True):
+        for whole, pieces in zip(results, parts, strict=True):
             row = work.instability_row(whole)
             row["ranges"] = [
                 {"temperature_c": part, "problem": one} if isinstance(one, str) else work.instability_row(one)
@@ -125,10 +125,10 @@ def instability(
         print(as_json({"simulated": recorded.simulated, "channels": rows}))
     else:
         print(described(recorded, str(log)))
-        for whole, pieces in zip(found, parts, strict=True):
+        for whole, pieces in zip(results, parts, strict=True):
             print("\n" + _instability_text(whole, pieces))
-    save_figure(lambda plots: plots.identification.draw_instability(found), plot, quiet=json)
-    wished = all(whole.bound.drift_shows and work.plausible(whole.allan_fit) for whole in found)
+    save_figure(lambda plots: plots.identification.draw_instability(results), plot, quiet=json)
+    wished = all(whole.bound.drift_shows and work.plausible(whole.allan_fit) for whole in results)
     return DONE if wished else NOT_AS_WISHED
 
 
@@ -136,14 +136,14 @@ def _lag(text: str) -> float | str:
     return text if text in ("auto", "fit", "none") else quantity(text, "time", "--lag")
 
 
-def _instability_text(found: "Instability", parts) -> str:
+def _instability_text(result: "Instability", parts) -> str:
     from gradcal_jax.api import instability as work
     from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 
-    bound = found.bound
+    bound = result.bound
     times = bound.integration_time_s
     lines = [
-        strong(f"axis {found.rest.axis}, unit {found.rest.unit}"),
+        strong(f"axis {result.rest.axis}, unit {result.rest.unit}"),
         f"angle random walk {bound.angle_random_walk * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
         f"drift after an average of {bound.averaging_time_s:g} s, over {times[0]:.4g} to {times[-1]:.4g} s",
     ]
@@ -152,25 +152,25 @@ def _instability_text(found: "Instability", parts) -> str:
             f"bounded by {bound.drift_std * DEG_PER_H:.4g} deg/h with a correlation time of "
             f"{bound.correlation_time_s:.4g} s, at {bound.margin:g} sigma"
         )
-        if found.scatter is not None:
+        if result.scatter is not None:
             lines.append(
-                f"uncertainty from blocks of the record: {found.scatter[0] * DEG_PER_H:.2g} deg/h (1σ), correlation "
-                f"time within a factor of {math.exp(found.scatter[1]):.2g}"
+                f"uncertainty from blocks of the record: {result.scatter[0] * DEG_PER_H:.2g} deg/h (1σ), correlation "
+                f"time within a factor of {math.exp(result.scatter[1]):.2g}"
             )
-        first, last = found.deciding_span_s
+        first, last = result.deciding_span_s
         lines.append(
             f"decided over {bound.deciding_time_s:.4g} s, by the drift from {first:.6g} s to {last:.6g} s of the "
             f'record; without it: --without "{first:.6g} s..{last:.6g} s"'
         )
-    if found.rest.thermal is not None:
-        thermal = found.rest.thermal
+    if result.rest.thermal is not None:
+        thermal = result.rest.thermal
         lines.append(
             f"B(T) of degree {len(thermal.coefficients) - 1} taken off"
             + (f", {thermal.lag_time_s:.0f} s late" if thermal.lag_time_s > 0 else "")
             + f"; it leaves {thermal.residual_rms * DEG_PER_H:.4g} deg/h rms, noise included"
         )
     lines += [
-        f"note: {message}" for message in (*found.rest.messages, *work.allan_notes(found.allan_fit), *bound.messages)
+        f"note: {message}" for message in (*result.rest.messages, *work.allan_notes(result.allan_fit), *bound.messages)
     ]
     if parts:
         rows = [("temperature", "drift (1σ)", "correlation time")]
@@ -184,7 +184,7 @@ def _instability_text(found: "Instability", parts) -> str:
             else:
                 rows.append((where, f"does not show (up to {one.bound.hidden_drift_std * DEG_PER_H:.3g} deg/h)", ""))
         lines.append(columns(rows))
-    return "\n".join([*lines, "", found.drift_block()])
+    return "\n".join([*lines, "", result.drift_block()])
 
 
 def allan(
@@ -210,13 +210,13 @@ def allan(
     Parameters
     ----------
     terms
-        Which the sensor may have: Q quantisation, N angle random walk, B bias instability, K rate random walk.
+        The terms of the fit: Q quantisation, N angle random walk, B bias instability, K rate random walk.
     confidence
-        Of the interval about each point.
+        The confidence of the interval about each point.
     delta
-        Time of the average of the Direct Bound that is drawn beside.
+        Time of the average of the Direct Bound in the figure.
     plot
-        Draw the deviation, its fit, and the Direct Bound's curve on the same axes into this file.
+        Draw the deviation, its fit and the Direct Bound's curve into this file.
     """
     drawable(plot)
     delta_s, lag_s = quantity(delta, "time", "--delta"), _lag(lag)
@@ -272,12 +272,14 @@ def _allan_text(fit: "AllanFit") -> str:
     from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
 
     rows = [("coefficient", "value", "standard error", "unit", "")]
-    for name, found, factor, unit in (
+    for name, coefficient, factor, unit in (
         ("Q quantisation", fit.quantisation, ARCSEC, "arcsec"),
         ("N angle random walk", fit.angle_random_walk, DEG_PER_SQRT_H, "deg/sqrt(h)"),
         ("B bias instability", fit.bias_instability, DEG_PER_H, "deg/h"),
         ("K rate random walk", fit.rate_random_walk, DEG_PER_H * 60.0, "deg/h/sqrt(h)"),
     ):
-        shows = "" if found.shows else "does not show"
-        rows.append((name, f"{found.value * factor:.4g}", f"{found.standard_error * factor:.2g}", unit, shows))
+        shows = "" if coefficient.shows else "does not show"
+        rows.append(
+            (name, f"{coefficient.value * factor:.4g}", f"{coefficient.standard_error * factor:.2g}", unit, shows)
+        )
     return columns(rows, indent="", right=(1, 2))

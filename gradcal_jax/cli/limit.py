@@ -1,4 +1,4 @@
-"""`gradcal limit`: what no plan can do better than."""
+"""`gradcal limit`: the proven lower limit on the residual of any plan."""
 
 from pathlib import Path
 
@@ -10,9 +10,9 @@ from gradcal_jax.pages.plain_text import amount, columns
 
 
 def limit(spec: Path, /, *, json: Json = False) -> int:
-    """Prove a lower limit on the residual of any plan on this rig in this time, and say how near the plan comes.
+    """Prove a lower limit on the residual of any plan on this rig in this time, and print the plan's efficiency.
 
-    The limit relaxes what the rig can do (it says what), so it may lie below what any real plan reaches; no plan lies
+    The proof leaves out some limits of the rig, and lists them, so a real plan may not reach the limit; no plan lies
     below it. An efficiency of 67 % means that no plan leaves less than 0.67 of what this one does.
 
     Parameters
@@ -25,11 +25,11 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     """
     from gradcal_jax.files.recipe import any_spec_in
 
-    found = any_spec_in(spec)
+    specification = any_spec_in(spec)
     use_float64()
     from gradcal_jax.api.flow import limit as limit_of
 
-    rows = limit_of(found)
+    rows = limit_of(specification)
     if json:
         print(as_json([row._asdict() for row in rows]))
         return DONE
@@ -38,7 +38,7 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
         share = "" if row.efficiency is None else f"{row.efficiency:.0%}"
         bounds = amount(row.certified, row.unit), amount(row.reached, row.unit)
         table.append((f"{row.name} ({row.statistic})", *bounds, amount(row.value, row.unit), share))
-    print(strong(found.title or str(spec)))
+    print(strong(specification.title or str(spec)))
     print(columns(table, indent=""))
     for kept in dict.fromkeys(row.kept for row in rows if row.kept):
         print("of plans that keep: " + "; ".join(kept))

@@ -1,4 +1,4 @@
-"""`gradcal log`: the log of a run, from the journal's raw bytes; and `log turns`: of turns that were made by hand."""
+"""`gradcal log`: the log of a run, from the journal's raw bytes; and `log turns`: a log of turns by hand."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +11,7 @@ from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.units import time_text
 
-log_app = App(name="log", help="The log of a run, or of turns made by hand.")
+log_app = App(name="log", help="The log of a run, or of turns by hand.")
 
 
 @log_app.command
@@ -27,7 +27,7 @@ def turns(
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
-    """Find turns made by hand in a recording, and write it with angle and rests, for estimate.
+    """Find turns by hand in a recording, and write it with angle and rests, for estimate.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def turns(
     output
         The log to write (.nc).
     axis
-        About which axis of the sensor; the first one, without it.
+        The axis of the sensor about which it was turned; the first one, without it.
     unit
         Which unit; the first one, without it.
     json
@@ -44,7 +44,7 @@ def turns(
     """
     import numpy as np
 
-    said = [quantity(text.strip(), "angle", "--turns") for text in turns.split(",")]
+    angles = [quantity(text.strip(), "angle", "--turns") for text in turns.split(",")]
     writable(output, force)
     recorded = load(log, source, unit=unit)
     use_float64()
@@ -52,16 +52,16 @@ def turns(
     from gradcal_jax.files.log import write_log
     from gradcal_jax.pages.plain_text import columns
 
-    marked, found = with_turns(recorded, said, axis=axis or 0, unit=unit or 0)
+    marked, matched = with_turns(recorded, angles, axis=axis or 0, unit=unit or 0)
     write_log(marked, output)
-    found_deg = [(t.begin_s, t.end_s, np.degrees(t.said_rad), np.degrees(t.sensed_rad)) for t in found]
+    rows_deg = [(t.begin_s, t.end_s, np.degrees(t.listed_rad), np.degrees(t.sensed_rad)) for t in matched]
     if json:
         names = ("begin_s", "end_s", "said_deg", "sensed_deg")
-        rows = [dict(zip(names, row, strict=True)) for row in found_deg]
+        rows = [dict(zip(names, row, strict=True)) for row in rows_deg]
         print(as_json({"log": str(output), "axis": marked.table_axes[0], "turns": rows}))
         return DONE
-    shown = [("from", "to", "said", "by the sensor")]
-    shown += [(f"{b:.5g} s", f"{e:.5g} s", f"{said:.6g} deg", f"{felt:.6g} deg") for b, e, said, felt in found_deg]
+    shown = [("from", "to", "listed", "by the sensor")]
+    shown += [(f"{a:.5g} s", f"{b:.5g} s", f"{angle:.6g} deg", f"{own:.6g} deg") for a, b, angle, own in rows_deg]
     print(columns(shown, indent="", right=(0, 1, 2, 3)))
     print(f"wrote {output}; next: gradcal estimate {output} --spec SPEC --axis {marked.table_axes[0]}")
     return DONE
@@ -78,20 +78,20 @@ def log(
     columns: Path | None = None,
     json: Json = False,
 ) -> int:
-    """Make the log of a run: samples decoded from the raw bytes, angles, temperatures, standstills.
+    """Write the log of a run: samples decoded from the raw bytes, angles, temperatures, standstills.
 
     Parameters
     ----------
     output
         The log file (netCDF); absent: log.nc in the folder. An older log is replaced.
     unit
-        Of several units on the table, the one whose log to make.
+        The unit whose log to write, where several were on the table.
     recording
-        What another logger recorded of the unit in this run: its clock is found by the motion.
+        Another logger's recording of the unit in this run: its clock is found by the motion.
     columns
         What the recording's columns mean (gradcal-columns/1); see gradcal new column-map.
     json
-        Print what the log holds as JSON.
+        Print the contents of the log as JSON.
     """
     from gradcal_jax.decoding.run_log import log as log_of
     from gradcal_jax.files.log import write_log
@@ -99,23 +99,23 @@ def log(
     if columns is not None and recording is None:
         raise ValueError("--columns says what a --recording's columns mean, and there is none")
     recorded = None if recording is None else load(recording, Recording(columns=columns), unit=unit)
-    found = log_of(run, unit, recording=recorded)
+    result = log_of(run, unit, recording=recorded)
     target = output or run / "log.nc"
-    write_log(found, target)
-    used, standstills = found.counts()["used"], 0 if found.standstill is None else int(found.standstill.max() + 1)
+    write_log(result, target)
+    used, standstills = result.counts()["used"], 0 if result.standstill is None else int(result.standstill.max() + 1)
     if json:
-        told = {"log": str(target), "unit": found.units[0], "duration_s": found.duration_s, "rows": found.counts()}
-        told |= {"standstills": standstills, "simulated": found.simulated, "provenance": dict(found.provenance)}
-        print(as_json(told | {"findings": [finding.message for finding in found.findings]}))
+        record = {"log": str(target), "unit": result.units[0], "duration_s": result.duration_s, "rows": result.counts()}
+        record |= {"standstills": standstills, "simulated": result.simulated, "provenance": dict(result.provenance)}
+        print(as_json(record | {"findings": [finding.message for finding in result.findings]}))
         return DONE
     print(
-        f"{time_text(found.duration_s)} of {found.units[0]}: {used} samples used of {found.rows_read}, "
-        f"{standstills} standstills" + (" (simulated devices)" if found.simulated else "")
+        f"{time_text(result.duration_s)} of {result.units[0]}: {used} samples used of {result.rows_read}, "
+        f"{standstills} standstills" + (" (simulated devices)" if result.simulated else "")
     )
-    for finding in found.findings:
+    for finding in result.findings:
         print(f"note: {finding.message}")
     rates, stds = (
-        [1e6 * float(word) for word in found.provenance[name].split(", ")]
+        [1e6 * float(word) for word in result.provenance[name].split(", ")]
         for name in ("clock_rate_error", "clock_rate_std")
     )
     each = ", ".join(f"{rate:+.3f} ppm (1σ {std:.1g} ppm)" for rate, std in zip(rates, stds, strict=True))

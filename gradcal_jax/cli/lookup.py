@@ -25,7 +25,7 @@ def schema(
     listing
         List the names.
     markdown
-        A page for people in its place: every key with its value, default and meaning.
+        Print a page for people: every key with its value, default and meaning.
     """
     from gradcal_jax.files import schemas
 
@@ -39,12 +39,12 @@ def schema(
 
         print(reference(name), end="")
         return DONE
-    found = schemas.schema(name)
+    result = schemas.schema(name)
     if name.removeprefix("gradcal-").partition("/")[0] == "rig":
         from gradcal_jax.hardware.setup import with_options
 
-        found = with_options(found)
-    print(as_json(found))
+        result = with_options(result)
+    print(as_json(result))
     return DONE
 
 

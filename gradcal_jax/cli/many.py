@@ -1,4 +1,4 @@
-"""`gradcal sweep` and `gradcal recipes`: many plans at once, on this machine's cores or a cluster's."""
+"""`gradcal sweep` and `gradcal recipes`: many plans, on the cores of this machine or of a cluster."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _VERDICTS = ("met", "missed", "unobservable")
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Workers:
-    """Who does it.
+    """The worker processes of a command.
 
     Parameters
     ----------
@@ -43,14 +43,14 @@ class Workers:
     workers: int | None = None
 
     def check(self) -> None:
-        """Refuse what cannot be meant. Raises `ValueError`."""
+        """Raise `ValueError` for options that exclude each other."""
         if self.workers is not None and not 1 <= self.workers <= 1024:
             raise ValueError(f"--workers {self.workers}: give a number from 1 to 1024")
         if self.workers is not None and self.scheduler is not None:
-            raise ValueError("--workers or --scheduler: a cluster decides for itself how many it has")
+            raise ValueError("--workers or --scheduler: a cluster has its own number of workers")
 
     def runner(self) -> "LocalPool | Cluster":
-        """The machine's own workers, which keep compiled programs where the other commands do, or a cluster's."""
+        """Worker processes of this machine, with the compilation cache of the other commands, or of a cluster."""
         if self.scheduler is not None:
             from gradcal_jax.jobs.cluster import Cluster
 
@@ -77,8 +77,8 @@ def sweep(
 ) -> int:
     """Predict (or optimise) a spec for many values of its keys; labelled results with units in a netCDF file.
 
-    What is finished is kept beside the output: killed at any time, the same command goes on where it was. The exit
-    status is 1 where some points could not be computed; the results say why.
+    Finished points are kept beside the output: after an interruption, the same command goes on from there. The exit
+    status is 1 where some points could not be computed; the results have the reasons.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def sweep(
     output
         The results to write (.nc).
     dry_run
-        Say how large the sweep is and how long it will take, by one chunk; write nothing.
+        Print the size of the sweep and the time that it will take, by one chunk; write nothing.
     json
         Print the summary as JSON.
     plot
@@ -104,8 +104,8 @@ def sweep(
 
     if dry_run:
         with by.runner() as runner, Bars() as bars:
-            found = jobs.dry_run(job, runner=runner, progress=bars.show)
-        print(as_json(_estimate(found)) if json else _estimated(found, job))
+            size = jobs.dry_run(job, runner=runner, progress=bars.show)
+        print(as_json(_estimate(size)) if json else _estimated(size, job))
         return DONE
     assert output is not None
     if jobs.already_finished(job, output):
@@ -135,33 +135,33 @@ def sweep(
     return NOT_AS_WISHED if summary["failed"] else DONE
 
 
-def _estimate(found: "SweepEstimate") -> dict[str, Any]:
+def _estimate(size: "SweepEstimate") -> dict[str, Any]:
     return {
-        "points": found.points,
-        "failing_in_first_chunk": found.failing,
-        "first_reason": found.first_failure or None,
-        "chunks": found.chunks,
-        "workers": found.workers,
-        "first_chunk_s": round(found.first_chunk_s, 3),
-        "further_chunk_s": round(found.next_chunk_s, 3),
-        "expected_s": round(found.seconds, 1),
+        "points": size.points,
+        "failing_in_first_chunk": size.failing,
+        "first_reason": size.first_failure or None,
+        "chunks": size.chunks,
+        "workers": size.workers,
+        "first_chunk_s": round(size.first_chunk_s, 3),
+        "further_chunk_s": round(size.next_chunk_s, 3),
+        "expected_s": round(size.seconds, 1),
     }
 
 
-def _estimated(found: "SweepEstimate", job: "Sweep") -> str:
-    fails = f"; the first says: {found.first_failure}" if found.failing else ""
+def _estimated(size: "SweepEstimate", job: "Sweep") -> str:
+    fails = f"; the first says: {size.first_failure}" if size.failing else ""
     lines = [
         strong(job.file.title or "the sweep"),
-        f"{found.points} points in {found.chunks} chunks on {found.workers} workers",
-        f"of the first chunk {found.failing} fail{fails}",
-        f"a chunk takes {time_text(found.first_chunk_s)} at first, {time_text(found.next_chunk_s)} after that",
-        f"expected: {time_text(max(found.seconds, 1.0))}",
+        f"{size.points} points in {size.chunks} chunks on {size.workers} workers",
+        f"of the first chunk {size.failing} fail{fails}",
+        f"a chunk takes {time_text(size.first_chunk_s)} at first, {time_text(size.next_chunk_s)} after that",
+        f"expected: {time_text(max(size.seconds, 1.0))}",
     ]
     return "\n".join(lines)
 
 
 def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
-    """Numbers of points, and for each requirement's decisive statistic its range, and where the least is."""
+    """Numbers of points, and for each requirement's own statistic its range, and the place of its minimum."""
     import numpy as np
 
     failed = int(np.count_nonzero(results["failure"].values != ""))
@@ -201,7 +201,7 @@ def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
 
 
 def sweep_text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
-    """The summary as people read it."""
+    """The summary of a sweep as text."""
     points, failed = summary["points"], summary["failed"]
     lines = [strong(job.file.title or output), f"{points} points, {failed} of them failed"]
     if failed:
@@ -225,8 +225,8 @@ def sweep_text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
 def recipes(catalogue: Path, /, *, output: Output, by: Workers = THIS_MACHINE, json: Json = False) -> int:
     """Optimise a plan for every sensor, rig, requirement and plan of a catalogue; write recipes and one table.
 
-    What is finished is kept: killed at any time, the same command goes on where it was. The exit status is 1 where a
-    case has no recipe, misses its target or did not converge; the table says which.
+    Finished cases are kept: after an interruption, the same command goes on from there. The exit status is 1 where a
+    case has no recipe, misses its target or did not converge; the table lists them.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def recipes(catalogue: Path, /, *, output: Output, by: Workers = THIS_MACHINE, j
 
 
 def text_of_table(table: "RecipeTable", title: str) -> str:
-    """The table as people read it."""
+    """The table of recipes as text."""
     rows: list[tuple[str, ...]] = [("sensor", "rig", "requirement", "plan", "as written", "optimised", "verdict")]
     remarks: list[str] = []
     for row in table.rows:

@@ -58,7 +58,7 @@ def new(
         from gradcal_jax.files.absent import absent_terms
 
         if absent := absent_terms(parse_spec(text)):
-            print("left out, and so counted as zero; put in your unit's own figures, or what is typical of its class:")
+            print("left out, and so counted as zero; put in your unit's own figures, or those typical of its class:")
             print(columns([(term.key, term.typical) for term in absent]))
     following = {
         _COLUMN_MAP: f"gradcal allan LOG --columns {output}",

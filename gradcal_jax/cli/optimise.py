@@ -1,4 +1,4 @@
-"""`gradcal optimise`: the plan changes until the predicted residual is as low as sensor, rig and clock allow."""
+"""`gradcal optimise`: minimise the predicted residual over plans within the limits of sensor, rig and time."""
 
 import math
 import signal
@@ -33,11 +33,11 @@ def optimise(
     resume: Flag = False,
     force: Force = False,
 ) -> int:
-    """Change a plan by gradient descent until it leaves as little as sensor, rig and time allow; write it as a recipe.
+    """Minimise a plan's residual by gradient descent, within the limits of sensor, rig and time; write it as a recipe.
 
-    The spec's [design] says what to minimise and what is free. Of a whole unit, poses, moves and rests are changed one
-    at a time, and the best cycle is written as a spec. Ctrl-C once keeps the best so far and finishes it; twice
-    stops at once. The exit status is 1 where the search did not converge.
+    The spec's [design] says what to minimise and what is free. For a whole unit, poses, moves and rests are changed one
+    at a time, and the best cycle is written as a spec. Ctrl-C once finishes with the best plan so far; twice stops at
+    once. The exit status is 1 where the search did not converge.
 
     Parameters
     ----------
@@ -50,14 +50,14 @@ def optimise(
     plot
         Draw the residual before and after into this file (.png, .svg, .pdf).
     steps
-        Iterations of each start, 240 unless said; of a whole unit, plans that are tried in all, 4000 unless said: some
+        Iterations of each start, by default 240; for a whole unit, plans that are tried in all, by default 4000: some
         minutes.
     quick
         Few starts, or plans: within some per cent of the best, in seconds.
     until_met
-        Stop at the first plan that meets every target with a margin of 10 %; search nothing where the spec's own does.
+        Stop at the first plan that meets every target with a margin of 10 %; no search where the spec's own plan does.
     resume
-        Go on from where an interrupted search of the same spec stopped; it is kept beside the output.
+        Go on with an interrupted search of the same spec, which is kept beside the output.
     """
     from gradcal_jax.files import write_toml
     from gradcal_jax.files.recipe import any_spec_in
@@ -67,12 +67,12 @@ def optimise(
     drawable(plot)
     if steps is not None and steps < 20:
         raise ValueError(f"--steps: expected at least 20, got {steps}")
-    found = any_spec_in(spec)
+    specification = any_spec_in(spec)
     use_float64()
-    if isinstance(found, UnitSpec):
+    if isinstance(specification, UnitSpec):
         if resume:
             raise ValueError("a search of a whole unit is not kept: start anew, without --resume")
-        return _of_unit(found, output, json=json, plot=plot, plans=steps, quick=quick, until_met=until_met)
+        return _of_unit(specification, output, json=json, plot=plot, plans=steps, quick=quick, until_met=until_met)
     from gradcal_jax import api
     from gradcal_jax.api import checkpoints
     from gradcal_jax.api import optimise as room
@@ -80,31 +80,31 @@ def optimise(
     from gradcal_jax.api.optimise import Optimised
     from gradcal_jax.files.design import TIMES
 
-    shortest = found.design is not None and found.design.minimise in TIMES
+    shortest = specification.design is not None and specification.design.minimise in TIMES
     if shortest and resume:
         raise ValueError("a search for the shortest plan is not kept: start anew, without --resume")
     if shortest and until_met:
         raise ValueError(NO_UNTIL_MET)
     kept = output.with_name(output.name + ".search.npz")
-    checkpoint = checkpoints.read(kept, found) if resume else None
+    checkpoint = checkpoints.read(kept, specification) if resume else None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         best: Optimised | None = None
         options = {"steps": steps or room.STEPS, "quick": quick, "stop": lambda: interrupt.asked}
         if shortest:
-            events = minimise_time(found, **options)
+            events = minimise_time(specification, **options)
         else:
-            events = room.optimise(found, **options, until_met=until_met, checkpoint=checkpoint)
+            events = room.optimise(specification, **options, until_met=until_met, checkpoint=checkpoint)
         for event in events:
             if isinstance(event, Optimised):
                 best = event
                 continue
             if not shortest:
-                checkpoints.write_checkpoint(kept, found, event.checkpoint)
+                checkpoints.write_checkpoint(kept, specification, event.checkpoint)
             line.show(progress_of(event), event.share)
         assert best is not None
     status = best.sentence if not interrupt.asked else f"interrupted, the best so far: {best.sentence}"
-    made = api.recipe(best, status=status)
-    write_toml(made, output, header="Made by gradcal optimise; `gradcal show` prints it as a table.")
+    result = api.recipe(best, status=status)
+    write_toml(result, output, header="Made by gradcal optimise; `gradcal show` prints it as a table.")
     if not interrupt.asked:
         kept.unlink(missing_ok=True)
     if json:
@@ -112,7 +112,7 @@ def optimise(
     else:
         print(optimum_text(best))
         print(f"wrote {output}; read it with: gradcal show {output}")
-    drawn = [("before", found), ("optimised", made.axis_spec)]
+    drawn = [("before", specification), ("optimised", result.axis_spec)]
     save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
     if interrupt.asked:
         complain("interrupted" + ("" if shortest else f"; go on with: gradcal optimise {spec} -o {output} --resume"))
@@ -121,13 +121,13 @@ def optimise(
 
 
 def optimum_text(best: "Optimised") -> str:
-    """An optimised plan as people read it."""
+    """An optimised plan as text."""
     from gradcal_jax.api.optimise import belief_of
 
     before = "the plan of the spec observes too little" if best.before is None else amount(best.before, best.unit)
     lines = [
         strong(f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"),
-        f"{best.structure}; {amount(best.found, best.unit)} before rounding",
+        f"{best.structure}; {amount(best.optimum, best.unit)} before rounding",
         best.sentence,
     ]
     if len(best.starts) > 1:
@@ -148,14 +148,14 @@ def optimum_text(best: "Optimised") -> str:
 
 
 def progress_of(step: "SearchStep") -> str:
-    """How far a search is, in one line."""
+    """The progress of a search, in one line."""
     before = "" if step.before is None else f"{step.before:.4g} -> "
     missed = f", but {step.missed}" if step.missed else ""
     return f"{step.share:4.0%}  {step.name}: {before}{amount(step.best, step.unit)}{missed}  ({step.words})"
 
 
 class _Interrupt:
-    """The first Ctrl-C asks to stop, the second stops."""
+    """The first Ctrl-C requests a stop, the second stops at once."""
 
     def __init__(self) -> None:
         self.asked = False
@@ -194,19 +194,19 @@ def _of_unit(
 
 
 def record_of_unit(best: "UnitOptimum") -> dict[str, object]:
-    """What --json keeps of a search of a whole unit."""
+    """The result of a search of a whole unit, for --json."""
     rows = [dict(zip(("name", "unit", "before", "now"), row, strict=True)) for row in best.rows]
     return {"requirements": rows, "gain": best.gain, "evaluations": best.evaluations}
 
 
 def text_of_unit(best: "UnitOptimum") -> str:
-    """An optimised plan of a whole unit as people read it."""
+    """An optimised plan of a whole unit as text."""
     shown = [(name, amount(before, unit), amount(now, unit)) for name, unit, before, now in best.rows]
     return columns([("requirement", "before", "now"), *shown], indent="") + "\n" + gain_of_unit(best)
 
 
 def gain_of_unit(best: "UnitOptimum") -> str:
-    """What a search of a whole unit gained, in a sentence."""
+    """The gain of a search of a whole unit, in a sentence."""
     return f"{best.gain:.2f} times better in the geometric mean, after {best.evaluations} plans"
 
 

@@ -1,4 +1,4 @@
-"""What commands that print numbers or write files share: their options, JSON, and names that can be written."""
+"""Options, JSON and checks of output files for all commands."""
 
 import json
 from pathlib import Path
@@ -27,12 +27,12 @@ _FIGURES: Final = (".png", ".svg", ".pdf")
 
 
 def as_json(value: Any) -> str:
-    """JSON for other programs: numbers are finite, and what is not known is null."""
+    """JSON for other programs: all numbers are finite; unknown values are null."""
     return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def writable(path: Path, force: bool) -> None:
-    """Refuse a file that cannot be written or would be overwritten. Raises `ValueError`."""
+    """Raise `ValueError` for a file that cannot be written or would be overwritten."""
     if path.is_dir():
         raise ValueError(f"{path} is a directory; name a file in it")
     if path.exists() and not force:
@@ -42,7 +42,7 @@ def writable(path: Path, force: bool) -> None:
 
 
 def drawable(plot: Path | None) -> None:
-    """Refuse a figure that cannot be written, before the work and not after it. Raises `ValueError`."""
+    """Raise `ValueError` for a figure that cannot be written; called before the computation."""
     if plot is None:
         return
     if plot.suffix.lower() not in _FIGURES:
@@ -51,7 +51,8 @@ def drawable(plot: Path | None) -> None:
 
 
 def save_figure(draw: "Callable[[Any], Figure]", plot: Path | None, *, quiet: bool) -> None:
-    """Draw with `gradcal_jax.plots`, write the figure and, unless `quiet`, say so; nothing where there is no `plot`."""
+    """Draw with `gradcal_jax.plots`, write the figure and, unless `quiet`, print its name. Without a `plot`, do
+    nothing."""
     if plot is None:
         return
     from gradcal_jax import plots

@@ -1,5 +1,5 @@
-"""How the command line uses JAX: in float64, interruptible, without threads for small matrices or memory given back and
-forth, with few collections of garbage, and without compiling tomorrow what it compiled today.
+"""Settings of JAX and of the process for the command line: float64, interrupts, one thread for small matrices, retained
+memory, few garbage collections, and a cache of compiled programs.
 
 The library itself never changes JAX's global switches.
 """
@@ -13,18 +13,16 @@ import threading
 from types import FrameType
 
 _SOON_S = 0.05
-# Of <malloc.h>: allocations that are maps of their own, bytes that are kept at the heap's end, and bytes taken ahead.
+# mallopt's options by <malloc.h>: M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD (bytes).
 _HEAP = {-4: 0, -1: 256 << 20, -2: 64 << 20}
-# Modules and programs being traced are many objects and hardly any garbage: Python looks through them a hundred times.
+# Modules and traced programs are many objects and hardly any garbage, which Python would scan a hundred times.
 _COLLECT = (100_000, 50, 100)
 
 
 def use_float64() -> None:
-    """Switch JAX to float64 and keep compiled programs in the user's cache folder;
-    call it before anything is computed.
-    """
-    # JAX's factors and solves are SciPy's OpenBLAS, which sets threads to a few columns already: for some tens of them
-    # they wait for one another ten times as long as one takes. It reads this as it is loaded.
+    """Switch JAX to float64 and keep compiled programs in the user's cache folder; call it before any computation."""
+    # JAX factors and solves by SciPy's OpenBLAS, which starts threads even for a few columns: with some tens of
+    # columns they wait for one another ten times as long as one thread takes. OpenBLAS reads this when it is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _keep_memory()
     import jax
@@ -38,21 +36,18 @@ def use_float64() -> None:
     if folder is not None and already is None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    _begin_compiling()
-
-
-def _begin_compiling() -> None:
-    """At first use the machine's compiler makes the sums meanwhile: the other rooms take as long to load."""
+    # At first use the machine-code kernels are compiled, in parallel with the imports that follow.
     from gradcal_jax.machine import begin_sums
 
     begin_sums()
 
 
 def _keep_memory() -> None:
-    """Garbage is looked for less often, and freed memory stays with the process, where the C library is GNU's.
+    """Collect garbage less often, and let the process retain freed memory, if its C library is GNU's.
 
-    A program's arrays of some megabytes are otherwise given back after every call and cleared by the system before the
-    next: a third of the time of a search whose readings are thousands. A process that has JAX already is not ours.
+    Arrays of some megabytes would otherwise be returned to the system after every call and cleared by it before the
+    next: a third of the time of a search with thousands of readings. A process that has already imported JAX is left
+    as it is.
     """
     if "jax" in sys.modules:
         return
@@ -66,7 +61,7 @@ def _keep_memory() -> None:
 
 
 def _let_interrupts_through() -> None:
-    """Whatever is raised in JAX's callback on garbage collection is printed and lost; Ctrl-C there is sent again."""
+    """Send a Ctrl-C again that arrives in JAX's garbage-collection callback, where exceptions are printed and lost."""
     if threading.current_thread() is not threading.main_thread():
         return
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:

@@ -1,4 +1,4 @@
-"""`gradcal predict` and `gradcal compare`: what plans leave, by requirement."""
+"""`gradcal predict` and `gradcal compare`: the residuals of plans, by requirement."""
 
 import math
 from pathlib import Path
@@ -23,38 +23,38 @@ if TYPE_CHECKING:
 def predict(
     spec: SpecPath, /, *, json: Json = False, plot: Plot = None, monte_carlo: int | None = None, seed: int = 0
 ) -> int:
-    """Say what a spec's plan will leave: the residual of every requirement, before anyone books a chamber.
+    """Predict the residual of every requirement after a spec's plan, before anyone books a chamber.
 
     The exit status is 1 where a target is missed or a requirement cannot be observed.
 
     Parameters
     ----------
     json
-        Print the prediction as gradcal-prediction/1; with --monte-carlo, both under their names.
+        Print the prediction as gradcal-prediction/1; with --monte-carlo, both as parts of one object.
     plot
         Draw the residual maps into this file (.png, .svg, .pdf).
     monte_carlo
         Simulate this many calibrations, too, and compare them with the prediction.
     seed
-        Of the simulated calibrations.
+        The seed of the simulated calibrations.
     """
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
 
     drawable(plot)
-    found = any_spec_in(spec)
-    if isinstance(found, UnitSpec) and monte_carlo is not None:
+    specification = any_spec_in(spec)
+    if isinstance(specification, UnitSpec) and monte_carlo is not None:
         raise ValueError("--monte-carlo simulates one gyro axis, not yet a whole unit: leave it out")
     use_float64()
     from gradcal_jax import api
 
-    rows, tests, limits = (), {}, not json or bool(found.sensor.uncertain_figures())
-    if isinstance(found, UnitSpec):
-        prediction = api.predict(found, limits=limits)
+    rows, tests, limits = (), {}, not json or bool(specification.sensor.uncertain_figures())
+    if isinstance(specification, UnitSpec):
+        prediction = api.predict(specification, limits=limits)
     else:
-        prediction = api.predict(found, limits=limits, notices=True, outlook=True)
+        prediction = api.predict(specification, limits=limits, notices=True, outlook=True)
         if monte_carlo is not None:
-            rows, tests = api.monte_carlo(found, monte_carlo, seed)
+            rows, tests = api.monte_carlo(specification, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
         simulated["covariance"] = {
@@ -65,12 +65,12 @@ def predict(
         print(prediction.model_dump_json(indent=2))
     else:
         print(prediction_text(prediction, str(spec)))
-        said = [] if isinstance(found, UnitSpec) else counted_as_zero(found, prediction)
-        print("\n".join(["", *said])) if said else None
+        absent = [] if isinstance(specification, UnitSpec) else counted_as_zero(specification, prediction)
+        print("\n".join(["", *absent])) if absent else None
         if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
-    of_unit = isinstance(found, UnitSpec)
-    save_figure(lambda p: p.draw_unit(found) if of_unit else p.draw_prediction(found), plot, quiet=json)
+    of_unit = isinstance(specification, UnitSpec)
+    save_figure(lambda p: p.draw_unit(specification) if of_unit else p.draw_prediction(specification), plot, quiet=json)
     met = all(row.verdict in (None, "met") for row in prediction.requirements)
     return DONE if met and all(test.consistent for test in tests.values()) else NOT_AS_WISHED
 
@@ -78,7 +78,7 @@ def predict(
 def compare(
     specs: Annotated[tuple[Path, ...], Parameter(negative="")], /, *, json: Json = False, plot: Plot = None
 ) -> int:
-    """Put plans side by side: hours, residuals, and what each is limited by.
+    """Compare plans: hours, residuals, and the errors that limit each.
 
     Parameters
     ----------
@@ -95,16 +95,16 @@ def compare(
     from gradcal_jax.files.unit_spec import UnitSpec
 
     drawable(plot)
-    found = [(path.stem, any_spec_in(path)) for path in specs]
-    of_axes = [(name, spec) for name, spec in found if not isinstance(spec, UnitSpec)]
-    if plot is not None and len(of_axes) < len(found):
+    plans = [(path.stem, any_spec_in(path)) for path in specs]
+    of_axes = [(name, spec) for name, spec in plans if not isinstance(spec, UnitSpec)]
+    if plot is not None and len(of_axes) < len(plans):
         raise ValueError(
             "--plot compares plans of one gyro axis; draw a unit's plan by: gradcal predict SPEC --plot FILE"
         )
     use_float64()
     from gradcal_jax import api
 
-    predictions = [(name, api.predict(spec, limits=True)) for name, spec in found]
+    predictions = [(name, api.predict(spec, limits=True)) for name, spec in plans]
     if json:
         print("[" + ",\n".join(prediction.model_dump_json(indent=2) for _, prediction in predictions) + "]")
     else:
@@ -114,7 +114,7 @@ def compare(
 
 
 def prediction_text(prediction: "Prediction", name: str) -> str:
-    """A prediction as people read it: ppm, deg/h, hours."""
+    """A prediction as text: ppm, deg/h, hours."""
     times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
     lines = [strong(prediction.title or name), times, ""]
     if prediction.requirements:
@@ -137,7 +137,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
 
 
 def counted_as_zero(spec: "Spec", prediction: "Prediction | None" = None) -> list[str]:
-    """What the file leaves out, with typical figures; and what the residuals would be with them. Empty: nothing."""
+    """Error terms that are absent from the file, with typical figures, and the residuals with these. Empty: none."""
     from gradcal_jax.files.absent import absent_terms, sensor_grade, table_grade
 
     absent = absent_terms(spec)
@@ -160,7 +160,7 @@ def counted_as_zero(spec: "Spec", prediction: "Prediction | None" = None) -> lis
 
 
 def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
-    """Plans as rows, requirements below one another."""
+    """A table of plans, one row for each requirement."""
     rows: list[tuple[str, ...]] = [("plan", "in all", "soak", "motion", "requirement", "residual (1σ)", "limited by")]
     for name, prediction in predictions:
         times = (time_text(prediction.duration_s), time_text(prediction.soak_s), time_text(prediction.motion_s))
@@ -189,7 +189,7 @@ def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
 
 
 def _judged(row: "RequirementRow", several: bool) -> list[str]:
-    """What a requirement is limited by, how it is judged, and with which risks."""
+    """The errors that limit a requirement, its decision rule, and the risks."""
     name = _named(row, several)
     lines = [f"{name}: limited by {row.limited_by}"] if row.limited_by else []
     lines += own_noise_lines(row, name)
@@ -209,7 +209,7 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
 
 
 def own_noise_lines(row: "RequirementRow", name: str) -> list[str]:
-    """What no calibration takes off, beside what this one leaves; of several missions, each."""
+    """The noise that no calibration takes off, beside the residual; with several missions, a row for each."""
     if row.own is None or row.own_sources is None:
         return []
     parts = ", ".join(f"{source} {value:.3g}" for source, value in row.own_sources.items() if value >= 0.05 * row.own)
@@ -226,7 +226,7 @@ def own_noise_lines(row: "RequirementRow", name: str) -> list[str]:
 
 
 def percent(chance: float, least: float = 1e-4) -> str:
-    """A chance as people read it; below `least`, or so near to one, that alone is said."""
+    """A chance in per cent; within `least` of zero or one, only as a bound."""
     if chance < least:
         return f"< {100.0 * least:g} %"
     return f"> {100.0 * (1.0 - least):g} %" if chance > 1.0 - least else f"{100.0 * chance:.3g} %"

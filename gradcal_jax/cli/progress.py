@@ -1,4 +1,4 @@
-"""How far long work is: a line or bars that move on a terminal, plain lines away from it."""
+"""Progress of long work: a moving line or bars on a terminal, plain lines elsewhere."""
 
 import sys
 import time
@@ -10,13 +10,13 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     from gradcal_jax.jobs.pool import JobProgress
 
-# Before that, what is left is anybody's guess.
+# Before this, the remaining time is not shown.
 _SOON_S: Final = 3.0
 _STAGES: Final = {"reading": "reading points", "predict": "predicting", "optimise": "optimising"}
 
 
 class MovingLine:
-    """One line that is written over on a terminal; away from it a line each."""
+    """One line that is overwritten on a terminal; separate lines elsewhere."""
 
     def __init__(self, stream: Any) -> None:
         self.plain = is_plain(stream)
@@ -28,7 +28,7 @@ class MovingLine:
         return self
 
     def show(self, line: str, share: float | None = None) -> None:
-        """Say this in the place of what was said before; with the share that is done, how long the rest will take."""
+        """Replace the line; with the `share` of the work that is done, also show the remaining time."""
         spent = time.monotonic() - self._begun
         if share is not None and 0.0 < share < 1.0 and spent > _SOON_S:
             line += f"  {time_text(float(round(spent * (1.0 - share) / share)))} left"
@@ -39,7 +39,7 @@ class MovingLine:
             self._open = True
 
     def end(self) -> None:
-        """What is said next begins a line."""
+        """Begin a new line for any further output."""
         if self._open:
             print(file=self._stream)
             self._open = False
@@ -49,7 +49,7 @@ class MovingLine:
 
 
 class Bars:
-    """On stderr, a bar for each stage and what its pieces gave above them; away from a terminal the pieces alone."""
+    """On stderr, a bar for each stage, with a line for each result above; away from a terminal only these lines."""
 
     def __init__(self) -> None:
         self._bars: Any = None
@@ -73,7 +73,7 @@ class Bars:
         return self
 
     def show(self, now: "JobProgress") -> None:
-        """For whoever reports progress."""
+        """Show a report of progress."""
         if self._bars is None:
             if now.newest:
                 print(f"{now.done}/{now.total} {now.newest}", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""`gradcal recipe` and `gradcal show`: the plan of a spec made executable, and a recipe as a table for the bench."""
+"""`gradcal recipe` and `gradcal show`: an executable recipe of a spec's plan, and a recipe as a table."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def recipe(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Make a recipe of a spec's plan as it stands: rounded to what the controllers accept, predicted as rounded.
+    """Make a recipe of a spec's plan: rounded to the controllers' steps, with the prediction of the rounded plan.
 
     The steps of the controllers are those of [rig.resolution] in the spec; where it names none, 0.1 K, 0.1 s,
     0.01 deg/s and 0.001 deg, and always 0.01 K/min. `gradcal show` prints the recipe as a table.
@@ -28,11 +28,11 @@ def recipe(
     Parameters
     ----------
     spec
-        The spec file; or a recipe, to make it anew.
+        The spec file; or a recipe, to make a new one of it.
     output
         The recipe file to write; - prints it.
     keep_shapes
-        The table follows any shape of motion; without this, turns become trapezoids, as rotary stages make them.
+        The table follows any shape of motion; without this, turns become trapezoids.
     stable_within
         A temperature counts as stable within this of its goal, such as "0.5 K".
     stable_for
@@ -40,20 +40,20 @@ def recipe(
     timeout
         The run ends when the first temperature is not stable after so long, such as "4 h".
     json
-        Print what was written, and what rounding left of it, as JSON.
+        Print the name of the recipe, and its prediction after rounding, as JSON.
     """
     from gradcal_jax.files import Quantity, to_toml
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.tracks import Stability
 
-    found = any_spec_in(spec)
+    specification = any_spec_in(spec)
     wishes = {
         "within": ("temperature difference", stable_within),
         "for_at_least": ("time", stable_for),
         "first_timeout": ("time", timeout),
     }
-    given = {name: Quantity.read(text, kind) for name, (kind, text) in wishes.items() if text is not None}
-    stability = Stability.model_validate(given)
+    limits = {name: Quantity.read(text, kind) for name, (kind, text) in wishes.items() if text is not None}
+    stability = Stability.model_validate(limits)
     if str(output) != "-":
         writable(output, force)
     elif json:
@@ -61,11 +61,11 @@ def recipe(
     use_float64()
     from gradcal_jax import api
 
-    made = api.recipe(found, stability=stability, keep_shapes=keep_shapes)
+    result = api.recipe(specification, stability=stability, keep_shapes=keep_shapes)
     header = (
         "Made by gradcal; `gradcal show` prints it as a table. To change the plan, change the spec and make it anew."
     )
-    text = to_toml(made, header=header)
+    text = to_toml(result, header=header)
     if str(output) == "-":
         print(text, end="")
         return DONE
@@ -73,20 +73,20 @@ def recipe(
 
     write_whole(output, text)
     if json:
-        rows = [row.model_dump() for row in made.prediction.requirements]
-        told = {"recipe": str(output), "fingerprint": made.fingerprint, "requirements": rows}
-        print(as_json(told | {"rounded": list(made.rounded), "notes": list(made.notes)}))
+        rows = [row.model_dump() for row in result.prediction.requirements]
+        record = {"recipe": str(output), "fingerprint": result.fingerprint, "requirements": rows}
+        print(as_json(record | {"rounded": list(result.rounded), "notes": list(result.notes)}))
         return DONE
-    for note in made.notes:
+    for note in result.notes:
         print(f"note: {note}")
-    if made.rounded:
-        print(f"rounded {len(made.rounded)} keys of the plan to the controllers' steps; the recipe lists them")
+    if result.rounded:
+        print(f"rounded {len(result.rounded)} keys of the plan to the controllers' steps; the recipe lists them")
     print(f"wrote {output}; read it with: gradcal show {output}")
     return DONE
 
 
 def show(recipe: Path, /, *, json: Json = False) -> int:
-    """Print a recipe as a table: what the chamber does, what the table does, and what it will leave.
+    """Print a recipe as a table: the steps of the chamber, those of the table, and the predicted residuals.
 
     Parameters
     ----------
@@ -98,6 +98,6 @@ def show(recipe: Path, /, *, json: Json = False) -> int:
     from gradcal_jax.files.recipe import read_recipe
     from gradcal_jax.pages.bench_sheet import show as sheet
 
-    found = read_recipe(recipe)
-    print(found.model_dump_json(indent=2, exclude_none=True) if json else sheet(found, heading=strong))
+    contents = read_recipe(recipe)
+    print(contents.model_dump_json(indent=2, exclude_none=True) if json else sheet(contents, heading=strong))
     return DONE

@@ -1,4 +1,4 @@
-"""What the commands that take a LOG share: reading it, whatever its kind, and saying what was found wrong with it."""
+"""Reading and describing a LOG of any kind, for all commands that take one."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,9 +43,9 @@ WHOLE: Final = Recording()
 
 
 def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "Log":
-    """A log of this program (netCDF), a flight log, or a table with its column map: the part that was asked for.
+    """Read the requested part of a log of this program (netCDF), a flight log, or a table with its column map.
 
-    `unit` is needed where several run at clocks of their own. Raises `ValueError`s.
+    `unit` is needed for a flight log with several units at different clocks. Raises `ValueError`.
     """
     from gradcal_jax.files.log import part_of, read_log
     from gradcal_jax.files.vehicle import is_vehicle_log, read_vehicle_log
@@ -113,7 +113,7 @@ def quantity(text: str, dimension: str, option: str) -> float:
 
 
 def described(log: "Log", name: str) -> str:
-    """A log in a few lines: what it holds, where its rows went, and every fault that was found."""
+    """A log in a few lines: its contents, the numbers of rows by use, and every fault."""
     lines = [
         f"{name}: {log.duration_s:.6g} s at {1.0 / log.sample_interval_s:.6g} Hz, "
         f"{len(log.units)} unit{'s' * (len(log.units) != 1)}, axes {', '.join(log.axes)}"

@@ -1,4 +1,4 @@
-"""`gradcal replan`: the best plan for what is left of a run that was broken off."""
+"""`gradcal replan`: the best plan for the rest of an interrupted run."""
 
 import sys
 
@@ -19,21 +19,21 @@ def replan(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Find the best plan for what is left of a run that was broken off, given what was done; write it as a recipe.
+    """Find the best plan for the rest of an interrupted run, and write it as a recipe.
 
-    What the journal proves was done stays as it is and counts in every prediction; the rest is searched anew, on a ramp
-    from where the chamber's course was broken off. The unit must not have been switched off meanwhile: the run is one
-    run, with one turn-on bias. Of a whole unit, whole cycles count, and its poses and moves are searched anew. Go on by
-    it with: gradcal run NEW --resume RUN. The exit status is 1 where the search did not converge.
+    The part that was done by the journal counts in every prediction; the rest is searched anew, on a ramp from where
+    the chamber's course stopped. The unit must not have been switched off meanwhile: both parts are one run, with one
+    turn-on bias. Of a whole unit, whole cycles count, and its poses and moves are searched anew. Go on with: gradcal
+    run NEW --resume RUN. The exit status is 1 where the search did not converge.
 
     Parameters
     ----------
     output
         The recipe file to write.
     time
-        How long the rest may take, waiting not counted, such as "40 min"; absent: what the recipe had left.
+        How long the rest may take, waiting not counted, such as "40 min"; absent: the recipe's time that is left.
     pause
-        How long it will be from where the run was broken off to where it goes on; a whole unit's drifts begin anew.
+        Time from the end of the run to where it goes on; a whole unit's drifts begin anew.
     quick
         Few starts, or plans: within some per cent of the best, in seconds.
     json
@@ -60,9 +60,9 @@ def replan(
 
     spans, status, code = [(part.start_s, part.end_s) for part in done], "", DONE
     if isinstance(recipe.spec, UnitSpec):
-        found, interrupted = searches.search_unit(rest_of(recipe.spec, spans, left_s=left_s), quick=quick)
-        plan, record, table = found.spec, searches.record_of_unit(found), searches.text_of_unit(found)
-        status = "interrupted, the best so far: " * interrupted + searches.gain_of_unit(found)
+        optimum, interrupted = searches.search_unit(rest_of(recipe.spec, spans, left_s=left_s), quick=quick)
+        plan, record, table = optimum.spec, searches.record_of_unit(optimum), searches.text_of_unit(optimum)
+        status = "interrupted, the best so far: " * interrupted + searches.gain_of_unit(optimum)
         code = INTERRUPTED if interrupted else DONE
     else:
         with MovingLine(sys.stderr) as line:
@@ -70,13 +70,13 @@ def replan(
             plan = search(recipe.spec, spans, left_s=left_s, pause_s=pause_s, quick=quick, watch=watch)
         record, table, code = record_of(plan), searches.optimum_text(plan), DONE if plan.converged else NOT_AS_WISHED
     seconds = sum(end - begin for begin, end in spans)
-    said = f"after {time_text(float(round(seconds)))} with data were done; its prediction counts them"
-    notes = (f"the rest of a run, {said}",)
-    made = api.recipe(plan, stability=recipe.stability, status=status, notes=notes)
-    write_toml(made, output, header="Made by gradcal replan; `gradcal show` prints it as a table.")
+    remark = f"after {time_text(float(round(seconds)))} with data were done; its prediction counts them"
+    notes = (f"the rest of a run, {remark}",)
+    result = api.recipe(plan, stability=recipe.stability, status=status, notes=notes)
+    write_toml(result, output, header="Made by gradcal replan; `gradcal show` prints it as a table.")
     if json:
         print(as_json(record | {"done": spans, "recipe": str(output)}))
     else:
         print(table)
-        print(f"wrote {output}, {said}; go on with: gradcal run {output} --resume {run}")
+        print(f"wrote {output}, {remark}; go on with: gradcal run {output} --resume {run}")
     return code

@@ -1,4 +1,4 @@
-"""`gradcal report`: one page of what was planned, predicted, done and found, for people."""
+"""`gradcal report`: one page with plan, prediction, run and calibration."""
 
 from pathlib import Path
 from typing import Annotated
@@ -38,23 +38,23 @@ def report(
     output
         The page (.html).
     before
-        A spec or recipe whose plan to compare with; without it, what the spec's priors say.
+        A spec or recipe whose plan to compare with; without it, the spec's priors.
     limits
-        What `gradcal limit --json` printed of the plan, kept in a file: the page says how near the plan comes.
+        The output of `gradcal limit --json` for the plan, in a file: the page shows the plan's efficiency.
     panel
-        Sliders on the page: what another time, encoder or slope would leave, from 75 predictions.
+        Sliders on the page: the residuals for another time, encoder or slope, from 75 predictions.
     certificate
-        Two pages for a laboratory to sign, of a calibration, in the place of the whole page.
+        Two pages of a calibration for a laboratory to sign, in the place of the whole page.
     rig
         The rig file, whose [laboratory] and [[reference]] a certificate names.
     number
-        Of the certificate.
+        The number of the certificate.
     customer
-        For whom the certificate is.
+        The customer on the certificate.
     operator
-        Who made the calibration; without it the rig file's.
+        The operator of the calibration; without it the rig file's.
     performed
-        When, such as 2026-11-22 or 2026-11-21..2026-11-22; without it the day of the run.
+        The date of the calibration, such as 2026-11-22 or 2026-11-21..2026-11-22; without it the day of the run.
     dcc
         Write the certificate as a Digital Calibration Certificate (PTB's XML), too.
     json
@@ -65,7 +65,7 @@ def report(
     writable(output, force)
     if dcc is not None:
         writable(dcc, force)
-    found = read_sources(sources, before=before, limits=limits)
+    documents = read_sources(sources, before=before, limits=limits)
     use_float64()
     if certificate:
         from gradcal_jax.files.rig import read_rig
@@ -73,14 +73,14 @@ def report(
 
         read = None if rig is None else read_rig(rig)
         words = {"number": number, "customer": customer, "operator": operator, "performed": performed}
-        made = room.certificate_of(found, read, **words)
+        document = room.certificate_of(documents, read, **words)
         if dcc is not None:
             from gradcal_jax.pages.dcc import write_dcc
 
-            write_dcc(made, read, dcc)
-        room.write_certificate(made, output)
+            write_dcc(document, read, dcc)
+        room.write_certificate(document, output)
         print(
-            as_json(room.certificate_tables(made))
+            as_json(room.certificate_tables(document))
             if json
             else f"wrote {output}" + (f" and {dcc}" if dcc is not None else "")
         )
@@ -90,7 +90,7 @@ def report(
     from gradcal_jax.pages.report import write_page
     from gradcal_jax.pages.report_data import as_tables
 
-    data = write_page(found, output, panel=panel)
+    data = write_page(documents, output, panel=panel)
     if json:
         print(as_json(as_tables(data)))
     else:

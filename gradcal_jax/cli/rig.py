@@ -1,4 +1,4 @@
-"""`gradcal rig new` and `gradcal rig check`: what hangs on which port."""
+"""`gradcal rig`: the devices of a rig and their ports."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gradcal_jax.hardware.dry_run import Tried
     from gradcal_jax.hardware.setup import DeviceReport
 
-rig_app = App(name="rig", help="The rig file: which device hangs on which port, and what they say of themselves.")
+rig_app = App(name="rig", help="The rig file: which device is on which port, and whether each answers.")
 
 
 @rig_app.command
@@ -47,7 +47,7 @@ def protocols(name: str | None = None, /) -> int:
     Parameters
     ----------
     name
-        Of which to print the description.
+        The device whose description to print.
     """
     from gradcal_jax.files.line_protocol import protocol_of, protocol_text, shipped
 
@@ -61,7 +61,7 @@ def protocols(name: str | None = None, /) -> int:
 
 @rig_app.command
 def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
-    """Ask every device of a rig who it is and what it accepts. Nothing moves, unless --move is given.
+    """Read the identity and the limits of every device of a rig. Nothing moves, unless --move is given.
 
     With --recipe everything is tried that its run needs: a reading of each device, the rate of each unit's samples, the
     recipe against the devices' limits; with --move each axis finds its reference, and makes its longest turn there and
@@ -74,9 +74,9 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
     recipe
         Try what the run of this recipe needs.
     move
-        Move the axes, too: somebody stands by.
+        Move the axes, too: the operator stands by.
     json
-        Print what the devices said as JSON.
+        Print the devices' answers as JSON.
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
@@ -85,19 +85,19 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
 
     if move and recipe is None:
         raise ValueError("--move makes a recipe's longest moves: which recipe? Give --recipe")
-    found = read_rig(rig)
-    reports = check_each(found, RealClock())
-    tried = _tried(found, recipe, move) if recipe is not None and all(report.good for report in reports) else []
+    description = read_rig(rig)
+    reports = check_each(description, RealClock())
+    tried = _tried(description, recipe, move) if recipe is not None and all(report.good for report in reports) else []
     if json:
         rows = [json_of(asdict(report)) for report in reports]
         print(as_json(rows if recipe is None else {"devices": rows, "tried": [asdict(one) for one in tried]}))
     else:
-        print(strong(found.title or str(rig)))
+        print(strong(description.title or str(rig)))
         print(columns([row for report in reports for row in _rows(report)]))
-        for entry in found.axis:
+        for entry in description.axis:
             print(f'  when a run ends badly, axis {entry.name}: "{entry.safe}"')
-        if found.chamber is not None:
-            print(f'  when a run ends badly, the chamber: "{found.chamber.safe}"')
+        if description.chamber is not None:
+            print(f'  when a run ends badly, the chamber: "{description.chamber.safe}"')
         for one in tried:
             print(f"  {one.name}: {one.what}" + ("" if one.good else "  NOT AS IT SHOULD BE"))
         good = all(entry.good for entry in (*reports, *tried))
@@ -127,8 +127,10 @@ def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     if report.problem:
         return [(*head, report.problem)]
     identity = report.identity
-    said = "" if identity is None else " ".join((identity.model, identity.serial_number, identity.firmware)).strip()
+    described = (
+        "" if identity is None else " ".join((identity.model, identity.serial_number, identity.firmware)).strip()
+    )
     limits = {} if report.limits is None else asdict(report.limits)
     limits.pop("registers", None)
     rows = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in limits.items()]
-    return [(*head, said), *(("", "", "", row) for row in rows)]
+    return [(*head, described), *(("", "", "", row) for row in rows)]

@@ -43,11 +43,11 @@ def run(
     units: int = 1,
     json: Json = False,
 ) -> int:
-    """Execute a recipe, and leave the rig safe whatever happens.
+    """Execute a recipe, and leave the rig safe in every case.
 
-    Ctrl-C once pauses after the step; again, it makes everything safe and ends. A run that was ended or killed is gone
-    on with by --resume. With --simulate the same run goes through simulated devices on pseudo-terminals and is marked
-    as simulated everywhere. The exit status is 3 when a device or the run failed.
+    Ctrl-C once pauses after the step; again, it makes everything safe and ends. --resume goes on with a run that was
+    ended or killed. With --simulate the same run goes through simulated devices on pseudo-terminals and is marked as
+    simulated everywhere. The exit status is 3 when a device or the run failed.
 
     Parameters
     ----------
@@ -56,32 +56,32 @@ def run(
     rig
         The rig file.
     output
-        The folder of the run, to be made.
+        The folder of the run; it is made.
     resume
-        Go on with the run in this folder; a recipe is given only where `gradcal replan` made one for the rest of it,
-        and a rig only to be compared with the run's.
+        Go on with the run in this folder; give a recipe only where `gradcal replan` made one for the rest of it, and a
+        rig only to compare it with the run's.
     simulate
         Use simulated devices in the place of a rig.
     speed
-        Of a simulated run: so many times faster than real time; absent: as fast as it goes.
+        Of a simulated run: how many times faster than real time; absent: as fast as possible.
     seed
-        Of a simulated run: what its devices' hidden errors are drawn by.
+        The seed of the simulated devices' hidden errors.
     sample_rate
-        Of a simulated sensor: "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
+        The sample rate of a simulated sensor: "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
     dry_run
-        Ask the rig's devices for their limits, print what each would be told, and stop; nothing moves.
+        Read the limits of the rig's devices, print the commands that each would get, and stop; nothing moves.
     yes
-        Begin without asking whether everything on the list is as it should be.
+        Begin without the question after the list of checks.
     operator
-        Who runs it; kept in the run and its log, as are --unit and --note.
+        The operator of the run; kept in the run and its log, as are --unit and --note.
     unit
         Which unit is on the table.
     note
         Anything to remember.
     units
-        Of a simulated run of a whole unit: how many units hang on the table.
+        Of a simulated run of a whole unit: how many units are on the table.
     json
-        Print nothing but how the run ended, as JSON.
+        Print only how the run ended, as JSON.
     """
     if resume is not None:
         if output is not None or simulate:
@@ -99,17 +99,17 @@ def run(
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.execute import run as execute
 
-    found, bench = read_recipe(recipe), None if rig is None else read_rig(rig)
+    executable, bench = read_recipe(recipe), None if rig is None else read_rig(rig)
     rate = parse(sample_rate, "frequency")
     if simulate and not json:
         print(_REHEARSAL)
     about = {name: text for name, text in (("operator", operator), ("on the table", unit), ("note", note)) if text}
-    if bench is not None and not (yes or json) and not _confirmed(found, bench, about):
+    if bench is not None and not (yes or json) and not _confirmed(executable, bench, about):
         complain("not begun: nothing was moved")
         return INTERRUPTED
     with _Watcher(simulate, quiet=json, virtual=simulate and speed is None) as watcher:
         simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate, "units": units}
-        result = execute(found, output, rig=bench, about=about, **simulation, **watcher.attends())
+        result = execute(executable, output, rig=bench, about=about, **simulation, **watcher.attends())
     return _say(output, result, json)
 
 
@@ -127,34 +127,35 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     reports = check_each(bench, RealClock())
     chamber = next((report.limits for report in reports if isinstance(report.limits, ChamberLimits)), None)
     axes = {report.name: report.limits for report in reports if isinstance(report.limits, AxisLimits)}
-    found = dry_run_of(track, chamber, axes)
+    plan = dry_run_of(track, chamber, axes)
     silent = [f"{report.name}: {report.problem}" for report in reports if report.problem]
-    problems = [*silent, *found.problems]
+    problems = [*silent, *plan.problems]
     if json:
-        print(as_json(asdict(found) | {"problems": problems}))
+        print(as_json(asdict(plan) | {"problems": problems}))
     else:
-        for step in found.steps:
+        for step in plan.steps:
             waits = ", once it is ready" if step.waits else ""
             print(f"{time_text(step.begins_s)}  {step.name}, {time_text(step.duration_s)}{waits}")
-            print("".join(f"    {told}\n" for told in step.told), end="")
-        print(f"{len(found.steps)} steps, {time_text(found.duration_s)} and what they wait for")
-        for text in found.rounded:
+            print("".join(f"    {command}\n" for command in step.told), end="")
+        print(f"{len(plan.steps)} steps, {time_text(plan.duration_s)} and what they wait for")
+        for text in plan.rounded:
             print(f"rounded: {text}")
         print("\n".join(problems) if problems else "every device accepts it; nothing was moved")
     return FAILED if problems else DONE
 
 
 def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
-    """The list before a run. Somebody at a terminal says whether it is so; where nobody can, it is only printed."""
+    """Print the checklist before a run and, on a terminal, ask the operator to confirm it."""
     from gradcal_jax.hardware.binding import track_of
 
     track = track_of(recipe, [axis.name for axis in rig.axis])
-    told = [course.temperature_c for step in track.steps for course in step.courses]
-    told += [step.temperature_c for step in track.steps if step.temperature_c is not None]
+    temperatures = [course.temperature_c for step in track.steps for course in step.courses]
+    temperatures += [step.temperature_c for step in track.steps if step.temperature_c is not None]
     rows = [f"{name}: {text}" for name, text in about.items()]
     rows.append(f"takes {time_text(float(round(track.duration_s)))}, and what it waits for")
-    if rig.chamber is not None and told:
-        rows.append(f"the chamber goes from {min(told):g} to {max(told):g} degC; can everything in it stand that?")
+    if rig.chamber is not None and temperatures:
+        low, high = min(temperatures), max(temperatures)
+        rows.append(f"the chamber goes from {low:g} to {high:g} degC; can everything in it stand that?")
     for axis in rig.axis:
         moves = [move for step in track.steps for move in step.moves if move.axis == axis.name]
         if moves:
@@ -210,14 +211,14 @@ def _say(folder: Path, result: "RunResult", json: bool) -> int:
         f"the run {result.exit_status} after {result.steps_done} steps: {result.reason}\n"
         f"What was recorded is sound. Go on with it: gradcal run --resume {folder}"
     )
-    asked = result.reason in ("Ctrl-C", "interrupted from the keyboard")
-    return INTERRUPTED if asked and result.verified_safe else FAILED
+    by_operator = result.reason in ("Ctrl-C", "interrupted from the keyboard")
+    return INTERRUPTED if by_operator and result.verified_safe else FAILED
 
 
 class _Watcher:
-    """Shows what the run does: one moving line on a terminal, a line for each step elsewhere; nothing where `quiet`.
+    """Shows the progress of a run: one moving line on a terminal, a line for each step elsewhere; nothing if `quiet`.
 
-    In a thread of its own: a terminal that was told to stop (Ctrl-S) stops no move and no interlock.
+    It has a thread of its own, so that a stopped terminal (Ctrl-S) stops no move and no interlock.
     """
 
     def __init__(self, simulated: bool, *, quiet: bool, virtual: bool = False) -> None:
@@ -226,7 +227,7 @@ class _Watcher:
         self._simulated = simulated
         self._virtual = virtual
         self._quiet = quiet
-        # Where somebody sits who can be asked to turn an axis.
+        # A terminal on which the operator can be asked to turn an axis.
         seen = sys.stdin.isatty() and sys.stdout.isatty()
         self._terminal = Terminal(keyboard=sys.stdin.fileno(), screen=sys.stdout) if seen else None
         self._line = MovingLine(sys.stdout)
@@ -246,7 +247,7 @@ class _Watcher:
         self._line.end()
 
     def attends(self) -> "Attended":
-        """For the run that is shown."""
+        """Arguments of the run that is shown."""
         attends: Attended = {
             "on_progress": self._news.put,
             "with_runner": self._attend,
@@ -268,7 +269,7 @@ class _Watcher:
     def _show(self, progress: "RunProgress") -> None:
         now = (progress.state.value, progress.step)
         if self._terminal is not None and self._terminal.asking:
-            # Somebody types on this line.
+            # The operator types on this line.
             if now[0] == "pausing" != self._last[0]:
                 self._terminal.remark("pausing after this step; Ctrl-C again makes everything safe and ends")
                 self._last = now
@@ -297,11 +298,13 @@ class _Watcher:
 
 
 def _known(folder: Path) -> Any:
-    """What is known by now; worked out by a process beside this one, which has nothing to compute and must not wait."""
+    """The residuals so far, computed by a separate process: this one must not wait."""
     program = "import os, sys; os.nice(19); from gradcal_jax.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", program, "watch", str(folder), "--known", "--json"]
-    said = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=600.0)
-    return json_module.loads(said.stdout)
+    result = subprocess.run(
+        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=600.0
+    )
+    return json_module.loads(result.stdout)
 
 
 def progress_text(progress: "RunProgress", simulated: bool) -> str:
@@ -316,7 +319,7 @@ def progress_text(progress: "RunProgress", simulated: bool) -> str:
         parts += [f"ALARM {alarm}" for alarm in chamber.alarms]
     for name, axis in progress.axes.items():
         known = axis.position_deg == axis.position_deg
-        angle = f"{axis.position_deg:.3f} deg" if known else "in somebody's hands"
+        angle = f"{axis.position_deg:.3f} deg" if known else "turned by hand"
         parts.append(f"{name} {angle}" + (" moving" if known and axis.moving else ""))
         parts += [f"FAULT {fault}" for fault in axis.faults]
     parts.append(f"{time_text(progress.track_left_s)} left")

@@ -1,4 +1,4 @@
-"""`gradcal sensitivity`: what a better encoder, a longer ramp, a quieter sensor is worth."""
+"""`gradcal sensitivity`: the effect of a better encoder, a longer ramp, a quieter sensor on the residual."""
 
 from pathlib import Path
 
@@ -8,14 +8,14 @@ from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import amount, columns
 
-# Less than this share of a per cent is nothing.
+# Smaller changes, in per cent, are not shown.
 _NOTHING = 5e-4
 
 
 def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
-    """Say what one per cent more of every figure of sensor, rig and plan changes, in per cent of the residual.
+    """Print the change of the residual, in per cent, for one per cent more of every figure of sensor, rig and plan.
 
-    For an optimised recipe this is also what is left of the change once the plan is optimised again.
+    For an optimised recipe the change is the same after the plan is optimised again.
 
     Parameters
     ----------
@@ -29,16 +29,16 @@ def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
     from gradcal_jax.files.recipe import any_spec_in
 
     drawable(plot)
-    found = any_spec_in(spec)
+    specification = any_spec_in(spec)
     use_float64()
     from gradcal_jax.api.sensitivity import sensitivities
 
-    known = sensitivities(found)
+    known = sensitivities(specification)
     if json:
         rows = [row._asdict() for row in known.rows]
         print(as_json({"residuals": known.residuals, "percent_per_percent": rows}))
     else:
-        print(strong(found.title or str(spec)))
+        print(strong(specification.title or str(spec)))
         for name, (value, unit) in known.residuals.items():
             print(f"\n{name}: {amount(value, unit)}; one per cent more of ... changes it by")
             shown = [row for row in known.rows if row.requirement == name and abs(row.percent) >= _NOTHING]

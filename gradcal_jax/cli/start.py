@@ -7,7 +7,7 @@ from gradcal_jax.cli.status import DONE
 
 
 def start(*, output: Output, preset: str | None = None, force: Flag = False) -> int:
-    """Answer ten questions, and have a spec with a plan, a rig file and a column map, each commented.
+    """Answer ten questions, and get a spec with a plan, a rig file and a column map, each commented.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
 
 
 def _asked() -> dict[str, str]:
-    """The answers, one a line; Enter alone takes what stands in brackets. A slip is asked again on a terminal."""
+    """Read the answers, one a line; an empty line takes the default. On a terminal, a wrong answer is asked again."""
     from gradcal_jax.files.begin import PRESETS, QUESTIONS, understood
 
     answers: dict[str, str] = {}

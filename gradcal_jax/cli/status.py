@@ -1,4 +1,4 @@
-"""What a command's exit status says."""
+"""Exit statuses of commands."""
 
 from typing import Final
 
@@ -7,7 +7,7 @@ NOT_AS_WISHED: Final = 1
 """Done, but a target is missed, a search has not converged, data contradict their model."""
 WRONG_INPUT: Final = 2
 FAILED: Final = 3
-"""A device, or a run."""
+"""A device or a run failed."""
 INTERRUPTED: Final = 130
 BROKEN_PIPE: Final = 141
-"""Whoever read the output went away before its end (as a shell counts a SIGPIPE)."""
+"""The reader closed the pipe before the end of the output (as a shell counts a SIGPIPE)."""

@@ -48,26 +48,26 @@ def timeline(
     from gradcal_jax.files.recipe import any_spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
 
-    found = any_spec_in(spec)
+    specification = any_spec_in(spec)
     use_float64()
     from gradcal_jax import api
 
-    if isinstance(found, UnitSpec):
+    if isinstance(specification, UnitSpec):
         if rows == "readings":
             raise ValueError("of a whole unit every segment says which channels have a row of it: leave --rows out")
-        unit = api.timeline(found)
+        unit = api.timeline(specification)
         if json:
             print(unit.model_dump_json(exclude_none=True))
         else:
             _as_csv(unit.segments) if csv else print(_table_of_unit(unit))
         return DONE
-    written = api.timeline(found)
+    contents = api.timeline(specification)
     if json:
-        print(written.model_dump_json(indent=2, exclude_none=True))
+        print(contents.model_dump_json(indent=2, exclude_none=True))
     elif csv:
-        _as_csv(written.segments if rows == "segments" else written.readings)
+        _as_csv(contents.segments if rows == "segments" else contents.readings)
     else:
-        print(_table(written, rows))
+        print(_table(contents, rows))
     return DONE
 
 
@@ -80,24 +80,24 @@ def _as_csv(entries: "Sequence[Section]") -> None:
 
 
 def _cell(value: object) -> object:
-    """Lists, and those within them, as words with spaces between."""
+    """A cell of the table: a (nested) list as words with spaces between."""
     if isinstance(value, tuple):
         return " ".join("-" if v is None else str(_cell(v)) for v in value)
     return "" if value is None else value
 
 
-def _table(written: "Timeline", rows: str) -> str:
+def _table(plan: "Timeline", rows: str) -> str:
     if rows == "segments":
         table: list[tuple[str, ...]] = [
             ("start", "axis", "what", "lasts", "angle, deg", "peak, deg/s", "chamber, degC")
         ]
-        for s in written.segments:
+        for s in plan.segments:
             chamber = f"{s.temperature_start:.2f} -> {s.temperature_end:.2f}"
             turns = (f"{math.degrees(s.angle):+.4g}", f"{math.degrees(s.peak_rate):+.4g}") if s.peak_rate else ("", "")
             table.append((time_text(s.start), s.axis, s.shape, time_text(s.duration), *turns, chamber))
     else:
         table = [("time, s", "axis", "kind", "standstill", "white", "common to the standstill")]
-        for r in written.readings:
+        for r in plan.readings:
             unit = "deg" if r.kind == "angle" else "deg/s"
             stands = "" if r.standstill_id is None else str(r.standstill_id)
             noise = (f"{math.degrees(e):.4g} {unit}" for e in (r.white_std, r.offset_std))
@@ -105,7 +105,7 @@ def _table(written: "Timeline", rows: str) -> str:
     lines = [columns(table[: _MOST_ROWS + 1], indent="")]
     if len(table) > _MOST_ROWS + 1:
         lines.append(f"… and {len(table) - _MOST_ROWS - 1} more: --csv or --json gives all")
-    lines.append(f"{len(written.segments)} segments, {len(written.readings)} readings")
+    lines.append(f"{len(plan.segments)} segments, {len(plan.readings)} readings")
     return "\n".join(lines)
 
 

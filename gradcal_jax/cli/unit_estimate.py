@@ -1,4 +1,4 @@
-"""What `gradcal estimate` says of whole units: on a table, or held and turned by hand (`--gravity`)."""
+"""Results of `gradcal estimate` for whole units as text: on a table, or turned by hand (`--gravity`)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -24,15 +24,15 @@ Report = TypeVar("Report", "UnitReport", "HandReport")
 
 def say_units(
     reports: "Sequence[Report]",
-    said: Sequence[str],
+    descriptions: Sequence[str],
     text: "Callable[[Report], str]",
     rows: "Callable[[Report], dict[str, Any]]",
     files: Mapping[str, Path],
     *,
     json: bool,
 ) -> int:
-    """Print and write what was estimated of whole units; `said`: of their logs. The exit status: see `estimate`."""
-    print(as_json({"units": list(map(rows, reports))}) if json else "\n".join([*said, *map(text, reports)]))
+    """Print and write estimates of whole units, after `descriptions` of their logs; returns the exit status."""
+    print(as_json({"units": list(map(rows, reports))}) if json else "\n".join([*descriptions, *map(text, reports)]))
     for report in reports:
         if (path := files.get(report.unit)) is not None:
             write_unit_calibration(report.calibration, path)
@@ -42,14 +42,14 @@ def say_units(
 
 
 def _head(report: "UnitReport | HandReport", counted: str) -> list[str]:
-    found = report.calibration
-    low, high = found.valid_temperature
-    fastest = np.degrees(float(found.valid_rate[1]))
+    calibration = report.calibration
+    low, high = calibration.valid_temperature
+    fastest = np.degrees(float(calibration.valid_rate[1]))
     return [
         "",
-        strong(f"unit {report.unit}" + (", SIMULATED" if found.simulated else "")),
+        strong(f"unit {report.unit}" + (", SIMULATED" if calibration.simulated else "")),
         f"{counted}; covers {low} … {high}, up to {fastest:.4g} deg/s",
-        f"frame: {found.frame}",
+        f"frame: {calibration.frame}",
     ]
 
 
@@ -64,23 +64,23 @@ def _tests(report: "UnitReport | HandReport") -> str:
 def text_of_estimate(report: "UnitReport") -> str:
     from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 
-    found, model = report.calibration, report.built.model
-    lines = _head(report, f"{np.count_nonzero(report.found.used)} rows of {len(model.channels)} channels")
+    calibration, model = report.calibration, report.built.model
+    lines = _head(report, f"{np.count_nonzero(report.solution.used)} rows of {len(model.channels)} channels")
     shown = [("requirement", "statistic", "residual (1σ)", "of", "target", "verdict")]
-    for result, row in zip(found.result, report.requirements, strict=True):
+    for result, row in zip(calibration.result, report.requirements, strict=True):
         target = "" if row.target is None else amount(row.target, row.unit)
         worst = (row.limited_by or "").removeprefix("axis ")
         shown.append((row.name, row.statistic, amount(result.value, row.unit), worst, target, row.verdict or ""))
     lines += ["", table(shown, indent="")]
     spread = _sizes(report)
-    lines += ["", "what was found, at most over the temperatures:", table(spread, right=(1, 2))]
+    lines += ["", "the terms, at most over the temperatures:", table(spread, right=(1, 2))]
     if report.internal:
         inside = [("between the axes", "value", "1σ", "")]
         inside += [(m.name, f"{m.value * 1e6:.2f}", f"{m.std * 1e6:.2g}", "µrad") for m in report.internal]
         lines += [table(inside, right=(1, 2))]
-    if found.table:
-        of_table: list[tuple[str, ...]] = [("what the run says of the table", "value", "1σ", "known to", "")]
-        for error in found.table:
+    if calibration.table:
+        of_table: list[tuple[str, ...]] = [("error of the table", "value", "1σ", "known to", "")]
+        for error in calibration.table:
             unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
             numbers = (f"{v * factor:.4g}" for v in (error.value, error.standard_deviation, error.prior))
             of_table.append((error.name.replace("_", " "), *numbers, unit))
@@ -93,15 +93,15 @@ def text_of_estimate(report: "UnitReport") -> str:
 
 
 def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
-    """Of every channel's terms: the largest value over temperature (and rate)."""
+    """The largest value of every channel's terms over temperature (and rate)."""
     from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 
-    found = report.calibration
-    low, high = (float(t) for t in found.valid_temperature)
-    slow, fast = (float(r) for r in found.valid_rate)
+    calibration = report.calibration
+    low, high = (float(t) for t in calibration.valid_temperature)
+    slow, fast = (float(r) for r in calibration.valid_rate)
     temperature, rate = (x.ravel() for x in np.meshgrid(np.linspace(low, high, 41), np.linspace(slow, fast, 21)))
     rows = [("term", "largest", "at 20 °C", "")]
-    for channel in found.channel:
+    for channel in calibration.channel:
         for term in channel.term:
             unit, factor = UNITS_OF_TERMS.get(term.unit, (term.unit, 1.0))
             values = term_values(term, temperature, rate) * factor
@@ -115,12 +115,12 @@ def text_of_held(report: "HandReport") -> str:
     from gradcal_jax.api.contract_rows import deviations_of
     from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 
-    found = report.calibration
-    lines = _head(report, f"{len(report.found.positions.duration)} positions, {report.found.turns} turns")
-    std = deviations_of(found.covariance)
+    calibration = report.calibration
+    lines = _head(report, f"{len(report.solution.positions.duration)} positions, {report.solution.turns} turns")
+    std = deviations_of(calibration.covariance)
     rows = [("parameter", "value", "1σ", "")]
-    for channel in found.channel:
-        gain = (report.found.gyro if channel.kind == "gyro" else report.found.accelerometer).gain
+    for channel in calibration.channel:
+        gain = (report.solution.gyro if channel.kind == "gyro" else report.solution.accelerometer).gain
         for term in channel.term:
             unit, factor = UNITS_OF_TERMS[term.unit]
             add = 0.0
@@ -128,7 +128,7 @@ def text_of_held(report: "HandReport") -> str:
                 unit, factor = "counts", 1.0
             elif gain != 1.0 and term.name == "scale_factor":
                 unit, factor, add = "counts per " + ("rad/s" if channel.kind == "gyro" else "m/s^2"), 1.0, 1.0
-            elif gain != 1.0:  # in proportion to it
+            elif gain != 1.0:  # proportional to the gain
                 factor /= gain
             for name, value in term.coefficients.items():
                 known = std.get(f"{channel.name}.{name}")
@@ -137,6 +137,6 @@ def text_of_held(report: "HandReport") -> str:
                 rows.append((what, f"{value * factor + add:.6g}", error, unit))
     lines += ["", table(rows, right=(1, 2))]
     lines += ["", _tests(report)]
-    lines.append(f"left of |f| - g over the positions: {report.gravity_left / G * 1e6:.4g} µg rms")
-    lines.append(f"left of gravity's direction after the turns: {report.turns_left * 1e6:.4g} µrad rms")
+    lines.append(f"residual of |f| - g over the positions: {report.gravity_left / G * 1e6:.4g} µg rms")
+    lines.append(f"residual of gravity's direction after the turns: {report.turns_left * 1e6:.4g} µrad rms")
     return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])

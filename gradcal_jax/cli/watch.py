@@ -1,4 +1,4 @@
-"""`gradcal watch`: how a run stands, from its status file, from any terminal of the computer."""
+"""`gradcal watch`: the state of a run, by its status file, on any terminal of the computer."""
 
 import sys
 import time
@@ -18,7 +18,7 @@ _LOOKS_S = 1.0
 
 
 def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Json = False) -> int:
-    """Show how a run stands until it ends: step, temperature against its course, angles, samples, what is known by now.
+    """Show the state of a run until it ends: step, temperature against its course, angles, samples, residuals so far.
 
     It only reads, and may be closed at any time. The exit status is 3 where the run ended badly, or is silent.
 
@@ -27,7 +27,7 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
     once
         Show it once, and do not wait for the end.
     known
-        Work out what is known by what the journal proves was done, and once the rest is done, and print only that.
+        Print only the residuals after the part that was done by the journal, and after the whole run.
     json
         Print the status as JSON, once.
     """
@@ -51,7 +51,7 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
                 return DONE if status["exit_status"] == "success" and status["verified_safe"] else FAILED
             if silent_s > _SILENT_S:
                 line.end()
-                complain(f"nothing was heard of it for {time_text(float(round(silent_s)))}: it may have been killed")
+                complain(f"the run has been silent for {time_text(float(round(silent_s)))}: it may have been killed")
                 return FAILED
             if once or json:
                 return DONE
@@ -71,9 +71,11 @@ def _known(run: Path) -> list[dict[str, Any]]:
 
 
 def known_text(rows: list[dict[str, Any]]) -> str:
-    """What is known, by requirement, in one line."""
-    said = {None: "cannot be observed"}
-    amounts = [[said.get(row[when]) or amount(row[when], row["unit"]) for when in ("now", "at_end")] for row in rows]
+    """The residuals so far and at the end, by requirement, in one line."""
+    unobserved = {None: "cannot be observed"}
+    amounts = [
+        [unobserved.get(row[when]) or amount(row[when], row["unit"]) for when in ("now", "at_end")] for row in rows
+    ]
     return "; ".join(
         f"{row['name']}, axis {row['axis']}: now {now}, at the end {at_end}"
         for row, (now, at_end) in zip(rows, amounts, strict=True)

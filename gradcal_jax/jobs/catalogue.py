@@ -1,4 +1,4 @@
-"""Recipes for every case of a catalogue, and one table of them; killed at any time it goes on where it was."""
+"""Recipes for every case of a catalogue, with a summary table; an interrupted job resumes where it stopped."""
 
 import csv
 import hashlib
@@ -22,7 +22,7 @@ _COLUMNS: Final[tuple[str, ...]] = (
 
 @dataclass(frozen=True)
 class RecipeTable:
-    """The rows of a summary, by sensor, rig, requirement and what is left; `failed` have no recipe."""
+    """The rows of a summary, by requirement, sensor and residual; `failed` have no recipe."""
 
     rows: tuple[dict[str, Any], ...]
     kept: int
@@ -38,7 +38,7 @@ def recipes(
 ) -> RecipeTable:
     """Write `<case>.toml` for every case, `summary.csv` and `summary.md` (ppm, deg/h; 1σ) into `folder`.
 
-    What is finished is kept in `folder/.finished`, and is not done again while the case and the versions are the same.
+    Finished cases are kept in `folder/.finished`, and not repeated while the case and the versions are the same.
     Errors: `ValueError` where `folder` cannot be written to.
     """
     folder = Path(folder)
@@ -64,18 +64,18 @@ def recipes(
         if number not in rows and case.spec is not None
     ]
     with borrowed(runner) as workers:
-        for number, found in workers.run(tasks):
+        for number, answer in workers.run(tasks):
             case = job.cases[number]
-            if isinstance(found, Exception):
-                row = _failed(case, str(found))
+            if isinstance(answer, Exception):
+                row = _failed(case, str(answer))
             else:
                 name = f"{case.slug}.toml"
-                write_whole(folder / name, found.pop("toml"))
-                row = _row(case, recipe=name, remark=found.pop("sentence"), **found)
+                write_whole(folder / name, answer.pop("toml"))
+                row = _row(case, recipe=name, remark=answer.pop("sentence"), **answer)
             write_whole(kept_in / f"{case.slug}.json", json.dumps([identities[number], row], indent=1))
             rows[number] = row
-            said = row["remark"] if not row["recipe"] else f"{row['now']:.4g} {row['unit']}"
-            progress(JobProgress("optimise", len(rows), len(job.cases), kept, f"{', '.join(case.names)}: {said}"))
+            outcome = row["remark"] if not row["recipe"] else f"{row['now']:.4g} {row['unit']}"
+            progress(JobProgress("optimise", len(rows), len(job.cases), kept, f"{', '.join(case.names)}: {outcome}"))
     table = RecipeTable(_ordered([rows[number] for number in range(len(job.cases))]), kept)
     write_whole(folder / "summary.csv", as_csv(table))
     write_whole(folder / "summary.md", as_markdown(table, job.file.title))
@@ -83,7 +83,7 @@ def recipes(
 
 
 def identity_of_case(case: CatalogueCase) -> str:
-    """The same for the same case, computed by the same versions."""
+    """A hash of a case and of the versions that compute it."""
     tables = None if case.spec is None else tables_of(case.spec)
     text = json.dumps([tables, versions()], sort_keys=True, ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -91,8 +91,8 @@ def identity_of_case(case: CatalogueCase) -> str:
 
 def _kept(path: Path, identity: str) -> dict[str, Any] | None:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return found[1] if found[0] == identity else None
+        record = json.loads(path.read_text(encoding="utf-8"))
+        return record[1] if record[0] == identity else None
     except (OSError, ValueError, TypeError, LookupError):
         return None
 

@@ -1,8 +1,7 @@
-"""The same tasks on a Dask cluster, by its scheduler's address (extra `cluster`).
+"""Tasks on a Dask cluster, by its scheduler's address (extra `cluster`).
 
-Each Dask worker hands its tasks to a worker process of ours (`gradcal_jax.jobs.worker`), so that a cluster computes the
-same bits as one machine of its kind. A Dask worker that is killed costs the chunk it had in hand: Dask gives that to
-another.
+Each Dask worker passes its tasks to a worker process (`gradcal_jax.jobs.worker`), so that a cluster computes the same
+bits as one machine of its kind. Dask repeats the chunk of a killed worker on another one.
 """
 
 import threading
@@ -51,7 +50,7 @@ _HERE = threading.local()
 
 
 def do(task: Task) -> Any:
-    """Runs in a thread of a Dask worker: the task, done by a process that this thread keeps."""
+    """Do a task in the process of this thread; runs in a thread of a Dask worker."""
     if not hasattr(_HERE, "worker"):
         _HERE.worker = Worker()
     return tried(_HERE.worker, task)

@@ -124,19 +124,18 @@ def variable_name(text: str) -> str:
 
 def read_dataset(path: str | Path) -> "xarray.Dataset":
     """The results of a sweep as labelled arrays: residuals in the unit of their attributes (ppm, deg/h; 1σ) over the
-    sweep's axes, verdicts, and of every failed point the reason. Errors: `ValueError` where it is no sweep's.
-    """
+    sweep's axes, verdicts, and the reason for every failed point. Errors: `ValueError` for another kind of file."""
     try:
-        found = load_netcdf(path)
+        results = load_netcdf(path)
     except NetcdfError as error:
         raise ValueError(f"{path} is not the results of a sweep: {error}") from None
-    if found.attrs.get("format") != "gradcal-sweep-results/1":
+    if results.attrs.get("format") != "gradcal-sweep-results/1":
         raise ValueError(f"{path} is not the results of a sweep; gradcal sweep writes them")
-    return found
+    return results
 
 
 def identity_in(path: Path) -> dict[str, Any] | None:
-    """What the results in a file are of; None where they are no sweep's."""
+    """The identity of the sweep whose results are in a file; None for another kind of file."""
     try:
         return json.loads(read_dataset(path).attrs["identity"])
     except (ValueError, KeyError, OSError):

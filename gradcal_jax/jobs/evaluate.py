@@ -1,7 +1,7 @@
-"""Points of a sweep, predicted many at a time: what a worker does with its share.
+"""The tasks of a worker: predictions and optimisations of a sweep's points, recipes, values of a unit's cycles.
 
-The numbers are those of `gradcal_jax.api.predict`; what is not asked for (the parameters' covariance, warnings,
-shares of the error sources) is not computed. There is nothing to compile: NumPy computes each point by itself.
+Predictions are those of `gradcal_jax.api.predict` without the parameters' covariance, warnings and error budget. NumPy
+computes each point by itself, without compilation.
 """
 
 import functools
@@ -28,12 +28,12 @@ Changes = Mapping[str, object]
 
 
 def predict_points(base: Mapping[str, Any], points: list[tuple[int, Changes]]) -> list[PointResult]:
-    """Predict the points of a chunk; one that cannot be says why, and takes no other along."""
+    """Predict the points of a chunk; a point that fails has the reason in its result."""
     return _each(base, points, _predicted)
 
 
 def optimise_points(base: Mapping[str, Any], points: list[tuple[int, Changes]]) -> list[PointResult]:
-    """Optimise the plan of each point and predict what it leaves."""
+    """Optimise the plan of each point and predict its residuals."""
     return _each(base, points, _optimised)
 
 
@@ -54,12 +54,12 @@ def _predicted(index: int, spec: Spec | UnitSpec) -> PointResult:
         unit = assemble_unit(spec)
         known_unit = posterior_of_unit(unit)
         of_unit = [requirement_row(unit, known_unit, requirement) for requirement in spec.requirement]
-        found = tuple(
-            # How a unit's axes are summed up is the requirement's affair: it has one value, under the first channel.
+        residuals = tuple(
+            # A unit's requirement has one value for all axes, stored under the first channel.
             Residual(i, "x", (row.mean_of_max, row.max, row.mean, row.rms), row.verdict or "")
             for i, row in enumerate(of_unit)
         )
-        return PointResult(index, "", *times, found)
+        return PointResult(index, "", *times, residuals)
     built = assemble(spec)
     known = {channel: posterior_of_plan(built, channel) for channel in built.channels}
     rows = tuple(
@@ -73,19 +73,19 @@ def _predicted(index: int, spec: Spec | UnitSpec) -> PointResult:
 def _optimised(index: int, spec: Spec) -> PointResult:
     from gradcal_jax.api.flow import optimise
 
-    found = optimise(spec)
-    done = _predicted(index, found.spec)
-    return done._replace(before=found.before, note=found.sentence, spec=to_toml(found.spec))
+    best = optimise(spec)
+    done = _predicted(index, best.spec)
+    return done._replace(before=best.before, note=best.sentence, spec=to_toml(best.spec))
 
 
 def _row(i: int, channel: str, requirement: Requirement, values: np.ndarray) -> Residual:
-    found: list[float | None] = []
+    statistics: list[float | None] = []
     for name in STATISTICS:
         value = statistic_of(requirement, values, name)
         none = not np.isfinite(value) or (requirement.quantity not in OVER_RATE and name == "mean of max")
-        found.append(None if none else value)
-    said = verdict(requirement, values)
-    return Residual(i, channel, tuple(found), said or "")
+        statistics.append(None if none else value)
+    result = verdict(requirement, values)
+    return Residual(i, channel, tuple(statistics), result or "")
 
 
 def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
@@ -95,19 +95,19 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
 
     spec = spec_of(tables)
     best = optimise(spec)
-    made = recipe(best)
+    executable = recipe(best)
     wanted = None if spec.design is None else spec.design.minimise
-    decisive = next((row for row in made.prediction.requirements if row.name == wanted), None)
+    decisive = next((row for row in executable.prediction.requirements if row.name == wanted), None)
     limit = least_possible(spec)
     return {
-        "toml": to_toml(made, header=_HEADER),
+        "toml": to_toml(executable, header=_HEADER),
         "objective": best.name,
         "unit": best.unit,
         "before": best.before,
         "now": best.now,
         "limit": limit,
         "efficiency": None if limit is None or best.now <= 0.0 else limit / best.now,
-        "hours": made.duration_s / 3600.0,
+        "hours": executable.duration_s / 3600.0,
         "verdict": (decisive.verdict if decisive is not None else None) or "",
         "limited_by": (decisive.limited_by if decisive is not None else None) or "",
         "converged": best.converged,
@@ -116,7 +116,7 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def least_possible(spec: Spec) -> float | None:
-    """What no plan on this rig in this time can beat, in the objective's unit; None where there is no such proof."""
+    """The proven lower limit for any plan on this rig in this time, in the objective's unit; None without a proof."""
     from gradcal_jax.api.limit import limits
 
     try:
@@ -126,7 +126,7 @@ def least_possible(spec: Spec) -> float | None:
 
 
 def cycle_value(spec: str, cycle: PoseCycle) -> float:
-    """What the search over a unit's poses minimises, of one cycle; `spec` is the unit's as JSON."""
+    """The objective of the search over a unit's poses for one cycle; `spec` is the unit's spec as JSON."""
     return _cycle_value(spec)(cycle)
 
 
@@ -138,4 +138,4 @@ def _cycle_value(spec: str) -> Callable[[PoseCycle], float]:
 
 
 TASKS: Final = {"predict": predict_points, "optimise": optimise_points, "recommend": recommend, "cycle": cycle_value}
-"""What a worker can be asked to do."""
+"""The tasks of a worker, by name."""

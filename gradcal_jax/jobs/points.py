@@ -1,4 +1,4 @@
-"""The points of a sweep: which keys take which values at point number i. The same file gives the same points."""
+"""The points of a sweep: the values of the keys at point number i. The same file gives the same points."""
 
 import math
 
@@ -31,7 +31,7 @@ class Points:
         return tuple(axis.at(float(u)) for axis, u in zip(self.axis, self._drawn[index], strict=True))
 
     def changes(self, index: int) -> dict[str, object]:
-        """What is changed in the base: dotted keys and their values."""
+        """The changes of the base: dotted keys and their values."""
         return {key: value for axis, value in zip(self.axis, self.values(index), strict=True) for key in axis.changes}
 
 
@@ -42,5 +42,5 @@ def _drawn(samples: Samples, dimensions: int) -> np.ndarray:
     count, rng = samples.count, np.random.default_rng(samples.seed)
     if samples.method == "latin hypercube":
         return qmc.LatinHypercube(dimensions, rng=rng).random(count)
-    # Drawn as a whole power of two, so that the sequence's balance does not depend on how many are asked for.
+    # A full power of two is drawn, so that the sequence's balance does not depend on the number of points.
     return qmc.Sobol(dimensions, rng=rng).random_base2(max(0, math.ceil(math.log2(count))))[:count]

@@ -1,4 +1,4 @@
-"""Who does the tasks: worker processes on this machine, or those of a Dask cluster. Both yield results as they come."""
+"""Runners of tasks: worker processes on this machine, and the interface shared with a Dask cluster."""
 
 import os
 import queue
@@ -42,7 +42,7 @@ class TaskRunner(ABC):
 class JobProgress(NamedTuple):
     """`done` of `total` points or cases in a `stage`: "reading", "predict", "optimise".
 
-    `kept` of them are from an earlier run; `newest` says of the last one what came out, where that is known.
+    `kept` of them are from an earlier run; `newest`: a line on the last result, where there is one.
     """
 
     stage: str
@@ -56,16 +56,16 @@ Report = Callable[[JobProgress], None]
 
 
 def unwatched(_: JobProgress) -> None:
-    """Nobody watches."""
+    """Ignore the progress."""
 
 
 def borrowed(runner: TaskRunner | None) -> AbstractContextManager[TaskRunner]:
-    """The caller's runner, or processes of one's own, which end with the block."""
+    """The caller's runner or, without one, a `LocalPool` that ends with the block."""
     return LocalPool() if runner is None else nullcontext(runner)
 
 
 class LocalPool(TaskRunner):
-    """Worker processes on this machine, one for each core unless told otherwise."""
+    """Worker processes on this machine, by default one for each core."""
 
     def __init__(self, workers: int | None = None, compiled: str | None = None):
         self.workers = workers or cores()
@@ -93,11 +93,11 @@ class LocalPool(TaskRunner):
             yield done.get()
 
     def answers(self, name: str, arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
-        """The results of one kind of task in order; raises what a task raised."""
-        found = dict(self.run(Task(k, name, of_task) for k, of_task in enumerate(arguments)))
-        if error := next((answer for answer in found.values() if isinstance(answer, Exception)), None):
+        """The results of one kind of task in order; raises the exception of a failed task."""
+        results = dict(self.run(Task(k, name, of_task) for k, of_task in enumerate(arguments)))
+        if error := next((answer for answer in results.values() if isinstance(answer, Exception)), None):
             raise error
-        return [found[k] for k in range(len(found))]
+        return [results[k] for k in range(len(results))]
 
     def close(self) -> None:
         for worker in self._all:
@@ -105,7 +105,7 @@ class LocalPool(TaskRunner):
 
 
 def tried(worker: Worker, task: Task) -> Any:
-    """The task's result; a worker that was killed is started again, a few times; at last the exception itself."""
+    """The task's result, or its exception; a killed worker is restarted a few times."""
     error: Exception = WorkerEnded("never tried")
     for _ in range(_TRIES):
         try:

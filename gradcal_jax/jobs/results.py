@@ -1,4 +1,4 @@
-"""What is kept of a point; plain data, without JAX, for whoever hands out the work."""
+"""The results of a sweep's points: plain data, without JAX, for the process that distributes the tasks."""
 
 import json
 from typing import Final, NamedTuple
@@ -21,15 +21,14 @@ UNIT_OF: Final = {
     "heading": "deg",
     "north": "deg",
 }
-"""Of every quantity the unit of its residuals, of one axis and of a whole unit."""
+"""The unit of the residuals of every quantity, of one axis and of a whole unit."""
 OVER_RATE: Final = ("scale_factor", "gyro_scale_factor")
 """Quantities that have a "mean of max"."""
 
 
 class Residual(NamedTuple):
-    """One requirement on one channel: the statistics by the order of `STATISTICS` (None: none, or not observable), in
-    the unit of `UNIT_OF`, and the verdict: "met", "missed", "unobservable" or "" without a target.
-    """
+    """One requirement on one channel: the statistics in the order of `STATISTICS` (None: not defined, or not
+    observable), in the unit of `UNIT_OF`, and the verdict: "met", "missed", "unobservable" or "" without a target."""
 
     requirement: int
     channel: str
@@ -38,7 +37,7 @@ class Residual(NamedTuple):
 
 
 class PointResult(NamedTuple):
-    """A point. `failure` is a sentence where there is no result; `note` and `spec` are an optimised point's."""
+    """The result of a point. `failure`: the reason where there is none; `note` and `spec` are of an optimised point."""
 
     point: int
     failure: str = ""
@@ -52,12 +51,12 @@ class PointResult(NamedTuple):
 
 
 def results_as_json(results: list[PointResult]) -> str:
-    """Results as text that reads back exactly."""
+    """Results as JSON, without loss."""
     return json.dumps([[*r[:5], [list(row) for row in r.residuals], *r[6:]] for r in results], allow_nan=False)
 
 
 def results_from_json(text: str) -> list[PointResult]:
-    """What `results_as_json` wrote."""
+    """The results in a text of `results_as_json`."""
     rows = json.loads(text)
     read = ([*r[:5], tuple(Residual(a, b, tuple(c), d) for a, b, c, d in r[5]), *r[6:]] for r in rows)
     return [PointResult._make(row) for row in read]

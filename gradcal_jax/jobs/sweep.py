@@ -1,8 +1,7 @@
-"""A sweep from its file to labelled results: chunks of points, and what is kept on the way.
+"""A sweep from its file to labelled results: chunks of points, with finished chunks kept on disk.
 
-What belongs to one chunk follows from the sweep file alone. Workers only decide when a chunk is done and by whom, so
-the results do not depend on how many there are, on where they are, or on how often the sweep was killed and begun
-again.
+The chunks follow from the sweep file alone, so the results do not depend on the number of workers, on their machines,
+or on interruptions.
 """
 
 import hashlib
@@ -23,15 +22,14 @@ from gradcal_jax.jobs.pool import JobProgress, Report, Task, TaskRunner, borrowe
 from gradcal_jax.jobs.results import PointResult, results_as_json, results_from_json
 
 CHUNK: Final = {"predict": 64, "optimise": 1}
-"""Points in a chunk: a second's work, or a minute's."""
+"""Points in a chunk: about a second of predictions, or a minute of optimisation."""
 _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix")
 
 
 @dataclass(frozen=True)
 class SweepEstimate:
-    """What `dry_run` found: seconds of one chunk the first time and the second, all in all; of the first chunk's points
-    `failing` have no result.
-    """
+    """The result of `dry_run`: seconds of the first chunk, of a further one, and in all; of the first chunk's points
+    `failing` have no result."""
 
     points: int
     failing: int
@@ -45,7 +43,7 @@ class SweepEstimate:
 
 @dataclass(frozen=True)
 class Swept:
-    """All results, in the order of the points; `failed` of them have no numbers, `seconds` the time it took now."""
+    """All results, in the order of the points; `failed` of them have no numbers; `seconds`: duration of this call."""
 
     results: tuple[PointResult, ...]
     seconds: float
@@ -53,16 +51,16 @@ class Swept:
 
     @property
     def failed(self) -> int:
-        """Points that could not be computed; each says why."""
+        """The number of points without a result; each has the reason."""
         return sum(bool(result.failure) for result in self.results)
 
 
 class SweepIncomplete(RuntimeError):
-    """Workers were lost, again and again, before all was done; what is finished is kept."""
+    """Workers were lost repeatedly before all was done; finished chunks are kept."""
 
 
 class Store:
-    """Finished chunks on the disk: a folder beside the output, from which a killed sweep goes on.
+    """Finished chunks in a folder beside the output, from which an interrupted sweep resumes.
 
     Errors: `ValueError` where the folder holds another sweep's.
     """
@@ -88,7 +86,7 @@ class Store:
             write_whole(mark, json.dumps(identity, indent=1))
 
     def read(self, chunk: int) -> list[PointResult] | None:
-        """A finished chunk; None where it is not there, or not whole."""
+        """A finished chunk; None where it is absent or damaged."""
         path = self._path(chunk)
         try:
             digest, _, body = path.read_text(encoding="utf-8").partition("\n")
@@ -97,12 +95,12 @@ class Store:
             return None
 
     def write(self, chunk: int, results: list[PointResult]) -> None:
-        """Keep a finished chunk: wholly or not at all."""
+        """Write a finished chunk, atomically."""
         body = results_as_json(results)
         write_whole(self._path(chunk), f"{hashlib.sha256(body.encode()).hexdigest()}\n{body}")
 
     def remove(self) -> None:
-        """The folder, once its contents are in the output."""
+        """Delete the folder, once its contents are in the output."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _path(self, chunk: int) -> Path:
@@ -112,7 +110,7 @@ class Store:
 def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, progress: Report = unwatched) -> Swept:
     """Do a sweep and write its results (netCDF, each variable with its unit) to `output`, for `read_dataset`.
 
-    Begun again after a kill it goes on where it was.
+    A call after an interruption resumes where it stopped.
 
     `runner`: a `LocalPool`, by default one worker a core, or a `cluster.Cluster`. Errors: `ValueError` where `output`
     exists already, where every point fails, and for the folder of another sweep; `SweepIncomplete` where
@@ -146,12 +144,12 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
         progress(JobProgress(job.file.do, len(results), len(points), kept))
         tasks = [Task(n, job.file.do, (base, [(i, points.changes(i)) for i in chunks[n]])) for n in left]
         lost, reason = 0, ""
-        for number, found in workers.run(tasks):
-            if isinstance(found, Exception):
-                lost, reason = lost + len(chunks[number]), str(found)
+        for number, answer in workers.run(tasks):
+            if isinstance(answer, Exception):
+                lost, reason = lost + len(chunks[number]), str(answer)
                 continue
-            store.write(number, found)
-            results |= {r.point: r for r in found}
+            store.write(number, answer)
+            results |= {r.point: r for r in answer}
             progress(JobProgress(job.file.do, len(results), len(points), kept))
     if lost:
         raise SweepIncomplete(
@@ -175,7 +173,7 @@ def already_finished(job: Sweep, output: Path) -> bool:
 
 
 def dry_run(job: Sweep, *, runner: TaskRunner | None = None, progress: Report = unwatched) -> SweepEstimate:
-    """How large a sweep is and how long it will take, by its first chunk, done twice. Nothing is written."""
+    """The size of a sweep and its expected duration, by computing the first chunk twice. Nothing is written."""
     points = Points(job)
     chunks = chunks_of(len(points), CHUNK[job.file.do])
     share = (tables_of(job.base), [(i, points.changes(i)) for i in chunks[0]])
@@ -188,7 +186,7 @@ def dry_run(job: Sweep, *, runner: TaskRunner | None = None, progress: Report = 
             if isinstance(results, Exception):
                 raise ValueError(f"the first chunk cannot be done: {results}")
             times[k:] = [time.monotonic() - begun] * (2 - k)
-    failing = [found.failure for found in results if found.failure]
+    failing = [result.failure for result in results if result.failure]
     rounds = -(-len(chunks) // workers.workers)
     sizes, seconds = (len(points), len(failing), len(chunks), workers.workers), times[0] + times[1] * (rounds - 1)
     return SweepEstimate(*sizes, times[0], times[1], seconds, failing[0] if failing else "")
@@ -200,10 +198,10 @@ def chunks_of(count: int, size: int) -> list[range]:
 
 
 def identity_of(job: Sweep) -> dict[str, Any]:
-    """What makes two sweeps the same: what is asked, and what computes it."""
-    asked = json.dumps([tables_of_sweep(job.file), tables_of(job.base)], sort_keys=True, ensure_ascii=False)
+    """The identity of a sweep: its request, and the versions that compute it."""
+    request = json.dumps([tables_of_sweep(job.file), tables_of(job.base)], sort_keys=True, ensure_ascii=False)
     return {
-        "asked": hashlib.sha256(asked.encode()).hexdigest(),
+        "asked": hashlib.sha256(request.encode()).hexdigest(),
         "points": job.file.count,
         "chunk": CHUNK[job.file.do],
         **versions(),
@@ -211,5 +209,5 @@ def identity_of(job: Sweep) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what the numbers come from."""
+    """Versions of this and the packages that compute the numbers."""
     return {"gradcal_jax": gradcal_jax.__version__, **versions_of(_VERSIONS)}

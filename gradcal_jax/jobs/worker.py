@@ -1,8 +1,8 @@
-"""A worker: a process with one core and one thread, that does tasks from its standard input until it closes.
+"""A worker: a process with one thread that does tasks from its standard input until that closes.
 
     python -m gradcal_jax.jobs.worker
 
-Every sweep is computed in such processes, on one machine as on a cluster, so that the same work gives the same bits.
+Every sweep is computed in such processes, on one machine and on a cluster, so that the same task gives the same bits.
 Messages are pickles: (name, arguments) in, ("done", result) or ("failed", sentence) out.
 """
 
@@ -30,7 +30,7 @@ class WorkerEnded(RuntimeError):
 
 
 class TaskFailed(RuntimeError):
-    """A task raised something that it does not record by itself."""
+    """A task raised an exception."""
 
 
 class Worker:
@@ -73,12 +73,12 @@ class Worker:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     env=self._environment,
-                    start_new_session=True,  # an interrupt at the keyboard is for whoever asked, not for the workers
+                    start_new_session=True,  # an interrupt at the keyboard is for the caller, not for its workers
                 )
             return self._process
 
     def close(self) -> None:
-        """End the process at once, whatever it does."""
+        """Kill the process."""
         with self._lock:
             self._closed = True
             process, self._process = self._process, None
@@ -96,14 +96,14 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def _send(stream: BinaryIO | Any, message: Any) -> None:
-    # First all of it: what cannot be pickled leaves no part of a message behind.
+    # Pickled first, so that an object that cannot be pickled leaves no part of a message in the stream.
     stream.write(pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL))
     stream.flush()
 
 
 def main() -> None:
-    """Do tasks until the other side goes away."""
-    # What packages print must not get between the answers.
+    """Do tasks until standard input closes."""
+    # Output of packages must not get between the replies.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     questions = sys.stdin.buffer

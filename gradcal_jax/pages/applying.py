@@ -1,4 +1,4 @@
-"""How a calibration is applied: one reading worked out, and what other programs can carry of it."""
+"""How a calibration is applied: an example for one reading, and the losses of exports to other programs."""
 
 from typing import Final, NamedTuple
 
@@ -22,7 +22,7 @@ _AT_ONE_TEMPERATURE: Final = ("kalibr", "matrices")
 
 
 class ExampleFact(NamedTuple):
-    """What a calibration makes of one reading: rates in deg/s."""
+    """The correction of one reading; rates in deg/s."""
 
     axis: str
     temperature_c: float
@@ -33,7 +33,7 @@ class ExampleFact(NamedTuple):
 
 
 class ExportFact(NamedTuple):
-    """A program that takes the calibration, and what it cannot carry."""
+    """The export to another program: command and losses."""
 
     target: str
     command: str
@@ -43,13 +43,13 @@ class ExportFact(NamedTuple):
 def example_of(axis: AxisCalibration) -> ExampleFact:
     """A reading at a third of the largest rate, at room temperature where that is covered."""
     at = _room(axis)
-    said_dps = float(f"{np.degrees(max(abs(float(end)) for end in axis.valid_rate)) / 3.0:.1g}")
-    temperature, said = np.array([at]), np.array([np.radians(said_dps)])
-    true = correction.correct(axis, said, temperature)
+    measured_dps = float(f"{np.degrees(max(abs(float(end)) for end in axis.valid_rate)) / 3.0:.1g}")
+    temperature, measured = np.array([at]), np.array([np.radians(measured_dps)])
+    true = correction.correct(axis, measured, temperature)
     return ExampleFact(
         axis.name,
         at,
-        said_dps,
+        measured_dps,
         float(np.degrees(correction.bias(axis, temperature)[0])),
         float(correction.scale_factor(axis, temperature, true)[0]) * PPM,
         float(np.degrees(true[0])),
@@ -57,26 +57,26 @@ def example_of(axis: AxisCalibration) -> ExampleFact:
 
 
 def exports_of(calibration: Calibration | UnitCalibration, name: str) -> list[ExportFact]:
-    """Every target with its command and its losses, at room temperature where a target is of one and it is covered."""
+    """Every export with its command and losses; those of one temperature at room temperature, where it is covered."""
     of_unit = isinstance(calibration, UnitCalibration)
     at = _room(calibration if of_unit else calibration.axis[0])
-    found: list[ExportFact] = []
+    facts: list[ExportFact] = []
     for target in UNIT_FORMATS if of_unit else exports.FORMATS:
         option = f' --temperature "{at:g} degC"' if target in _AT_ONE_TEMPERATURE else ""
         command = f"gradcal export {name} --format {target}{option} -o calibration.{_ENDINGS[target]}"
-        given = at if option else None
+        temperature = at if option else None
         try:
             if of_unit:
-                done = export_unit(calibration, target, temperature_c=given)
+                done = export_unit(calibration, target, temperature_c=temperature)
             else:
-                done = exports.export(calibration, target, temperature_c=given)
+                done = exports.export(calibration, target, temperature_c=temperature)
         except ValueError as error:
-            found.append(ExportFact(target, "", (f"not for this calibration: {error}",)))
+            facts.append(ExportFact(target, "", (f"not for this calibration: {error}",)))
             continue
         axis = "" if of_unit else "axis "
         losses = tuple(f"{axis}{x.axis}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
-        found.append(ExportFact(target, command, losses))
-    return found
+        facts.append(ExportFact(target, command, losses))
+    return facts
 
 
 def _room(covered: AxisCalibration | UnitCalibration) -> float:

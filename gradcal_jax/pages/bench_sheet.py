@@ -1,4 +1,4 @@
-"""A recipe as plain text, for whoever stands at the bench with only the paper in hand."""
+"""A recipe as plain text, for the operator at the bench."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,19 +16,19 @@ from gradcal_jax.pages.plain_text import amount, columns
 
 
 def show(recipe: Recipe, *, heading: Callable[[str], str] = str) -> str:
-    """A recipe as a table in plain text: what the chamber does, what the table does, and what it will leave.
+    """A recipe as a table in plain text: the steps of the chamber, those of the table, and the predicted residuals.
 
     Every step with its time (h:min:s on the plan's clock), temperature (°C), angle (deg) and rate (deg/s) as the
-    controllers take them, then the residual of every requirement (ppm or deg/h, 1σ) and what was rounded. `heading`
-    sets headings off where the text is shown, as the command does on a terminal.
+    controllers take them, then the residual of every requirement (ppm or deg/h, 1σ) and the changes by rounding.
+    `heading` formats headings, as the command does on a terminal.
 
-    Errors: none; whatever is wrong with a recipe, `read_recipe` has refused already.
+    Errors: none; `read_recipe` has validated the recipe.
     """
     lines = [heading(recipe.title or "recipe")]
     lines += [f"{recipe.made.by}; {recipe.status}", f"recipe {recipe.fingerprint[:12]}"]
     lines += [f"note: {note}" for note in recipe.notes]
     lines += ["", heading("Chamber"), columns([CHAMBER_HEAD, *chamber_rows(recipe)])]
-    lines += [*(f"  {said}" for said in chamber_words(recipe)), ""]
+    lines += [*(f"  {line}" for line in chamber_words(recipe)), ""]
     for block in recipe.motion:
         lines += [] if block.hang is None else [f"hang the unit so: {block.hang}"]
         lines += [heading("Table, " + block_heading(block)), columns([MOVES_HEAD, *move_rows(block)]), ""]

@@ -1,8 +1,8 @@
-"""Two pages that a laboratory signs: a calibration certificate of one unit, from its calibration, run and rig file.
+"""A calibration certificate of one unit on two pages, for a laboratory to sign, from calibration, run and rig file.
 
-Uncertainties are expanded, U = k·u, with the coverage that the requirement names (2, where it names none). The budget
-is the exact share of each input in the variance of a requirement's residual: contributions √share·u add up in squares.
-Nothing here claims an accreditation, and what is not known stands as "not stated".
+Uncertainties are expanded, U = k·u, with the coverage of the requirement (2 by default). The budget is the exact share
+of each input in the variance of a requirement's residual: contributions √share·u add up in squares. The certificate
+claims no accreditation; unknown entries are "not stated".
 """
 
 from datetime import UTC, date, datetime
@@ -16,7 +16,7 @@ import numpy as np
 import gradcal_jax
 from gradcal_jax import api
 from gradcal_jax.api.contract_rows import finite
-from gradcal_jax.api.ieee_terms import found_map
+from gradcal_jax.api.ieee_terms import calibration_map
 from gradcal_jax.files.calibration import LOG_HASH, AxisCalibration, Calibration, Result
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
@@ -31,7 +31,7 @@ _TEMPERATURES: Final = 7
 
 
 class Input(NamedTuple):
-    """A line of the uncertainty budget: an input's value, the share of the variance it makes, its contribution."""
+    """A line of the uncertainty budget: an input's value, its share of the variance, and its contribution."""
 
     name: str
     value: str
@@ -52,7 +52,7 @@ class Budget(NamedTuple):
 
 
 class ResultRow(NamedTuple):
-    """A requirement: standard and expanded uncertainty, at worst, the limit, the rule, the verdict and its risk."""
+    """A requirement: standard and expanded uncertainty, its maximum, the target, verdict, decision rule and risk."""
 
     name: str
     axis: str
@@ -68,7 +68,8 @@ class ResultRow(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """Of one axis at one temperature: bias (deg/h) and scale factor at ±the fastest rate (ppm), with their U."""
+    """The corrections of one axis at one temperature: bias (deg/h) and scale factor at ± the fastest rate (ppm), with
+    U."""
 
     axis: str
     temperature_c: float
@@ -79,7 +80,7 @@ class Correction(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """Everything on the two pages, once."""
+    """The contents of the two pages."""
 
     heading: tuple[tuple[str, str], ...]
     method: str
@@ -104,12 +105,11 @@ def certificate_of(
     operator: str = "",
     performed: str = "",
 ) -> Certificate:
-    """What a certificate says. `performed`: a date, or the first and the last as "2026-11-21..2026-11-22"; without it
-    that of the run. Errors: `ValueError` without a calibration, or for what is no date.
-    """
+    """The contents of a certificate. `performed`: a date, or the first and the last as "2026-11-21..2026-11-22"; by
+    default that of the run. Errors: `ValueError` without a calibration, or for an invalid date."""
     calibration = sources.calibration
     if calibration is None:
-        raise ValueError("a certificate is of a calibration: name its file, or the folder of a run that has one")
+        raise ValueError("a certificate needs a calibration: name its file, or the folder of a run that has one")
     laboratory = None if rig is None else rig.laboratory
     who = operator or ("" if laboratory is None or laboratory.operator is None else laboratory.operator)
     where = "" if laboratory is None else ", ".join(filter(None, (laboratory.name, laboratory.address)))
@@ -197,7 +197,7 @@ def _result(row: Result) -> ResultRow:
 
 
 def _budgets(sources: Sources):
-    """Of each requirement of the recipe that was run, scaled to what the estimate came to."""
+    """The budget of each requirement of the recipe, scaled to the uncertainty of the estimate."""
     if sources.recipe is None or sources.calibration is None:
         return
     spec = sources.recipe.axis_spec
@@ -213,8 +213,8 @@ def _budgets(sources: Sources):
             inputs: list[Input] = []
             for part, share in parts.items():
                 if share >= 5e-4:
-                    said = known_values.get(part) or known_values.get(f"{part} error") or "as in the spec"
-                    inputs.append(Input(part, said, "normal", "B", share, row.value * sqrt(max(share, 0.0))))
+                    value = known_values.get(part) or known_values.get(f"{part} error") or "as in the spec"
+                    inputs.append(Input(part, value, "normal", "B", share, row.value * sqrt(max(share, 0.0))))
             yield Budget(name, channel, row.unit, row.value, tuple(inputs))
 
 
@@ -222,10 +222,10 @@ def _corrections(axis: AxisCalibration, axes: int) -> list[Correction]:
     low, high = (float(t) for t in axis.valid_temperature)
     temperatures = np.linspace(low, high, _TEMPERATURES if axes <= 3 else 3)
     slow, fast = (float(np.degrees(r)) for r in axis.valid_rate)
-    bias = None if axis.bias is None else found_map(axis, "bias", temperatures, np.zeros(1))
+    bias = None if axis.bias is None else calibration_map(axis, "bias", temperatures, np.zeros(1))
     scale = None
     if axis.scale_factor is not None:
-        scale = found_map(axis, "scale_factor", temperatures, np.linspace(slow, fast, 21))
+        scale = calibration_map(axis, "scale_factor", temperatures, np.linspace(slow, fast, 21))
     rows: list[Correction] = []
     for k, at in enumerate(temperatures):
         b = u_b = u_m = None

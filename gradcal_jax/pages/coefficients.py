@@ -1,4 +1,4 @@
-"""Coefficients of a calibration, or of a plan alone, beside what was predicted of them and what a simulation hid."""
+"""Coefficients of a calibration, or of a plan alone, beside predicted uncertainties and a simulation's true values."""
 
 import re
 from collections.abc import Mapping
@@ -11,13 +11,14 @@ from gradcal_jax.api.posterior_of_plan import DEG_PER_H, PPM
 from gradcal_jax.files.calibration import AxisCalibration, Calibration, Covariance
 from gradcal_jax.files.recipe import Recipe
 
-# Gradient sensitivity has one name in a calibration, another among predicted parameters and in a hidden truth.
+# The temperature-gradient sensitivity has other names in predictions and in a simulation's truth.
 _GRADIENT: Final = "bias_temperature_gradient"
 _SUPERSCRIPTS: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 class ParameterFact(NamedTuple):
-    """A coefficient in `unit`, what it multiplies, its one sigma found and predicted, and a simulation's truth."""
+    """A coefficient in `unit`, the function that it multiplies, its estimated and predicted one sigma, and the true
+    value of a simulation."""
 
     name: str
     axis: str
@@ -33,7 +34,7 @@ class ParameterFact(NamedTuple):
 def parameters(
     recipe: Recipe | None, calibration: Calibration | None, truth: dict[str, Any] | None
 ) -> list[ParameterFact]:
-    """Every coefficient: found by a calibration, or of a recipe's plan alone; beside a simulation's hidden truth."""
+    """Every coefficient of a calibration, or of a recipe's plan alone, beside the true values of a simulation."""
     known = () if recipe is None else recipe.prediction.parameters
     predicted = {(row.axis, row.name if re.match(r"[ab][\d_]", row.name) else _GRADIENT): row for row in known}
     if calibration is None:
@@ -48,7 +49,7 @@ def parameters(
 
 
 def hidden_of(axis: AxisCalibration, truth: dict[str, Any] | None) -> dict[str, float]:
-    """What a simulation hid of an axis, by the names of a calibration."""
+    """The true values of a simulated axis, by the names of a calibration."""
     hidden = (truth or {}).get(axis.name) or {}
     return {_GRADIENT if name == "gradient" else name: value for name, value in hidden.items()}
 
@@ -56,7 +57,8 @@ def hidden_of(axis: AxisCalibration, truth: dict[str, Any] | None) -> dict[str, 
 def parameter_fact(
     name: str, axis: str, multiplies: str, unit: str, factor: float, *numbers: float | None
 ) -> ParameterFact:
-    """A coefficient in `unit`, `factor` of it to SI. `numbers`: value, its one sigma, that predicted, the truth; SI."""
+    """A coefficient in `unit`, of which `factor` are one in SI. `numbers` (SI): value, one sigma, predicted one sigma,
+    truth."""
     value, std, _, truth = numbers
     off = None if value is None or truth is None or not std else (value - truth) / std
     value, std, predicted, truth = (None if number is None else number * factor for number in numbers)
@@ -74,13 +76,13 @@ def _factor(name: str) -> tuple[str, float]:
 
 
 def _multiplies(name: str) -> str:
-    """What a coefficient of the paper stands before: powers of T′ and ω′; other bases count their functions."""
+    """The function that a coefficient multiplies: powers of T′ and ω′; for other bases the number of the function."""
     if name == _GRADIENT:
         return "dT/dt"
-    if (found := re.fullmatch(r"a(\d+)", name)) is not None:
-        return _power("T′", found[1]) or "1"
-    if (found := re.fullmatch(r"b(\d)(\d)", name)) or (found := re.fullmatch(r"b(\d+)_(\d+)", name)):
-        return "·".join(part for part in (_power("ω′", found[1]), _power("T′", found[2])) if part) or "1"
+    if (match := re.fullmatch(r"a(\d+)", name)) is not None:
+        return _power("T′", match[1]) or "1"
+    if (match := re.fullmatch(r"b(\d)(\d)", name)) or (match := re.fullmatch(r"b(\d+)_(\d+)", name)):
+        return "·".join(part for part in (_power("ω′", match[1]), _power("T′", match[2])) if part) or "1"
     return "function " + name[1:].strip("_").replace("_", " × ")
 
 
@@ -91,9 +93,8 @@ def _power(symbol: str, exponent: str) -> str:
 def agreement(
     values: Mapping[str, float], known: Covariance | None, hidden: Mapping[str, float]
 ) -> tuple[float, int, float] | None:
-    """χ² of the errors of all coefficients in the estimate's own covariance, its degrees of freedom, and the chance of
-    one as large; None where the truth of one is not known.
-    """
+    """χ² of the errors of all coefficients by the estimate's covariance, its degrees of freedom, and the probability of
+    a larger one; None where a true value is not known."""
     if known is None or not all(name in hidden for name in known.names):
         return None
     from scipy.special import chdtrc
@@ -101,5 +102,5 @@ def agreement(
     error, covariance = np.array([values[name] - hidden[name] for name in known.names]), np.array(known.matrix)
     size = np.sqrt(np.diag(covariance))
     whitened = np.linalg.solve(np.linalg.cholesky(covariance / np.outer(size, size)), error / size)
-    found = float(whitened @ whitened)
-    return found, len(error), float(chdtrc(len(error), found))
+    chi_squared = float(whitened @ whitened)
+    return chi_squared, len(error), float(chdtrc(len(error), chi_squared))

@@ -2,7 +2,7 @@
 3.2.1 with quantities in the Digital System of Units, D-SI 2.1.0.
 
 All values are in SI (rad/s, ratios, degrees Celsius). An error that is left after correction has the best estimate 0
-and the expanded uncertainty U = k·u; what the schema asks for and nobody stated is refused, not invented.
+and the expanded uncertainty U = k·u; a certificate without a required entry is refused.
 """
 
 import math
@@ -22,13 +22,13 @@ _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _RATE: Final = r"\radian\second\tothe{-1}"
 _ONE: Final = r"\one"
 _CELSIUS: Final = r"\degreecelsius"
-# What the certificate's units are in SI.
+# The certificate's units in SI.
 _IN_SI: Final = {"ppm": (1e-6, _ONE), "deg/h": (math.pi / 180.0 / 3600.0, _RATE)}
 _DEG: Final = math.pi / 180.0
 
 
 def write_dcc(certificate: Certificate, rig: RigFile | None, path: str | Path) -> None:
-    """Write a certificate as a DCC. Errors: `ValueError` for what the schema asks for and nobody stated; `OSError`."""
+    """Write a certificate as a DCC. Errors: `ValueError` where a required entry is missing; `OSError`."""
     for prefix, space in (("dcc", _DCC), ("si", _SI), ("xsi", _XSI)):
         ET.register_namespace(prefix, space)
     root = _document(certificate, rig)
@@ -74,10 +74,10 @@ def _document(certificate: Certificate, rig: RigFile | None) -> ET.Element:
     _add(person, "mainSigner", "true")
     _contact(_add(data, "customer"), stated["customer"], None)
     statements = _add(data, "statements")
-    said = ["This document claims no accreditation.", *certificate.validity]
+    sentences = ["This document claims no accreditation.", *certificate.validity]
     if certificate.simulated:
-        said.insert(0, "SIMULATED: the data come from simulated devices. This certifies nothing of a real unit.")
-    for sentence in said:
+        sentences.insert(0, "SIMULATED: the data come from simulated devices. This certifies nothing of a real unit.")
+    for sentence in sentences:
         _text(_add(statements, "statement"), "declaration", sentence)
     _measurement(_add(_add(root, "measurementResults"), "measurementResult"), certificate)
     return root
@@ -156,7 +156,7 @@ def _corrections(results: ET.Element, axis: str, rows: list[Correction], certifi
 
 
 def _times(factor: float, values: list[float | None]) -> list[float] | None:
-    """All values in another unit; None where one is not known."""
+    """All values multiplied by a factor; None where one is not known."""
     known = [factor * value for value in values if value is not None]
     return known if len(known) == len(values) else None
 
@@ -207,7 +207,7 @@ def _contact(parent: ET.Element, name: str, address: str | None) -> None:
 
 def _add(parent: ET.Element, name: str, text: str | None = None) -> ET.Element:
     element = ET.SubElement(parent, f"{{{_DCC}}}{name}")
-    # Neither blanks at the ends nor nothing at all are allowed.
+    # The schema allows neither blanks at the ends nor an empty text.
     element.text = None if text is None else " ".join(text.split()) or NOT_STATED
     return element
 
@@ -219,5 +219,5 @@ def _si(parent: ET.Element, name: str, text: str | None = None) -> ET.Element:
 
 
 def _text(parent: ET.Element, name: str, words: str) -> None:
-    """Text of a language, as the schema nests it."""
+    """Add a text with its language, nested as in the schema."""
     _add(_add(parent, name), "content", words).set("lang", "en")

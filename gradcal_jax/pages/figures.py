@@ -1,4 +1,4 @@
-"""The figures of a page as SVG with real text, each standing alone in a column that a telephone shows."""
+"""The figures of a page as SVG with real text, each of the width of a column on a telephone."""
 
 import io
 import re
@@ -20,7 +20,12 @@ from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.pages.run_history import RunHistory
-from gradcal_jax.plots.found import draw_found_bias, draw_found_scale_factor, draw_residual_parts, draw_residuals
+from gradcal_jax.plots.calibration_maps import (
+    draw_calibrated_bias,
+    draw_calibrated_scale_factor,
+    draw_residual_parts,
+    draw_residuals,
+)
 from gradcal_jax.plots.tracks import draw_against_time, draw_planned_rate, draw_planned_temperature, turned_axes
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
@@ -37,7 +42,7 @@ _STYLE: Any = {
 _LOGARITHMIC = 4.0
 # Maps whose ratio is everywhere nearer to 1 than this look alike (a natural logarithm).
 _ALIKE = 0.3
-# Of labels on a map, as shares of its sides: how far from the edge, and from one another.
+# Distances of labels on a map from its edge, and from one another, as shares of its sides.
 _INSIDE, _APART = 0.06, np.array([0.15, 0.09])
 
 
@@ -50,17 +55,16 @@ class Picture(NamedTuple):
 
 
 def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], float]) -> list[list[Picture]]:
-    """For each requirement whose box no earlier one holds: its maps on one scale of colours, then their curves. A map
-    that looks like the one before it is shown as their ratio. `targets`: what the standard deviation may come to, by
-    requirement and axis.
-    """
-    found: list[list[Picture]] = []
+    """For each requirement whose box is in no earlier one: its maps on one colour scale, then their curves. A map that
+    looks like the one before it is shown as their ratio. `targets`: the limits on the standard deviation, by
+    requirement and axis."""
+    groups: list[list[Picture]] = []
     drawn: list[MapFact] = []
     for fact in facts:
         if fact.curves:
             words = f"{fact.name}: error of the heading over time, one standard deviation; own noise stays."
             key = f"{picture_key(fact.name)}-{fact.axis}-heading"
-            found.append([picture(key, words, lambda ax, f=fact: plots.draw_heading(f.curves, ax=ax), _HIGH)])
+            groups.append([picture(key, words, lambda ax, f=fact: plots.draw_heading(f.curves, ax=ax), _HIGH)])
             continue
         if any(_holds(other, fact) for other in drawn):
             continue
@@ -68,7 +72,7 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
         where = fact.name if len({f.axis for f in facts}) == 1 else f"{fact.name}, axis {fact.axis}"
         key = f"{picture_key(fact.name)}-{fact.axis}-{fact.quantity}"
         if fact.quantity != "scale_factor":
-            found.append([_curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
+            groups.append([_curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
             continue
         norm = _norm([box for _, box in fact.maps])
         group: list[Picture] = []
@@ -77,18 +81,18 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
             if earlier is not None and _alike(box, earlier[1]):
                 ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
                 words = f"{where}: residual {label} over that {earlier[0]}."
-                # From a tenth less to a tenth more, at least: what is hardly another has hardly another colour.
+                # At least from a tenth less to a tenth more, so that small differences have nearly one colour.
                 ends = Normalize(min(float(ratio.values.min()), 0.9), max(float(ratio.values.max()), 1.1))
                 group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, ends))
             else:
                 words = f"{where}: residual {label}, one standard deviation."
                 group.append(_map(box, label, f"{key}-{label}", words, norm))
-        found.append([*group, _curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
-    return found
+        groups.append([*group, _curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
+    return groups
 
 
 def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Picture]:
-    """Temperature and motion: planned where a recipe is known, and done where a run is."""
+    """Temperature and motion: those of the recipe, and those of the run, where there is one."""
 
     def temperatures(ax: Axes) -> None:
         if recipe is not None:
@@ -108,67 +112,63 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
             ax.legend()
 
     words = "Temperature of the chamber on the plan's clock"
-    words += "." if history is None else ", which stands while a step is waited for: planned and done."
+    words += "." if history is None else ", which stops while a step waits: plan and run."
     if recipe is None:
-        words = (
-            "Temperature of the chamber as it was read, on the plan's clock, which stands while a step is waited for."
-        )
+        words = "Temperature of the chamber by its readings, on the plan's clock, which stops while a step waits."
     known = recipe is not None or (history is not None and len(history.chamber_s))
-    found = [picture("temperature", words, temperatures, _LOW)] if known else []
+    pictures = [picture("temperature", words, temperatures, _LOW)] if known else []
     done = {} if history is None else history.rates
     for axis in done if recipe is None else turned_axes(recipe):
         how = " as planned."
         if axis in done:
-            how = (", as" if recipe is None else ": planned, and as") + " turned by the commands that it executed."
-        found.append(picture(f"rate-{axis}", f"Rate of table axis {axis}{how}", lambda ax, a=axis: rates(ax, a), _LOW))
-    return found
+            how = (", as" if recipe is None else ": planned, and as") + " turned by its executed commands."
+        pictures.append(
+            picture(f"rate-{axis}", f"Rate of table axis {axis}{how}", lambda ax, a=axis: rates(ax, a), _LOW)
+        )
+    return pictures
 
 
-def found_pictures(calibration: Calibration) -> list[Picture]:
-    """The maps that were found."""
-    found: list[Picture] = []
+def calibration_pictures(calibration: Calibration) -> list[Picture]:
+    """The maps of a calibration, and its residuals."""
+    pictures: list[Picture] = []
     for axis in calibration.axis:
         draw: list[tuple[str, str, Callable[[AxisCalibration, Axes], object]]] = []
         if axis.scale_factor is not None:
-            words = f"Scale factor of axis {axis.name} as found; the band is one standard deviation."
-            draw.append(("scale-factor", words, lambda a, ax: draw_found_scale_factor(a, ax=ax)))
+            words = f"Scale factor of axis {axis.name} as estimated; the band is one standard deviation."
+            draw.append(("scale-factor", words, lambda a, ax: draw_calibrated_scale_factor(a, ax=ax)))
         if axis.bias is not None:
-            words = f"Bias of axis {axis.name} as found; the band is one standard deviation."
-            draw.append(("bias", words, lambda a, ax: draw_found_bias(a, ax=ax)))
+            words = f"Bias of axis {axis.name} as estimated; the band is one standard deviation."
+            draw.append(("bias", words, lambda a, ax: draw_calibrated_bias(a, ax=ax)))
         if axis.residuals is not None and sum(axis.residuals.counts):
             words = f"Residuals of axis {axis.name}, in standard deviations of what the noise of the spec says."
             draw.append(("residuals", words, lambda a, ax: draw_residuals(a, ax=ax)))
             if axis.residuals.rms:
                 words = f"Size of the residuals of axis {axis.name} along the run; the band holds 95 of 100 by chance."
                 draw.append(("residual-parts", words, lambda a, ax: draw_residual_parts(a, ax=ax)))
-        found += [
+        pictures += [
             picture(f"found-{name}-{axis.name}", words, lambda ax, a=axis, d=function: d(a, ax), _HIGH)
             for name, words, function in draw
         ]
-    return found
+    return pictures
 
 
 def _holds(outer: MapFact, inner: MapFact) -> bool:
     if (outer.axis, outer.quantity) != (inner.axis, inner.quantity):
         return False
     one, other = outer.maps[0][1], inner.maps[0][1]
-    return bool(
-        one.temperature_c[0] <= other.temperature_c[0]
-        and one.temperature_c[-1] >= other.temperature_c[-1]
-        and one.rate_dps[0] <= other.rate_dps[0]
-        and one.rate_dps[-1] >= other.rate_dps[-1]
-    )
+    sides = ((one.temperature_c, other.temperature_c), (one.rate_dps, other.rate_dps))
+    return all(bool(wide[0] <= narrow[0] and wide[-1] >= narrow[-1]) for wide, narrow in sides)
 
 
 def _alike(box: Box, other: Box) -> bool:
-    """Whether two maps of one box differ nowhere by what colours show."""
+    """Whether two maps of one box would look alike in colours."""
     if box.values.shape != other.values.shape or not np.all(np.isfinite(box.values) & (other.values > 0.0)):
         return False
     return bool(np.max(np.abs(np.log(box.values / other.values))) < _ALIKE)
 
 
 def _norm(boxes: Sequence[Box]) -> Normalize:
-    """One scale of colours for all maps of a requirement."""
+    """One colour scale for all maps of a requirement."""
     seen = np.concatenate([box.values[np.isfinite(box.values)].ravel() for box in boxes])
     if not len(seen):
         return Normalize(0.0, 1.0)
@@ -204,7 +204,7 @@ def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Pictu
 
 
 def _label(ax: Axes, contours: QuadContourSet) -> None:
-    """One upright label a level, well inside and apart from the others, legible on any colour beneath."""
+    """Add an upright label for each level, inside the map, apart from the others and legible on any colour."""
     kept: list[np.ndarray] = []
     for value, pieces in zip(contours.levels, contours.allsegs, strict=True):
         vertices = np.concatenate([piece for piece in pieces if len(piece)] or [np.zeros((0, 2))])
@@ -265,7 +265,7 @@ def picture_key(name: str) -> str:
 def picture(
     key: str, caption: str, draw: Callable[[Axes], object], height: float, *, projection: str | None = None
 ) -> Picture:
-    """What `draw` draws, in a column's width and so many inches of height."""
+    """The drawing of `draw`, of a column's width and `height` inches."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDE, height), layout="constrained")
         draw(figure.add_subplot(projection=projection))
@@ -273,7 +273,7 @@ def picture(
 
 
 def svg_of(figure: Figure, key: str) -> str:
-    """The figure as an `<svg>` to stand in a page: as wide as its column, its ids its own, nothing fetched."""
+    """The figure as an `<svg>` for a page: as wide as its column, with ids of its own, without external resources."""
     stream = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     figure.savefig(stream, format="svg", metadata=nothing)

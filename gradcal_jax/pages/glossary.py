@@ -2,7 +2,7 @@
 
 from typing import Final
 
-# What a reader of a page may meet.
+# Terms on pages.
 OF_THE_FIELD: Final[dict[str, str]] = {
     "certificate": "Two pages for a laboratory to sign: a unit's corrections and their uncertainty.",
     "coverage": "k: an expanded uncertainty is k standard deviations; 2 covers 95 % of normal errors.",
@@ -102,7 +102,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
     "validation": "Holding a calibration against a log that it was not made from.",
     "verdict": "Met, missed or unobservable: a requirement's residual against its target.",
 }
-# What whoever types a command meets besides.
+# Further terms of commands.
 OF_THE_PROGRAM: Final[dict[str, str]] = {
     "journal": "The file of a run that holds every byte and event, in order, as it came.",
     "Allan deviation": "Scatter of neighbouring means of a record at rest, against how long each mean is.",
@@ -124,7 +124,7 @@ OF_THE_PROGRAM: Final[dict[str, str]] = {
     "integrate": "To sum a rate over time into an angle.",
     "interval": "From a lower to an upper value, between which something is said to lie.",
     "iteration": "One step of a search.",
-    "latitude": "Of the laboratory: it tells the Earth rate along an axis that points straight up.",
+    "latitude": "Of the laboratory: it gives the Earth rate along an axis that points straight up.",
     "limiting function": "The size of drift, against time, that a Gauss–Markov process and random walk explain.",
     "margin": "Within how many standard deviations the data must stay of the Direct Bound.",
     "minimise": "To make as small as can be; a spec's [design] says what.",

@@ -1,4 +1,4 @@
-"""Numbers as pages write them."""
+"""Format of numbers on pages."""
 
 import re
 
@@ -6,7 +6,7 @@ _NOT_PROSE = re.compile(r"(<(style|script|svg|pre|code)\b.*?</\2>|<[^>]*>)", re.
 
 
 def figures(value: float, digits: int = 4) -> str:
-    """A number with so many digits, as people write it: no powers of ten, a minus that is one."""
+    """A number with `digits` significant digits, without powers of ten and with a typographic minus."""
     text = f"{value:.{digits}g}"
     if "e+" in text:
         text = f"{float(text):.0f}"
@@ -14,8 +14,8 @@ def figures(value: float, digits: int = 4) -> str:
 
 
 def one_sign(html: str) -> str:
-    """A page whose prose has one minus and one degree sign, where files and commands have `-25 degC`."""
+    """The page with typographic minus and degree signs in its prose, where files and commands have `-25 degC`."""
     parts = _NOT_PROSE.split(html)
     parts[::3] = [re.sub(r"(?<![\w.-])-(?=\d)", "−", part).replace("degC", "°C") for part in parts[::3]]
-    # Every third is the name of an element, which stands in the second, too.
+    # Every third part is the name of an element, which the second contains, too.
     return "".join(part for place, part in enumerate(parts) if place % 3 != 2)

@@ -1,4 +1,4 @@
-"""The page: data and figures set by a template; nothing is computed here, and nothing is fetched by it."""
+"""The page: data and figures in a template, without computation here and without external resources."""
 
 import os
 import re
@@ -10,7 +10,7 @@ import gradcal_jax
 from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.coefficients import ParameterFact
-from gradcal_jax.pages.figures import found_pictures, map_pictures, track_pictures
+from gradcal_jax.pages.figures import calibration_pictures, map_pictures, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.panel import panel_of
@@ -18,7 +18,7 @@ from gradcal_jax.pages.plain_text import times_text
 from gradcal_jax.pages.report_data import ReportData
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
-from gradcal_jax.pages.unit import found_unit_pictures, unit_pictures, unit_words
+from gradcal_jax.pages.unit import unit_calibration_pictures, unit_pictures, unit_words
 from gradcal_jax.units import time_text
 
 
@@ -43,15 +43,15 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     targets = {(r.name, r.axis): r.target / r.coverage for r in data.requirements if r.target is not None}
     left, tracks = map_pictures(data.maps, targets), track_pictures(recipe, data.history)
     words = _words(data, recipe)
-    found = [] if calibration is None else found_pictures(calibration)
+    pictures = [] if calibration is None else calibration_pictures(calibration)
     if sources.of_unit:
         left, poses = unit_pictures(sources)
         tracks = [*poses, *tracks]
         if sources.unit_calibration is not None:
-            found = found_unit_pictures(sources.unit_calibration)
+            pictures = unit_calibration_pictures(sources.unit_calibration)
         words["unit"] = unit_words(sources, data)
         words |= {name: words["unit"][name] for name in words["unit"] if name in words}
-    given: dict[str, Any] = {
+    context: dict[str, Any] = {
         "data": data,
         "panel": panel_of(recipe) if panel and recipe is not None else None,
         "recipe": recipe,
@@ -60,16 +60,16 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
         "words": words,
         "map_groups": left,
         "tracks": tracks,
-        "found": found,
+        "calibration_pictures": pictures,
         "chamber_head": ["segment", *CHAMBER_HEAD[1:]],
         "chamber": [] if recipe is None else chamber_rows(recipe),
     }
-    # Only the words that the page uses are explained on it.
-    said = template.render(**given, glossary=()).lower()
+    # The page explains only the terms that it uses.
+    text = template.render(**context, glossary=()).lower()
     used = [
-        (term, words) for term, words in OF_THE_FIELD.items() if re.search(rf"\b{re.escape(term.lower())}s?\b", said)
+        (term, words) for term, words in OF_THE_FIELD.items() if re.search(rf"\b{re.escape(term.lower())}s?\b", text)
     ]
-    return one_sign(template.render(**given, glossary=used))
+    return one_sign(template.render(**context, glossary=used))
 
 
 def sentence(text: str) -> str:
@@ -108,7 +108,7 @@ def _words(data: ReportData, recipe: Recipe | None) -> dict[str, Any]:
         ],
         "basis": _basis(recipe, data),
         "exports": [(row.target, row.command, "; ".join(row.losses) or "nothing is lost") for row in data.exports],
-        "provenance": [*data.provenance, ("page made", _made())],
+        "provenance": [*data.provenance, ("page made", _time_and_version())],
         **_requirements(data),
         **_parameters(data),
     }
@@ -119,13 +119,13 @@ def _verdict(data: ReportData) -> str:
     with_target = [row for row in data.requirements if row.target is not None]
     done = "achieved" if achieved else "predicted"
     if data.verdict == "met":
-        return f"Met: every target of the requirements is kept by what is {done} ({_against(with_target)})."
+        return f"Met: every target is met by the {done} residuals ({_against(with_target)})."
     if data.verdict == "missed":
         missed = [row for row in with_target if row.verdict == "missed"]
-        return f"Missed: what is {done} exceeds a target ({_against(missed)})."
+        return f"Missed: the {done} residual exceeds a target ({_against(missed)})."
     if data.verdict == "unobservable":
         names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "unobservable"))
-        return f"Unobservable: this plan does not tell {names}."
+        return f"Unobservable: this plan does not observe {names}."
     return "No requirement has a target, so there is no verdict."
 
 
@@ -134,8 +134,8 @@ def _against(rows: list[RequirementFact]) -> str:
     for row in rows:
         value = row.predicted if row.achieved is None else row.achieved
         assert row.target is not None
-        said = "not observable" if value is None else f"{figures(value)} {row.unit}"
-        parts.append(f"{row.name}: {said} against {figures(row.target)} {row.unit}")
+        text = "not observable" if value is None else f"{figures(value)} {row.unit}"
+        parts.append(f"{row.name}: {text} against {figures(row.target)} {row.unit}")
     return "; ".join(parts)
 
 
@@ -181,7 +181,7 @@ def _box(row: RequirementFact) -> str:
 def _parameters(data: ReportData) -> dict[str, Any]:
     rows = data.parameters
     several = len({row.axis for row in rows}) > 1
-    # By head: the field that decides whether it stands there, its own, its digits, what is said of none, what follows.
+    # Head, the field that must have a value, the shown field, its digits, text for none, suffix.
     columns = (
         ("value", "value", "value", 6, "", ""),
         ("1σ", "value", "std", 4, "not observable", ""),
@@ -198,7 +198,7 @@ def _parameters(data: ReportData) -> dict[str, Any]:
         ]
 
     return {
-        "parameter_head": ["parameter", "stands before", *(head for head, *_ in kept), "unit"],
+        "parameter_head": ["parameter", "multiplies", *(head for head, *_ in kept), "unit"],
         "parameter_rows": [
             [f"{row.name}, axis {row.axis}" if several else row.name, row.multiplies, *numbers(row), row.unit]
             for row in rows
@@ -208,7 +208,7 @@ def _parameters(data: ReportData) -> dict[str, Any]:
 
 
 def _basis(recipe: Recipe | None, data: ReportData) -> str:
-    """What T′ and ω′ are."""
+    """Definitions of T′ and ω′."""
     if recipe is None:
         return (
             "T′ and ω′ are temperature and rate less their centre, over their scale, as the calibration file has them."
@@ -221,8 +221,8 @@ def _basis(recipe: Recipe | None, data: ReportData) -> str:
     if sensor.scale_factor is not None and sensor.scale_factor.rate.basis == "polynomial":
         rate = sensor.scale_factor.rate
         parts.append(f"ω′ = (ω − {rate.centre}) / {rate.scale}")
-    said = "In the paper's basis: " + ", ".join(parts) + "." if parts else "Coefficients of the spec's bases."
-    return said + (" The plan's own uncertainty of each." if not data.axes else "")
+    text = "In the paper's basis: " + ", ".join(parts) + "." if parts else "Coefficients of the spec's bases."
+    return text + (" The plan's own uncertainty of each." if not data.axes else "")
 
 
 def _optimised(recipe: Recipe) -> list[str]:
@@ -238,7 +238,7 @@ def _optimised(recipe: Recipe) -> list[str]:
     if record.get("structure"):
         lines.append(sentence(str(record["structure"])))
     if record.get("active_limits"):
-        lines.append("Limits that bind: " + "; ".join(str(said) for said in record["active_limits"]) + ".")
+        lines.append("Limits that bind: " + "; ".join(str(limit) for limit in record["active_limits"]) + ".")
     return lines
 
 
@@ -260,7 +260,7 @@ def _done(data: ReportData) -> list[str]:
     return lines
 
 
-def _made() -> str:
+def _time_and_version() -> str:
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     now = datetime.fromtimestamp(int(epoch), UTC) if epoch and epoch.isdigit() else datetime.now(UTC)
     return f"{now:%Y-%m-%d %H:%M} UTC by gradcal {gradcal_jax.__version__}"

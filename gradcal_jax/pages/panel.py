@@ -1,8 +1,9 @@
-"""What another time, encoder or slope would leave: predictions of the recipe's plan on a small grid, for the panel.
+"""Predictions of the recipe's plan for other times, encoders and slopes on a small grid, for the panel.
 
 The grid has factors on the chamber's slope, numbers of ramps (there, back, there …, which is the time), and factors on
-every figure of the angle. The panel shows grid points alone, so that each of its numbers is a prediction and none is
-interpolated. A plan that does not fit a point (a cycle longer than its ramp, a slope beyond the chamber's) has none.
+every figure of the angle. The panel shows only grid points, so that each of its numbers is a prediction and none is
+interpolated. A point to which the plan does not fit (a cycle longer than its ramp, a slope beyond the chamber's) has
+none.
 """
 
 import math
@@ -33,7 +34,7 @@ def panel_of(recipe: Recipe) -> dict[str, Any]:
     spec = recipe.axis_spec
     plan = spec.plan
     if not isinstance(plan, GradientPlan) or plan.temperature is None or not isinstance(plan.gradient, Quantity):
-        raise ValueError("the panel varies the slope of one ramp, and this plan is none: leave --panel out")
+        raise ValueError("the panel varies the slope of one ramp, and this plan is not one ramp: leave --panel out")
     points = [_point(spec, plan, *at) for at in product(SLOPES, RAMPS, ANGLES)]
     rows = recipe.prediction.requirements
     kept = [row for row in rows if row.axis == rows[0].axis]
@@ -51,7 +52,7 @@ def panel_of(recipe: Recipe) -> dict[str, Any]:
                 "name": f"{row.name} ({row.statistic})",
                 "unit": row.unit,
                 "target": row.target,
-                # What one standard deviation may come to.
+                # The limit on one standard deviation.
                 "allowed": None if row.target is None else row.target / row.coverage,
                 # Six digits are more than the panel shows.
                 "values": [None if p is None or p[1][k][0] is None else float(f"{p[1][k][0]:.6g}") for p in points],
@@ -67,12 +68,12 @@ def _point(
 ) -> tuple[float, list[tuple[float | None, str | None]]] | None:
     """Hours of the whole plan, and of each requirement its value and verdict; None where the plan does not fit."""
     try:
-        made = changed(spec, {**_course(plan, slope, ramps), **_angles(spec, angle)})
+        varied = changed(spec, {**_course(plan, slope, ramps), **_angles(spec, angle)})
     except SpecError:
         return None
-    rows = api.predict(made).requirements
+    rows = api.predict(varied).requirements
     first = [row for row in rows if row.axis == rows[0].axis]
-    return made.schedule.duration / 3600.0, [(row.decisive, row.verdict) for row in first]
+    return varied.schedule.duration / 3600.0, [(row.decisive, row.verdict) for row in first]
 
 
 def _course(plan: GradientPlan, slope: float, ramps: int) -> Mapping[str, object]:
@@ -101,7 +102,7 @@ def _angles(spec: Spec, factor: float) -> Mapping[str, object]:
 
 
 def _angle_label(spec: Spec, factor: float) -> str:
-    """By its largest figure, in the unit of people."""
+    """The label of an encoder, by its largest figure."""
     angle = spec.rig.table.angle
     largest = max(float(angle.reading_noise), float(angle.standstill_offset))
     shown = factor * math.degrees(largest)

@@ -16,14 +16,14 @@ def amount(value: float | None, unit: str) -> str:
 
 
 def times_text(duration_s: float, soak_s: float, motion_s: float, motion: str = "motion") -> str:
-    """How long a plan lasts, its soaks, and its motion."""
+    """Durations of a plan, its soaks and its motion."""
     return f"{time_text(duration_s)} in all: soak {time_text(soak_s)}, {motion} {time_text(motion_s)}"
 
 
 def columns(rows: Sequence[Sequence[str]], *, indent: str = "  ", right: Sequence[int] = (), width: int = WIDTH) -> str:
     """Rows as aligned text; the columns numbered in `right` are flush right.
 
-    Where a row is wider than `width`, its last column, if that is text of several words, goes on in the lines below.
+    Where a row is wider than `width`, its last column, if it has several words, is wrapped into further lines.
     """
     if not rows:
         return ""

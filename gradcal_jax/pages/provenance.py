@@ -1,4 +1,4 @@
-"""What a page's numbers rest on, and where they come from."""
+"""Assumptions and provenance of a page's numbers."""
 
 from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.calibration import Calibration
@@ -7,7 +7,7 @@ from gradcal_jax.pages.sources import Sources
 
 
 def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> list[tuple[str, str]]:
-    """The noise figures that numbers rest on: the spec's, or those that the calibration keeps."""
+    """The noise figures behind the numbers: the spec's, or those of the calibration."""
     rows: list[tuple[str, str]] = []
     if recipe is not None:
         sensor, angle = recipe.axis_spec.sensor, recipe.axis_spec.rig.table.angle
@@ -17,7 +17,7 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
         for wander in sensor.scale_factor_instability:
             words = f"{wander.standard_deviation}, correlation time {wander.correlation_time}"
             rows.append(("scale-factor instability", words))
-        given = (
+        figures = (
             ("rate random walk", sensor.rate_random_walk),
             ("turn-on bias", sensor.turn_on_bias),
             ("sample clock error", sensor.sample_clock_error),
@@ -26,7 +26,7 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
             ("standstill offset", angle.standstill_offset or None),
             ("timing error", angle.timing_error or None),
         )
-        rows += [(name, str(value)) for name, value in given if value is not None]
+        rows += [(name, str(value)) for name, value in figures if value is not None]
         absent = [
             (term.key, f"counted as zero; typical of its class: {term.typical}")
             for term in absent_terms(recipe.axis_spec)
@@ -64,10 +64,7 @@ def provenance_of(sources: Sources) -> list[tuple[str, str]]:
         rows += [("unit", calibration.serial_number), ("frame", calibration.frame), ("order", calibration.order)]
         names = {
             "program": "estimated by",
-            "estimator": "estimator",
-            "readings": "readings",
-            "rows": "rows",
-            "log": "log",
+            **{key: key for key in ("estimator", "readings", "rows", "log")},
             "spec": "model",
         }
         rows += [(words, calibration.provenance[key]) for key, words in names.items() if key in calibration.provenance]

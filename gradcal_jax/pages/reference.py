@@ -1,5 +1,5 @@
-"""Reference pages in Markdown: every key of a file or contract, from its JSON Schema. A table stands on one page only;
-the pages of other files that hold it link there."""
+"""Reference pages in Markdown: every key of a file or contract, from its JSON Schema. Each table is on one page only;
+pages of other files with that table link there."""
 
 import json
 import re
@@ -31,7 +31,7 @@ def _schema(name: str) -> Body:
 
 @cache
 def _pages() -> dict[str, tuple[str, Body]]:
-    """On which page each table stands, the first that has it, and the table."""
+    """The page of each table (the first schema that has it), and the table."""
     pages: dict[str, tuple[str, Body]] = {}
     for page in schemas.schema_names():
         for title, body in _tables(_schema(page)):
@@ -41,19 +41,19 @@ def _pages() -> dict[str, tuple[str, Body]]:
 
 
 def _tables(whole: Body) -> Iterator[tuple[str, Body]]:
-    """The file itself and the tables in it, each by its name in words, in the order in which the keys lead to them."""
+    """The file itself and the tables in it, by name, in the order of their keys."""
     named = {"": {k: v for k, v in whole.items() if not k.startswith("$")}, **whole.get("$defs", {})}
-    found = [""]
-    for name in found:
-        found += [inner for inner in _refs(named[name]) if inner not in found]
-    for name in found:
+    names = [""]
+    for name in names:
+        names += [inner for inner in _refs(named[name]) if inner not in names]
+    for name in names:
         yield _words(name or str(whole["title"])), named[name]
 
 
 def _refs(value: Any) -> list[str]:
     if isinstance(value, dict):
         own = [value["$ref"].rsplit("/", 1)[1]] if "$ref" in value else []
-        # A recipe's spec is called by its format; the reference of the spec has its keys.
+        # A recipe refers to its spec by format; the reference of the spec has its keys.
         inner = (v for k, v in value.items() if k not in ("default", "examples"))
         return list(dict.fromkeys([*own, *(r for v in inner for r in _refs(v))]))
     return list(dict.fromkeys(r for v in value for r in _refs(v))) if isinstance(value, list) else []
@@ -65,14 +65,14 @@ def _words(title: str) -> str:
 
 
 def _places(whole: Body, title: str) -> list[str]:
-    """Where a table stands, as paths of keys; a list's entries are marked []."""
-    found: list[str] = []
+    """The places of a table, as paths of keys; a list's entries are marked []."""
+    places: list[str] = []
 
     def walk(value: Any, path: str, above: tuple[str, ...]) -> None:
         if "$ref" in value:
             name = value["$ref"].rsplit("/", 1)[1]
-            if _words(name) == title and path not in found:
-                found.append(path)
+            if _words(name) == title and path not in places:
+                places.append(path)
             if name not in above:
                 walk(whole["$defs"][name], path, (*above, name))
         for part in value.get("anyOf", ()):
@@ -86,16 +86,16 @@ def _places(whole: Body, title: str) -> list[str]:
             walk(part, f"{path}.{key}".lstrip("."), above)
 
     walk({k: v for k, v in whole.items() if k != "$defs"}, "", ())
-    return found
+    return places
 
 
 def _section(title: str, body: Body, places: list[str], pages: Mapping[str, tuple[str, Body]], page: str) -> list[str]:
     lines = [f"## {title}", ""]
     if places:
         lines += [f"In {', '.join(f'`{place}`' for place in places[:6])}{', …' if len(places) > 6 else ''}.", ""]
-    said = body.get("description", "").strip()
-    if said:  # of a whole file, what comes after its first paragraph is for who reads it in Python
-        lines += [re.sub(r"(?<!\n)\n(?!\n)", " ", said if places else said.split("\n\n")[0]), ""]
+    description = body.get("description", "").strip()
+    if description:  # for a whole file only its first paragraph: the others are for readers of the Python code
+        lines += [re.sub(r"(?<!\n)\n(?!\n)", " ", description if places else description.split("\n\n")[0]), ""]
     lines += ["| key | value | default | meaning |", "|---|---|---|---|"]
     required = body.get("required", ())
     for key, entry in body["properties"].items():
@@ -114,7 +114,7 @@ def _default(entry: Body) -> str:
 
 
 def _value(entry: Body, pages: Mapping[str, tuple[str, Body]], page: str) -> str:
-    """What may stand there, in words."""
+    """The allowed values of a key, in words."""
     if "$ref" in entry:
         title = _words(entry["$ref"].rsplit("/", 1)[1])
         where, table = pages[title]

@@ -1,4 +1,4 @@
-"""A page from the files that it is about: what `gradcal report` does."""
+"""A page from files, as by `gradcal report`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,28 +18,28 @@ def report(
     limits: str | Path | None = None,
     panel: bool = False,
 ) -> ReportData:
-    """Make one HTML page of a recipe, a run or a calibration: planned, predicted, done, found, how to apply it. Of a
-    gyro's axes or of a whole unit.
+    """Make one HTML page of a recipe, a run or a calibration: plan, prediction, run, estimate and how to apply it. For
+    a gyro's axes or a whole unit.
 
     `sources`: the folder of a run (its calibration.toml is taken with it), a recipe, a calibration, or those of them
-    that belong together; of a whole unit its spec, too. `before`: a spec or recipe whose plan to compare with.
-    `limits`: what `gradcal limit --json` printed. `panel`: what another time, encoder or slope would leave, to be tried
-    on the page. The page replaces `output`; it fetches nothing.
+    that belong together; for a whole unit its spec, too. `before`: a spec or recipe whose plan to compare with.
+    `limits`: the output of `gradcal limit --json`. `panel`: sliders for other times, encoders and slopes. The page
+    replaces `output`; it has no external resources.
 
     Returns every number of the page, once (`pages.report_data.ReportData`): ppm, deg/h, °C and deg/s, 1σ. Terms are
     those of IEEE 952, 1431 and 1780. Errors: `ValueError` for sources that cannot be read or do not belong on one page.
     """
-    given = [sources] if isinstance(sources, str | Path) else sources
-    found = read_sources(
-        [Path(source) for source in given],
+    paths = [sources] if isinstance(sources, str | Path) else sources
+    documents = read_sources(
+        [Path(source) for source in paths],
         before=None if before is None else Path(before),
         limits=None if limits is None else Path(limits),
     )
-    return write_page(found, output, panel=panel)
+    return write_page(documents, output, panel=panel)
 
 
 def write_page(sources: Sources, output: str | Path, *, panel: bool = False) -> ReportData:
-    """The page of sources that are read already."""
+    """Write the page of `sources`."""
     data = unit_report_data(sources) if sources.of_unit else report_data_of(sources)
     write_whole(output, page(sources, data, panel=panel))
     return data

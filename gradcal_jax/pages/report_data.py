@@ -1,4 +1,4 @@
-"""Every number of a page, once: from the recipe, the run and the calibration, by the functions that commands use."""
+"""All numbers of a page, from recipe, run and calibration, by the functions behind the commands."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -15,8 +15,8 @@ from gradcal_jax.pages.sources import Sources
 
 
 class AxisFact(NamedTuple):
-    """What was found of one axis. `fit`: tests of the fit, each with its name, χ², degrees of freedom and chance;
-    `agreement`: χ² of found against hidden truth, its degrees, its chance."""
+    """The calibration of one axis. `fit`: tests of the fit, each with its name, χ², degrees of freedom and chance;
+    `agreement`: χ² of the estimate against a simulation's truth, its degrees, its chance."""
 
     axis: str
     terms: tuple[IeeeTerm, ...]
@@ -28,7 +28,7 @@ class AxisFact(NamedTuple):
 
 
 class ReportData(NamedTuple):
-    """A whole page's numbers. `before_is`: what "before" means here; empty without it."""
+    """All numbers of a page. `before_is`: the meaning of "before"; empty without it."""
 
     title: str
     simulated: bool
@@ -47,15 +47,15 @@ class ReportData(NamedTuple):
     @property
     def verdict(self) -> str:
         """ "met", "missed" or "unobservable" of all requirements together; empty where none has a target."""
-        found = {row.verdict for row in self.requirements}
+        verdicts = {row.verdict for row in self.requirements}
         for word in ("unobservable", "missed", "met"):
-            if word in found:
+            if word in verdicts:
                 return word
         return ""
 
 
 def report_data_of(sources: Sources) -> ReportData:
-    """Work out everything that a page says. Raises `ValueError` for a run that never began."""
+    """Compute the data of a page. Raises `ValueError` for a run that never began."""
     recipe, calibration = sources.recipe, sources.calibration
     history = None if sources.run is None else history_of(sources.run)
     before_is, requirements, maps = requirements_of(sources)
@@ -95,7 +95,7 @@ def as_tables(data: ReportData) -> dict[str, Any]:
         done = history._asdict()
         for name in ("chamber_s", "chamber_c", "rates"):
             del done[name]
-        # As the last keys, where they always stood.
+        # As the last keys, as in earlier versions.
         done |= {name: [row._asdict() for row in done.pop(name)] for name in ("waited", "devices")}
     return {
         "title": data.title,
@@ -117,7 +117,7 @@ def as_tables(data: ReportData) -> dict[str, Any]:
 def axis_fact(
     of: AxisCalibration | UnitCalibration, name: str, terms: Sequence[IeeeTerm], agreed: tuple[float, int, float] | None
 ) -> AxisFact:
-    """What was found of an axis, or of a whole unit."""
+    """The calibration of an axis, or of a whole unit."""
     return AxisFact(
         name,
         tuple(terms),

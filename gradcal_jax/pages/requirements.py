@@ -5,7 +5,7 @@ from typing import Any, Final, NamedTuple, cast
 
 from gradcal_jax import api
 from gradcal_jax.api.contract_rows import finite
-from gradcal_jax.api.ieee_terms import Box, found_map, grid_of, prior_map
+from gradcal_jax.api.ieee_terms import Box, calibration_map, grid_of, prior_map
 from gradcal_jax.api.missions import ErrorCurve, error_curves
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, statistic_of
 from gradcal_jax.files import Spec
@@ -17,15 +17,15 @@ from gradcal_jax.information import statistic
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.pages.sources import Sources
 
-# Of a residual: what shows in the digits of a page.
+# Relative difference of residuals that shows in the digits of a page.
 _SEEN: Final = 1e-3
 
 
 class RequirementFact(NamedTuple):
-    """A requirement before, as predicted, as achieved (1σ, in `unit`); None: not observable, or not there to tell.
+    """A requirement's residual before, predicted and achieved (1σ, in `unit`); None: not observable, or not known.
 
-    `verdict`: of what was achieved, otherwise of what is predicted; `limit`: proven for any plan; `coverage`: standard
-    deviations that must be within the target.
+    `verdict`: of the achieved residual, else of the predicted one; `limit`: proven for any plan; `coverage`: number of
+    standard deviations that must be within the target.
     """
 
     name: str
@@ -47,18 +47,17 @@ class RequirementFact(NamedTuple):
 
 
 def fact_of(row: RequirementRow, result: Result | UnitResult | None, **more: Any) -> RequirementFact:
-    """A requirement as predicted, and as achieved where there is a result. `more`: what else is known."""
-    said: dict[str, Any] = {"statistic": row.statistic, "predicted": row.decisive, "verdict": row.verdict}
+    """A requirement as predicted, and as achieved where there is a result. `more`: further fields."""
+    fields: dict[str, Any] = {"statistic": row.statistic, "predicted": row.decisive, "verdict": row.verdict}
     if result is not None:
-        said |= {"achieved": result.value, "verdict": result.verdict}
+        fields |= {"achieved": result.value, "verdict": result.verdict}
     same = ("name", "axis", "quantity", "unit", "temperature_c", "rate_dps", "target", "limited_by")
-    return RequirementFact(**{name: getattr(row, name) for name in same}, **(said | more))
+    return RequirementFact(**{name: getattr(row, name) for name in same}, **(fields | more))
 
 
 class MapFact(NamedTuple):
-    """Residual maps of one requirement and axis, in order: before, predicted, achieved, as far as they are known; of
-    missions the curves of their error.
-    """
+    """Residual maps of one requirement and axis, in the order before, predicted, achieved, as far as they are known;
+    for missions the curves of their error."""
 
     name: str
     axis: str
@@ -68,7 +67,7 @@ class MapFact(NamedTuple):
 
 
 def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[MapFact]]:
-    """What "before" means, every requirement, and its maps."""
+    """The meaning of "before", every requirement, and its maps."""
     recipe, calibration = sources.recipe, sources.calibration
     if recipe is None:
         assert calibration is not None
@@ -76,7 +75,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
             MapFact("all that the data cover", axis.name, name, (("achieved", deviation),))
             for axis in calibration.axis
             for name in _quantities(axis)
-            for _, deviation in (found_map(axis, name, *grid_of(axis, None, name)),)
+            for _, deviation in (calibration_map(axis, name, *grid_of(axis, None, name)),)
         ]
         return "", [result_alone(row, row.statistic.removesuffix(", 1 sigma")) for row in calibration.result], maps
     built, known = _plan(recipe.axis_spec)
@@ -94,7 +93,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
         more = {"before": before, "limit": sources.limits.get(row.name), "own": row.own, "coverage": row.coverage}
         rows.append(fact_of(row, results.get((row.name, row.axis, row.quantity)), **more))
         if earlier is not None:
-            before_is = "what the spec's priors say, without a calibration"
+            before_is = "the spec's priors, without a calibration"
             if other is not None:
                 before_is = f"the plan of {sources.before_name}, on the rig of that file"
             drawn.append(("before", earlier))
@@ -107,7 +106,9 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
         drawn.append(("predicted", Box(*values, row.unit)))
         axis = axes.get(row.axis)
         if axis is not None and requirement.quantity in _quantities(axis):
-            _, deviation = found_map(axis, requirement.quantity, *grid_of(axis, requirement, requirement.quantity))
+            _, deviation = calibration_map(
+                axis, requirement.quantity, *grid_of(axis, requirement, requirement.quantity)
+            )
             drawn.append(("achieved", deviation))
         maps.append(MapFact(row.name, row.axis, row.quantity, tuple(drawn)))
     record = recipe.optimisation or {}
@@ -119,7 +120,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
 
 
 def hidden_by_structure(requirements: list[RequirementFact], maps: list[MapFact]) -> list[str]:
-    """A calibration file has the covariance of its coefficients; what their structure may hide is in results alone."""
+    """A note where results exceed the maps: these have only the covariance of the coefficients, not the discrepancy."""
     names: list[str] = []
     for row, fact in zip(requirements, maps, strict=False):
         drawn = dict(fact.maps).get("achieved")
@@ -137,13 +138,13 @@ def hidden_by_structure(requirements: list[RequirementFact], maps: list[MapFact]
 
 
 def _plan(spec: Spec):
-    """A spec's model, and what its plan finds of every channel."""
+    """A spec's model, and the posterior of every channel after its plan."""
     built = api.assemble(spec)
     return built, {channel: api.posterior_of_plan(built, channel) for channel in built.channels}
 
 
 def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | None:
-    """The residual of another plan, or of none where the spec has priors, on the same box."""
+    """The residual of another plan on the same box or, without one, the spec's prior."""
     if other is None:
         return prior_map(spec, requirement)
     built, known = other
@@ -154,7 +155,7 @@ def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | 
 
 
 def result_alone(row: Result | UnitResult, statistic: str) -> RequirementFact:
-    """Of a calibration alone: what was achieved."""
+    """A requirement of a calibration without a recipe: the achieved residual."""
     known = {"achieved": row.value, "target": row.target, "verdict": row.verdict}
     return RequirementFact(row.name, row.axis, row.quantity, statistic, row.unit, **known)
 

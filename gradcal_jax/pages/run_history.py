@@ -1,4 +1,4 @@
-"""What a run did, from its journal: when, by which devices, how long it waited, temperatures and angles."""
+"""The history of a run, from its journal: times, devices, waits, temperatures and angles."""
 
 import math
 from bisect import bisect_right
@@ -26,7 +26,7 @@ class Waited(NamedTuple):
 
 
 class RunDevice(NamedTuple):
-    """Who answered on a port."""
+    """The identity of a device."""
 
     name: str
     driver: str
@@ -36,12 +36,12 @@ class RunDevice(NamedTuple):
 
 
 class RunHistory(NamedTuple):
-    """What was done.
+    """The history of a run.
 
-    `chamber_s`, `chamber_c` `(n,)`: when the chamber was read, and its temperature. `rates`: of each axis that turned,
-    times and rates (deg/s) between which the rate is a straight line, both `(m,)`. Both in s on the plan's clock, which
-    stands still while a step is waited for; what was read before the first step began is left out. `status`: "success",
-    "stopped", "aborted" or "lost"; `damaged_bytes`: of the journal, that belong to no record.
+    `chamber_s`, `chamber_c` `(n,)`: times and temperatures of the chamber's readings. `rates`: for each axis that
+    turned, times and rates (deg/s) between which the rate is linear, both `(m,)`. Times are in s on the plan's clock,
+    which stops while a step waits; readings before the first step are left out. `status`: "success", "stopped",
+    "aborted" or "lost"; `damaged_bytes`: bytes of the journal that belong to no record.
     """
 
     begun: str
@@ -62,7 +62,7 @@ class RunHistory(NamedTuple):
 
 
 def history_of(folder: RunFolder) -> RunHistory:
-    """What a run did. Raises `ValueError` where the folder is not a run's."""
+    """The history of a run. Raises `ValueError` where the folder is not a run's."""
     notes, contents = folder.notes(), folder.contents()
     events = _on_one_clock(contents.events, simulated=bool(notes["simulated"]))
     if not events:
@@ -83,8 +83,8 @@ def history_of(folder: RunFolder) -> RunHistory:
     for time, event in events:
         data = event.data
         if event.name == "identity":
-            said = (str(data.get(name, "")) for name in ("driver", "model", "serial_number", "firmware"))
-            devices.setdefault(str(data["device"]), RunDevice(str(data["device"]), *said))
+            identity = (str(data.get(name, "")) for name in ("driver", "model", "serial_number", "firmware"))
+            devices.setdefault(str(data["device"]), RunDevice(str(data["device"]), *identity))
         elif event.name == "stable":
             waited.append(Waited(str(data["step"]), float(data["waited_s"]), float(data["temperature_c"])))
         elif event.name == "angle" and data.get("position_deg") is not None:
@@ -109,12 +109,12 @@ def history_of(folder: RunFolder) -> RunHistory:
         version=str(notes.get("version", "")),
         chamber_s=np.array([time for time, _ in chamber if time >= 0.0]),
         chamber_c=np.array([value for time, value in chamber if time >= 0.0], dtype=np.float64),
-        rates={axis: _turned(made, angles.get(axis, [])) for axis, made in moves.items()},
+        rates={axis: _turned(commands, angles.get(axis, [])) for axis, commands in moves.items()},
     )
 
 
 def _plan_clock(folder: RunFolder, events: list[tuple[float, Event]]) -> Callable[[float], float]:
-    """From the run's clock to the plan's: within a step they go alike; negative before the first step began."""
+    """The plan's time as a function of the run's: parallel within a step; negative before the first step."""
     steps = track_of(folder.recipe(), [axis.name for axis in folder.rig().axis]).steps
     planned = np.concatenate([[0.0], np.cumsum([step.duration_s for step in steps])])
     begun = [
@@ -124,7 +124,7 @@ def _plan_clock(folder: RunFolder, events: list[tuple[float, Event]]) -> Callabl
     ]
 
     def on_plan(time: float) -> float:
-        # Steps begin one after the other.
+        # `begun` is in order of time.
         first = max(0, bisect_right(begun, (time, 10**9)) - 1)
         here = [(begins, number) for begins, number in begun[first:] if begins <= time]
         if not here:
@@ -136,7 +136,7 @@ def _plan_clock(folder: RunFolder, events: list[tuple[float, Event]]) -> Callabl
 
 
 def _turned(moves: list[tuple[float, Mapping[str, Any]]], angles: list[tuple[float, float]]) -> tuple[Floats, Floats]:
-    """The rate of an axis by the commands that it executed; by the mean between angles where a hand turned it."""
+    """The rate of an axis by its executed commands or, for turns by hand, by differences of its angles."""
     if any(move["kind"] == "turn" and not move["acceleration_dps2"] for _, move in moves):
         return rates_of(*_columns(angles))
     points, rate = [(0.0, 0.0)], 0.0
@@ -157,7 +157,7 @@ def _turned(moves: list[tuple[float, Mapping[str, Any]]], angles: list[tuple[flo
 def rates_of(time_s: Floats, angle_deg: Floats) -> tuple[Floats, Floats]:
     """Mean rates (deg/s) between readings of an angle, as steps: times and values to draw."""
     lasting = np.diff(time_s)
-    # Two readings of one instant, of command and answer, say nothing of a rate.
+    # Two readings of one instant (of command and reply) do not determine a rate.
     kept = lasting > _INSTANT_S
     rate = np.diff(angle_deg)[kept] / lasting[kept]
     begin, end = time_s[:-1][kept], time_s[1:][kept]
@@ -165,16 +165,16 @@ def rates_of(time_s: Floats, angle_deg: Floats) -> tuple[Floats, Floats]:
 
 
 def _on_one_clock(events: list[Event], *, simulated: bool) -> list[tuple[float, Event]]:
-    """Every session's events on the first one's clock: by the wall clock, except where the clock was simulated."""
-    found: list[tuple[float, Event]] = []
+    """The events of all sessions on the first session's clock: by the wall clock, except for a simulated clock."""
+    shifted: list[tuple[float, Event]] = []
     shift, first = 0.0, math.nan
     for event in events:
         if event.name == SESSION and not simulated:
             offset = float(event.data["wall_clock_s"]) - event.time_s
             first = offset if math.isnan(first) else first
             shift = offset - first
-        found.append((event.time_s + shift, event))
-    return found
+        shifted.append((event.time_s + shift, event))
+    return shifted
 
 
 def _temperature(event: Event) -> float | None:

@@ -1,4 +1,4 @@
-"""What a page is made from: a recipe, the run of it, a calibration, and a plan to compare with."""
+"""The sources of a page: a recipe, its run, a calibration, and a plan to compare with."""
 
 import hashlib
 import json
@@ -22,9 +22,8 @@ CALIBRATION_IN_RUN = "calibration.toml"
 
 @dataclass(frozen=True)
 class Sources:
-    """What was read. `unit`: the spec of a whole unit, in the place of a recipe. `limits`: what no plan can leave less
-    than, by requirement. `paths`: name and SHA-256 of each file; `notes`: what does not fit.
-    """
+    """The sources of a page. `unit`: the spec of a whole unit, in the place of a recipe. `limits`: the proven lower
+    limits, by requirement. `paths`: name and SHA-256 of each file; `notes`: mismatches between the sources."""
 
     unit: UnitSpec | None = None
     unit_calibration: UnitCalibration | None = None
@@ -46,31 +45,31 @@ class Sources:
 
 
 def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: Path | None = None) -> Sources:
-    """Read whatever the paths are: the folder of a run (with the calibration in it), a recipe, a calibration.
+    """Read the sources of a page: the folder of a run (with the calibration in it), a recipe, a calibration.
 
-    `before`: a spec, or a recipe, whose plan is compared with; `limits`: what `gradcal limit --json` printed. Raises
-    `ValueError`s that say what to do.
+    `before`: a spec, or a recipe, whose plan is compared with; `limits`: the output of `gradcal limit --json`. Raises
+    `ValueError` with a remedy.
     """
-    found: dict[str, Any] = {}
+    parts: dict[str, Any] = {}
     named: list[tuple[str, str]] = []
 
     def take(kind: str, value: Any, path: Path) -> None:
-        if kind in found:
+        if kind in parts:
             words = kind.replace("_", " ")
             raise ValueError(f"{path} is a second {words}: a page is made of one run, one recipe and one calibration")
-        found[kind] = value
+        parts[kind] = value
         if path.is_file():
             named.append((path.name, hashlib.sha256(path.read_bytes()).hexdigest()))
 
-    def take_recipe(made: Recipe, path: Path) -> None:
-        # Of a whole unit the page is of its plan, as it was rounded.
-        of_unit = isinstance(made.spec, UnitSpec)
-        take("unit" if of_unit else "recipe", made.spec if of_unit else made, path)
+    def take_recipe(recipe: Recipe, path: Path) -> None:
+        # The page of a whole unit shows its rounded plan.
+        of_unit = isinstance(recipe.spec, UnitSpec)
+        take("unit" if of_unit else "recipe", recipe.spec if of_unit else recipe, path)
 
     def take_calibration(path: Path) -> None:
-        made = read_any_calibration(path)
-        take("unit_calibration" if isinstance(made, UnitCalibration) else "calibration", made, path)
-        found["calibration_name"] = str(path)
+        calibration = read_any_calibration(path)
+        take("unit_calibration" if isinstance(calibration, UnitCalibration) else "calibration", calibration, path)
+        parts["calibration_name"] = str(path)
 
     for path in paths:
         if path.is_dir():
@@ -87,36 +86,36 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
             take_calibration(path)
         else:
             raise ValueError(
-                f"{path} is none of a run's folder, a recipe or a calibration. Of a spec make a recipe first: "
+                f"{path} is neither the folder of a run, nor a recipe or a calibration. Make a recipe of a spec first: "
                 "gradcal recipe SPEC -o recipe.toml"
             )
-    run: RunFolder | None = found.get("run")
+    run: RunFolder | None = parts.get("run")
     if run is not None:
         own = run.path / CALIBRATION_IN_RUN
-        if "recipe" not in found and "unit" not in found:
+        if "recipe" not in parts and "unit" not in parts:
             take_recipe(run.recipe(), run.path / "recipe.toml")
-        if not found.keys() & {"calibration", "unit_calibration"} and own.is_file():
+        if not parts.keys() & {"calibration", "unit_calibration"} and own.is_file():
             take_calibration(own)
-        found["hidden_truth"] = _hidden_truth(run)
-    if found.keys() & {"unit", "unit_calibration"}:
+        parts["hidden_truth"] = _hidden_truth(run)
+    if parts.keys() & {"unit", "unit_calibration"}:
         if before is not None or limits is not None:
             raise ValueError("the page of a whole unit compares with no other plan: gradcal compare does")
-        if found.keys() & {"recipe", "calibration"}:
+        if parts.keys() & {"recipe", "calibration"}:
             raise ValueError("one of these is of a whole unit, another of a gyro's axes: they make two pages")
-    if not found:
+    if not parts:
         raise ValueError("a report of what? Name the folder of a run, a recipe, a calibration, or the spec of a unit")
     if before is not None:
-        found["before"], found["before_name"] = spec_in(before), before.name
+        parts["before"], parts["before_name"] = spec_in(before), before.name
         named.append((before.name, hashlib.sha256(before.read_bytes()).hexdigest()))
     if limits is not None:
-        found["limits"] = _limits(limits)
-    return Sources(**found, paths=tuple(named), notes=tuple(_misfits(found)))
+        parts["limits"] = _limits(limits)
+    return Sources(**parts, paths=tuple(named), notes=tuple(_misfits(parts)))
 
 
 def _limits(path: Path) -> dict[str, float]:
     try:
         rows: list[dict[str, Any]] = json.loads(read_text(path))
-        # A slice, since an empty object would pass for an empty list.
+        # A slice raises for an object, which would otherwise be read as an empty list.
         return {str(row["name"]): float(row["certified"]) for row in rows[:]}
     except (ValueError, TypeError, KeyError):
         raise ValueError(f"{path} is not what `gradcal limit --json` prints") from None
@@ -132,11 +131,11 @@ def _hidden_truth(run: RunFolder) -> dict[str, Any] | None:
         raise ValueError(f"{path} cannot be read: take it out of the folder, or run the rehearsal anew") from None
 
 
-def _misfits(found: dict[str, Any]) -> list[str]:
-    """Sources that do not belong together."""
-    recipe: Recipe | None = found.get("recipe")
-    calibration: Calibration | UnitCalibration | None = found.get("calibration") or found.get("unit_calibration")
-    run: RunFolder | None = found.get("run")
+def _misfits(parts: dict[str, Any]) -> list[str]:
+    """Sentences on sources that do not belong together."""
+    recipe: Recipe | None = parts.get("recipe")
+    calibration: Calibration | UnitCalibration | None = parts.get("calibration") or parts.get("unit_calibration")
+    run: RunFolder | None = parts.get("run")
     if recipe is None and run is not None and isinstance(run.recipe().spec, UnitSpec):
         recipe = run.recipe()
     notes: list[str] = []

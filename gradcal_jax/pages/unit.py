@@ -1,4 +1,4 @@
-"""A page of a whole unit: what its plan leaves of every quantity, where it points, what was done and found."""
+"""A page of a whole unit: residuals of every quantity, poses, run and calibration."""
 
 from typing import Any
 
@@ -30,16 +30,20 @@ _MOST_ROWS = 80
 
 
 def unit_report_data(sources: Sources) -> ReportData:
-    """Every number of a page of a unit: of its plan, of what was found, or of both. Raises `ValueError` for a run that
-    never began.
-    """
+    """All numbers of a page of a unit: of its plan, its calibration, or both. Raises `ValueError` for a run that never
+    began."""
     spec, calibration, run = sources.unit, sources.unit_calibration, sources.run
-    found = None if spec is None else api.predict(spec)
+    prediction = None if spec is None else api.predict(spec)
     history = None if run is None else history_of(run)
     hidden = _hidden(sources)
-    notes = [*sources.notes, *(() if found is None else found.warnings)]
-    if calibration is not None and calibration.unobservable:
-        notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
+    notes = [*sources.notes, *(() if prediction is None else prediction.warnings)]
+    axes: tuple[AxisFact, ...] = ()
+    if calibration is not None:
+        values = {row["name"]: row["value"] for row in coefficient_rows(calibration)}
+        agreed = agreement(values, calibration.covariance, hidden)
+        axes = (axis_fact(calibration, calibration.serial_number, (), agreed),)
+        if calibration.unobservable:
+            notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
     simulated = any(source is not None and source.simulated for source in (history, calibration))
     versions = versions_of(("gradcal_jax", "numpy", "scipy", "jax")).items()
     title = (None if spec is None else spec.title) or (None if calibration is None else calibration.title)
@@ -47,9 +51,9 @@ def unit_report_data(sources: Sources) -> ReportData:
         title=title or "Calibration of a unit",
         simulated=simulated,
         before_is="",
-        requirements=tuple(_requirements(found, calibration)),
-        parameters=tuple(_parameters(found, calibration, hidden)),
-        axes=() if calibration is None else (_found_of(calibration, hidden),),
+        requirements=tuple(_requirements(prediction, calibration)),
+        parameters=tuple(_parameters(prediction, calibration, hidden)),
+        axes=axes,
         examples=(),
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=() if spec is None else tuple(_assumed(spec)),
@@ -61,21 +65,21 @@ def unit_report_data(sources: Sources) -> ReportData:
 
 
 def _hidden(sources: Sources) -> dict[str, float]:
-    """What a simulated run hid of this unit and of the table, by name."""
+    """The true values of a simulated unit and table, by name."""
     truth, calibration = sources.hidden_truth, sources.unit_calibration
     if truth is None or calibration is None:
         return {}
     return truth.get("installation", {}) | truth.get("units", {}).get(calibration.serial_number, {})
 
 
-def _requirements(found: Prediction | None, calibration: UnitCalibration | None) -> list[RequirementFact]:
-    """As predicted, and as achieved where there is a calibration; of a calibration alone, as achieved."""
+def _requirements(prediction: Prediction | None, calibration: UnitCalibration | None) -> list[RequirementFact]:
+    """The requirements as predicted, and as achieved where there is a calibration."""
     results = {} if calibration is None else {row.name: row for row in calibration.result}
-    if found is not None:
+    if prediction is not None:
         verdict = {} if calibration is None else {"verdict": None}
         return [
             fact_of(row, result, statistic=_summed(row), **(verdict if result is None else {}))
-            for row in found.requirements
+            for row in prediction.requirements
             for result in (results.get(row.name),)
         ]
     return [result_alone(row, _summed(row)) for row in results.values()]
@@ -86,9 +90,9 @@ def _summed(row: RequirementRow | UnitResult) -> str:
 
 
 def _parameters(
-    found: Prediction | None, calibration: UnitCalibration | None, hidden: dict[str, float]
+    prediction: Prediction | None, calibration: UnitCalibration | None, hidden: dict[str, float]
 ) -> list[ParameterFact]:
-    predicted = {} if found is None else {row.name: row for row in found.parameters}
+    predicted = {} if prediction is None else {row.name: row for row in prediction.parameters}
     if calibration is None:
         return [_parameter(row.name, row.unit, None, None, row.std, None) for row in predicted.values()]
     return [
@@ -104,28 +108,22 @@ def _parameter(name: str, si: str, *numbers: float | None) -> ParameterFact:
     return parameter_fact(symbol, axis, kind, *UNITS_OF_TERMS.get(si, (si, 1.0)), *numbers)
 
 
-def _found_of(calibration: UnitCalibration, hidden: dict[str, float]) -> AxisFact:
-    """Tests of the fit, and in a simulation how far all coefficients together are from what was hidden."""
-    values = {row["name"]: row["value"] for row in coefficient_rows(calibration)}
-    return axis_fact(calibration, calibration.serial_number, (), agreement(values, calibration.covariance, hidden))
-
-
-def parameter_table(found: Prediction) -> list[tuple[str, ...]]:
-    """The standard deviations of a unit's coefficients: a row for each, with a column for each axis; heads first."""
-    return parameter_rows(_parameters(found, None, {}))
+def parameter_table(prediction: Prediction) -> list[tuple[str, ...]]:
+    """The standard deviations of a unit's coefficients: a row for each, a column for each axis, after a head."""
+    return parameter_rows(_parameters(prediction, None, {}))
 
 
 def parameter_rows(parameters: "list[ParameterFact] | tuple[ParameterFact, ...]") -> list[tuple[str, ...]]:
-    """As `parameter_table`, of data: `multiplies` is the kind of channel."""
+    """As `parameter_table`, from facts whose `multiplies` is the kind of channel."""
     table: dict[tuple[str, str, str], dict[str, str]] = {}
     for row in parameters:
         value = "not observable" if row.predicted_std is None else f"{row.predicted_std:.4g}"
         if row.value is not None:
             value = "not observed" if row.std is None else f"{row.value:.5g} ± {row.std:.2g}"
         table.setdefault((row.multiplies, row.name, row.unit), {})[row.axis] = value
-    found = any(row.value is not None for row in parameters)
+    estimated = any(row.value is not None for row in parameters)
     return [
-        ("parameter ± 1σ" if found else "parameter, 1σ", "x", "y", "z", "unit"),
+        ("parameter ± 1σ" if estimated else "parameter, 1σ", "x", "y", "z", "unit"),
         *(
             (f"{kind} {symbol}", *(values.get(axis, "") for axis in "xyz"), unit)
             for (kind, symbol, unit), values in table.items()
@@ -134,7 +132,7 @@ def parameter_rows(parameters: "list[ParameterFact] | tuple[ParameterFact, ...]"
 
 
 def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
-    """The figures of noise and installation that the numbers rest on."""
+    """The figures of noise and installation behind the numbers."""
     rows: list[tuple[str, str]] = []
     for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
         if isinstance(triad, GyroTriad):
@@ -150,7 +148,7 @@ def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
             for drift in triad.drift:
                 rows.append((f"{name} drift", f"{drift.standard_deviation}, correlation time {drift.correlation_time}"))
     table, site = spec.rig.table, spec.rig.site
-    given: list[tuple[str, Any]] = [
+    installation: list[tuple[str, Any]] = [
         ("thermal lag", spec.sensor.thermal_lag),
         ("sample clock error", spec.sensor.sample_clock_error),
         ("accuracy of gravity", site.gravity_accuracy or None),
@@ -158,18 +156,18 @@ def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
         ("azimuth of the base", table.azimuth or None),
     ]
     for axis in table.axis:
-        given += [
+        installation += [
             (f"{axis.name}: reading noise", axis.angle.reading_noise or None),
             (f"{axis.name}: standstill offset", axis.angle.standstill_offset or None),
             (f"{axis.name}: angle to the next axis", axis.orthogonality or None),
         ]
-        given += [(f"{axis.name}: encoder error, {h.order} a turn", h.amplitude) for h in axis.angle.harmonics]
-    given += [(f"mounting {k + 1}", m.accuracy or None) for k, m in enumerate(table.mounting)]
-    return rows + [(name, str(value)) for name, value in given if value is not None]
+        installation += [(f"{axis.name}: encoder error, {h.order} a turn", h.amplitude) for h in axis.angle.harmonics]
+    installation += [(f"mounting {k + 1}", m.accuracy or None) for k, m in enumerate(table.mounting)]
+    return rows + [(name, str(value)) for name, value in installation if value is not None]
 
 
 def unit_words(sources: Sources, data: ReportData) -> dict[str, Any]:
-    """What a page of a unit says besides, for the template."""
+    """Further texts and tables on the page of a unit, for the template."""
     head, *parameters = parameter_rows(data.parameters)
     return {
         **_plan_words(sources.unit),
@@ -211,7 +209,7 @@ def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
 
 
 def _table_errors(sources: Sources) -> dict[str, Any] | None:
-    """What the run says of the table, beside what the spec called it and what a simulation hid."""
+    """The estimated errors of the table, beside the spec's uncertainty and a simulation's true values."""
     calibration = sources.unit_calibration
     if calibration is None or not calibration.table:
         return None
@@ -221,12 +219,12 @@ def _table_errors(sources: Sources) -> dict[str, Any] | None:
         unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
         numbers = (error.value, error.standard_deviation, error.prior, *([hidden[error.name]] if hidden else []))
         rows.append((error.name.replace("_", " "), *(figures(n * factor) for n in numbers), unit))
-    head = ["error of the table", "found", "1σ", "known to", *(["hidden truth"] if hidden else []), "unit"]
+    head = ["error of the table", "estimate", "1σ", "known to", *(["hidden truth"] if hidden else []), "unit"]
     return {"head": head, "rows": rows, "numbers": tuple(range(1, len(head) - 1))}
 
 
 def unit_pictures(sources: Sources) -> tuple[list[list[Picture]], list[Picture]]:
-    """What is left of each requirement's quantity; and where up is, seen from the unit, at every rest."""
+    """The residuals of each requirement's quantity, and the vertical in the unit's frame at every rest."""
     spec = sources.unit
     if spec is None:
         return [], []
@@ -234,21 +232,21 @@ def unit_pictures(sources: Sources) -> tuple[list[list[Picture]], list[Picture]]
     known = posterior_of_unit(built)
     left: list[Picture] = []
     for requirement in spec.requirement:
-        found = unit_residual(built, known, requirement)
+        residual = unit_residual(built, known, requirement)
         words = f"{requirement.name}: residual of each element as predicted, one standard deviation."
-        draw = lambda ax, r=requirement, f=found: plots.draw_unit_residual(r, f, ax=ax)  # noqa: E731
+        draw = lambda ax, r=requirement, f=residual: plots.draw_unit_residual(r, f, ax=ax)  # noqa: E731
         left.append(picture(picture_key(requirement.name), words, draw, 3.4))
     words = "Which way is up, seen from the unit, at every rest; the colour is the time, the size how long it rests."
     poses = picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), 3.2, projection="mollweide")
     return ([left] if left else []), [poses]
 
 
-def found_unit_pictures(calibration: UnitCalibration) -> list[Picture]:
-    """The maps that were found."""
+def unit_calibration_pictures(calibration: UnitCalibration) -> list[Picture]:
+    """The maps of a unit's calibration."""
     return [
         picture(
             picture_key(f"found {title}"),
-            f"{title[:1].upper()}{title[1:]} as found; the bands are one standard deviation.",
+            f"{title[:1].upper()}{title[1:]} as estimated; the bands are one standard deviation.",
             lambda ax, k=kind, n=name: draw_unit_term(calibration, k, n, ax=ax),
             3.4,
         )

@@ -1,8 +1,8 @@
-"""One file a family of figures. Functions take `ax=None`, label with units, return what they drew and never show it."""
+"""Figures. Functions take `ax=None`, label axes with units, return their artists and never call `show`."""
 
 from gradcal_jax.plots import calibration, unit_calibration
+from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
-from gradcal_jax.plots.found import draw_found_scale_factor
 from gradcal_jax.plots.identification import draw_drift
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.spec import draw_comparison, draw_heading, draw_prediction
@@ -12,9 +12,9 @@ from gradcal_jax.plots.tracks import draw_temperature
 from gradcal_jax.plots.unit import draw_poses, draw_unit, draw_unit_residual
 
 __all__ = [
+    "draw_calibrated_scale_factor",
     "draw_comparison",
     "draw_drift",
-    "draw_found_scale_factor",
     "draw_frontier",
     "draw_heading",
     "draw_map",

@@ -1,4 +1,4 @@
-"""Estimated calibrations: the maps with their uncertainty, and what is left of the readings."""
+"""Estimated calibrations: the maps with their uncertainty, and the residuals of the readings."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -41,15 +41,15 @@ def draw_bias(channel: UnitChannel, *, ax: Axes | None = None) -> tuple[Axes, Li
 
 
 def draw_innovations(channel: UnitChannel, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
-    """Normalised innovations over time; those that count for less are marked."""
+    """Normalised innovations over time; those of reduced weight are marked."""
     ax = new_axes(ax)
     used = channel.observations.used
     time = channel.observations.time_s[used] / 3600.0
-    residual = channel.found.residuals[0]
+    residual = channel.estimate.residuals[0]
     points = ax.scatter(time, residual, s=4, color=PALETTE[0], rasterized=True)
     low = channel.weights < 1.0
     if low.any():
-        ax.scatter(time[low], residual[low], s=30, marker="x", color=PALETTE[1], label="count for less")
+        ax.scatter(time[low], residual[low], s=30, marker="x", color=PALETTE[1], label="reduced weight")
         ax.legend()
     for level in (-3.0, 3.0):
         ax.axhline(level, color="black", linewidth=0.7, linestyle=":")
@@ -76,9 +76,9 @@ def draw_estimate(report: EstimateReport) -> Figure:
 
 def _map(channel: UnitChannel, quantity, temperature: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     both, outside, _ = contrasts(channel.model, quantity, temperature, rate)
-    rows = both - outside  # what the structure leaves out is not part of the calibration
-    std = channel.found.known[0].deviations(rows)
-    return rows @ channel.found.parameters[0], np.where(np.isfinite(std), std, np.nan)
+    rows = both - outside  # the discrepancy is not part of the calibration
+    std = channel.estimate.known[0].deviations(rows)
+    return rows @ channel.estimate.parameters[0], np.where(np.isfinite(std), std, np.nan)
 
 
 def _name(channel: UnitChannel) -> str:

@@ -1,4 +1,4 @@
-"""Pictures of designs: the frontier of time and residual, and what every figure is worth."""
+"""Figures of designs: the frontier of time and residual, and sensitivities."""
 
 from collections.abc import Mapping, Sequence
 

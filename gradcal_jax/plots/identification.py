@@ -13,12 +13,12 @@ from gradcal_jax.identify import AllanDeviation, AllanFit
 from gradcal_jax.plots.style import PALETTE, new_axes, new_panels, style_of
 
 
-def draw_drift(found: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """D_θ*(t) of one channel, the limit that the chosen process sets it, and what random walk alone stays within."""
+def draw_drift(instability: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """D_θ*(t) of one channel, its limit by the chosen process, and its limit by random walk alone."""
     ax = new_axes(ax)
-    bound, hour = found.bound, DEG_PER_H
+    bound, hour = instability.bound, DEG_PER_H
     t = bound.integration_time_s
-    (line,) = ax.loglog(t, bound.largest_drift * hour, label="largest drift found", **style_of(0))
+    (line,) = ax.loglog(t, bound.largest_drift * hour, label="largest drift", **style_of(0))
     limit = (
         f"bound: {bound.drift_std * hour:.3g} deg/h, {bound.correlation_time_s:.3g} s"
         if bound.drift_shows
@@ -26,15 +26,15 @@ def draw_drift(found: Instability, *, ax: Axes | None = None) -> tuple[Axes, Lin
     )
     ax.loglog(t, bound.limit * hour, label=limit, **style_of(1))
     ax.loglog(t, bound.random_walk_limit * hour, label="random walk alone", **style_of(2))
-    ax.set(xlabel="integration time, s", ylabel="drift after the average, deg/h", title=_name(found.rest))
+    ax.set(xlabel="integration time, s", ylabel="drift after the average, deg/h", title=_name(instability.rest))
     ax.legend()
     return ax, line
 
 
-def draw_boundary(found: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """Everything that bounds: the feasible boundary σ(τ), with the chosen pair."""
+def draw_boundary(instability: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """The boundary σ(τ) of the processes that bound the record, with the chosen pair."""
     ax = new_axes(ax)
-    bound = found.bound
+    bound = instability.bound
     shown = np.where(bound.boundary_drift_std > 0, bound.boundary_drift_std, np.nan) * DEG_PER_H
     (line,) = ax.loglog(bound.boundary_correlation_time_s, shown, label="smallest σ that bounds", **style_of(0))
     if bound.drift_shows:
@@ -42,14 +42,14 @@ def draw_boundary(found: Instability, *, ax: Axes | None = None) -> tuple[Axes, 
             [bound.correlation_time_s], [bound.drift_std * DEG_PER_H], "o", color="black", label="bounds most tightly"
         )
         ax.legend()
-    ax.set(xlabel="correlation time τ, s", ylabel="drift σ, deg/h", title=_name(found.rest))
+    ax.set(xlabel="correlation time τ, s", ylabel="drift σ, deg/h", title=_name(instability.rest))
     return ax, line
 
 
-def draw_instability(found: Sequence[Instability]) -> Figure:
-    """For each channel the drifts with their bound, and the feasible boundary."""
-    figure, all_axes = new_panels(len(found), 2, (5.2, 4.0))
-    for (left, right), one in zip(all_axes, found, strict=True):
+def draw_instability(channels: Sequence[Instability]) -> Figure:
+    """For each channel the drifts with their bound, and the boundary of bounding processes."""
+    figure, all_axes = new_panels(len(channels), 2, (5.2, 4.0))
+    for (left, right), one in zip(all_axes, channels, strict=True):
         draw_drift(one, ax=left)
         draw_boundary(one, ax=right)
     return figure
@@ -75,11 +75,11 @@ def draw_allan_and_bound(
 ) -> Figure:
     """For each channel the Allan deviation and, on the same axes, the Direct Bound's one-sigma limiting function."""
     figure, all_axes = new_panels(len(drawn), 1, (6.8, 4.4))
-    for ax, one, found in zip(all_axes[:, 0], drawn, bounds, strict=True):
+    for ax, one, instability in zip(all_axes[:, 0], drawn, bounds, strict=True):
         draw_allan(*one, ax=ax)
-        if found is not None:
-            t = found.bound.integration_time_s
-            ax.loglog(t, found.bound.limiting_function * DEG_PER_H, label="Direct Bound, D_L (1σ)", **style_of(2))
+        if instability is not None:
+            t = instability.bound.integration_time_s
+            ax.loglog(t, instability.bound.limiting_function * DEG_PER_H, label="Direct Bound, D_L (1σ)", **style_of(2))
         ax.legend()
     return figure
 

@@ -1,4 +1,4 @@
-"""Pictures of a spec: what its plan leaves, and several plans side by side."""
+"""Figures of a spec: the residuals of its plan, and comparisons of plans."""
 
 from collections.abc import Sequence
 
@@ -17,8 +17,8 @@ from gradcal_jax.plots.style import from_zero, new_axes, new_panels, style_of
 def draw_heading(
     curves: Sequence[tuple[str, ErrorCurve]], *, own: bool = True, first: int = 0, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """What calibrations leave of the heading over time (deg, 1σ), each with a label; with `own`, the unit's own noise,
-    too, and both together. `first`: the number of the first curve's style."""
+    """The heading error after calibrations over time (deg, 1σ), each with a label; with `own`, also the unit's own
+    noise and the sum of both. `first`: the index of the first curve's style."""
     ax = new_axes(ax)
     drawn: list[Line2D] = []
 
@@ -42,7 +42,7 @@ def draw_heading(
 def draw_prediction(spec: Spec) -> Figure:
     """A residual map for each scale-factor requirement, curves for each other requirement, for every axis.
 
-    Errors: `ValueError` for a spec without requirements, which leaves nothing to draw.
+    Errors: `ValueError` for a spec without requirements.
     """
     built = assemble(spec)
     known = {channel: posterior_of_plan(built, channel) for channel in built.channels}

@@ -1,4 +1,4 @@
-"""What all figures share: sizes, colours that everyone can tell apart, and saving without a display."""
+"""Style of all figures: sizes, colour-blind-safe colours, and saving without a display."""
 
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,12 @@ LINES = ("-", "--", "-.", ":")
 
 
 def style_of(index: int) -> dict[str, Any]:
-    """Colour and dash of the index-th curve: either alone tells curves apart in print."""
+    """Colour and dash of the index-th curve; either alone distinguishes curves in print."""
     return {"color": PALETTE[index % len(PALETTE)], "linestyle": LINES[index % len(LINES)]}
 
 
 def new_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 4.2)) -> Axes:
-    """The axes given, or those of a new figure that no window system knows."""
+    """`ax`, or the axes of a new figure without a window."""
     return ax if ax is not None else Figure(figsize=size, layout="constrained").add_subplot()
 
 
@@ -37,7 +37,7 @@ def draw_band(
 
 
 def new_panels(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
-    """A figure of `(rows, columns)` axes that no window system knows; `size` of each, in."""
+    """A figure of `(rows, columns)` axes without a window; `size` of each, in inches."""
     figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
 
@@ -50,7 +50,7 @@ def from_zero(ax: Axes) -> None:
 
 
 def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure; the ending of the name decides the format. Errors: `ValueError` for an ending nobody writes."""
+    """Write a figure; the suffix decides the format. Errors: `ValueError` for an unknown suffix."""
     ending = Path(path).suffix.lstrip(".").lower()
     known = figure.canvas.get_supported_filetypes()
     if ending not in known:

@@ -1,4 +1,4 @@
-"""Pictures of a sweep's results: curves and panels of a grid, clouds of drawn points."""
+"""Figures of a sweep's results: curves and panels of a grid, scatter plots of random points."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +16,9 @@ _MOST_CURVES, _MOST_PANELS = 8, 12
 def draw_sweep(results: "xarray.Dataset", variable: str | None = None) -> Figure:
     """A sweep's residuals: one row of panels for each requirement, or for the one `variable`.
 
-    Of a grid the axis with most values goes to the right, the next makes curves, a third makes panels; further ones are
-    taken at their middle value, which the title says. Drawn points are shown against each axis in turn. Errors:
-    `ValueError` where there is nothing to draw.
+    For a grid, the axis with most values is the abscissa, the next has a curve for each value, a third a panel; further
+    ones are at their middle value, which is in the title. Random points are plotted against each axis in turn.
+    Errors: `ValueError` where there is nothing to draw.
     """
     names = (
         [variable] if variable else [str(n) for n, v in results.data_vars.items() if v.attrs.get("decisive") == "yes"]
@@ -52,14 +52,14 @@ def draw_sweep(results: "xarray.Dataset", variable: str | None = None) -> Figure
 
 
 def _grid(results: "xarray.Dataset", name: str) -> list[Any]:
-    """One panel a value of the third axis."""
+    """A panel for each value of the third axis."""
     values = results[name]
     order = sorted(values.dims, key=lambda d: (results[d].dtype.kind != "f", -results.sizes[d]))
     fixed = order[3:] + ([order[1]] if len(order) > 1 and results.sizes[order[1]] > _MOST_CURVES else [])
-    said = []
+    fixed_values = []
     for dim in fixed:
         middle = results.sizes[dim] // 2
-        said.append(_named(results, str(dim), middle))
+        fixed_values.append(_named(results, str(dim), middle))
         values = values.isel({dim: middle})
     order = [dim for dim in order if dim not in fixed]
     across = str(order[0])
@@ -84,7 +84,7 @@ def _grid(results: "xarray.Dataset", name: str) -> list[Any]:
                     ax.plot(range(len(x)), y, label=label, marker="o", **style_of(index))
                     ax.set_xticks(range(len(x)), x, rotation=30, ha="right")
             title = [_named(results, panels, which)] if panels else [results[name].attrs["requirement"]]
-            ax.set_title(", ".join([*title, *said]), fontsize="medium")
+            ax.set_title(", ".join([*title, *fixed_values]), fontsize="medium")
             _label(ax, results, across, name)
             from_zero(ax)
 
@@ -94,7 +94,7 @@ def _grid(results: "xarray.Dataset", name: str) -> list[Any]:
 
 
 def _drawn(results: "xarray.Dataset", name: str) -> list[Any]:
-    """One panel an axis."""
+    """A panel for each axis."""
     axes = [str(c) for c in results.coords if results[c].dims == ("point",)]
     second = next((a for a in axes if results[a].dtype.kind == "f"), None)
 

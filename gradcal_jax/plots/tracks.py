@@ -1,4 +1,4 @@
-"""Tracks of a plan, of a recipe, and of the run of it: temperature and rate against time."""
+"""Tracks of a plan, of a recipe and of its run: temperature and rate against time."""
 
 from typing import Any
 
@@ -15,12 +15,12 @@ _WAVE = 24
 
 
 def draw_temperature(
-    written: Timeline, *, label: str = "", index: int = 0, ax: Axes | None = None
+    timeline: Timeline, *, label: str = "", index: int = 0, ax: Axes | None = None
 ) -> tuple[Axes, Line2D]:
     """The chamber's temperature against time, from a `gradcal-timeline/2`."""
-    axis = written.segments[0].axis
+    axis = timeline.segments[0].axis
     points: list[tuple[float, float]] = []
-    for segment in (s for s in written.segments if s.axis == axis):
+    for segment in (s for s in timeline.segments if s.axis == axis):
         points.append((segment.start, segment.temperature_start))
         points += segment.temperature_bends or ()
         points.append((segment.start + segment.duration, segment.temperature_end))
@@ -29,7 +29,7 @@ def draw_temperature(
 
 
 def draw_planned_temperature(recipe: Recipe, *, label: str = "planned", ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The chamber's track on the plan's clock, which does not count waiting."""
+    """The chamber's track on the plan's clock, without waits."""
     time: list[float] = []
     temperature: list[float] = []
     for segment in recipe.chamber.programme:
@@ -59,7 +59,7 @@ def turned_axes(recipe: Recipe) -> tuple[str, ...]:
 
 
 def planned_rate(recipe: Recipe, axis: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times (s) on the plan's clock and rates (deg/s) between which the rate is a straight line."""
+    """Times (s) on the plan's clock and rates (deg/s) between which the rate is linear."""
     begins = {segment.name: float(segment.start) for segment in recipe.chamber.programme}
     points: list[tuple[float, float]] = [(0.0, 0.0)]
     for block in recipe.motion:
@@ -85,8 +85,7 @@ def _shape(move: TrackMove) -> list[tuple[float, float]]:
         return list(zip(inner.tolist(), [0.0, *(float(r) for r in move.rates), 0.0], strict=True))
     if move.cycles is not None:
         time = np.linspace(0.0, lasting, _WAVE * move.cycles + 1)
-        return list(
-            zip(time.tolist(), (peak * np.sin(2.0 * np.pi * move.cycles * time / lasting)).tolist(), strict=True)
-        )
+        rate = peak * np.sin(2.0 * np.pi * move.cycles * time / lasting)
+        return list(zip(time.tolist(), rate.tolist(), strict=True))
     ramp = 0.0 if move.acceleration is None else min(abs(peak) / float(move.acceleration), lasting / 2.0)
     return [(0.0, 0.0), (ramp, peak), (lasting - ramp, peak), (lasting, 0.0)]

@@ -1,4 +1,4 @@
-"""Pictures of a whole unit's plan: what it leaves of every quantity, and where the unit points at rest."""
+"""Figures of a whole unit's plan: the residuals of every quantity, and the poses at rest."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,45 +24,44 @@ def draw_unit(spec: UnitSpec) -> Figure:
     rows = -(-count // _COLUMNS)
     figure = Figure(figsize=(_PANEL[0] * _COLUMNS, _PANEL[1] * rows), layout="constrained")
     for k, requirement in enumerate(spec.requirement):
-        found = unit_residual(built, known, requirement)
-        draw_unit_residual(requirement, found, ax=figure.add_subplot(rows, _COLUMNS, k + 1))
+        residual = unit_residual(built, known, requirement)
+        draw_unit_residual(requirement, residual, ax=figure.add_subplot(rows, _COLUMNS, k + 1))
     draw_poses(spec, ax=figure.add_subplot(rows, _COLUMNS, count, projection="mollweide"))
     if spec.title:
         figure.suptitle(spec.title)
     return figure
 
 
-def draw_unit_residual(requirement: UnitRequirement, found: UnitResidual, *, ax: Axes | None = None) -> Axes:
-    """What is left of each element of a requirement's quantity, over temperature, or of the scale factor over rate."""
+def draw_unit_residual(requirement: UnitRequirement, residual: UnitResidual, *, ax: Axes | None = None) -> Axes:
+    """The residual of each element of a requirement's quantity over temperature or, for the scale factor, over rate."""
     ax = new_axes(ax)
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
-    for i, (label, values) in enumerate(zip(found.labels, found.values, strict=True)):
-        across = np.degrees(found.rates) if by_rate else found.temperatures
+    for i, (label, values) in enumerate(zip(residual.labels, residual.values, strict=True)):
+        across = np.degrees(residual.rates) if by_rate else residual.temperatures
         shown = np.max(values, axis=0) if by_rate else values[:, 0]
         ax.plot(across, np.where(np.isfinite(shown), shown, np.nan), label=label, **style_of(i))
     if requirement.target is not None:
-        target = float(requirement.target) * found.si
+        target = float(requirement.target) * residual.si
         ax.axhline(target, color="black", linewidth=0.8, linestyle=":")
         ax.annotate("target", (0.01, target), xycoords=("axes fraction", "data"), va="bottom", fontsize=8)
     what = "largest over temperature, " if by_rate else ""
-    ax.set(
-        xlabel="rate, deg/s" if by_rate else "temperature, °C", ylabel=f"{what}1σ, {found.unit}", title=requirement.name
-    )
+    xlabel = "rate, deg/s" if by_rate else "temperature, °C"
+    ax.set(xlabel=xlabel, ylabel=f"{what}1σ, {residual.unit}", title=requirement.name)
     from_zero(ax)
     ax.set_ylim(top=1.08 * ax.get_ylim()[1])
-    if len(found.labels) > 1:
+    if len(residual.labels) > 1:
         ax.legend(fontsize=8, ncols=3)
     return ax
 
 
 def draw_poses(spec: UnitSpec, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
-    """Where up is, seen from the unit, at every rest: longitude about its z axis, colour by time, area by duration."""
+    """The vertical in the unit's frame at every rest: longitude about its z axis, colour by time, area by duration."""
     if ax is None:
         ax = Figure(figsize=(6.4, 3.6), layout="constrained").add_subplot(projection="mollweide")
     poses = rest_poses(assemble_unit(spec))
     up = poses.up
     longitude, latitude = np.arctan2(up[:, 1], up[:, 0]), np.arcsin(np.clip(up[:, 2], -1.0, 1.0))
-    # Points of one direction are spread by a hair, in order of time, so that none hides all others.
+    # Points of one direction are slightly spread in order of time, so that none hides all others.
     order = np.argsort(poses.start)
     turn = np.linspace(0.0, 12.0 * np.pi, len(order))
     spread = 0.06 * np.linspace(0.2, 1.0, len(order))
@@ -78,7 +77,7 @@ def draw_poses(spec: UnitSpec, *, ax: Axes | None = None) -> tuple[Axes, PathCol
     )
     names = {"+x": (0.0, 0.0), "+y": (np.pi / 2, 0.0), "−y": (-np.pi / 2, 0.0), "+z": (0.0, 1.45), "−z": (0.0, -1.45)}
     for name, place in names.items():
-        # Inside the map: beyond the upper pole stands the title.
+        # Inside the map: the title is above the upper pole.
         ax.annotate(name, place, xytext=(5, -11 if name == "+z" else 6), textcoords="offset points", fontsize=8)
     ax.figure.colorbar(dots, ax=ax, label="time, min", shrink=0.7)
     ax.set_title("which way is up, seen from the unit, at rest", pad=14.0)

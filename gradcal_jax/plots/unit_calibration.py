@@ -1,4 +1,4 @@
-"""Pictures of a whole unit's estimate: what was found over temperature, and what is left of the rows, or of gravity."""
+"""Figures of a whole unit's estimate: terms over temperature, and residuals of the rows or of gravity."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +17,7 @@ from gradcal_jax.plots.style import PALETTE, draw_band, new_axes
 from gradcal_jax.units import G
 
 _POINTS = 81
-# What is drawn, in this order, where the calibration has it.
+# Kind, term and title of the panels, in order.
 _PANELS = (
     ("gyro", "bias", "gyro bias"),
     ("gyro", "scale_factor", "gyro scale factor, slowly turned"),
@@ -27,7 +27,7 @@ _PANELS = (
 
 
 def panels_of(calibration: UnitCalibration) -> list[tuple[str, str, str]]:
-    """Kind, term and title of the pictures that a calibration has the figures for."""
+    """Kind, term and title of the panels of a calibration."""
     return [
         panel
         for panel in _PANELS
@@ -58,7 +58,7 @@ def draw_unit_term(
 
 
 def _deviation(calibration: UnitCalibration, channel: str, term: CalibratedTerm, temperature: np.ndarray) -> np.ndarray:
-    """Standard deviation of a term's map; nothing where the file has no covariance of it."""
+    """Standard deviation of a term's map; 0 for a file without covariance, NaN for a term without it."""
     if calibration.covariance is None:
         return np.zeros(len(temperature))
     names = [f"{channel}.{name}" for name in term.coefficients]
@@ -80,12 +80,12 @@ def draw_unit_residuals(report: UnitReport, *, ax: Axes | None = None) -> tuple[
     ax = new_axes(ax)
     at = segments_of(report.executed.motion, report.built.model)
     line = report.executed.motion.line
-    time = (line.start + line.duration)[at.last][at.row_segment][report.found.used] / 3600.0
-    channel = at.row_channel[report.found.used]
+    time = (line.start + line.duration)[at.last][at.row_segment][report.solution.used] / 3600.0
+    channel = at.row_channel[report.solution.used]
     drawn = []
     for k, c in enumerate(report.built.model.channels):
         own = channel == k
-        residual = report.found.estimate.residuals[0][own]
+        residual = report.solution.estimate.residuals[0][own]
         marker = "o" if c.kind == "gyro" else "^"
         name = c.name.replace("_", " ")
         drawn.append(
@@ -93,7 +93,7 @@ def draw_unit_residuals(report: UnitReport, *, ax: Axes | None = None) -> tuple[
         )
     for level in (-3.0, 3.0):
         ax.axhline(level, color="black", linewidth=0.7, linestyle=":")
-    ax.set(xlabel="time, h", ylabel="whitened residual, σ", title="what is left of the rows")
+    ax.set(xlabel="time, h", ylabel="whitened residual, σ", title="residuals of the rows")
     ax.legend(ncols=2, fontsize="small")
     return ax, drawn
 
@@ -101,29 +101,28 @@ def draw_unit_residuals(report: UnitReport, *, ax: Axes | None = None) -> tuple[
 def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
     """|f| − g over each position, µg."""
     ax = new_axes(ax)
-    left = report.found.accelerometer.left / G * 1e6
+    left = report.solution.accelerometer.left / G * 1e6
     drawn = ax.scatter(np.arange(1, len(left) + 1), left, s=14, color=PALETTE[0])
     ax.axhline(0.0, color="black", linewidth=0.7)
-    ax.set(
-        xlabel="position", ylabel="|f| - g, µg", title=f"the norm of gravity: {np.sqrt(np.mean(left**2)):.3g} µg rms"
-    )
+    title = f"the norm of gravity: {np.sqrt(np.mean(left**2)):.3g} µg rms"
+    ax.set(xlabel="position", ylabel="|f| - g, µg", title=title)
     return ax, drawn
 
 
 def draw_turns_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
-    """By how much gravity's direction is missed after each turn, in two directions across it, mrad."""
+    """The error of gravity's direction after each turn, in two directions across it, mrad."""
     ax = new_axes(ax)
-    left = 1e3 * report.found.gyro.left.reshape(-1, 2)
+    left = 1e3 * report.solution.gyro.left.reshape(-1, 2)
     number = np.arange(1, len(left) + 1)
     drawn = [ax.scatter(number, left[:, k], s=14, marker="o^"[k], color=PALETTE[k + 1]) for k in range(2)]
     ax.axhline(0.0, color="black", linewidth=0.7)
     rms = np.sqrt(np.mean(left**2))
-    ax.set(xlabel="turn", ylabel="direction missed, mrad", title=f"gravity turned by the gyros: {rms:.3g} mrad rms")
+    ax.set(xlabel="turn", ylabel="error of direction, mrad", title=f"gravity turned by the gyros: {rms:.3g} mrad rms")
     return ax, drawn
 
 
 def draw_by_hand(report: HandReport) -> Figure:
-    """Both."""
+    """The residuals of gravity's norm, and of its direction after turns."""
     figure = Figure(figsize=(9.0, 3.4), layout="constrained")
     first, second = figure.subplots(1, 2)
     draw_gravity_left(report, ax=first)
@@ -133,15 +132,15 @@ def draw_by_hand(report: HandReport) -> Figure:
 
 
 def draw_unit_estimate(report: UnitReport) -> Figure:
-    """Everything that was found, and the residuals."""
-    found = report.calibration
-    panels = panels_of(found)
+    """The terms of a calibration, and the residuals."""
+    calibration = report.calibration
+    panels = panels_of(calibration)
     rows = (len(panels) + 1) // 2 + 1
     figure = Figure(figsize=(10.0, 3.2 * rows), layout="constrained")
     grid = figure.add_gridspec(rows, 2)
     for k, (kind, name, title) in enumerate(panels):
-        draw_unit_term(found, kind, name, title, ax=figure.add_subplot(grid[k // 2, k % 2]))
+        draw_unit_term(calibration, kind, name, title, ax=figure.add_subplot(grid[k // 2, k % 2]))
     draw_unit_residuals(report, ax=figure.add_subplot(grid[rows - 1, :]))
-    simulated = ", SIMULATED" if found.simulated else ""
-    figure.suptitle(f"calibration of {found.serial_number}{simulated}")
+    simulated = ", SIMULATED" if calibration.simulated else ""
+    figure.suptitle(f"calibration of {calibration.serial_number}{simulated}")
     return figure

@@ -50,7 +50,7 @@ def test_the_optimum_is_better_is_what_predict_says_and_lies_above_the_limit(spe
     assert best.now < best.before == pytest.approx(residual(spec))
     assert best.now == pytest.approx(residual(best.spec), rel=1e-12)
     # Whole readings and hundredths of a deg/s cost little; rests that become whole readings longer may even gain.
-    assert 0.9 * best.found < best.now < 1.03 * best.found
+    assert 0.9 * best.optimum < best.now < 1.03 * best.optimum
     assert best.converged, best.sentence
     before, after = limits(spec)[0], limits(best.spec)[0]
     # The recipe knows when the axis had the table, so that its limit is the spec's, but for rounded times.
@@ -67,7 +67,7 @@ def test_prices_are_what_a_slower_table_costs(spec, best):
     eased = changed(spec, {"rig.table.max_rate": "297 deg/s"})
     *_, again = optimise(eased, steps=80)
     assert isinstance(again, Optimised)
-    assert again.found - best.found == pytest.approx(-3.0 * price.change, rel=0.1)
+    assert again.optimum - best.optimum == pytest.approx(-3.0 * price.change, rel=0.1)
 
 
 def test_elasticities_are_differences_of_predictions(spec):
@@ -154,7 +154,7 @@ def test_the_recipe_of_limited_travel_is_worth_what_was_found(spec, travel, cycl
     *_, best = optimise(given, steps=20)
     assert isinstance(best, Optimised)
     check_executable(given, best.spec)
-    assert best.now < 1.05 * best.found, best.sentence
+    assert best.now < 1.05 * best.optimum, best.sentence
     assert best.now == pytest.approx(residual(best.spec), rel=1e-12)
 
 

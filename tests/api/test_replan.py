@@ -126,7 +126,7 @@ def test_the_rest_is_better_than_going_on_as_it_was(spec):
     assert best.now < 0.8 * as_it_was.at_end
     assert best.now == pytest.approx(left_by(best.spec), rel=1e-9)
     assert len(best.spec.done) == 1
-    assert math.isfinite(best.found)
+    assert math.isfinite(best.optimum)
     # And once more: what was done of both counts.
     again = rest_of(best.spec, [(0.0, 600.0)])
     assert [float(part.end) for part in again.done] == [1500.0, 600.0]

@@ -171,7 +171,7 @@ def test_the_command_writes_a_spec_that_is_read_again(tmp_path, capsys):
     [
         ({"design.angle_step": "50 deg"}, "whole number of steps"),
         ({"design.angle_step": "120 deg"}, "no whole number of design.angle_step"),
-        ({"requirement": []}, "what is to be minimised"),
+        ({"requirement": []}, "to minimise: add one"),
         ({"design.minimise": "the bias"}, "or a requirement's name"),
     ],
 )

@@ -29,7 +29,7 @@ def test_from_a_log_to_a_corrected_log_and_a_header(folder, capsys):
     assert status in (0, 1)
     assert "SIMULATED" in said
     assert "gyro scale factor" in said
-    assert "what the run says of the table" in said
+    assert "error of the table" in said
     assert "µg corrected" in said
     assert (folder / "fit.png").stat().st_size > 20_000
     assert main(["apply", out, log, "-o", str(folder / "true.nc")]) == 0
@@ -64,7 +64,7 @@ def test_the_page_of_a_calibration(folder, capsys):
     assert len(tables["axes"][0]["fit"]) == len(kept.fit)
     for words in (
         "SIMULATED",
-        "What the run says of the table",
+        "error of the table",
         "orthogonality tilt spin",
         "Unit ",
         "--format matrices",
@@ -76,7 +76,7 @@ def test_the_page_of_a_calibration(folder, capsys):
     assert main(["report", found, "-o", page, "--force"]) == 0
     alone = (folder / "page.html").read_text(encoding="utf-8")
     assert alone.count("<svg") == 4
-    assert "What is planned" not in alone
+    assert "Plan of the unit" not in alone
     capsys.readouterr()
     assert main(["report", found, found, "-o", page, "--force"]) == 2
     assert "second unit calibration" in capsys.readouterr().err

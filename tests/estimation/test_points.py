@@ -102,10 +102,10 @@ def test_without_sigma_the_specs_noise_counts(tmp_path):
     csv, _ = written(tmp_path, warm, rate, output, sigma)
     points = read_points(csv, parse_point_map("\n".join(MAP.splitlines()[:-1])))
     (channel,) = estimate_points(SPEC, points).channels
-    assert any("each has the spec's noise anew" in m for m in channel.messages)
+    assert any("each has independent noise by the spec" in m for m in channel.messages)
     drift = 2 * 5.0**2 * (60 / 60 - 1 + np.exp(-1.0))  # of 5 deg/h with 60 s, averaged over 60 s
     at_rest = np.sqrt(0.5**2 * 3600 / 60 + drift) / 3600
-    std = np.sqrt(np.diag(channel.found.known[0].covariance(channel.model.to_reported)))[0]
+    std = np.sqrt(np.diag(channel.estimate.known[0].covariance(channel.model.to_reported)))[0]
     x = design(warm, rate)
     variance = at_rest**2 + (50e-6 * rate) ** 2
     expected = np.sqrt(np.linalg.inv(x.T @ (x / variance[:, None]))[0, 0])

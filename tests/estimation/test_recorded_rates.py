@@ -56,7 +56,7 @@ def scale_factor(channel):
     """What the sensor says of one degree, and its standard deviation: (1 + b00) times the truth."""
     at = channel.model.names().index("b00")
     row = channel.model.to_reported[at : at + 1]
-    return 1.0 + float((row @ channel.found.parameters[0])[0]), float(channel.found.known[0].deviations(row)[0])
+    return 1.0 + float((row @ channel.estimate.parameters[0])[0]), float(channel.estimate.known[0].deviations(row)[0])
 
 
 def steps(run, axis):
@@ -167,11 +167,11 @@ def test_xsens_stands_still_between_hand_motions():
     report = estimate_calibration(STEPS, log, options=Options(read_every=0.5, temperature_c=22.0))
     for channel in report.channels:
         names = channel.model.names()
-        std = channel.found.known[0].deviations(channel.model.to_reported)
+        std = channel.estimate.known[0].deviations(channel.model.to_reported)
         assert np.isfinite(std[names.index("a0")])
         assert not np.isfinite(std[names.index("b00")])  # without a reference no scale factor is seen
         at_rest = log.rate_rad_per_s[0, first, log.axis_index(channel.axis)].mean()
-        bias = channel.found.parameters[0][names.index("a0")]
+        bias = channel.estimate.parameters[0][names.index("a0")]
         assert bias == pytest.approx(at_rest, abs=np.radians(0.1))
         assert sum(channel.counts.values()) == log.rows_read
     assert not report.as_wished
@@ -191,5 +191,5 @@ def test_mpu9150_stands_still_between_hand_rotations(number):
     names = channels[0].model.names()
     still = found >= 0
     mean = np.mean([log.rate_rad_per_s[0, found == k, 0].mean() for k in range(found.max() + 1)])
-    assert channels[0].found.parameters[0][names.index("a0")] == pytest.approx(mean, abs=np.radians(0.05))
+    assert channels[0].estimate.parameters[0][names.index("a0")] == pytest.approx(mean, abs=np.radians(0.05))
     assert channels[0].counts["used"] <= np.count_nonzero(still)

@@ -81,7 +81,7 @@ def test_clean_data_are_estimated_as_without_robustness(small):
     spec, made = small
     (plain,) = estimate_channels(spec, made.log)
     (robust,) = estimate_channels(spec, made.log, options=Options(robust=True, threshold=1e3))
-    np.testing.assert_array_equal(robust.found.parameters, plain.found.parameters)
+    np.testing.assert_array_equal(robust.estimate.parameters, plain.estimate.parameters)
     assert np.all(robust.weights == 1.0)
 
 
@@ -98,14 +98,14 @@ def test_bad_readings_count_for_less_and_are_named(small):
     (plain,) = estimate_channels(spec, bad)
     (robust,) = estimate_channels(spec, bad, options=Options(robust=True))
     rows = clean.model.to_reported
-    std = clean.found.known[0].deviations(rows)
-    off = [np.abs(rows @ (c.found.parameters[0] - clean.found.parameters[0])) / std for c in (plain, robust)]
+    std = clean.estimate.known[0].deviations(rows)
+    off = [np.abs(rows @ (c.estimate.parameters[0] - clean.estimate.parameters[0])) / std for c in (plain, robust)]
     assert off[0].max() > 3.0
     assert off[1].max() < 1.0
     assert not plain.consistency.fit.passed
     low = int(np.count_nonzero(robust.weights < 0.2))
     assert 1 <= low <= 10  # those of the eight at which the table was read
-    assert any("count for less" in message for message in robust.messages)
+    assert any("less than full weight" in message for message in robust.messages)
 
 
 # --- smoothness -------------------------------------------------------------------------------------------------------

@@ -37,9 +37,9 @@ def test_a_coarse_thermometer_is_no_information_about_the_gradient():
     row = built.model.to_reported[built.model.where(TEMPERATURE_GRADIENT)]
     (predicted,) = posterior_of_plan(built).deviations(row)
     errors = np.array(
-        [float((row @ (c.found.parameters[0] - t))[0]) for c, t in zip(channels, made.truth["x"], strict=True)]
+        [float((row @ (c.estimate.parameters[0] - t))[0]) for c, t in zip(channels, made.truth["x"], strict=True)]
     )
-    deviations = np.array([float(c.found.known[0].deviations(row)[0]) for c in channels])
+    deviations = np.array([float(c.estimate.known[0].deviations(row)[0]) for c in channels])
     np.testing.assert_allclose(deviations, predicted, rtol=0.1)
     assert abs(np.mean(errors / deviations)) < 3.0 / np.sqrt(len(errors))
     assert 0.5 < np.sqrt(np.mean((errors / deviations) ** 2)) < 1.6  # of 16 units: chances of 1e-3 each way

@@ -39,8 +39,8 @@ def test_turns_are_found_and_give_the_scale_factor():
     assert log.table_axes == ("x",)
     assert np.isnan(log.table_angle_rad[:, 0]).sum() >= 4 * 200
     (channel,) = estimate_channels(parse_spec(SPEC), log, axes=("x",))
-    names, known = channel.model.names(), channel.found.known[0]
-    b00 = channel.model.to_reported @ channel.found.parameters[0]
+    names, known = channel.model.names(), channel.estimate.known[0]
+    b00 = channel.model.to_reported @ channel.estimate.parameters[0]
     std = known.deviations(channel.model.to_reported)
     k = names.index("b00")
     assert abs(b00[k] - 0.004) < 4 * std[k]
@@ -63,9 +63,9 @@ def test_what_was_recorded_but_not_integrated_is_not_covered():
 @pytest.mark.parametrize(
     ("said", "words"),
     [
-        ([360.0, 360.0, -720.0], "3 turns were said, and about x the sensor has 361 deg at"),
-        ([360.0, -360.0, -720.0, 90.0], "turn 2 was said to be -360 deg, and about x"),
-        ([36.0, 36.0, -72.0, 9.0], "turn 1 was said to be 36 deg"),
+        ([360.0, 360.0, -720.0], "3 turns are listed, and about x the sensor has 361 deg at"),
+        ([360.0, -360.0, -720.0, 90.0], "turn 2 is listed as -360 deg, and about x"),
+        ([36.0, 36.0, -72.0, 9.0], "turn 1 is listed as 36 deg"),
     ],
 )
 def test_other_turns_than_said_are_listed(said, words):
@@ -101,5 +101,5 @@ def test_a_scale_factor_that_no_gyro_has_is_refused():
     )  # fmt: skip
     from gradcal_jax.api.calibration import estimate_calibration
 
-    with pytest.raises(LogError, match=r"axis x of hand: a scale-factor error of 6\.7\d*e\+05 ppm is no gyro's"):
+    with pytest.raises(LogError, match=r"axis x of hand: a scale-factor error of 6\.7\d*e\+05 ppm is not a gyro's"):
         estimate_calibration(parse_spec(SPEC), wrong, axes=("x",), options=Options())

@@ -59,8 +59,8 @@ def test_forty_units_err_as_predicted(tmp_path: Path, axes: str, spec: UnitSpec)
         for unit, found in hidden["units"].items():
             (report,) = estimate_units(spec, [run_log.log(folder, unit)])
             truth = found | hidden["installation"]
-            error = report.found.parameters - np.linalg.solve(reported, np.array([truth[name] for name in names]))
-            known = report.found.known
+            error = report.solution.parameters - np.linalg.solve(reported, np.array([truth[name] for name in names]))
+            known = report.solution.known
             square.append([power(q, error) for q in quantities])
             expected.append([power(q, known.spread) for q in quantities])
             # The table is the same for all units of a run: its errors would count again and again.

@@ -121,7 +121,7 @@ def test_what_is_not_known_is_not_stated(folder, tmp_path, capsys):
     assert "the rig file names no [[reference]]" in page
     assert "without the recipe that was run" in page
     assert main(["report", str(folder / "recipe.toml"), "--certificate", "-o", str(tmp_path / "d.html")]) == 2
-    assert "a certificate is of a calibration" in capsys.readouterr().err
+    assert "a certificate needs a calibration" in capsys.readouterr().err
     assert main(["report", str(folder / "cal.toml"), "--customer", "x", "-o", str(tmp_path / "d.html")]) == 2
 
 

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from report_samples import calibration, recipe, rehearse, spec
 
-from gradcal_jax.api.ieee_terms import found_map, prior_map, standard_terms
+from gradcal_jax.api.ieee_terms import calibration_map, prior_map, standard_terms
 from gradcal_jax.cli import main
 from gradcal_jax.files import to_toml
 from gradcal_jax.files.calibration import write_calibration
@@ -150,7 +150,7 @@ def test_parameters_and_their_hidden_truth_are_those_of_the_files(made, whole):
         assert number(row["1σ predicted"]) == pytest.approx(predicted[name] * factor, rel=1e-3)
         assert number(row["hidden truth"]) == pytest.approx(truth["x"][name] * factor, rel=1e-5)
         assert number(row["off by"]) == pytest.approx((values[name] - truth["x"][name]) / std, rel=0.05)
-    assert [row["stands before"] for row in rows] == ["1", "T′", "1", "ω′", "T′", "ω′·T′"]
+    assert [row["multiplies"] for row in rows] == ["1", "T′", "1", "ω′", "T′", "ω′·T′"]
 
 
 def test_the_standards_terms_are_those_of_a_map_that_is_known(made):
@@ -181,7 +181,7 @@ def test_what_the_data_do_not_tell_is_not_a_number(made):
         }
     )
     less = axis.model_copy(update={"covariance": covariance})
-    _, deviation = found_map(less, "scale_factor", np.array([20.0, 25.0]), np.array([-100.0, 0.0, 100.0]))
+    _, deviation = calibration_map(less, "scale_factor", np.array([20.0, 25.0]), np.array([-100.0, 0.0, 100.0]))
     # b11 stands before ω′·T′, which is zero at 20 °C and at rest.
     assert np.isfinite(deviation.values).tolist() == [[True, True, True], [False, True, False]]
     assert {term.name: term.std for term in standard_terms(less)}["scale factor asymmetry"] is None

@@ -31,7 +31,7 @@ def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(writt
     assert [row.predicted for row in data.requirements] == [row.decisive for row in predicted.requirements]
     assert [row.verdict for row in data.requirements] == [row.verdict for row in predicted.requirements]
     assert data.verdict == "missed"
-    assert "Missed: what is predicted exceeds a target" in html
+    assert "Missed: the predicted residual exceeds a target" in html
     assert len(data.parameters) == len(predicted.parameters)
     bias = next(row for row in predicted.parameters if row.name == "accelerometer_x.a0")
     shown = next(row for row in data.parameters if (row.multiplies, row.name, row.axis) == ("accelerometer", "a0", "x"))
@@ -47,7 +47,7 @@ def test_the_page_has_a_picture_of_each_requirement_and_of_the_poses_and_fetches
     _, html, _ = written
     assert html.count("<svg") == len(SPEC.requirement) + 1
     assert 'id="poses"' in html
-    assert "Where the unit points" in html
+    assert "Poses of the unit" in html
     assert "SIMULATED" not in html
     assert not re.findall(r'(?:src|href)="(?!#|data:)[^"]*"', html)
     assert "<script" not in html

@@ -5,7 +5,7 @@ import pytest
 from report_samples import calibration, recipe
 
 from gradcal_jax.api.calibration import _residuals
-from gradcal_jax.plots.found import draw_residual_parts, draw_residuals
+from gradcal_jax.plots.calibration_maps import draw_residual_parts, draw_residuals
 
 
 @pytest.fixture(scope="module")

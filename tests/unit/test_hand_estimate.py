@@ -155,7 +155,7 @@ def test_a_simulated_unit_is_found_within_its_covariance():
     assert size == 30
     assert stats.chi2.sf(square, size) > 1e-3
     # The gyros find how fast the Earth turns in the horizontal, at 45° as fast as in the vertical.
-    assert abs(np.linalg.norm(report.found.earth_level) / np.linalg.norm(EARTH[:2]) - 1.0) < 0.25
+    assert abs(np.linalg.norm(report.solution.earth_level) / np.linalg.norm(EARTH[:2]) - 1.0) < 0.25
     assert all(test.probability > 1e-4 for test in report.tests.values())
     # Three g of hand-made error become a tenth of a milligram and less.
     assert report.gravity_left < 1e-4 * G
@@ -182,7 +182,7 @@ def test_marked_standstills_are_those_that_are_found():
     truth = drawn(rng)
     log = held(truth, rng)
     (report,) = estimate_by_hand(replace(log, standstill=None), G, options=AT)
-    assert len(report.found.positions.duration) == 30
+    assert len(report.solution.positions.duration) == 30
     assert any("30 were found" in message for message in report.messages)
     square, size = squared(report, truth)
     assert stats.chi2.sf(square, size) > 1e-3
@@ -281,7 +281,7 @@ def test_a_hundred_and_twenty_units_err_as_their_covariance_says(earth):
             square, size = squared(report, truth, kind)
             sums[kind] += square
             sizes[kind] += size
-        for k, fit in enumerate((report.found.accelerometer, report.found.gyro)):
+        for k, fit in enumerate((report.solution.accelerometer, report.solution.gyro)):
             chi[k] += fit.test.statistic
             degrees[k] += fit.test.degrees
     ratio = {kind or "all": sums[kind] / sizes[kind] for kind in sums}

@@ -59,7 +59,7 @@ def in_their_form(report: HandReport) -> dict[str, dict[str, np.ndarray]]:
     sign = np.sign(np.diag(upper))
     both = {"accelerometer": sign[:, None] * upper, "gyro": sign[:, None] * (turn.T @ np.linalg.inv(matrix[:3, :3]))}
     # A gyro's bias is what it says unaccelerated; theirs is what the first rest said.
-    first = report.found.positions
+    first = report.solution.positions
     rest = {"accelerometer": bias[3:], "gyro": first.rates[int(np.argmax(first.duration))]}
     return {
         kind: {"misalignment": m / np.diag(m), "counts": 1.0 / np.diag(m), "bias": rest[kind]}
@@ -70,7 +70,7 @@ def in_their_form(report: HandReport) -> dict[str, dict[str, np.ndarray]]:
 def test_it_says_what_the_authors_program_prints(report):
     """Accelerometers to a count and 7e-4; gyros as far as their sensitivity to acceleration, which it lacks, moves."""
     found = in_their_form(report)
-    assert len(report.found.positions.duration) == 38  # as many as theirs
+    assert len(report.solution.positions.duration) == 38  # as many as theirs
     for kind, counts, angle, scale in (("accelerometer", 1.0, 7e-4, 1e-3), ("gyro", 1.0, 3e-3, 2e-3)):
         own, theirs = found[kind], {key: np.array(value) for key, value in PRINTED[kind].items()}
         assert np.max(np.abs(own["bias"] - theirs["bias"])) < counts, kind
@@ -83,15 +83,15 @@ def test_gravity_and_its_turns_are_explained_better_than_by_theirs(report):
     part of either.
     """
     theirs = np.sqrt(2.0 * 0.00150696 / (2 * 37))
-    assert report.found.turns == 37
+    assert report.solution.turns == 37
     assert report.turns_left < 0.35 * theirs
     assert report.gravity_left < 150e-6 * G
-    assert report.found.positions.rows[-1, 1] < 51_000
+    assert report.solution.positions.rows[-1, 1] < 51_000
     assert float(report.calibration.valid_rate[1]) < np.radians(300.0)
     # Rest by rest the gyros answer to acceleration, many times more than they are known to.
     matrix, _ = linear_part(report.calibration.channel, 23.0)
-    sensitivity = matrix[:3, 3:] / report.found.gyro.gain
-    spread = np.sqrt(np.diag(report.found.gyro.covariance)).reshape(3, 7)[:, 4:]
+    sensitivity = matrix[:3, 3:] / report.solution.gyro.gain
+    spread = np.sqrt(np.diag(report.solution.gyro.covariance)).reshape(3, 7)[:, 4:]
     assert np.sum(np.abs(sensitivity) > 8.0 * spread) >= 6
     # And the model is not all: the norm says so, and the covariance counts it.
     assert not report.as_wished
@@ -160,7 +160,7 @@ def test_their_cost_function_written_anew_gives_what_they_print(report):
     """So `PRINTED` is of this recording and this model; and without sensitivity to acceleration ours is theirs."""
     data = np.load(XSENS)
     time, acc, gyro = data["t_s"], data["acc_counts"].astype(float), data["gyro_counts"].astype(float)
-    rows = report.found.positions.rows
+    rows = report.solution.positions.rows
     samples = np.concatenate([acc[(a + b) // 2 - 50 : (a + b) // 2 + 50] for a, b in rows])
 
     def norm(p):

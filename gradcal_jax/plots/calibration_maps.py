@@ -1,20 +1,20 @@
-"""Maps of a calibration file with one standard deviation."""
+"""Maps of a calibration file with one standard deviation, and its residuals."""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.ieee_terms import found_map, grid_of
+from gradcal_jax.api.ieee_terms import calibration_map, grid_of
 from gradcal_jax.files.calibration import AxisCalibration
 from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, style_of
 
 
-def draw_found_scale_factor(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
+def draw_calibrated_scale_factor(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
     """M over rate at the coldest, the middle and the warmest temperature that the data cover."""
     ax = new_axes(ax)
     temperatures, rates = grid_of(axis, None, "scale_factor")
     chosen = temperatures[[0, len(temperatures) // 2, -1]]
-    value, deviation = found_map(axis, "scale_factor", chosen, rates)
+    value, deviation = calibration_map(axis, "scale_factor", chosen, rates)
     lines: list[Line2D] = []
     for index, temperature in enumerate(chosen):
         label = f"{temperature:.4g} °C".replace("-", "−")
@@ -24,17 +24,17 @@ def draw_found_scale_factor(axis: AxisCalibration, *, ax: Axes | None = None) ->
     return ax, lines
 
 
-def draw_found_bias(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+def draw_calibrated_bias(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
     """B over temperature."""
     ax = new_axes(ax)
-    value, deviation = found_map(axis, "bias", *grid_of(axis, None, "bias"))
+    value, deviation = calibration_map(axis, "bias", *grid_of(axis, None, "bias"))
     line = draw_band(ax, value.temperature_c, value.values[:, 0], deviation.values[:, 0], 0, alpha=0.25)
     ax.set(xlabel="temperature, °C", ylabel="bias B ± 1σ, deg/h")
     return ax, line
 
 
 def draw_residuals(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """How whitened residuals are spread, beside the normal distribution that they have where the model is true."""
+    """The histogram of whitened residuals, beside the normal distribution of a true model."""
     ax = new_axes(ax)
     assert axis.residuals is not None
     counts, edges = np.array(axis.residuals.counts), np.arange(-4.5, 4.75, 0.5)
@@ -48,7 +48,7 @@ def draw_residuals(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Ax
 
 
 def draw_residual_parts(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The size of the residuals in each tenth of the run, and the band that holds 95 of 100 where the model is true."""
+    """The rms of the residuals in each tenth of the run, and the 95 % band of a true model."""
     ax = new_axes(ax)
     assert axis.residuals is not None
     rms = np.array(axis.residuals.rms)

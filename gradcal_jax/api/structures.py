@@ -136,7 +136,7 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
     said = {"rates_free": "rates" in design.free, "points": schedule.shared}
     rates = np.asarray(schedule.rates, dtype=float)
     return [
-        Structure(StandardCoordinates(*numbers, given_rates=rates, temperatures=n, **said), f"{n} temperatures")
+        Structure(StandardCoordinates(*numbers, fixed_rates=rates, temperatures=n, **said), f"{n} temperatures")
         for n in counts
     ]
 

@@ -235,18 +235,18 @@ class Coordinates(eqx.Module):
             # What is still to come after each turn.
             bound = xp.minimum(bound, xp.cumsum(most[::-1])[::-1] - most)
 
-        def turn(at, given):
-            angle, reach, furthest = given
+        def turn(at, row):
+            angle, reach, furthest = row
             down = xp.maximum(-furthest, at - reach) - at
             up = xp.minimum(furthest, at + reach) - at
             share = angle / xp.where(reach > 0.0, reach, 1.0)
-            made = xp.clip(share * xp.where(share > 0.0, up, -down), xp.minimum(down, up), up)
-            return at + made, made
+            feasible = xp.clip(share * xp.where(share > 0.0, up, -down), xp.minimum(down, up), up)
+            return at + feasible, feasible
 
-        made = scanned(turn, xp.zeros(()), (asked, most, bound))
+        feasible = scanned(turn, xp.zeros(()), (asked, most, bound))
         # A turn that is made smaller keeps its ramp; one that is sent back needs the ramp of the fastest.
-        smaller = xp.abs(made) <= xp.abs(asked)
-        of = lambda cycle, angles: cycle.peak_rates[turns] * made / xp.where(angles == 0.0, 1.0, angles)  # noqa: E731
+        smaller = xp.abs(feasible) <= xp.abs(asked)
+        of = lambda cycle, angles: cycle.peak_rates[turns] * feasible / xp.where(angles == 0.0, 1.0, angles)  # noqa: E731
         peak = xp.where(smaller, of(wanted, asked), of(fastest, most))
         ramp = xp.where(smaller, wanted.ramps[turns], fastest.ramps[turns])
         return wanted._replace(peak_rates=put(wanted.peak_rates, turns, peak), ramps=put(wanted.ramps, turns, ramp))
@@ -306,17 +306,17 @@ class Coordinates(eqx.Module):
             peaks = put(np.zeros(len(cap)), turns, shares * cap[turns])
             return self.angles(self._ramps(np.asarray(cycle.durations), peaks, ramps))[turns]
 
-        made, reach = self.angles(CycleNumbers(*map(np.asarray, cycle)))[turns], at_shares(np.ones(len(turns)))
-        at = np.concatenate([[0.0], np.cumsum(made)[:-1]])
-        room = np.minimum(reach, np.maximum(float(self.limits.travel) - np.sign(made) * at, 0.0))
-        wanted = reach * np.abs(made) / np.where(room > 0.0, room, 1.0)
+        angles, reach = self.angles(CycleNumbers(*map(np.asarray, cycle)))[turns], at_shares(np.ones(len(turns)))
+        at = np.concatenate([[0.0], np.cumsum(angles)[:-1]])
+        room = np.minimum(reach, np.maximum(float(self.limits.travel) - np.sign(angles) * at, 0.0))
+        wanted = reach * np.abs(angles) / np.where(room > 0.0, room, 1.0)
         # The angle grows with the rate, not quite in proportion: a faster turn needs longer ramps.
         low, high = np.zeros(len(turns)), np.ones(len(turns))
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             short = at_shares(middle) < wanted
             low, high = np.where(short, middle, low), np.where(short, high, middle)
-        return np.sign(made) * 0.5 * (low + high)
+        return np.sign(angles) * 0.5 * (low + high)
 
     def pruned(self, cycle: CycleNumbers) -> "tuple[Coordinates, CycleNumbers]":
         """The structure without the turns that the search has shrunk to nothing, their time given to the longest."""

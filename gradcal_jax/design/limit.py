@@ -89,9 +89,9 @@ def limit(
         raise ValueError("the limit is for a scale factor that is polynomial in rate: give the model such a map")
     if isinstance(criterion, Optimality) and criterion.kind == "E":
         raise ValueError("there is no limit for E-optimality: ask for A- or D-optimality, or a residual")
-    given = model, motion_time / noise_density, prior_share, np.asarray(temperatures), fixed_programme
+    arguments = model, motion_time / noise_density, prior_share, np.asarray(temperatures), fixed_programme
     # A maximum over fewer temperatures is no larger, so what is certified for it is certified.
-    problem, whole = _Problem(_thinned(criterion), *given), _Problem(criterion, *given)
+    problem, whole = _Problem(_thinned(criterion), *arguments), _Problem(criterion, *arguments)
     # Rates that turn out useful take empty places, so that every stage has the same shape and is compiled once.
     grid = max_rate * np.cos(np.pi * np.arange(_RATES) / (_RATES - 1))
     rates = np.tile(np.concatenate([grid, np.zeros(2 * len(_SHARPNESS))]), (len(temperatures), 1))
@@ -139,8 +139,8 @@ class _Problem:
 
         def both(z):
             how = self.fixed_programme, _statistic(self.criterion), self._shape
-            found, gradient = _value(jnp.asarray(z.reshape(logs.shape)), *arrays, *how)
-            return float(found), np.asarray(gradient).ravel()
+            value, gradient = _value(jnp.asarray(z.reshape(logs.shape)), *arrays, *how)
+            return float(value), np.asarray(gradient).ravel()
 
         options = {"maxiter": 500, "maxfun": 700, "maxcor": 30, "ftol": 1e-14, "gtol": 1e-11}
         return minimize(both, logs.ravel(), jac=True, method="L-BFGS-B", options=options).x.reshape(logs.shape)
@@ -207,11 +207,11 @@ class _Problem:
             polynomial = chebyshev.chebfit(nodes, values, degree)
             inner = np.asarray(chebyshev.chebroots(chebyshev.chebder(polynomial)), dtype=complex)
             real = np.real(inner[np.abs(np.imag(inner)) < 1e-6])
-            tried = np.concatenate([[-1.0, 1.0], real[np.abs(real) < 1.0]])
-            found = chebyshev.chebval(tried, polynomial)
-            at = int(np.argmax(found))
-            largest.append(float(found[at]))
-            where.append(max_rate * float(tried[at]))
+            candidates = np.concatenate([[-1.0, 1.0], real[np.abs(real) < 1.0]])
+            at_candidates = chebyshev.chebval(candidates, polynomial)
+            at = int(np.argmax(at_candidates))
+            largest.append(float(at_candidates[at]))
+            where.append(max_rate * float(candidates[at]))
         return np.array(largest), np.array(where)
 
 

@@ -83,20 +83,20 @@ def scale_factor_floor(model: SensorModel, windows: Windows, temperature: Course
     variance, decay = (gain * p.initial_std) ** 2, p.decay
     prior = _prior_of_constants(model) / _PRIOR_OF_OTHERS
     wanted = scale.temperature(at)
-    found = np.zeros(len(at))
+    floor = np.zeros(len(at))
     clock = float(np.sum(variance[decay == 0.0]))
     if clock > 0.0:
         # A constant is a constant of M: it adds itself, as far as the prior does not tell the two apart.
         one = _constant(scale.temperature)
-        found += 1.0 / (one @ prior @ one + 1.0 / clock)
+        floor += 1.0 / (one @ prior @ one + 1.0 / clock)
     moving = np.flatnonzero((variance > 0.0) & (decay > 0.0))
     if not len(moving) or not windows:
-        return found
+        return floor
     for k in moving:
         seen = _continuous_look(scale.temperature, windows, temperature, float(variance[k]), float(decay[k]))
         root = np.linalg.qr(np.concatenate([seen, root_of(len(moving) * prior)]), mode="r")
-        found += np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
-    return found
+        floor += np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
+    return floor
 
 
 def bias_floor(model: SensorModel, windows: Windows, temperature: Course, rows: np.ndarray) -> np.ndarray:
@@ -119,7 +119,7 @@ def bias_floor(model: SensorModel, windows: Windows, temperature: Course, rows: 
     ]
     # Every noise takes an equal share of the prior's variance.
     prior = model.prior_rows()[:, model.where(BIAS)] * len(looks) ** 0.5
-    found = np.zeros(len(rows))
+    floor = np.zeros(len(rows))
     for look in looks:
         seen = np.concatenate([look, prior])
         scale = np.linalg.norm(seen, axis=0)
@@ -127,8 +127,8 @@ def bias_floor(model: SensorModel, windows: Windows, temperature: Course, rows: 
         # A direction of which nothing is seen is left out, which only makes the variance smaller.
         there = singular > _SEEN * singular[0]
         half = (rows / np.where(scale > 0.0, scale, np.inf)) @ directions[there].T / singular[there]
-        found += np.sum(half**2, axis=1)
-    return found
+        floor += np.sum(half**2, axis=1)
+    return floor
 
 
 def bias_floor_anywhere(
@@ -142,7 +142,7 @@ def bias_floor_anywhere(
     assert bias is not None
     values = bias.temperature(np.linspace(*temperatures, _GRID))
     prior = model.prior_rows()[:, model.where(BIAS)]
-    found = np.zeros(len(rows))
+    floor = np.zeros(len(rows))
     for k, row in enumerate(rows):
         bounded = np.concatenate([values, -values])
         best = optimize.linprog(-row, A_ub=bounded, b_ub=np.ones(len(bounded)), bounds=(None, None))
@@ -152,8 +152,8 @@ def bias_floor_anywhere(
         along = values @ best.x
         largest = np.max(np.abs(along)) + 0.5 * np.max(np.abs(np.diff(along)))
         walk = time * largest**2 / float(model.angle_random_walk) ** 2
-        found[k] = (row @ best.x) ** 2 / (walk + np.sum((prior @ best.x) ** 2))
-    return found
+        floor[k] = (row @ best.x) ** 2 / (walk + np.sum((prior @ best.x) ** 2))
+    return floor
 
 
 def _continuous_look(basis: Basis, windows, temperature, variance: float, decay: float) -> np.ndarray:

@@ -110,8 +110,8 @@ def _of_each(cases: tuple[Case, ...], schedule: Schedule, sharpness) -> list[tup
     if namespace(schedule) is np or len(cases) == 1 or len(set(structures)) > 1 or len(shapes) > 1:
         return [case.values(schedule, sharpness) for case in cases]
     stacked = [jnp.stack([jnp.asarray(leaf) for leaf in group]) for group in zip(*leaves, strict=True)]
-    found = jax.lax.map(lambda one: jax.tree.unflatten(structures[0], one).values(schedule, sharpness), stacked)
-    return [jax.tree.map(lambda v, k=k: v[k], found) for k in range(len(cases))]
+    values = jax.lax.map(lambda one: jax.tree.unflatten(structures[0], one).values(schedule, sharpness), stacked)
+    return [jax.tree.map(lambda v, k=k: v[k], values) for k in range(len(cases))]
 
 
 def _worst(values, sharpness):

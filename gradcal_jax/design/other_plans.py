@@ -148,7 +148,7 @@ class ProgrammeKnots(_Programmes):
 class StandardCoordinates(eqx.Module):
     """The standard method at `temperatures` temperatures and `rates` rates in a given time.
 
-    `soak` (each), `time` (all): s. `coldest`, `warmest`: °C. `max_rate` rad/s. `given_rates` rad/s stay where rates
+    `soak` (each), `time` (all): s. `coldest`, `warmest`: °C. `max_rate` rad/s. `fixed_rates` rad/s stay where rates
     are not free.
     """
 
@@ -157,7 +157,7 @@ class StandardCoordinates(eqx.Module):
     coldest: Float[AnyArray, ""]
     warmest: Float[AnyArray, ""]
     max_rate: Float[AnyArray, ""]
-    given_rates: Float[AnyArray, " r"]
+    fixed_rates: Float[AnyArray, " r"]
     temperatures: int = eqx.field(static=True)
     rates_free: bool = eqx.field(static=True)
     points: Points = eqx.field(static=True, default="one run")
@@ -165,13 +165,13 @@ class StandardCoordinates(eqx.Module):
     @property
     def size(self) -> int:
         """How many free numbers there are."""
-        return self.temperatures + (self.given_rates.shape[0] if self.rates_free else 0)
+        return self.temperatures + (self.fixed_rates.shape[0] if self.rates_free else 0)
 
     def decode(self, z: Float[AnyArray, " size"]) -> Schedule:
         """The plan of a vector, temperatures in rising order."""
         xp = namespace(z, self.time)
         temperatures = xp.sort(_between(self.coldest, self.warmest, z[: self.temperatures]))
-        rates = self.max_rate * xp.tanh(z[self.temperatures :]) if self.rates_free else self.given_rates
+        rates = self.max_rate * xp.tanh(z[self.temperatures :]) if self.rates_free else self.fixed_rates
         count = rates.shape[0]
         integration = (self.time / self.temperatures - self.soak) / count
         template = standard_plan(np.zeros(self.temperatures), 0.0, 0.0, np.zeros(count), points=self.points)

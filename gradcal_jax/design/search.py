@@ -26,8 +26,8 @@ _SURVIVORS, _FEWEST = 0.5, 4
 _QUICK_STEPS = 200
 # For an objective of more noise steps than this fewer begin, in proportion, and fewer hop.
 _CHEAP, _FEWEST_DEAR = 1024, 2
-# On a CPU the products' kernels are not XLA's own: its optimisations take a fifth of the time to compile, and what makes
-# small kernels run a little quicker a third; neither can be seen in the search. (JAX 0.11 refuses the second option.)
+# On a CPU XLA's optimisations take a fifth of the compile time and its fusion emitters, which speed small kernels up
+# a little, a third; the search gains from neither. (JAX 0.11 refuses the second option.)
 _COMPILER = {"xla_backend_optimization_level": 1} | (
     {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
 )
@@ -400,8 +400,8 @@ def _equal_curvature(at: _At, point: np.ndarray) -> np.ndarray:
     curvature = np.abs(curvature)
     seen = curvature > _ROUNDING * np.max(curvature)
     steep = bent @ turned[:, seen] / np.sqrt(curvature[seen])
-    found, along = np.linalg.eigh(steep @ steep.T)
-    return along / np.sqrt(np.maximum(found, 0.0) + _ELSEWHERE * np.mean(curvature))
+    eigenvalues, along = np.linalg.eigh(steep @ steep.T)
+    return along / np.sqrt(np.maximum(eigenvalues, 0.0) + _ELSEWHERE * np.mean(curvature))
 
 
 def missed_limit(excess: np.ndarray, names: Sequence[str]) -> str:

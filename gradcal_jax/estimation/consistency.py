@@ -70,7 +70,7 @@ def chi_squared_test(statistic: float, degrees: int) -> Test:
 
 
 def consistency(
-    found: Estimate,
+    estimate: Estimate,
     white: Whitened,
     unit: int,
     subsets: dict[str, np.ndarray],
@@ -79,14 +79,14 @@ def consistency(
 ) -> Consistency:
     """All tests of one unit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`; `taken`:
     `taken_up`, where it is known."""
-    residual = found.residuals[unit]
-    degrees = int(found.degrees[unit])
-    fit = chi_squared_test(float(found.chi_squared[unit]), degrees)
+    residual = estimate.residuals[unit]
+    degrees = int(estimate.degrees[unit])
+    fit = chi_squared_test(float(estimate.chi_squared[unit]), degrees)
     single = white.of_unit(unit)
     splits = [split(single, name, subset, to_reported) for name, subset in subsets.items()]
     return Consistency(
         fit,
-        float(np.sqrt(found.chi_squared[unit] / degrees)) if degrees > 0 else float("nan"),
+        float(np.sqrt(estimate.chi_squared[unit] / degrees)) if degrees > 0 else float("nan"),
         whiteness(residual, taken_up(single) if taken is None else taken),
         float(np.mean(np.abs(residual) > 3.0)) if len(residual) else 0.0,
         float(np.max(np.abs(residual), initial=0.0)),
@@ -108,7 +108,7 @@ def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
     if lags < 1 or power <= 0.0:
         return Test(0.0, 0, 1.0)
     shifts = range(1, lags + 1)
-    found = np.array([residual[k:] @ residual[:-k] for k in shifts]) / power
+    correlations = np.array([residual[k:] @ residual[:-k] for k in shifts]) / power
     # Moments of quadratic forms in normal variables, over their sum of squares.
     inner = np.stack([0.5 * (one + one.T) for k in shifts for one in [taken[k:].T @ taken[:-k]]])
     mean = -np.trace(inner, axis1=1, axis2=2) / free
@@ -123,7 +123,7 @@ def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
             product[k - 1, m - 1] -= sums[k + m] + sums[k - m] - 0.5 * ends
             product[m - 1, k - 1] = product[k - 1, m - 1]
     covariance = 2.0 * (product / free - np.outer(mean, mean)) / (free + 2.0)
-    apart = found - mean
+    apart = correlations - mean
     return chi_squared_test(float(apart @ np.linalg.solve(covariance, apart)), lags)
 
 

@@ -151,8 +151,8 @@ def _as_the_table(turned: np.ndarray, angle: np.ndarray, moves: np.ndarray) -> n
 def _readings(time: np.ndarray, first: int, last: int, every: float, known: np.ndarray | None) -> list[int]:
     """Rows of one standstill that are read: the first, the last, and what lies `every` apart between; or the known."""
     if known is not None:
-        given = np.flatnonzero(known[first : last + 1]) + first
-        return [int(r) for r in given] or [first]
+        readings = np.flatnonzero(known[first : last + 1]) + first
+        return [int(r) for r in readings] or [first]
     if last == first:
         return [first]
     goals = np.arange(time[first] + every, time[last] - 0.5 * every, every) if np.isfinite(every) else np.zeros(0)

@@ -117,7 +117,7 @@ def positions(rows: HandRows) -> Positions:
     """The standstills' means, and the noise in them. Errors: `ValueError` where there are too few."""
     step = float(np.median(np.diff(rows.time)))
     block = max(round(_BLOCK_S / step), 2)
-    found, squares = [], []
+    standstills, squares = [], []
     for k in range(int(rows.standing.max(initial=-1)) + 1):
         here = np.flatnonzero(rows.standing == k)
         good = here[rows.usable[here]]
@@ -126,18 +126,18 @@ def positions(rows: HandRows) -> Positions:
         both = np.concatenate([rows.force[good], rows.rates[good]], axis=1)
         parts = both[: len(good) // block * block].reshape(-1, block, 6).mean(axis=1)
         squares.append(0.5 * np.diff(parts, axis=0) ** 2)
-        found.append((both.mean(axis=0), len(good) * step, here[0], here[-1]))
-    if len(found) < _LEAST:
+        standstills.append((both.mean(axis=0), len(good) * step, here[0], here[-1]))
+    if len(standstills) < _LEAST:
         raise ValueError(
-            f"{len(found)} standstills of a second and more were found, and at least {_LEAST} are needed: lay the unit "
-            "down in some twenty positions, in all directions, for five seconds each"
+            f"{len(standstills)} standstills of a second and more were found, and at least {_LEAST} are needed: lay "
+            "the unit down in some twenty positions, in all directions, for five seconds each"
         )
-    means = np.array([f[0] for f in found])
+    means = np.array([f[0] for f in standstills])
     noise = np.concatenate(squares).mean(axis=0) * block * step
     # Of a coarse sensor that does not flicker: a count's own variance, or next to nothing.
     noise = np.maximum(noise, 1e-18 * np.ptp(means, axis=0) ** 2 + 1e-300)
-    ends = np.array([[f[2], f[3]] for f in found])
-    return Positions(means[:, :3], means[:, 3:], np.array([f[1] for f in found]), ends, noise[:3], noise[3:])
+    ends = np.array([[f[2], f[3]] for f in standstills])
+    return Positions(means[:, :3], means[:, 3:], np.array([f[1] for f in standstills]), ends, noise[:3], noise[3:])
 
 
 def solve_by_hand(rows: HandRows, gravity: float, earth_up: float = 0.0) -> ByHand:
@@ -354,18 +354,18 @@ def _level(turned: np.ndarray, start: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Two horizontal directions in the body of each position (K, 3, 2), the same two all the time; none after a turn
     that is missing.
     """
-    found = np.zeros((len(u), 3, 2))
+    level = np.zeros((len(u), 3, 2))
     if start[0] != 0:
-        return found
-    found[0] = np.linalg.svd(u[0][None])[2][1:].T
+        return level
+    level[0] = np.linalg.svd(u[0][None])[2][1:].T
     for m, k in enumerate(start):
         if not np.array_equal(start[: m + 1], np.arange(m + 1)):
             break
-        carried = turned[m].T @ found[k]
+        carried = turned[m].T @ level[k]
         # What the gyros missed of the vertical is no part of the horizontal.
         q, r = np.linalg.qr(carried - np.outer(u[k + 1], u[k + 1] @ carried) / (u[k + 1] @ u[k + 1]))
-        found[k + 1] = q * np.sign(np.diag(r))
-    return found
+        level[k + 1] = q * np.sign(np.diag(r))
+    return level
 
 
 def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray) -> tuple[np.ndarray, float]:

@@ -77,11 +77,11 @@ def plateaus(
             f"the log holds no rate at a stable temperature for {_LEAST_SHARE * integration_s:g} s or longer, none of "
             "the plan's points among them: give the spec's integration as it was"
         )
-    found = {int(label[b]) for b in last}
+    present = {int(label[b]) for b in last}
     missing = tuple(
         (float(planned_c[k // len(planned_rad_per_s)]), float(planned_rad_per_s[k % len(planned_rad_per_s)]))
         for k in range(len(planned_c) * len(planned_rad_per_s))
-        if k not in found
+        if k not in present
     )
     rows, broken = [first[0]], []
     for a, b in zip(first, last, strict=True):

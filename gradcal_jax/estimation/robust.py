@@ -22,7 +22,7 @@ HUBER = 2.5
 _ROUNDS = 20
 # Of a weight, at which the rounds end.
 _NO_CHANGE = 0.01
-Found = TypeVar("Found")
+Solution = TypeVar("Solution")
 
 
 class RobustEstimate(NamedTuple):
@@ -72,12 +72,12 @@ def estimate_robustly(observations: Observations, model: SensorModel, *, thresho
 def reweighted(
     steps: NoiseSteps,
     used: np.ndarray,
-    found: Found,
-    residuals: Callable[[Found], np.ndarray],
-    again: Callable[[NoiseSteps, Found], Found],
+    solution: Solution,
+    residuals: Callable[[Solution], np.ndarray],
+    again: Callable[[NoiseSteps, Solution], Solution],
     threshold: float,
     rounds: int,
-) -> tuple[Found, np.ndarray]:
+) -> tuple[Solution, np.ndarray]:
     """What is found, and the weights of the readings `used`, once no weight changes any more.
 
     `residuals` of what is found, each over its own standard deviation; `again`: finds it anew with other noise steps.
@@ -87,15 +87,15 @@ def reweighted(
         spread = innovation_variance(steps)[used]
         # What the reading would show against its undisturbed variance: the innovation itself, in its old measure.
         plain_spread = spread - extra[used]
-        against = np.abs(residuals(found)) * np.sqrt(spread / np.maximum(plain_spread, np.finfo(float).tiny))
+        against = np.abs(residuals(solution)) * np.sqrt(spread / np.maximum(plain_spread, np.finfo(float).tiny))
         new = np.minimum(1.0, threshold / np.maximum(against, threshold))
         if np.max(np.abs(new - weights)) < _NO_CHANGE:
             break
         weights = new
         extra[used] = (1.0 / weights - 1.0) * plain_spread
         steps = steps._replace(reading_variance=np.asarray(plain) + extra)
-        found = again(steps, found)
-    return found, weights
+        solution = again(steps, solution)
+    return solution, weights
 
 
 def innovation_variance(steps) -> np.ndarray:

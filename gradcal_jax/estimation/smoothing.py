@@ -77,9 +77,9 @@ def choose_smoothness(white: Whitened, model: SensorModel, unit: int = 0) -> Smo
     simplex = np.concatenate([best[None], best[None] + 0.5 * (offsets[1] - offsets[0]) * np.eye(len(best))])
     options = {"xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
     bounds = [(s - reach, s + reach) for s in start]
-    found = optimize.minimize(minus_twice, best, method="Nelder-Mead", bounds=bounds, options=options)
-    at_edge = bool(np.any(np.abs(np.abs(found.x - start) - reach) < 0.01 * reach))
-    bias, scale_factor = strengths(found.x)
+    optimum = optimize.minimize(minus_twice, best, method="Nelder-Mead", bounds=bounds, options=options)
+    at_edge = bool(np.any(np.abs(np.abs(optimum.x - start) - reach) < 0.01 * reach))
+    bias, scale_factor = strengths(optimum.x)
     return Smoothness(bias, scale_factor, at_edge)
 
 

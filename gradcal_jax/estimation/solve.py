@@ -136,9 +136,9 @@ def solve(white: Whitened) -> Estimate:
         factor, rotated, scale = _factor(design, data)
         one = posterior(SquareRootInformation(factor, scale))  # pyright: ignore[reportArgumentType]
         solution, _, rank, _ = np.linalg.lstsq(factor, rotated, rcond=OBSERVABLE)
-        found = solution / scale[:, None]
-        parameters += list(found.T)
-        squares += list(np.sum((data - design @ found) ** 2, axis=0))
+        coefficients = solution / scale[:, None]
+        parameters += list(coefficients.T)
+        squares += list(np.sum((data - design @ coefficients) ** 2, axis=0))
         known += [one] * len(members)
         degrees += [len(design) - int(rank)] * len(members)
     beta = np.array(parameters)

@@ -106,8 +106,8 @@ def size_of(every: list[Components]) -> Size | None:
     values = [short(x) for x in grid]
     best = int(np.argmin(values))
     around = (grid[max(best - 1, 0)], grid[min(best + 1, 399)])
-    found: Any = optimize.minimize_scalar(short, bounds=around, method="bounded")
-    at = float(found.x)
+    optimum: Any = optimize.minimize_scalar(short, bounds=around, method="bounded")
+    at = float(optimum.x)
     none = float(np.sum(squares))
     estimate = 0.0 if none <= short(at) else float(np.exp(at))
 

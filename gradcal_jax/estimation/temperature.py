@@ -77,5 +77,5 @@ def _parabolas(count: np.ndarray, at: np.ndarray, mean: np.ndarray, half: float)
         moments[inside] += powers
         sums[inside] += powers[:, :3] * (mean[other] - mean[inside])[:, None]
     normal = moments[:, np.arange(3)[:, None] + np.arange(3)[None]]
-    found = np.linalg.solve(normal, sums[:, :, None])[..., 0]
-    return mean + found[:, 0], found[:, 1] / half
+    line = np.linalg.solve(normal, sums[:, :, None])[..., 0]
+    return mean + line[:, 0], line[:, 1] / half

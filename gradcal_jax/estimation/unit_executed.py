@@ -107,7 +107,7 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
     step = np.diff(log.time_s, prepend=log.time_s[0])
     seen = np.flatnonzero(np.isfinite(log.rates).any(axis=0))
     quiet = np.array([np.nanmean(log.rates[a : b + 1], axis=0) for a, b in spans]) if len(seen) else None
-    found: list[_Leg] = []
+    result: list[_Leg] = []
     for k, ((_, last), (first, _)) in enumerate(itertools.pairwise(spans)):
         change = means[k + 1] - means[k]
         turned = np.flatnonzero(np.abs(change) > _LEAST_TURN)
@@ -115,7 +115,7 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
         if quiet is None or not whole:
             # Nothing is read of this move: only where it led to counts. Where rows are missing, as where a run was
             # resumed, an axis that stands as before may have been away.
-            found.append(_Leg(k, int(turned[0]) if whole and len(turned) == 1 else -1, last, first))
+            result.append(_Leg(k, int(turned[0]) if whole and len(turned) == 1 else -1, last, first))
             continue
         rates = (log.rates[last + 1 : first + 1] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
         where = _valleys(np.linalg.norm(rates, axis=1)) if len(turned) != 1 else []
@@ -138,8 +138,8 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
                 "say the same: one axis after the other must turn; is the table of the spec the one of the log, with "
                 "its axes in that order, and the unit mounted as the spec says?"
             )
-        found += legs
-    return found
+        result += legs
+    return result
 
 
 def _valleys(speed: np.ndarray) -> list[int]:
@@ -222,8 +222,8 @@ class _Builder:
 def _pieces(
     log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], legs: list[_Leg], angles: list[np.ndarray]
 ) -> ExecutedUnit:
-    made, axes = _Builder(log, angles, spans[0][0]), len(angles)
-    start = made.at.copy()
+    builder, axes = _Builder(log, angles, spans[0][0]), len(angles)
+    start = builder.at.copy()
     of_span: dict[int, list[_Leg]] = {}
     for leg in legs:
         of_span.setdefault(leg.span, []).append(leg)
@@ -231,21 +231,21 @@ def _pieces(
         parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / _PIECE_S - 1e-9)))
         goals = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
         for row in [*np.searchsorted(log.time_s[:last], goals - 1e-9).tolist(), last]:
-            if row > made.rows[-1]:
-                made.add(row)
+            if row > builder.rows[-1]:
+                builder.add(row)
         for leg in of_span.get(k, []):
             if leg.axis >= 0:
-                angle = made.next_angle(leg.axis)
-                made.add(leg.end, leg.axis, _way(log, geometry, made.at, leg, angle))
-                made.at[leg.axis] += angle
+                angle = builder.next_angle(leg.axis)
+                builder.add(leg.end, leg.axis, _way(log, geometry, builder.at, leg, angle))
+                builder.at[leg.axis] += angle
                 continue
             # Several axes, or none: nothing of it is read; every axis is where it stands next.
             ends = np.linspace(leg.begin, leg.end, axes + 1).round().astype(int).tolist()[1:]
             for l, row in enumerate(ends):
-                angle = made.next_angle(l)
-                made.add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
-                made.at[l] += angle
-    return ExecutedUnit(_motion(log, geometry, made, start), np.array(made.rows), tuple(made.travelled))
+                angle = builder.next_angle(l)
+                builder.add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
+                builder.at[l] += angle
+    return ExecutedUnit(_motion(log, geometry, builder, start), np.array(builder.rows), tuple(builder.travelled))
 
 
 def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float) -> np.ndarray:
@@ -295,10 +295,10 @@ def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
     return result
 
 
-def _motion(log: UnitRows, geometry: Geometry, made: _Builder, start: np.ndarray) -> TableMotion:
-    rows, axis, lost = np.array(made.rows), np.array(made.axis), np.array(made.lost)
+def _motion(log: UnitRows, geometry: Geometry, builder: _Builder, start: np.ndarray) -> TableMotion:
+    rows, axis, lost = np.array(builder.rows), np.array(builder.axis), np.array(builder.lost)
     duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
-    turned = np.array([0.0 if way is None else way[-1] for way in made.travelled])
+    turned = np.array([0.0 if way is None else way[-1] for way in builder.travelled])
     mean = turned / np.where(duration > 0.0, duration, 1.0)
     line = held(
         log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=~lost, at_rest=axis < 0, moving=axis >= 0, gap=lost

@@ -233,15 +233,15 @@ def estimate_unit(
     used = np.asarray(segments_of(readings.done.motion, readings.model).used)
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a reading that is used is not finite")
-    found = _solved(readings, steps, columns, used, about)
+    estimate = _solved(readings, steps, columns, used, about)
     if threshold is None:
-        return found
+        return estimate
 
     def again(noise: NoiseSteps, last: UnitEstimate) -> UnitEstimate:
         return _solved(readings, noise, columns, used, last.parameters)
 
-    found, weights = reweighted(steps, used, found, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
-    return found._replace(weights=weights)
+    estimate, weights = reweighted(steps, used, estimate, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
+    return estimate._replace(weights=weights)
 
 
 def _solved(
@@ -275,6 +275,6 @@ def _solved(
     chi_squared = np.array([rest @ rest + np.sum((prior @ beta) ** 2)])
     degrees = np.array([len(design) - np.count_nonzero(seen)])
     taken = orthogonal[: len(jacobian)] @ left[:, seen]
-    found = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
+    estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
     white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
-    return UnitEstimate(found, white, used, taken, moved, rounds, np.ones(len(rest)))
+    return UnitEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)))

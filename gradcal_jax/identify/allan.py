@@ -334,8 +334,8 @@ def _least_squares(
         root = np.linalg.cholesky(covariance)
         weighed = np.linalg.solve(root, design)
         scale = np.linalg.norm(weighed, axis=0)
-        found, _ = optimize.nnls((weighed / scale)[:, columns] * signs, np.linalg.solve(root, expected + left))
-        solution = np.bincount(columns, found * signs, minlength=5) / scale
+        strengths, _ = optimize.nnls((weighed / scale)[:, columns] * signs, np.linalg.solve(root, expected + left))
+        solution = np.bincount(columns, strengths * signs, minlength=5) / scale
         if low_passed and solution[1] > 0 and turn < 4:
             rounding = max(-solution[4], 0.0) / (1.5 * solution[1] * interval)
         covariance = _covariance(steps, runs, interval, solution[:4], rounding)

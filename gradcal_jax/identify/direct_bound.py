@@ -218,14 +218,14 @@ def fit_direct_bound(
         mean_error = rate_in_words(angle_random_walk / float(np.sqrt(delta)))
         messages.append(_no_drift_shows(delta, mean_error, hidden, rate_in_words(hidden), chosen_tau, advised))
     elif correlation_times_s is None and inside:
-        found: Any = optimize.minimize_scalar(
+        optimum: Any = optimize.minimize_scalar(
             lambda log_tau: float(boundary(np.exp(np.array([log_tau])))[1][0]),
             bounds=(np.log(tau[best - 1]), np.log(tau[best + 1])),
             method="bounded",
             options={"xatol": 1e-5},
         )
-        if found.fun < excess[best]:
-            chosen_tau = float(np.exp(found.x))
+        if optimum.fun < excess[best]:
+            chosen_tau = float(np.exp(optimum.x))
     elif correlation_times_s is None:
         messages.append(
             "the record does not tell the correlation time: the drift outlasts the longest integration, and only its "
@@ -288,8 +288,8 @@ def scatter_of_bound(
     fits = t <= float(np.median(room)) * (1 + 1e-12)
     if len(parts) < 4 or not fits.any():
         return None
-    found = [largest_drift(values, sample_interval_s, t[fits], delta, valid=mask) for values, mask in parts]
-    each = np.stack([one.largest_drift[:, 0] for one in found])
+    drifts = [largest_drift(values, sample_interval_s, t[fits], delta, valid=mask) for values, mask in parts]
+    each = np.stack([one.largest_drift[:, 0] for one in drifts])
     away = np.empty((len(parts), len(t)))
     away[:, fits] = each - each.mean(axis=0)
     last = int(np.flatnonzero(fits)[-1])

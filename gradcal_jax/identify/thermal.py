@@ -105,11 +105,11 @@ def fit_thermal_bias(
         # The rms has one minimum in practice, but a flat one towards long lags: a grid first, then a refinement.
         grid = np.append(0.0, np.geomspace(sample_interval_s, longest_lag_s, 40))
         best = int(np.argmin([solve(float(lag))[1] for lag in grid]))
-        found: Any = optimize.minimize_scalar(
+        optimum: Any = optimize.minimize_scalar(
             lambda lag: solve(float(lag))[1],
             bounds=(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]),
             method="bounded",
         )
-        lag_time_s = float(found.x) if found.fun < solve(float(grid[best]))[1] else float(grid[best])
+        lag_time_s = float(optimum.x) if optimum.fun < solve(float(grid[best]))[1] else float(grid[best])
     coefficients, rms = solve(lag_time_s)
     return ThermalBias(np.atleast_1d(coefficients), centre, scale, lag_time_s, rms)

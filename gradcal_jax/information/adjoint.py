@@ -167,8 +167,8 @@ def _pulled_in_blocks(steps: NoiseSteps, rows: Array, kept: Kept, of_product: Ar
     def linear(tangents):
         return _tangent(filtered, steps, _changed(steps, tangents), tangents[-1])
 
-    (told,) = jax.linear_transpose(linear, [*steps[:4], steps.initial, rows])(of_product)
-    return told
+    (cotangents,) = jax.linear_transpose(linear, [*steps[:4], steps.initial, rows])(of_product)
+    return cotangents
 
 
 _pull_by_platform = by_platform("gradcal_pull", _pulled_natively, _pulled_in_blocks)

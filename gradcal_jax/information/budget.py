@@ -48,10 +48,10 @@ class Sensitivity:
 
 
 def noise_shares(
-    steps: NoiseSteps, found: Readings, of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
+    steps: NoiseSteps, readings: Readings, of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
 ) -> dict[str, float]:
-    """`∂r/∂ln σ` of each source, whose own part of the noise `sources` has. `found`: of all columns."""
-    covariance, variance, initial = of_noise(steps, found, of_gram)
+    """`∂r/∂ln σ` of each source, whose own part of the noise `sources` has. `readings`: of all columns."""
+    covariance, variance, initial = of_noise(steps, readings, of_gram)
 
     def of(part: NoiseSteps) -> float:
         pairs = (covariance, part.covariance), (variance, part.reading_variance), (initial, part.initial)

@@ -46,16 +46,16 @@ def filter_readings(
 
 
 def of_noise(
-    steps: NoiseSteps, found: Readings, of_gram: Float[np.ndarray, "p p"]
+    steps: NoiseSteps, readings: Readings, of_gram: Float[np.ndarray, "p p"]
 ) -> tuple[Float[np.ndarray, "N n n"], Float[np.ndarray, " N"], Float[np.ndarray, "n n"]]:
     """Of what has the derivative `of_gram` in `rowsᵀ rows`, the derivative in the covariance of every step, in the
     variance of every reading, and in the initial covariance.
     """
-    count, p = found.rows.shape
+    count, p = readings.rows.shape
     us, rhos = np.empty((count, p)), np.empty((*steps.observation.shape, p))
     later = np.zeros(rhos.shape[1:])
     for k in range(count - 1, -1, -1):
-        us[k] = found.per_std[k] * found.rows[k] - found.gain[k] @ later
+        us[k] = readings.per_std[k] * readings.rows[k] - readings.gain[k] @ later
         rhos[k] = steps.observation[k, :, None] * us[k] + later
         later = steps.transition[k].T @ rhos[k]
     inner = (of_gram + of_gram.T) / 2

@@ -92,16 +92,16 @@ def own_variance(
     count = int(np.clip(_A_TIME * time * fastest, _CELLS, _MOST_CELLS))
     edges = np.linspace(0.0, time, count + 1)
     step, turned = time / count, np.diff(flight.angle(edges))
-    found = 0.0
+    variance = 0.0
     for k in at:
         gain = float(processes.bias_gain[k]) + float(processes.rate_gain[k]) * turned / step
         initial, decay, drive = (float(of[k]) for of in (processes.initial_std, processes.decay, processes.diffusion))
         if decay == 0.0:
             still = np.cumsum(gain[::-1])[::-1] - gain / 2.0
-            found += (initial * step * np.sum(gain)) ** 2 + drive**2 * step**3 * float(still @ still)
+            variance += (initial * step * np.sum(gain)) ** 2 + drive**2 * step**3 * float(still @ still)
             continue
         kept = np.exp(-decay * step)
         earlier = np.asarray(lfilter([0.0, 1.0], [1.0, -kept], gain))
         within, between = 2.0 * (decay * step - 1.0 + kept), 2.0 * (1.0 - kept) ** 2
-        found += (initial / decay) ** 2 * float(within * gain @ gain + between * gain @ earlier)
-    return found
+        variance += (initial / decay) ** 2 * float(within * gain @ gain + between * gain @ earlier)
+    return variance

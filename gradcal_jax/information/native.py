@@ -81,8 +81,8 @@ def plain(states: int, readings: int) -> Callable[..., list[np.ndarray]] | None:
     if not states or (_asked[states] <= _WORTH and not is_at_hand(_SOURCE, *_definitions(states))):
         return None
     try:
-        made = begin_filter(states)
-        loaded = None if made is None else made.wait().loaded
+        work = begin_filter(states)
+        loaded = None if work is None else work.wait().loaded
     except NotCompiled:
         return None
     return None if loaded is None else partial(_plainly, loaded.gradcal_filter_plain)
@@ -107,8 +107,8 @@ def native(steps: NoiseSteps, *others: Array) -> Native | None:
     """The machine code that serves these arrays in a program for a CPU, or None where there is none."""
     real = double_or_single(*steps[:4], steps.initial, *others)
     count, n = steps.observation.shape
-    made = begin_filter(n, real) if real and count and n else None
-    return None if made is None else Native(made)
+    work = begin_filter(n, real) if real and count and n else None
+    return None if work is None else Native(work)
 
 
 def begin_filter(states: int, real: str = "double") -> Compiled | None:

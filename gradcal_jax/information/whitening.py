@@ -84,8 +84,8 @@ def _by_value(state: FilterState, steps: NoiseSteps, columns: np.ndarray) -> tup
     if code is not None:
         rows, *after = code(*state, steps, columns)
         return rows, FilterState(*after)
-    found = filter_readings(*state, steps, columns)
-    return found.rows, FilterState(found.mean, found.covariance)
+    readings = filter_readings(*state, steps, columns)
+    return readings.rows, FilterState(readings.mean, readings.covariance)
 
 
 def _natively(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:

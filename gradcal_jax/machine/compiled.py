@@ -62,10 +62,10 @@ class Compiled(NamedTuple):
         try:
             return self.work.result()
         except (OSError, subprocess.SubprocessError) as e:
-            told = getattr(e, "stderr", None)
+            output = getattr(e, "stderr", None)
             warnings.warn(
                 f"{self.what} could not be compiled, so JAX computes it, several times slower: {e}"
-                f"{': ' + told.strip()[-500:] if told else ''} (CXX names another compiler; GRADCAL_NATIVE=0 tries "
+                f"{': ' + output.strip()[-500:] if output else ''} (CXX names another compiler; GRADCAL_NATIVE=0 tries "
                 "none)",
                 RuntimeWarning,
                 stacklevel=2,
@@ -106,8 +106,8 @@ def compiler() -> list[str] | None:
     """The command of the machine's C++ compiler, or None."""
     if named := os.environ.get("CXX"):
         return shlex.split(named)
-    found = next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
-    return None if found is None else [found]
+    command = next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
+    return None if command is None else [command]
 
 
 def _library(command: list[str], source: Path, definitions: tuple[str, ...], symbols: tuple[str, ...]) -> Library:
@@ -154,15 +154,15 @@ def _loaded(command: list[str], source: Path, definitions: tuple[str, ...]) -> t
 def _make(command: list[str], source: Path, definitions: tuple[str, ...], path: Path) -> Path:
     """Make `path`, at once and whole. Code for this very processor, unless the compiler does not know how."""
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
-        made = Path(scratch) / path.name
+        library = Path(scratch) / path.name
         folders = [f"-I{jax.ffi.include_dir()}", f"-I{_HEADERS}"]
-        whole = [*command, *_OPTIONS, *definitions, *folders, str(source), "-o", str(made)]
+        whole = [*command, *_OPTIONS, *definitions, *folders, str(source), "-o", str(library)]
         for tuned in (["-march=native"], []):
             done = subprocess.run([*whole, *tuned], capture_output=True, text=True, check=False, timeout=_LONGEST_S)
             if done.returncode == 0:
                 break
         done.check_returncode()
-        made.replace(path)
+        library.replace(path)
     return path
 
 
@@ -178,5 +178,5 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         lines = []
-    told = next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
-    return f"{platform.system()} {platform.machine()} {told}"
+    features = next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+    return f"{platform.system()} {platform.machine()} {features}"

@@ -150,8 +150,8 @@ class UnitModel(PytreeModule):
                 drive = namespace(group.weight).concatenate([d for _, d in terms], axis=-1)
                 places = np.concatenate([at for at, _ in terms], axis=1).ravel()
                 parts.append(((group.pieces[:, None], places), shared.sums(basis(group.temperature), drive)))
-        found = placed((len(nodes.kind), begin), *parts)
-        return [found[:, a:b] for a, b in pairwise([0, *ends])]
+        columns = placed((len(nodes.kind), begin), *parts)
+        return [columns[:, a:b] for a, b in pairwise([0, *ends])]
 
     def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p p"] | None:
         """S with `columns at T + by = (columns at T) S`, one for each `by` (K); None where functions of temperature are

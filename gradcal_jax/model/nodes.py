@@ -81,8 +81,8 @@ class SharedNodes(NamedTuple):
             return abs(signal) if name.startswith("|") else signal
         rate, earth = ([self.signals[f"{of} {a}"] for a in AXIS_NAMES] for of in ("rate", "earth"))
         i, k = (AXIS_NAMES.index(a) for a in axes)
-        found = (rate[i] - earth[i]) * (rate[k] + earth[k])
-        return found if i != k else found - sum(w * w - e * e for w, e in zip(rate, earth, strict=True))
+        product = (rate[i] - earth[i]) * (rate[k] + earth[k])
+        return product if i != k else product - sum(w * w - e * e for w, e in zip(rate, earth, strict=True))
 
     def sums(self, first: Float[AnyArray, "k m a"], second: Float[AnyArray, "U q b"]) -> Float[AnyArray, "k ab"]:
         """As of `GaussNodes`."""

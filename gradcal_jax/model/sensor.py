@@ -59,8 +59,8 @@ class SensorModel(PytreeModule):
 
     def map(self, name: str) -> Map | None:
         """The map of that name, if the model estimates it."""
-        found = self.term(name)
-        return found if isinstance(found, Map) else None
+        term = self.term(name)
+        return term if isinstance(term, Map) else None
 
     @property
     def bias(self) -> Map | None:

@@ -208,12 +208,12 @@ def make_schedule(
     fill_move, fill_from, fill_to = (np.array([f[i] for f in fillers], int) for i in range(3))
     counts = np.array([f[3] for f in fillers], float).reshape(len(fillers), len(moves))
     moving, varying = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
-    made = Schedule(
+    schedule = Schedule(
         duration, peak, ramp, np.asarray(1.0 if spacing is None else float(spacing)), programme, pieces, moving,
         varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(gaps), bool(inner_knots), rates,
         points,
     )  # fmt: skip
-    return _cut_at_knots(made, inner_knots) if inner_knots else made
+    return _cut_at_knots(schedule, inner_knots) if inner_knots else schedule
 
 
 def _cut_at_knots(schedule: Schedule, knots: tuple[int, ...]) -> Schedule:
@@ -271,20 +271,20 @@ def gradient_plan(
         fillers.append((move, begin, end, counts))
         placed.append((move, pieces))
 
-    made = False
+    fits = False
     for k, (first, last) in enumerate(spans):
         if k:
             gaps.append(len(placed))
             fill(spans[k - 1][1], first, np.zeros(len(cycle)), standing(((0.0, 1.0), (False,))))
         available = float(times[last] - times[first])
         cycles, left = repetitions(available, own, period) if moves else (0, available)
-        made |= cycles > 0
+        fits |= cycles > 0
         for n in range(cycles):
             placed += [(i, tables[i]) for i in range(len(moves) if n == cycles - 1 else len(cycle))]
         if left > _AT_KNOT:
             counts = np.repeat([cycles, max(cycles - 1, 0)], [len(moves), len(after)]).astype(float)
             fill(first, last, counts, standing(divide(left, tuple(reading_times(left, read_every)))))
-    if moves and not made:
+    if moves and not fits:
         raise ValueError(
             f"the moves take {own:.6g} s and fit into no used part of the temperature programme: shorten them"
         )

@@ -149,7 +149,7 @@ class SearchState(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """Progress of a search: the best objective at its beginning and now, completed descents and their largest number."""
+    """Progress of a search: the best objective at its beginning and now, completed descents and their maximum."""
 
     first: float
     best: float

@@ -81,7 +81,7 @@ def simulate_noise(steps: NoiseSteps, runs: int, rng: np.random.Generator) -> np
 
 
 def _roots(covariances: np.ndarray) -> np.ndarray:
-    """Square roots of positive semidefinite matrices, singular ones included; scaled first, since their units differ."""
+    """Square roots of positive semidefinite matrices, also singular ones; scaled first, since their units differ."""
     scale = np.sqrt(np.einsum("kii->ki", covariances))
     safe = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariances / (safe[:, :, None] * safe[:, None, :]))

@@ -65,7 +65,7 @@ class Native(NamedTuple):
     def cotangents(
         self, steps: NoiseSteps, rows: Float[Array, "N p"], kept: Kept, of_product: Float[Array, "p p"]
     ) -> list[Array]:
-        """Cotangents of transition, covariance, observation, reading variance, initial and columns, from `rowsᵀ rows`'."""
+        """Cotangents of transition, covariance, observation, reading variance, initial and columns for `of_product`."""
         weighed = rows @ ((of_product + of_product.T) / 2)
         shapes = [x.shape for x in (*steps[:4], steps.initial, rows)]
         stays = jnp.zeros(steps.used.shape, bool) if steps.stays is None else jnp.asarray(steps.stays)

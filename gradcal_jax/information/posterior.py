@@ -147,7 +147,7 @@ def least_squares(line: Trajectory, model: SensorModel, columns: np.ndarray | No
 
 
 def unweighted(line: Trajectory, model: SensorModel) -> Posterior:
-    """Covariance of ordinary least squares on a standard plan's rate errors (paper, Figure 6). Errors: `least_squares`."""
+    """Covariance of ordinary least squares on a standard plan's rate errors. Errors: as `least_squares`."""
     estimator = least_squares(line, model)
     values, vectors = np.linalg.eigh(noise_of_sums(noise_steps(line, model), estimator.weights))
     return Posterior(estimator.back @ (vectors * np.sqrt(np.maximum(values, 0.0))), estimator.hidden)

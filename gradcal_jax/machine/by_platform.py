@@ -15,12 +15,12 @@ from gradcal_jax.machine.compiled import NotCompiled
 
 
 def like(x) -> jax.ShapeDtypeStruct:
-    """Shape and dtype of what JAX makes of an array: without its float64, NumPy's doubles become singles."""
+    """Shape and dtype of an array in JAX: without its float64 mode, NumPy's doubles become singles."""
     return jax.ShapeDtypeStruct(x.shape, canonicalize_dtype(x.dtype))
 
 
 class _Choice(NamedTuple):
-    """A call of a function of pytrees by their leaves, under so many `vmap`s (`batch`): what is no array in it."""
+    """Static part of a call of a function of pytrees by their leaves, under `batch` nested `vmap`s."""
 
     tree: Any
     results: tuple[jax.ShapeDtypeStruct, ...]
@@ -30,8 +30,8 @@ class _Choice(NamedTuple):
 class _Linear(NamedTuple):
     """A call of a linear function: the first `known` of its leaves are constants, the others its operands.
 
-    `argument`, `results`: these leaves' shapes, and those of what it makes; `tree`, `shape`: the pytrees that they are
-    leaves of. `transposed`: whether it is the transpose that is called, whose argument has `results`' shapes.
+    `argument`, `results`: shapes of operands and results; `tree`, `shape`: their pytrees. `transposed`: the transpose
+    is called, whose argument has the shapes of `results`.
     """
 
     linear: Callable[..., Any]
@@ -49,7 +49,7 @@ class _Linear(NamedTuple):
         return self.argument if self.transposed else self.results
 
     def by_leaves(self, *leaves, supplied: bool = True) -> list[jax.Array]:
-        """Its leaves for one problem; without `supplied`, the transpose is the one that JAX derives."""
+        """The output's leaves for one problem; not `supplied`: with the transpose that JAX derives."""
         known, operands = leaves[: self.known], leaves[self.known :]
 
         def linear(*argument):
@@ -65,11 +65,11 @@ class _Linear(NamedTuple):
 
 
 def by_platform(name: str, on_cpu: Callable[..., Any], elsewhere: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of `results`, what `like` says of them, and the pytrees of arrays that both functions take.
+    """A function of `results` (their `like`) and of the pytrees of arrays that both functions take.
 
-    The choice is made as a program is lowered, and what its platform does not need is not even traced:
-    `jax.lax.platform_dependent` would trace both. `elsewhere` is also what a CPU does where `on_cpu` raises
-    `NotCompiled`. It goes through `vmap`; the caller defines its derivatives.
+    The choice is made when a program is lowered, and the other function is not traced (`jax.lax.platform_dependent`
+    would trace both). A CPU uses `elsewhere`, too, where `on_cpu` raises `NotCompiled`. `vmap` is supported; the caller
+    defines its derivatives.
     """
 
     def here(*arguments):
@@ -97,9 +97,9 @@ def by_platform(name: str, on_cpu: Callable[..., Any], elsewhere: Callable[..., 
 def linear_with_transpose(linear: Callable, transpose: Callable, known, argument, results):
     """`linear(known, argument)`, linear in the second of two pytrees, with a transpose of its own.
 
-    `transpose(known, cotangent)` makes a pytree like `argument`; `results`: what `like` says of those of `linear`. Both
-    are functions of a module: programs that were compiled are found by them. Derivatives of the transpose itself are
-    those of the transpose that JAX derives from `linear`, and nothing is traced that no derivative asks for.
+    `transpose(known, cotangent)` returns a pytree like `argument`; `results`: `like` of the results of `linear`. Both
+    must be functions of a module, since they are keys of the cache of compiled programs. Derivatives of the transpose
+    are those of the one that JAX derives from `linear`, which is traced only if a derivative needs it.
     """
     first, (leaves, tree) = jax.tree.leaves(known), jax.tree.flatten((known, argument))
     shapes, shape = jax.tree.flatten(results)

@@ -193,7 +193,7 @@ class BodyNodes(PytreeModule):
         return placed((len(self.axis), *shape), *((g.kinds, of_group(g)) for g in self.groups))
 
     def channel(self, kind: str, index: int) -> Nodes:
-        """Nodes with the signal of a gyro or accelerometer along the body's axis `index`, and the other axes' signals."""
+        """Nodes of a gyro or accelerometer along the body's axis `index`, with the signals of all axes."""
         own = {"gyro": "rate", "accelerometer": "force"}[kind]
         none = namespace(self.temperature_change).zeros(self.temperature_change.shape)
         return Nodes(tuple(g.shared(own, index) for g in self.groups), self.temperature_change, none, none)

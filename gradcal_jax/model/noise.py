@@ -53,7 +53,7 @@ def no_processes() -> Processes:
 
 
 def gauss_markov(standard_deviation, correlation_time, *, bias_gain=1.0, rate_gain=0.0) -> Processes:
-    """First-order stationary Gauss–Markov process: σ in rad/s (or 1, or K, by the gains), τ in s (`inf`: a constant)."""
+    """Stationary Gauss–Markov process: σ in rad/s (or 1, or K, by the gains), τ in s (`inf`: a constant)."""
     decay = 1.0 / np.asarray(correlation_time, dtype=float)
     return _process(standard_deviation, decay, standard_deviation * np.sqrt(2.0 * decay), bias_gain, rate_gain)
 

@@ -1,9 +1,8 @@
-"""One way to write the core for two array libraries: NumPy computes a value at once, JAX whatever is differentiated,
-batched or compiled.
+"""Functions of arrays for two libraries: NumPy computes single values, JAX differentiates, batches or compiles.
 
-The core's formulas take the namespace of their arguments. A number that is asked for once (a prediction, a sweep's
-point, an estimate) goes through NumPy, where there is nothing to compile; a search traces the very same lines with JAX.
-What the two libraries write differently stands here.
+The core's formulas take the namespace of their arguments. A single result (a prediction, a sweep's point, an estimate)
+uses NumPy, where nothing is compiled; a search traces the same lines with JAX. This module contains the operations that
+differ between the two libraries.
 """
 
 from collections.abc import Callable
@@ -16,8 +15,8 @@ import numpy as np
 
 from gradcal_jax import machine
 
-# An array of either library, for annotations: `Float[AnyArray, "n p"]`. What is done with it is the same for both,
-# which a type checker cannot follow; shapes and kinds are checked where the tests run.
+# An array of either library, for annotations: `Float[AnyArray, "n p"]`. A type checker cannot follow operations
+# that are common to both; the tests check shapes and dtypes.
 if TYPE_CHECKING:
     AnyArray = Any
 else:
@@ -29,8 +28,8 @@ Carry = TypeVar("Carry")
 class PytreeModule(eqx.Module):
     """An Equinox module whose methods are Python's own.
 
-    Equinox makes every method, each time it is looked up, a pytree with its module in it, so that it can be handed to
-    a transformation. Nobody hands over one of these, and a whole unit's prediction looks up hundreds.
+    Equinox wraps a method, at each look-up, into a pytree with its module, so that it can be passed to a
+    transformation. These methods never are, and the prediction of a whole unit looks up hundreds.
     """
 
     __getattribute__ = object.__getattribute__
@@ -44,9 +43,9 @@ def namespace(*trees: Any) -> Any:
 
 
 def put(into: Any, where: Any, values: Any) -> Any:
-    """`into` with `into[where] = values`; under JAX places beyond the end are dropped, which is what padding points to.
+    """`into` with `into[where] = values`; JAX drops indices beyond the end, which padding uses.
 
-    `where` indexes as in NumPy, no place twice: JAX need not find out which value came last. The argument itself is not
+    `where` indexes as in NumPy, without repetitions, so that JAX need not order the writes. The argument is not
     changed.
     """
     if namespace(into, values) is jnp:
@@ -57,7 +56,7 @@ def put(into: Any, where: Any, values: Any) -> Any:
 
 
 def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
-    """Zeros with `[where] = values` for each part, in order, no place twice in one; NumPy's are written in place."""
+    """Zeros with `[where] = values` for each part in order, without repetitions in one; NumPy writes in place."""
     if namespace([values for _, values in parts]) is jnp:
         result = jnp.zeros(shape)
         for where, values in parts:
@@ -70,7 +69,7 @@ def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
 
 
 def summed(values: Any, first: np.ndarray) -> Any:
-    """Sums of the rows from each of the places `first` (the first is 0) to the next one."""
+    """Sums of the rows from each index in `first` (the first is 0) to the next one."""
     if namespace(values) is np:
         return np.add.reduceat(values, first, axis=0)
     number = np.repeat(np.arange(len(first)), np.diff(first, append=values.shape[0]))
@@ -78,7 +77,7 @@ def summed(values: Any, first: np.ndarray) -> Any:
 
 
 def cross(a: Any, b: Any) -> Any:
-    """`a × b` over the last axis; NumPy's own moves axes to and fro, which takes longer than the products."""
+    """`a × b` over the last axis; NumPy's own moves axes, which takes longer than the products."""
     (ax, ay, az), (bx, by, bz) = ([v[..., k] for k in range(3)] for v in (a, b))
     return namespace(a, b).stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
@@ -98,7 +97,7 @@ def repeated(count: int, body: Callable[[Carry], Carry], start: Carry) -> Carry:
 
 
 def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over: Any) -> Any:
-    """What `step(carry, row) -> (carry, out)` gives for the rows of `over`, one after the other, stacked."""
+    """Stacked outputs of `step(carry, row) -> (carry, out)` for the rows of `over` in order."""
     if namespace(start, over) is jnp:
         return jax.lax.scan(step, start, over)[1]
     rows = []
@@ -109,12 +108,12 @@ def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over:
 
 
 def running_sum(values: Any) -> Any:
-    """Sums of all rows up to each one, that one included."""
+    """Sums of all rows up to and including each one."""
     return np.cumsum(values, axis=0) if namespace(values) is np else machine.running_sum(values)
 
 
 def size_class(count: int) -> int:
-    """The next of 0, 1, 2, 3, 4, 6, 8, 12, 16, 24, …: few sizes, none more than half too large."""
+    """The next of 0, 1, 2, 3, 4, 6, 8, 12, 16, 24, …: few sizes, at most 1.5 times the count."""
     if count <= 2:
         return count
     power = 1 << (count - 1).bit_length()
@@ -122,7 +121,7 @@ def size_class(count: int) -> int:
 
 
 def filled(values, count: int, filling):
-    """`(n, …)` filled up to `(count, …)` at the end."""
+    """`(n, …)` padded to `(count, …)` at the end."""
     xp = namespace(values)
     rest = xp.full((count - values.shape[0], *values.shape[1:]), filling, dtype=values.dtype)
     return xp.concatenate([values, rest])

@@ -19,9 +19,7 @@ _FACTORS = (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)
 
 
 class CycleItem(NamedTuple):
-    """A turn of `axis` by `steps` angle steps (0: none) at a peak rate `rate` (deg/s), then a rest of `rest` s (0:
-    none).
-    """
+    """A turn of `axis` by `steps` angle steps (0: none) at up to `rate` (deg/s), then a rest of `rest` s (0: none)."""
 
     axis: int
     steps: int

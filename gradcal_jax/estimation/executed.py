@@ -25,9 +25,7 @@ _FOLLOWS = 0.02
 
 
 class Executed(NamedTuple):
-    """`line` of `P` pieces; `rows` `(P + 1,)`: piece k is the log's rows `rows[k] + 1 … rows[k+1]`, all unused
-    where `broken[k]`.
-    """
+    """`line` of `P` pieces; `rows` `(P + 1,)`: piece k is rows `rows[k] + 1 … rows[k+1]`, unused where `broken[k]`."""
 
     line: Trajectory
     rows: np.ndarray

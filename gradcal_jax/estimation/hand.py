@@ -367,9 +367,7 @@ def _level(turned: np.ndarray, start: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray) -> tuple[np.ndarray, float]:
-    """Output of the gyros at rest and for one rad/s; the latter is 1 where it turns gravity as between the
-    positions.
-    """
+    """Output of the gyros at rest and for one rad/s; the latter is 1 where it rotates gravity correctly."""
     longest = int(np.argmax(held.duration))
     centre = held.rates[longest]
 

@@ -74,8 +74,7 @@ class Whitened(NamedTuple):
         return Whitened(self.rows[:, subset], self.data[:, subset], self.prior)
 
     def condensed(self) -> "Whitened":
-        """p + 1 rows with the same least squares and the same χ² (also of any subset joined with its complement); the
-        residuals of single readings are lost."""
+        """p + 1 rows with the same least squares and χ², also joined with those of the complement of a subset."""
         rows, data = [], []
         for unit in range(len(self.data)):
             both = np.concatenate([self.rows_of(unit), self.data[unit][:, None]], axis=1)

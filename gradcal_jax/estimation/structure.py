@@ -36,9 +36,7 @@ class Components(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Standard deviation of a discrepancy's coefficients (1 or rad/s), and its 95 % interval; `high` None: no upper
-    end.
-    """
+    """Standard deviation of a discrepancy's coefficients (1 or rad/s), and 95 % interval; `high` None: no end."""
 
     std: float
     low: float
@@ -99,13 +97,12 @@ def size_of(every: list[Components]) -> Size | None:
         return None
     scale = float(np.max(gains))
     m = gains / scale
-    top = _LARGEST
 
     def short(log: float) -> float:
         v = 1.0 + np.exp(log) * m
         return float(np.sum(np.log(v) + squares / v))
 
-    grid = np.linspace(-12.0, np.log(top), 400)
+    grid = np.linspace(-12.0, np.log(_LARGEST), 400)
     values = [short(x) for x in grid]
     best = int(np.argmin(values))
     around = (grid[max(best - 1, 0)], grid[min(best + 1, 399)])
@@ -122,10 +119,10 @@ def size_of(every: list[Components]) -> Size | None:
         quantile = float(special.chdtri(len(m), 1.0 - tail))
         if none <= quantile:
             ends.append(0.0)
-        elif pivot(top) > quantile:
+        elif pivot(_LARGEST) > quantile:
             ends.append(None)
         else:
-            end: Any = optimize.brentq(lambda v, q=quantile: pivot(v) - q, 0.0, top, xtol=1e-12)
+            end: Any = optimize.brentq(lambda v, q=quantile: pivot(v) - q, 0.0, _LARGEST, xtol=1e-12)
             ends.append(float(end))
     low, high = ends
     root = lambda v: float(np.sqrt(v / scale))  # noqa: E731

@@ -51,8 +51,7 @@ def _smoothed(time: np.ndarray, temperature: np.ndarray, over: float) -> np.ndar
 
 
 def _binned(time: np.ndarray, temperature: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, mean time and mean temperature of the bins that hold any. The median temperature is subtracted from the
-    sums against rounding."""
+    """Rows, mean time and mean temperature of the bins that hold any; the median is subtracted against rounding."""
     number = ((time - time[0]) / width).astype(np.int64)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     count = np.diff(starts, append=len(time)).astype(float)

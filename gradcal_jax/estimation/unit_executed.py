@@ -156,9 +156,7 @@ def _valleys(speed: np.ndarray) -> list[int]:
 def _which(
     geometry: Geometry, at: np.ndarray, left: np.ndarray, mounting: int, total: np.ndarray, seen: np.ndarray
 ) -> tuple[int, float]:
-    """The axis along which the gyros' integral points, and the angle (rad). Of several parallel ones the axis
-    with this remaining angle `left`.
-    """
+    """Axis (and angle, rad) along which the gyros' integral points; of several the one with the angle `left`."""
     axes = frames(geometry, at[None], np.array([mounting])).axes[0][:, seen]
     angle = (axes @ total) / np.maximum(np.sum(axes**2, axis=1), _SEEN**2)
     missed = np.linalg.norm(total[None] - angle[:, None] * axes, axis=1)
@@ -249,9 +247,7 @@ def _pieces(
 
 
 def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float) -> np.ndarray:
-    """The angle (rad) of a move at the edges of equal parts of its time, each of few degrees: by the gyros, adjusted to
-    the encoder's.
-    """
+    """The angle (rad) of a move by the gyros, adjusted to the encoder's, at the edges of equal parts of its time."""
     time = log.time_s[leg.begin : leg.end + 1]
     direction = frames(geometry, at[None], log.mounting[[leg.begin]]).axes[0][leg.axis]
     rates = log.rates[leg.begin + 1 : leg.end + 1]

@@ -48,9 +48,7 @@ _SMALL_TURN = 1e-5
 
 
 class Installed(NamedTuple):
-    """An estimated table: `geometry`, `error_of(axis, angle)` of the encoders with its derivative, rad, and the
-    relative error of the sample clock.
-    """
+    """Estimated table: `error_of(axis, angle)`: encoder error and derivative, rad; `clock`: relative clock error."""
 
     geometry: Geometry
     error_of: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]] | None
@@ -171,9 +169,7 @@ def readings_of(
     points: int,
     felt: np.ndarray | None = None,
 ) -> UnitReadings:
-    """The integrals of every channel over the segments in which it is read. `felt` `(n, 3)`: the corrected specific
-    force at the rows, m/s².
-    """
+    """Integrals of every channel over its segments. `felt` `(n, 3)`: corrected specific force at the rows, m/s²."""
     at = segments_of(done.motion, model)
     step = np.diff(log.time_s, prepend=log.time_s[0])
     if felt is not None:

@@ -42,6 +42,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import optimize, special
 
 from gradcal_jax import formulas
+from gradcal_jax.identify.largest_drift import running_angle
 
 Times = Float[np.ndarray, " times"]
 Steps = Int[np.ndarray, " times"]
@@ -170,14 +171,7 @@ def overlapping_allan(
     for start, stop in edges.tolist():
         if stop - start < 2 * int(steps[0]):
             continue
-        angle = np.zeros(stop - start + 1)
-        angle[1:] = rate[start:stop]
-        mean = angle[1:].mean()
-        if not np.isfinite(mean):
-            bad = start + int(np.flatnonzero(~np.isfinite(angle[1:]))[0])
-            raise ValueError(f"the rate of sample {bad} is not finite: mark such samples as not valid")
-        angle[1:] -= mean  # changes no second difference and keeps the sums small
-        np.cumsum(angle, out=angle)
+        angle = running_angle(rate[start:stop], first_sample=start)
         for row, m in enumerate(steps.tolist()):
             if 2 * m <= stop - start:
                 total[row] += _sum_of_squares(angle, m)

@@ -147,7 +147,7 @@ class _Stretch:
 
     @classmethod
     def of(cls, rate: Float[np.ndarray, " samples"], before: int, *, first_sample: int) -> "_Stretch":
-        running = _running_angle(rate, first_sample=first_sample)
+        running = running_angle(rate, first_sample=first_sample)
         mean_before = running[before:] - running[:-before]
         mean_before /= before
         angle = running[before:]
@@ -211,7 +211,7 @@ class _Stretch:
         return value, int(rows[index // _BLOCK]) * _BLOCK + index % _BLOCK
 
 
-def _running_angle(rate: Float[np.ndarray, " samples"], *, first_sample: int) -> Float[np.ndarray, " instants"]:
+def running_angle(rate: Float[np.ndarray, " samples"], *, first_sample: int) -> Float[np.ndarray, " instants"]:
     """θ, from zero; the mean rate is subtracted first, which changes no drift and keeps θ small."""
     running = np.zeros(len(rate) + 1)
     running[1:] = rate

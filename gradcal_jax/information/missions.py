@@ -45,9 +45,7 @@ class Flight(NamedTuple):
 
 
 def mission_rows(model: SensorModel, flight: Flight, at: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p"]:
-    """Contribution of each parameter's unit to the integrated rate from the beginning to the times `at` (s,
-    increasing).
-    """
+    """Contribution of each parameter's unit to the integrated rate since the begin at times `at` (s, increasing)."""
     kept = flight.time[flight.time < at[-1]]
     breaks = np.unique(np.concatenate([kept, at, np.linspace(0.0, at[-1], _LINES + 1)]))
     rate, temperature = (np.interp(breaks, flight.time, of) for of in (flight.rate, flight.temperature))

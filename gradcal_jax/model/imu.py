@@ -154,9 +154,7 @@ class UnitModel(PytreeModule):
         return [columns[:, a:b] for a, b in pairwise([0, *ends])]
 
     def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p p"] | None:
-        """S with `columns at T + by = (columns at T) S`, one for each `by` (K); None unless all functions of
-        temperature are polynomials.
-        """
+        """S with `columns at T + by = (columns at T) S` for each `by` (K); None unless all are polynomials of T."""
         result, known = np.tile(np.eye(self.size), (len(by), 1, 1)), {}
         begin = 0
         for term in (term for c in self.channels for term in c.model.terms):

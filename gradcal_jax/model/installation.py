@@ -35,9 +35,7 @@ class InstallationTerm(PytreeModule):
 
     @abstractmethod
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 size"]:
-        """Contribution of each parameter's unit to the integrals of all channels over a piece of each kind, rad and
-        m/s.
-        """
+        """Contribution of each parameter's unit to all channels' integrals over a piece of each kind, rad and m/s."""
 
 
 def seen(group: BodyGroup, p: Float[AnyArray, "U q m 3"], outer: Float[AnyArray, "U q #m 3"]) -> AnyArray:

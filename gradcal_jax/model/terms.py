@@ -89,9 +89,7 @@ class Discrepancy(Term):
         return [f"{self.name}{k}" for k in range(self.size)]
 
     def degrees(self) -> list[tuple[int, int]]:
-        """Degrees in temperature and in rate of each function, in the order of `values`; 0 in rate for a map without
-        one.
-        """
+        """Degrees in temperature and in rate of each function, in the order of `values`; 0 for a map without rate."""
         low, high = self.temperature.lowest, self.temperature.lowest + self.temperature.size
         if self.rate is None:
             return [(i, 0) for i in range(low, high)]

@@ -58,7 +58,7 @@ class Element(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What rig and sensor allow: rad/s, rad/s², rad each way (`inf`: unlimited), K/s."""
+    """Limits of rig and sensor: rad/s, rad/s², rad in each direction (`inf`: unlimited), K/s."""
 
     max_rate: Scalar
     max_acceleration: Scalar

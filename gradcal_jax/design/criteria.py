@@ -1,4 +1,4 @@
-"""What a design minimises: a residual statistic, smooth while searching, exact when reported.
+"""Criteria of a design: residual statistics, smooth while searching, exact when reported.
 
 With `s_ij` the residual at temperature i and rate j, and a sharpness k, the maximum over temperature is replaced by a
 norm

@@ -62,7 +62,7 @@ _NODES = 12
 _SMALL = 1e-4
 _TOUCHING = 1e-6
 # Distance of a window's ends from a jump, in windows; variance of a process's change at a jump, over its variance.
-_HAIR, _AT_ONCE = 1e-9, 1e-12
+_INSET, _AT_ONCE = 1e-9, 1e-12
 # Temperatures of a linear programme.
 _GRID = 2001
 # Observable: singular values of scaled columns above this share of the largest.
@@ -166,8 +166,8 @@ def _continuous_look(basis: Basis, windows, temperature, variance: float, decay:
     slope = (basis(t + _SMALL) - basis(t - _SMALL)) / (2.0 * _SMALL) * of_time[:, None]
     share = np.sqrt((width * weights).ravel() / (2.0 * variance * decay))
     inside = (slope + decay * basis(t)) * share[:, None]
-    hair = _HAIR * width[:, 0]
-    begin, end = basis(temperature(edges[:, 0] + hair)[0]), basis(temperature(edges[:, 1] - hair)[0])
+    inset = _INSET * width[:, 0]
+    begin, end = basis(temperature(edges[:, 0] + inset)[0]), basis(temperature(edges[:, 1] - inset)[0])
     # Where a function jumps and the process does not, the jump is observed directly.
     kept = np.minimum(np.exp(-decay * (edges[1:, 0] - edges[:-1, 1])), 1.0 - _AT_ONCE)[:, None]
     between = (begin[1:] - kept * end[:-1]) / np.sqrt(variance * (1.0 - kept**2))

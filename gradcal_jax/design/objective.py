@@ -1,4 +1,4 @@
-"""What a search minimises: one value of a plan, and the ratios by which it exceeds limits.
+"""The objective of a search: one value of a plan, and the ratios by which it exceeds limits.
 
 All numbers of an `Objective` are arrays, so that search, polish, prices and the exact value share one compiled program.
 """

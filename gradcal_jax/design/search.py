@@ -167,7 +167,7 @@ class LinearLimits(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """The polished point, its exact objective, and a sentence that says whether it converged.
+    """The polished point, its exact objective, and a sentence on its convergence.
 
     `gradient_norm`: largest component of the objective's log gradient, projected on the binding limits. `held`: whether
     every limit is satisfied.

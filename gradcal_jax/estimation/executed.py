@@ -5,7 +5,7 @@ readings are those of a plan's trajectory. Consecutive moves without a rest stop
 row of that instant is read, too. Moves are divided for the noise that the rate drives. Only the noise depends on the
 motion within a piece (mean rates suffice); the regressors come from the samples themselves (`estimation.samples`).
 
-Row `i` of a log stands for the time from row `i − 1` to itself. Where rows are missing or masked the integral is
+Row `i` of a log represents the time from row `i − 1` to itself. Where rows are missing or masked the integral is
 interrupted: a new origin of the angle is read at the first row of rest after it (a gap piece).
 """
 
@@ -77,7 +77,7 @@ def executed(
                 for row in _parts(time_s, before, first, longest_piece):
                     add(row, reads=row == first, stands=row == first, moves=True)
             else:
-                # The move itself draws the next standstill's offset; the origin is read anew after it.
+                # The move draws the offset of the next standstill; a new origin is read after it.
                 add(first, reads=False, stands=True, moves=True, lost=True)
                 add(first, reads=False, stands=True, is_gap=True, lost=True)
         for row in others:

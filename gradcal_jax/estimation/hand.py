@@ -384,7 +384,7 @@ def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray) -> tuple[np.ndarr
     angle = np.arccos(np.clip(np.sum(u[moves.start] * u[moves.start + 1], axis=1), -1.0, 1.0))
     far = angle > 0.3
     if not far.any() or not (way[far] > 0.0).all():
-        raise ValueError("the unit was not turned far enough between standstills to tell the gyros' scale")
+        raise ValueError("the unit was not turned far enough between standstills to determine the gyros' scale")
     gains = np.quantile(way[far] / angle[far], 0.1) * 1.025 ** np.arange(8, -48, -1)
     values = [off(float(gain)) for gain in gains]
     best = int(np.argmin(values))

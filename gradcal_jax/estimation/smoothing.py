@@ -23,7 +23,7 @@ _DECADES = 3.0
 
 
 class Smoothness(NamedTuple):
-    """Chosen standard deviations of neighbours' differences (None: the map has no such prior), in rad/s and as a ratio.
+    """Chosen standard deviations of neighbours' differences, in rad/s and as a ratio (None: a map without this prior).
 
     `at_edge`: whether one of them is at the edge of the searched range, so that the data do not determine it.
     """

@@ -5,7 +5,7 @@ minimum where the table stops for an instant between two moves, and their integr
 axis that turned. The angle of an axis at rest is the mean of its encoder between two of its own moves. Within a move
 the gyros give the angle, adjusted to the encoder's angles at its ends.
 
-Row `i` of a log stands for the time from row `i − 1` to itself.
+Row `i` of a log represents the time from row `i − 1` to itself.
 """
 
 import itertools
@@ -37,7 +37,7 @@ _SEEN = 0.3
 
 
 class UnitRows(NamedTuple):
-    """One unit's rows of a log, `(n,)` unless said. `rates` `(n, 3)` rad/s and `force` `(n, 3)` m/s² along the body's
+    """One unit's rows of a log, `(n,)` unless stated. `rates` `(n, 3)` rad/s and `force` `(n, 3)` m/s² along the body's
     axes, NaN for missing ones; `angles` `(n, L)` rad of the table's axes; `standing`: all of them stand;
     `usable`: the row may be integrated; `mounting`: its number.
     """
@@ -135,8 +135,8 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
         if np.max(np.abs(at - means[k + 1])) > _FOLLOWS * size + _BIAS:
             raise ValueError(
                 f"between {log.time_s[last]:.6g} and {log.time_s[first]:.6g} s the gyros and the table's angles do not "
-                "say the same: one axis after the other must turn; is the table of the spec the one of the log, with "
-                "its axes in that order, and the unit mounted as the spec says?"
+                "agree: one axis after the other must turn; is the table of the spec the one of the log, with its "
+                "axes in that order, and the unit mounted as in the spec?"
             )
         result += legs
     return result

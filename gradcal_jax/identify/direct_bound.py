@@ -227,10 +227,10 @@ def fit_direct_bound(
             chosen_tau = float(np.exp(optimum.x))
     elif correlation_times_s is None:
         messages.append(
-            "the record does not tell the correlation time: the drift outlasts the longest integration, and only its "
+            "the record does not determine the correlation time: the drift outlasts the longest integration; only its "
             "slope, σ²/τ, is bounded"
             if best > 0
-            else "the record does not tell the correlation time: the drift is over within the shortest integration, "
+            else "the record does not determine the correlation time: the drift ends within the shortest integration, "
             "and only its density, σ²τ, is bounded"
         )
     chosen_std = float(boundary(np.array([chosen_tau]))[0][0])

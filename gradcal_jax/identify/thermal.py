@@ -24,7 +24,7 @@ class ThermalBias:
     """B(T) with its lag, as fitted by `fit_thermal_bias`."""
 
     coefficients: Float[np.ndarray, " powers"]
-    """Of the powers of z from zero on, in the unit of the rates."""
+    """Coefficients of the powers of z from zero on, in the unit of the rates."""
     centre_c: float
     scale_k: float
     lag_time_s: float

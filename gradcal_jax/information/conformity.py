@@ -24,7 +24,7 @@ from gradcal_jax.information.posterior import Posterior
 from gradcal_jax.information.residual import Contrasts, Statistic, statistic_of_each
 from gradcal_jax.model import Discrepancy, SensorModel
 
-# Beyond so many standard deviations lies 1e-23 of a normal distribution.
+# Standard deviations beyond which lies 1e-23 of a normal distribution.
 _FAR = 10.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
@@ -66,7 +66,7 @@ class GlobalRisks(NamedTuple):
 
 
 def global_risks(s: float, u: float, limit: float, acceptance: float) -> GlobalRisks:
-    """Of errors of standard deviation `s`, measured to `u`, accepted within ±`acceptance`, conforming within ±`limit`.
+    """Risks for errors of standard deviation `s`, measured to `u`: accepted within ±`acceptance`, limit ±`limit`.
 
     All four in one unit. Errors: `ValueError` unless `s` and `u` are positive.
     """

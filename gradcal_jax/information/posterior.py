@@ -40,7 +40,7 @@ class SquareRootInformation(NamedTuple):
         return SquareRootInformation(self.factor[:count, :count], self.scale[:count])
 
     def covariance(self) -> Float[AnyArray, "p p"]:
-        """Of all parameters; not finite for unobservable ones."""
+        """Covariance of all parameters; not finite for unobservable ones."""
         inverse, xp = self.inverse, namespace(self.factor)
         if inverse is None:
             half = solve_transposed(self.factor, xp.eye(len(self.scale)))

@@ -211,7 +211,7 @@ def filter_columns(
     state: FilterState, steps: NoiseSteps, columns: Float[Array, "N p"], block: int | None, *, keep: bool = False
 ) -> Filtered:
     """The whole filter; `keep`: with the states before the readings."""
-    # What is not traced may be NumPy's.
+    # Untraced arrays may be NumPy's.
     steps = jax.tree.map(jnp.asarray, steps)
     length = block_length(columns.shape[0], block)
     cut_steps = cut_up(steps, length)

@@ -33,7 +33,7 @@ _PANELS = 8
 # Bisection steps that locate a crossing, to 2^-45 of a panel.
 _HALVINGS = 45
 # In units of rounding: more than the temperature's error at the end of a long ramp, negligible in any integral.
-_HAIR = 1e2
+_BREAK_SHIFT = 1e2
 
 
 class Rule(NamedTuple):
@@ -115,18 +115,18 @@ def _group(line: Trajectory, pieces, rule: Rule, *, moving: bool) -> GaussNodes:
     else:
         v, weight = (xp.broadcast_to(xp.asarray(values), (count, len(x))) for values in (x, w))
     weight = weight * line.duration[pieces][:, None]
-    temperature = line.temperature(v, pieces) + _hair(rule.temperature_breaks)
+    temperature = line.temperature(v, pieces) + _break_shift(rule.temperature_breaks)
     rate = line.rate(v, pieces) if moving else xp.zeros(v.shape)
     return GaussNodes(pieces, weight, rate, temperature, moving)
 
 
-def _hair(breaks: tuple[float, ...]) -> float:
+def _break_shift(breaks: tuple[float, ...]) -> float:
     """Shift of all breaks downwards, by a few rounding errors.
 
     A piece that ends at a break and the next one, which begins there, must agree on which of them crosses it, or the
     derivative of the crossing is lost. Pieces of plans in round numbers do end at breaks, but not at shifted ones.
     """
-    return float(_HAIR * np.finfo(float).eps * (1.0 + max(abs(b) for b in breaks))) if breaks else 0.0
+    return float(_BREAK_SHIFT * np.finfo(float).eps * (1.0 + max(abs(b) for b in breaks))) if breaks else 0.0
 
 
 def _smooth_panels(line: Trajectory, pieces, rule: Rule, rate_breaks: tuple[float, ...]):
@@ -137,10 +137,10 @@ def _smooth_panels(line: Trajectory, pieces, rule: Rule, rate_breaks: tuple[floa
     a, b = (xp.broadcast_to(xp.asarray(e), (count, len(edges) - 1)) for e in (edges[:-1], edges[1:]))
 
     def temperature(v):
-        return line.temperature(v, pieces) + _hair(rule.temperature_breaks)
+        return line.temperature(v, pieces) + _break_shift(rule.temperature_breaks)
 
     def rate(v):
-        return line.rate(v, pieces) + _hair(rate_breaks)
+        return line.rate(v, pieces) + _break_shift(rate_breaks)
 
     def temperature_slope(v):
         duration, slope, excess = (f[pieces][:, None] for f in (line.duration, line.slope, line.excess))

@@ -30,7 +30,7 @@ _AT_KNOT = 1e-6
 
 
 class Pieces(PytreeModule):
-    """What every piece is: `(P,)` arrays; see `motion.PieceTable` for the first ones.
+    """Properties of every piece: `(P,)` arrays; see `motion.PieceTable` for the first ones.
 
     `move`: index of the move with its times and rates; `segment` numbers the executed moves. `relaxed`: its one reading
     represents a number of readings that need not be whole. `gap`: its data are not used, and a new origin is read at
@@ -89,7 +89,7 @@ class Schedule(PytreeModule):
         return self.pieces.move.shape[0]
 
     def durations(self) -> Float[AnyArray, " M"]:
-        """Of every move (s), fillers included."""
+        """Durations of all moves (s), fillers included."""
         times = self.programme.times()
         left = times[self.fill_to] - times[self.fill_from] - self.fill_counts @ self.duration
         return put(self.duration, self.fill_move, left) if self.fill_move.shape[0] else self.duration

@@ -20,13 +20,13 @@ from jaxtyping import Bool, Float, Int
 from gradcal_jax import formulas
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 
-Everything = slice(None)
+_EVERY_PIECE = slice(None)
 # Times that differ by less are the same; s.
-_HAIR = 1e-6
+_SAME_TIME = 1e-6
 
 
 class Trajectory(PytreeModule):
-    """Pieces of one channel. Fields of shape `(P,)` unless said; see the module's head for the symbols.
+    """Pieces of one channel. Fields of shape `(P,)` unless stated; see the module's head for the symbols.
 
     `read`: a reading at the end of the piece, which represents `share` readings; `at_rest`: the axis stands then;
     `moving`: the rate is not zero throughout; `gap`: its data are not used, and a new origin is read at its end;
@@ -60,13 +60,13 @@ class Trajectory(PytreeModule):
     def piece_count(self) -> int:
         return self.duration.shape[0]
 
-    def rate(self, v: Float[AnyArray, "k q"], pieces: Any = Everything) -> Float[AnyArray, "k q"]:
+    def rate(self, v: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
         """Rate (rad/s) at fractions `v` of each of the `pieces`."""
         u_start, u_end = self.u_start[pieces][:, None], self.u_end[pieces][:, None]
         family = formulas.motion_rate(u_start + (u_end - u_start) * v)
         return (family @ self.terms[pieces][:, :, None])[..., 0]
 
-    def angle(self, v: Float[AnyArray, "k q"], pieces: Any = Everything) -> Float[AnyArray, "k q"]:
+    def angle(self, v: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
         """Angle (rad) since the begin of the piece, at fractions `v` of each of the `pieces`."""
         u_start = self.u_start[pieces][:, None]
         span = self.u_end[pieces][:, None] - u_start
@@ -75,7 +75,7 @@ class Trajectory(PytreeModule):
         shares = self.duration[pieces][:, None] / xp.where(span > 0.0, span, 1.0)
         return (family @ self.terms[pieces][:, :, None])[..., 0] * shares
 
-    def temperature(self, v: Float[AnyArray, "k q"], pieces: Any = Everything) -> Float[AnyArray, "k q"]:
+    def temperature(self, v: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
         """Sensor temperature (°C) at fractions `v` of each of the `pieces`."""
         since, level, slope, excess = (f[pieces][:, None] for f in (self.duration, self.level, self.slope, self.excess))
         if not self.lagged:
@@ -102,7 +102,7 @@ class Trajectory(PytreeModule):
 
     def between(self, begin: float, end: float) -> "Trajectory":
         """The trajectory of the pieces that lie wholly between two times (s, in the time of `start`)."""
-        kept = (self.start >= begin - _HAIR) & (self.start + self.duration <= end + _HAIR)
+        kept = (self.start >= begin - _SAME_TIME) & (self.start + self.duration <= end + _SAME_TIME)
         rows = np.flatnonzero(kept)
         changes = {name: getattr(self, name)[rows] for name in _OF_PIECES}
         places = {name: np.flatnonzero(np.isin(rows, getattr(self, name))) for name in _PLACES}

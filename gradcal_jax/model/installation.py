@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyGroup, BodyNodes
+from gradcal_jax.model.terms import waves
 
 
 class InstallationTerm(PytreeModule):
@@ -88,20 +89,15 @@ class AxisHarmonics(InstallationTerm):
     def names(self) -> list[str]:
         return [f"angle_{self.axis_name}_{wave}{order}" for order in self.orders for wave in ("cos", "sin")]
 
-    def _waves(self, angle: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s m"]:
-        xp = namespace(angle)
-        phase = xp.stack([order * angle for order in self.orders], axis=-1)
-        return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
-
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 m"]:
         k, xp = self.axis, namespace(nodes.angle_before)
 
         def of_group(g: BodyGroup):
-            weighted = xp.swapaxes(self._waves(g.angle[..., k]) * g.weight[..., None], -1, -2)
+            weighted = xp.swapaxes(waves(g.angle[..., k], self.orders) * g.weight[..., None], -1, -2)
             return xp.swapaxes(weighted @ g.turned(k), -1, -2)
 
         inserted = nodes.integrals(of_group, (6, self.size))
-        change = self._waves(nodes.angle_after[:, k]) - self._waves(nodes.angle_before[:, k])
+        change = waves(nodes.angle_after[:, k], self.orders) - waves(nodes.angle_before[:, k], self.orders)
         along = np.where(nodes.axis == k, 1.0, 0.0)[:, None] * nodes.axes_before[:, k]
         return inserted + xp.concatenate([along, xp.zeros(along.shape)], axis=1)[:, :, None] * change[:, None, :]
 

@@ -402,12 +402,13 @@ class EncoderHarmonics(Term):
         return xp.diag(1.0 / xp.repeat(self.amplitudes, 2))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        return self._waves(nodes.angle_before) - self._waves(nodes.angle_after)
+        return waves(nodes.angle_before, self.orders) - waves(nodes.angle_after, self.orders)
 
-    def _waves(self, angle):
-        xp = namespace(angle)
-        phase = angle[:, None] * np.array([self.orders], dtype=float)
-        return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (angle.shape[0], -1))
+
+def waves(angle: Float[AnyArray, "*s"], orders: tuple[int, ...]) -> Float[AnyArray, "*s m"]:
+    """Cosine and sine of each of `orders` cycles a turn."""
+    xp, phase = namespace(angle), angle[..., None] * np.array(orders, dtype=float)
+    return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
 
 
 def make_map(

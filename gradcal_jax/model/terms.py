@@ -407,7 +407,8 @@ class EncoderHarmonics(Term):
 
 def waves(angle: Float[AnyArray, "*s"], orders: tuple[int, ...]) -> Float[AnyArray, "*s m"]:
     """Cosine and sine of each of `orders` cycles a turn."""
-    xp, phase = namespace(angle), angle[..., None] * np.array(orders, dtype=float)
+    xp = namespace(angle)
+    phase = xp.stack([order * angle for order in orders], axis=-1)
     return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
 
 

@@ -1,13 +1,13 @@
 """Calibration plans for gyros and accelerometers, designed by gradient descent through the predicted covariance.
 
-The names below are the public API, in the order in which data flow; what a command of `gradcal` does, the function of
-its name does. They load on first use (PEP 562): importing the package, or its hardware and file rooms, never imports
-JAX. The library leaves JAX's global switches alone, and what reports a covariance wants
+The names below are the public API, in the order of the data flow; each command of `gradcal` is the function of the same
+name. They load on first use (PEP 562): importing the package, or its hardware and file rooms, never imports JAX. The
+library does not change JAX's global configuration; functions that report a covariance require
 `jax.config.update("jax_enable_x64", True)` first.
 
-`gradcal_jax.plots`, beside them, draws what they give.
+`gradcal_jax.plots` draws their results.
 
-Quantities are SI (°C for temperatures) unless the name ends in another unit; what people read is in ppm and deg/h.
+Quantities are SI (°C for temperatures) unless the name ends in another unit; reports are in ppm and deg/h.
 """
 
 import importlib

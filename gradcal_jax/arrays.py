@@ -1,8 +1,8 @@
-"""Array functions for NumPy and JAX: NumPy for single values, JAX for derivatives, batches and compiled programs.
+"""Functions of arrays for two libraries: NumPy computes single values, JAX differentiates, batches or compiles.
 
-The core's formulas take the namespace of their arguments. A number that is computed once (a prediction, a sweep's
-point, an estimate) uses NumPy, without compilation; a search traces the same lines with JAX. This module has the
-operations that the two libraries write differently.
+The core's formulas take the namespace of their arguments. A single result (a prediction, a sweep's point, an estimate)
+uses NumPy, where nothing is compiled; a search traces the same lines with JAX. This module contains the operations that
+differ between the two libraries.
 """
 
 from collections.abc import Callable
@@ -15,8 +15,8 @@ import numpy as np
 
 from gradcal_jax import machine
 
-# An array of either library, for annotations: `Float[AnyArray, "n p"]`. A type checker cannot follow operations on
-# both, so it sees Any; the tests check shapes and dtypes.
+# An array of either library, for annotations: `Float[AnyArray, "n p"]`. A type checker cannot follow operations
+# that are common to both; the tests check shapes and dtypes.
 if TYPE_CHECKING:
     AnyArray = Any
 else:
@@ -28,8 +28,8 @@ Carry = TypeVar("Carry")
 class PytreeModule(eqx.Module):
     """An Equinox module whose methods are Python's own.
 
-    At each access, Equinox wraps a method in a pytree with its module, so that it can be passed to a transformation.
-    These methods are never passed to one, and a whole unit's prediction accesses hundreds.
+    Equinox wraps a method, at each look-up, into a pytree with its module, so that it can be passed to a
+    transformation. These methods never are, and the prediction of a whole unit looks up hundreds.
     """
 
     __getattribute__ = object.__getattribute__
@@ -38,14 +38,15 @@ class PytreeModule(eqx.Module):
 def namespace(*trees: Any) -> Any:
     """`jax.numpy` where any array within the arguments (pytrees) is JAX's, else `numpy`."""
     if all(type(tree) is np.ndarray for tree in trees):
-        return np  # fast path, used hundreds of times for one unit
+        return np  # without a walk through trees: hundreds of times for one unit
     return jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(trees)) else np
 
 
 def put(into: Any, where: Any, values: Any) -> Any:
-    """`into` with `into[where] = values`; under JAX places beyond the end are dropped, which is what padding points to.
+    """`into` with `into[where] = values`; JAX drops indices beyond the end, which padding uses.
 
-    `where` indexes as in NumPy, no place twice, so that JAX need not order the writes. The argument is not changed.
+    `where` indexes as in NumPy, without repetitions, so that JAX need not order the writes. The argument is not
+    changed.
     """
     if namespace(into, values) is jnp:
         return jnp.asarray(into).at[where].set(values, mode="drop", unique_indices=True)
@@ -55,7 +56,7 @@ def put(into: Any, where: Any, values: Any) -> Any:
 
 
 def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
-    """Zeros with `[where] = values` for each part, in order, no place twice in one; NumPy's are written in place."""
+    """Zeros with `[where] = values` for each part in order, without repetitions in one; NumPy writes in place."""
     if namespace([values for _, values in parts]) is jnp:
         result = jnp.zeros(shape)
         for where, values in parts:
@@ -68,7 +69,7 @@ def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
 
 
 def summed(values: Any, first: np.ndarray) -> Any:
-    """Sums of the rows from each of the places `first` (the first is 0) to the next one."""
+    """Sums of the rows from each index in `first` (the first is 0) to the next one."""
     if namespace(values) is np:
         return np.add.reduceat(values, first, axis=0)
     number = np.repeat(np.arange(len(first)), np.diff(first, append=values.shape[0]))
@@ -96,7 +97,7 @@ def repeated(count: int, body: Callable[[Carry], Carry], start: Carry) -> Carry:
 
 
 def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over: Any) -> Any:
-    """The stacked outputs of `step(carry, row) -> (carry, out)` over the rows of `over`."""
+    """Stacked outputs of `step(carry, row) -> (carry, out)` for the rows of `over` in order."""
     if namespace(start, over) is jnp:
         return jax.lax.scan(step, start, over)[1]
     rows = []
@@ -107,12 +108,12 @@ def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over:
 
 
 def running_sum(values: Any) -> Any:
-    """Cumulative sums of the rows."""
+    """Sums of all rows up to and including each one."""
     return np.cumsum(values, axis=0) if namespace(values) is np else machine.running_sum(values)
 
 
 def size_class(count: int) -> int:
-    """The next of 0, 1, 2, 3, 4, 6, 8, 12, 16, 24, …: few sizes, none more than half too large."""
+    """The next of 0, 1, 2, 3, 4, 6, 8, 12, 16, 24, …: few sizes, at most 1.5 times the count."""
     if count <= 2:
         return count
     power = 1 << (count - 1).bit_length()
@@ -120,7 +121,7 @@ def size_class(count: int) -> int:
 
 
 def filled(values, count: int, filling):
-    """`(n, …)` filled up to `(count, …)` at the end."""
+    """`(n, …)` padded to `(count, …)` at the end."""
     xp = namespace(values)
     rest = xp.full((count - values.shape[0], *values.shape[1:]), filling, dtype=values.dtype)
     return xp.concatenate([values, rest])

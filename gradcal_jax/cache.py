@@ -1,11 +1,11 @@
-"""The user's cache folder for compiled programs of JAX and the filter in machine code."""
+"""The user's cache folder for JAX's compiled programs and the filter's machine code."""
 
 import os
 from pathlib import Path
 
 
 def cache_folder() -> Path | None:
-    """`$XDG_CACHE_HOME/gradcal`, or None where it cannot be written; then every process compiles anew."""
+    """`$XDG_CACHE_HOME/gradcal`, or None where it cannot be written and every run has to compile."""
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     try:
         folder = Path(base).expanduser() / "gradcal"

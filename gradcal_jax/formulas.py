@@ -1,7 +1,7 @@
 """Basis functions and motion shapes, written once for every array namespace.
 
 The core (JAX), the simulated devices and `apply` (NumPy) call the same functions; this module imports neither. Every
-function takes arrays that carry `__array_namespace__` and works elementwise, adding one last axis where it says so.
+function takes arrays with `__array_namespace__` and works elementwise, with one new last axis where stated.
 
 **Motion.** Every smooth piece of every motion is a combination of one small family of functions of the fraction
 `u ∈ [0, 1]` of its duration,
@@ -57,8 +57,8 @@ def bins(x: Array, edges: tuple[float, ...]) -> Array:
 def b_spline(x: Array, knots: tuple[float, ...], degree: int) -> Array:
     """Clamped B-splines by the Cox–de Boor recursion, `(...) -> (..., len(knots) - 1 + degree)`.
 
-    `knots` are increasing and include both ends; they are repeated at the ends here. Outside them the value at the
-    nearest end holds.
+    `knots` increase and include both ends, where they are repeated here. Outside them the value at the nearest end
+    applies.
     """
     xp = x.__array_namespace__()
     x = xp.clip(x, knots[0], knots[-1])
@@ -86,7 +86,7 @@ MOTION_TERMS = ("1", "u", "u^2", "u^3", "cos pi u", "sin pi u", "cos 2 pi u", "s
 
 
 def _waves(u: Array) -> tuple[Array, ...]:
-    """Sines and cosines of πu, 2πu, 4πu, 6πu and 8πu; all but the first by products, which are faster."""
+    """Sines and cosines of πu, 2πu, 4πu, 6πu and 8πu; only the first are computed by the library, which is slow."""
     xp = u.__array_namespace__()
     s1, c1 = xp.sin(pi * u), xp.cos(pi * u)
     s2, c2 = 2.0 * s1 * c1, c1 * c1 - s1 * s1
@@ -106,7 +106,7 @@ def motion_angle(u: Array) -> Array:
     xp = u.__array_namespace__()
     s1, c1, s2, c2, s4, *_ = _waves(u)
     powers = [u, u * u / 2, u * u * u / 3, u * u * u * u / 4]
-    # 1 − cos 2x = 2 sin² x, which cancels nothing.
+    # 1 − cos 2x = 2 sin² x, without cancellation.
     s3 = s2 * c1 + c2 * s1
     waves = [s1 / pi, (1.0 - c1) / pi, s2 / (2 * pi), s2 * s2 / (2 * pi), s3 * s3 / (3 * pi), s4 * s4 / (4 * pi)]
     return xp.stack([*powers, *waves], axis=-1)
@@ -137,7 +137,7 @@ RAMPED_SHAPES = ("cosine ramps", "linear ramps")
 
 
 def _uneven(unevenness: float) -> tuple[float, ...]:
-    """½(1 − cos 2πu)(1 + e·sin 6πu), expanded: a slow, uneven turn by hand."""
+    """½(1 − cos 2πu)(1 + e·sin 6πu), expanded: a turn by hand with alternating rates."""
     e = unevenness
     return _terms(one=0.5, cos2=-0.5, sin4=-e / 4, sin6=e / 2, sin8=-e / 4)
 
@@ -145,7 +145,7 @@ def _uneven(unevenness: float) -> tuple[float, ...]:
 def _spline_spans(controls: tuple[float, ...]) -> list[tuple[float, ...]]:
     """Cubic pieces of a clamped uniform B-spline whose first and last control values are an implied zero.
 
-    Each span's cubic is interpolated from the basis at four points of the span, which is exact.
+    Each span's cubic follows exactly from the basis at four points of the span.
     """
     values = (0.0, *controls, 0.0)
     count = len(values) - 3
@@ -203,7 +203,7 @@ def shape_pieces(
 
 
 def turned_angle(shape: str, peak_rate: Array, duration: Array, ramp: Array = 0.0) -> Array:
-    """Net angle of a whole move, in the unit of `peak_rate`·`duration`. Not for splines: integrate their pieces."""
+    """Net angle of a whole move, in peak_rate's angle unit; not for a spline, whose angle depends on its controls."""
     if shape in RAMPED_SHAPES:
         return peak_rate * (duration - ramp)
     if shape == "half sine":
@@ -216,9 +216,9 @@ def turned_angle(shape: str, peak_rate: Array, duration: Array, ramp: Array = 0.
 
 
 def repetitions(duration: float, own: float, period: float) -> tuple[int, float]:
-    """How often a cycle of `period`, whose moves take the first `own`, fits into `duration`; and the remaining time.
+    """Number of cycles of `period`, of which the first `own` are its moves, in `duration`, and the remaining time.
 
-    A cycle counts when its moves fit; the axis stands for the time after the last one's moves.
+    A cycle counts when its moves still fit; the axis stands in the time after the last one's moves.
     """
     rounding = 1e-9
     room = duration * (1.0 + rounding) - own
@@ -229,12 +229,12 @@ def repetitions(duration: float, own: float, period: float) -> tuple[int, float]
 
 
 def reading_count(duration: float, every: float) -> int:
-    """The number of readings, `every` apart, that end within `duration`, with a tolerance for rounding."""
+    """Number of readings, `every` apart, within `duration`; rounding does not lose the last one."""
     return floor(duration / every * (1.0 + 1e-9) + 1e-9)
 
 
 def reading_times(duration: float, every: float | None) -> list[float]:
-    """The times of these readings from the start; `every` None: no readings."""
+    """Times of these readings from the start; none for `every=None`."""
     if every is None:
         return []
     return [min(k * every, duration) for k in range(1, reading_count(duration, every) + 1)]
@@ -246,17 +246,17 @@ def reading_times(duration: float, every: float | None) -> list[float]:
 def lagged_temperature(t: Array, start: Array, slope: Array, excess: Array, lag_rate: Array) -> Array:
     """Sensor temperature `t` seconds into a stretch on which the chamber moves at a constant slope.
 
-    The chamber's temperature is `start + slope·t`; the sensor follows `dT/dt = (T_chamber − T)·lag_rate`, so its
-    distance from the stationary solution `T_chamber − slope/lag_rate` decays. `excess` is that distance at t = 0, in K,
-    and `start` that of the *stationary solution*: without a lag, the chamber's start and `excess = 0`.
+    The chamber is at `start + slope·t`; the sensor follows `dT/dt = (T_chamber − T)·lag_rate`, so its deviation from
+    the steady state `T_chamber − slope/lag_rate` decays. `excess` is that deviation at t = 0, in K, and `start` the
+    start of the *steady state*: without a lag it is the chamber's start, and `excess = 0`.
     """
     xp = t.__array_namespace__()
     return start + slope * t + excess * xp.exp(-lag_rate * t)
 
 
 def lag_filter(interval_s: float, lag_s: float) -> tuple[list[float], list[float]]:
-    """A first-order lag behind samples `interval_s` apart of a piecewise linear signal: numerator and denominator for
-    `scipy.signal.lfilter`. (A recursion for a piecewise constant signal would lag by half a sample more.)
+    """A first-order lag behind samples `interval_s` apart with linear interpolation: numerator and denominator of the
+    recursion, as `scipy.signal.lfilter` takes them. (A plain recursion would lag by half a sample.)
     """
     ratio = interval_s / lag_s
     keep, share = exp(-ratio), -expm1(-ratio) / ratio
@@ -267,7 +267,7 @@ def lag_filter(interval_s: float, lag_s: float) -> tuple[list[float], list[float
 
 
 def runs(where: Array) -> Array:
-    """Where the runs of true values begin and end: `(n,) -> (runs, 2)`, first place and the place after the last."""
+    """Runs of true values: `(n,) -> (runs, 2)`, first index and the index after the last."""
     xp = where.__array_namespace__()
     outside = xp.zeros(1, dtype=bool)
     padded = xp.concat([outside, where, outside])

@@ -1,7 +1,7 @@
-"""Triangular factors that differentiate safely, and the solves that go with them.
+"""Triangular factors with safe derivatives, and triangular solves.
 
-A square-root information matrix is an upper triangular `R` with `RᵀR = AᵀA` for stacked whitened rows `A`. Nothing here
-inverts a matrix, and nothing adds an absolute jitter: in radians a diagonal of 1e-9 is larger than the signal.
+A square-root information matrix is an upper triangular `R` with `RᵀR = AᵀA` for stacked whitened rows `A`. No matrix is
+inverted here, and no absolute jitter is added: in radians a diagonal of 1e-9 is larger than the signal.
 """
 
 from collections.abc import Callable
@@ -15,12 +15,12 @@ from jaxtyping import Array, Bool, Float
 
 from gradcal_jax.arrays import AnyArray, namespace
 
-# Rows at least this many times as tall as wide are factored by products (Cholesky) instead of QR.
+# Ratio of rows to columns from which on two products are faster than QR.
 _TALL = 8
-# Least ratio of smallest to largest diagonal of a sound first Cholesky factor; NaN (no factor) is not sound.
+# Least ratio of smallest to largest diagonal of the first Cholesky factor; NaN, without a factor, fails as well.
 _SOUND = 1e-5
-# Squared condition number (Frobenius) up to which the first factor is accurate enough: the product's rounding error
-# is at most 1e-16 of it.
+# Squared condition number (Frobenius) up to which the first factor is as accurate as any: rounding of the product is at
+# most 1e-16 of it.
 _WELL_CONDITIONED = 1e5
 
 
@@ -51,7 +51,7 @@ def _triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
 
     The derivative follows from `d(RᵀR) = dRᵀR + RᵀdR`: with `S = R⁻ᵀ d(rowsᵀrows) R⁻¹`, `dR = (upper(S) + ½diag(S))
     R`. JAX's own rule for QR divides by zero for rows that do not span the space; here such directions (a zero on R's
-    diagonal) contribute nothing, so every function of `RᵀR` that has a derivative gets it, and none gets NaN.
+    diagonal) contribute nothing, so every differentiable function of `RᵀR` has its derivative, and none is NaN.
     """
     n, p = rows.shape
     if n < p:
@@ -62,7 +62,7 @@ def _triangular_factor(rows: Float[Array, "n p"]) -> Float[Array, "p p"]:
 
 
 def scaled_factor(rows: Float[Array, "n p"], below: Float[Array, "q p"]) -> tuple[Float[Array, "p p"], Array]:
-    """R of both, one above the other, their columns scaled to unit length, and these lengths `(p,)`, 1 for zero."""
+    """R of the stacked rows with columns scaled to unit length, and these lengths `(p,)`, 1 for zero."""
 
     def scaled(scale: Array) -> Array:
         return jnp.concatenate([rows, below]) / scale[None, :]
@@ -71,7 +71,7 @@ def scaled_factor(rows: Float[Array, "n p"], below: Float[Array, "q p"]) -> tupl
     if n < _TALL * p:
         scale = column_norms(jnp.concatenate([rows, below]))
         return triangular_factor(scaled(scale)), scale
-    # One pass over the rows: their product also has the lengths on its diagonal.
+    # One pass over the rows: their product contains the lengths, too.
     product = rows.T @ rows + below.T @ below
     square = jnp.diagonal(product)
     scale = jnp.where(square > 0.0, jnp.sqrt(square), 1.0)
@@ -79,10 +79,10 @@ def scaled_factor(rows: Float[Array, "n p"], below: Float[Array, "q p"]) -> tupl
 
 
 def _of_tall(product: Float[Array, "p p"], rows: Callable[[], Array]) -> Float[Array, "p p"]:
-    """R of tall rows from their product, or from the rows where the product is not accurate enough.
+    """R of tall rows from their product, where that is accurate enough.
 
-    Cholesky of the product, once where the columns are far from parallel, or twice, which is as accurate as QR while
-    the first factor is not too ill conditioned (Yamamoto and others, 2015) and needs a tenth of its time; otherwise QR.
+    Cholesky of the product: once where the columns are far from parallel; twice, which is as accurate as QR unless the
+    first factor is too ill-conditioned (Yamamoto and others, 2015) and takes a tenth of its time; otherwise QR.
     """
     first, p = jnp.linalg.cholesky(product).T, product.shape[0]
     diagonal = jnp.diagonal(first)
@@ -126,7 +126,7 @@ def factor_tangent(factor: Float[Array, "p p"], d_gram: Float[Array, "p p"]) -> 
 
 
 def dead_of(factor: Float[Array, "p p"]) -> Bool[Array, " p"]:
-    """Where the diagonal of an upper triangular R is zero but for rounding."""
+    """Where the diagonal of an upper triangular R is rounding."""
     diagonal = jnp.diagonal(factor)
     return diagonal <= factor.shape[1] * jnp.finfo(factor.dtype).eps * jnp.max(diagonal, initial=0.0)
 

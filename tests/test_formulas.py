@@ -67,8 +67,8 @@ def test_pieces_are_the_shape(act):
     for what, share, terms in pieces:
         duration = lasting.get(what, share * act.duration)
         u = np.linspace(0.0, 1.0, 11)
-        found = act.peak * formulas.motion_rate(u) @ np.array(terms)
-        np.testing.assert_allclose(found, textbook_rate(act, begin + u * duration), atol=1e-12)
+        result = act.peak * formulas.motion_rate(u) @ np.array(terms)
+        np.testing.assert_allclose(result, textbook_rate(act, begin + u * duration), atol=1e-12)
         angle += act.peak * duration * float(formulas.motion_angle(np.array(1.0)) @ np.array(terms))
         begin += duration
     assert begin == pytest.approx(act.duration)
@@ -104,10 +104,10 @@ def test_the_scale_factor_map_is_the_sum_over_both_bases():
 @given(st.lists(st.booleans(), max_size=40))
 def test_runs_are_where_true_values_stand_together(values):
     where = np.array(values, bool)
-    found = formulas.runs(where)
+    result = formulas.runs(where)
     again = np.zeros(len(where), int)
-    for number, (first, end) in enumerate(found.tolist(), start=1):
+    for number, (first, end) in enumerate(result.tolist(), start=1):
         assert end > first
         again[first:end] = number
     np.testing.assert_array_equal(again > 0, where)
-    assert np.all(found[1:, 0] > found[:-1, 1])  # something false stands between two
+    assert np.all(result[1:, 0] > result[:-1, 1])  # something false stands between two

@@ -70,8 +70,8 @@ def test_functions_of_the_gram_have_their_derivative(kind):
     tangent = jnp.asarray(rng.standard_normal(rows.shape) @ span)
     primal = jnp.asarray(rows)
     wanted = jax.jvp(direct, (primal,), (tangent,))[1]
-    found = jax.jvp(smooth_function_of_the_gram, (primal,), (tangent,))[1]
-    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-10)
+    result = jax.jvp(smooth_function_of_the_gram, (primal,), (tangent,))[1]
+    np.testing.assert_allclose(result, wanted, rtol=1e-9, atol=1e-10)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -87,8 +87,8 @@ def test_the_factor_of_a_full_rank_differentiates_as_differences_do():
     step = 1e-5
     at = lambda s: np.asarray(triangular_factor(jnp.asarray(rows + s * step * tangent)))  # noqa: E731
     wanted = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
-    found = jax.jvp(triangular_factor, (jnp.asarray(rows),), (jnp.asarray(tangent),))[1]
-    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    result = jax.jvp(triangular_factor, (jnp.asarray(rows),), (jnp.asarray(tangent),))[1]
+    np.testing.assert_allclose(result, wanted, atol=1e-9)
 
 
 def test_solves_and_norms():

@@ -134,7 +134,7 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
     options = {"rates_free": "rates" in design.free, "points": schedule.shared}
     rates = np.asarray(schedule.rates, dtype=float)
     return [
-        Structure(StandardCoordinates(*numbers, given_rates=rates, temperatures=n, **options), f"{n} temperatures")
+        Structure(StandardCoordinates(*numbers, fixed_rates=rates, temperatures=n, **options), f"{n} temperatures")
         for n in counts
     ]
 

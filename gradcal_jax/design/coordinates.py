@@ -2,17 +2,17 @@
 
 | what | from free numbers | why it is feasible |
 |---|---|---|
-| durations of the moves of a turn at the table | least times + what is left · softmax | they fill that time exactly |
+| durations of the moves of a turn at the table | least times + remaining time · softmax | they fill that time exactly |
 | peak rate of a turn | cap · tanh | cap: table, sensor, and acceleration in that time |
 | ramp time | least + (half the turn − least) · sigmoid | least: what the acceleration needs at that rate |
 | temperature steps, visit by visit | even steps mixed with a softmax | mixed as far as the chamber's slope allows |
 
-The axis has its *turns at the table*, `own_time` each, with `other_time` standing after each for the other axes; a
-cycle is one or more of them, with moves of their own (a reading at rest costs time only between the moves of one turn
-at the table, so few long moves in each, others in the next, are better than all in each).
+An axis has *turns at the table* of `own_time` each; after each it stands for `other_time` while other axes move. A
+cycle is one or more turns at the table, each with moves of its own: a reading at rest costs time only between the moves
+of one turn at the table, so a few long moves in each are better than all moves in each.
 
-With limited travel each turn takes its share not of the largest angle but of what is left of the travel that way, so
-that only turns which would reach the end of the cable are smaller; a cycle that is made again ends where it began.
+With limited travel a turn takes its share of the remaining travel in its direction instead of the largest angle, so
+that only turns which would reach the end of the travel become smaller. A repeated cycle ends where it began.
 """
 
 from dataclasses import replace
@@ -30,25 +30,24 @@ from gradcal_jax.trajectory import Programme, Schedule
 from gradcal_jax.trajectory.motion import PieceTable, even_division, standing, turning
 from gradcal_jax.trajectory.schedule import make_schedule
 
-# A number outside, an array within `Coordinates`.
+# A Python number before `Coordinates` are built, an array in them.
 Scalar = Any
 
 # Peak acceleration over (peak rate / time), the time being the ramp's, or the whole move's for shapes without ramps.
 STEEPNESS = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0, "half sine": np.pi, "raised cosine": np.pi}
 
-# A rest, and the standing while others turn, are searched with this many pieces; each one's reading stands for all that
-# fall into it.
+# Pieces of a rest and of the standing while other axes turn; the reading of each stands for all readings within it.
 _PIECES_A_REST = 2
 _PIECES_OF_OTHERS = 8
 
-# How often a share is halved in on.
+# Bisection steps for a share.
 _HALVINGS = 30
-# A turn that is shorter than this many times the least it may take has vanished.
+# A turn shorter than this many times its least duration is removed.
 _VANISHED = 3.0
 
 
 class Element(NamedTuple):
-    """One move of the cycle, as structure: a rest (`shape="rest"`) or a turn, and the least time it may take (s).
+    """Structure of one move of the cycle: a rest (`shape="rest"`) or a turn, with its least duration (s).
 
     `group` counts the cycle's turns at the table.
     """
@@ -59,7 +58,7 @@ class Element(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What rig and sensor allow: rad/s, rad/s², rad each way (`inf`: unlimited), K/s."""
+    """Limits of rig and sensor: rad/s, rad/s², rad in each direction (`inf`: unlimited), K/s."""
 
     max_rate: Scalar
     max_acceleration: Scalar
@@ -70,7 +69,7 @@ class Limits(NamedTuple):
 class CycleNumbers(NamedTuple):
     """A decoded cycle: durations (s), signed peak rates (rad/s), ramp times (s) of its moves; temperature steps (K).
 
-    There is a step for each turn at the table of the whole ramp, taken from its start to the next one's.
+    There is one step for each turn at the table of the whole ramp, from its start to the start of the next one.
     """
 
     durations: Float[AnyArray, " k"]
@@ -80,10 +79,10 @@ class CycleNumbers(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """The frame that a cycle is made in; everything in it may be differentiated.
+    """Times and temperatures in which a cycle is placed; all of them may be differentiated.
 
-    `own_time`, `other_time`: of each turn at the table; `motion_time`: the whole ramp's; `read_every`, at rest: s.
-    Temperatures °C.
+    `own_time` and `other_time` of each turn at the table, `motion_time` of the whole ramp, `read_every` (the spacing of
+    readings at rest): s. Temperatures: °C.
     """
 
     own_time: Scalar
@@ -101,14 +100,14 @@ _FREE = ("duration", "peak_rate", "ramp", "gradient")
 class Coordinates(eqx.Module):
     """The plans that one structure of cycle allows, over an unbounded vector of `size` numbers.
 
-    Arrays `(k,)` of the cycle's moves: `shape` (place in `SHAPES`), the `least` time each may take, its turn at the
-    table (`group`); `turns` and `ramped` list moves. `visits`: turns at the table in the
-    whole ramp. Free: which of "duration" (of turns and rests), "peak_rate", "ramp", "gradient" may change; what may not
-    stays as in `nominal`. `travels`: the travel is limited; `repeats`: the cycle is made more than once; `others_read`:
-    readings go on while others turn; `parts`: pieces of each smooth part of a turn. `template`: the schedule, whose
-    times are put in: of the standing while others turn, of what is left at the end, of the moves.
+    Arrays `(k,)` of the cycle's moves: `shape` (index in `SHAPES`), `least` duration (s), turn at the table (`group`);
+    `turns` and `ramped` are indices of moves. `visits`: number of turns at the table in the whole ramp. `free`: which
+    of "duration" (of turns and rests), "peak_rate", "ramp", "gradient" vary; the others keep their `nominal` value.
+    `travels`: the travel is limited; `repeats`: the cycle occurs more than once; `others_read`: readings continue while
+    other axes turn; `parts`: pieces of each smooth part of a turn. `template`: the schedule that receives the times, of
+    the standing while others turn, of the remaining time at the end, and of the moves, in this order.
 
-    Made by `make_coordinates`, which refuses what cannot be. `padded`, what was added has no effect.
+    `make_coordinates` builds it and refuses infeasible limits. Entries that `padded` adds have no effect.
     """
 
     limits: Limits
@@ -136,7 +135,7 @@ class Coordinates(eqx.Module):
 
     @property
     def size(self) -> int:
-        """How many free numbers there are."""
+        """Number of free coordinates."""
         return sum(self._sizes)
 
     def elements(self) -> tuple[Element, ...]:
@@ -155,7 +154,7 @@ class Coordinates(eqx.Module):
         return self.plan(self.cycle(z))
 
     def plan(self, cycle: CycleNumbers) -> Schedule:
-        """The plan of a decoded cycle, its rests relaxed: readings by their share, not by whole numbers."""
+        """The plan of a decoded cycle with relaxed rests: their number of readings need not be whole."""
         frame, lasting = self.frame, self.lasting()
         xp = namespace(cycle, frame)
         before = xp.stack([xp.asarray(frame.other_time), xp.zeros(())])
@@ -183,7 +182,7 @@ class Coordinates(eqx.Module):
         return self.least + xp.sum(share, axis=0)
 
     def _turned(self, durations, z_rates, z_ramps) -> CycleNumbers:
-        """Turns at the share of the largest possible rate that is wanted, and less where the travel ends."""
+        """Turns at a share of the largest feasible rate, reduced where the travel ends."""
         cap = self._cap(durations)
         xp = namespace(cap, z_rates)
         if z_rates.shape[0]:
@@ -196,7 +195,7 @@ class Coordinates(eqx.Module):
         return self._within_travel(cycle, self._ramps(durations, cap, z_ramps))
 
     def _cap(self, durations):
-        """The largest rate that rig, sensor and the acceleration in so long a move allow."""
+        """The largest rate that rig, sensor and, for the move's duration, the acceleration allow."""
         xp = namespace(durations, self.limits)
         time = xp.where(self._of_shape(_HAS_RAMPS), 0.5, 1.0) * durations
         steep = self._of_shape(_STEEP)
@@ -218,41 +217,41 @@ class Coordinates(eqx.Module):
         return CycleNumbers(durations, peak, ramp, self.nominal.steps)
 
     def _within_travel(self, wanted: CycleNumbers, fastest: CycleNumbers) -> CycleNumbers:
-        """Each turn takes its share of what may be turned that way from where the axis stands.
+        """Each turn takes its share of the angle that is available in its direction from the present position.
 
-        A cycle that is made again must end where it began: what no later turn could undo is left out, too, and where
-        too much is to be undone, a turn goes back by as much as it must.
+        A repeated cycle must end where it began: an angle that no later turn can undo is not available either, and
+        where too much remains to be undone, a turn goes back by the necessary angle.
         """
         turns = self.turns
         asked, most = (self.angles(c)[turns] for c in (wanted, fastest))
         xp = namespace(asked)
         if turns.shape[0] and xp is not np:
-            # What padding points to is no turn.
+            # Padded indices refer to no turn.
             real = turns < self.least.shape[0]
             asked, most = xp.where(real, asked, 0.0), xp.where(real, most, 0.0)
         bound = xp.full(turns.shape, 1.0) * self.limits.travel
         if self.repeats:
-            # What is still to come after each turn.
+            # The angle that the turns after each one can undo.
             bound = xp.minimum(bound, xp.cumsum(most[::-1])[::-1] - most)
 
-        def turn(at, given):
-            angle, reach, furthest = given
+        def turn(at, row):
+            angle, reach, furthest = row
             down = xp.maximum(-furthest, at - reach) - at
             up = xp.minimum(furthest, at + reach) - at
             share = angle / xp.where(reach > 0.0, reach, 1.0)
-            made = xp.clip(share * xp.where(share > 0.0, up, -down), xp.minimum(down, up), up)
-            return at + made, made
+            feasible = xp.clip(share * xp.where(share > 0.0, up, -down), xp.minimum(down, up), up)
+            return at + feasible, feasible
 
-        made = scanned(turn, xp.zeros(()), (asked, most, bound))
-        # A turn that is made smaller keeps its ramp; one that is sent back needs the ramp of the fastest.
-        smaller = xp.abs(made) <= xp.abs(asked)
-        of = lambda cycle, angles: cycle.peak_rates[turns] * made / xp.where(angles == 0.0, 1.0, angles)  # noqa: E731
+        feasible = scanned(turn, xp.zeros(()), (asked, most, bound))
+        # A reduced turn keeps its ramp; one that must go back needs the ramp of the fastest turn.
+        smaller = xp.abs(feasible) <= xp.abs(asked)
+        of = lambda cycle, angles: cycle.peak_rates[turns] * feasible / xp.where(angles == 0.0, 1.0, angles)  # noqa: E731
         peak = xp.where(smaller, of(wanted, asked), of(fastest, most))
         ramp = xp.where(smaller, wanted.ramps[turns], fastest.ramps[turns])
         return wanted._replace(peak_rates=put(wanted.peak_rates, turns, peak), ramps=put(wanted.ramps, turns, ramp))
 
     def lasting(self) -> Float[AnyArray, " v"]:
-        """From the start of each turn at the table to the next one's, and to the ramp's end for the last."""
+        """Time (s) from the start of each turn at the table to the next one's, for the last to the ramp's end."""
         visit = self.frame.own_time + self.frame.other_time
         xp = namespace(self.frame, self.visits)
         number = np.arange(self.nominal.steps.shape[0], dtype=float)
@@ -277,12 +276,12 @@ class Coordinates(eqx.Module):
         return even + mix * (uneven - even)
 
     def angles(self, cycle: CycleNumbers) -> Float[AnyArray, " k"]:
-        """How far each move turns, rad."""
+        """Angle (rad) of each move."""
         by_duration, by_ramp = (self._of_shape(column) for column in _ANGLE)
         return cycle.peak_rates * (by_duration * cycle.durations + by_ramp * cycle.ramps)
 
     def vector(self, cycle: CycleNumbers) -> Float[np.ndarray, " size"]:
-        """Free numbers whose cycle is nearly the given one: bounds can only be approached."""
+        """Coordinates of a cycle; values at a bound are moved slightly inside, since bounds are only approached."""
         durations, peaks, ramps = (np.asarray(v) for v in cycle[:3])
         spare = np.maximum(durations - self.least, 1e-4)
         least = (self._of_shape(_STEEP) * np.abs(peaks) / float(self.limits.max_acceleration))[self.ramped]
@@ -296,7 +295,7 @@ class Coordinates(eqx.Module):
         return np.concatenate([p for p, size in zip(parts, self._sizes, strict=True) if size])
 
     def _shares(self, cycle: CycleNumbers, z_ramps: np.ndarray) -> np.ndarray:
-        """Which share of the largest rate each turn has; with limited travel, the share that makes its angle."""
+        """Share of the largest rate of each turn; with limited travel, the share that yields its angle."""
         turns, cap = self.turns, self._cap(np.asarray(cycle.durations))
         if not self.travels:
             return np.asarray(cycle.peak_rates)[turns] / cap[turns]
@@ -306,20 +305,20 @@ class Coordinates(eqx.Module):
             peaks = put(np.zeros(len(cap)), turns, shares * cap[turns])
             return self.angles(self._ramps(np.asarray(cycle.durations), peaks, ramps))[turns]
 
-        made, reach = self.angles(CycleNumbers(*map(np.asarray, cycle)))[turns], at_shares(np.ones(len(turns)))
-        at = np.concatenate([[0.0], np.cumsum(made)[:-1]])
-        room = np.minimum(reach, np.maximum(float(self.limits.travel) - np.sign(made) * at, 0.0))
-        wanted = reach * np.abs(made) / np.where(room > 0.0, room, 1.0)
-        # The angle grows with the rate, not quite in proportion: a faster turn needs longer ramps.
+        angles, reach = self.angles(CycleNumbers(*map(np.asarray, cycle)))[turns], at_shares(np.ones(len(turns)))
+        at = np.concatenate([[0.0], np.cumsum(angles)[:-1]])
+        room = np.minimum(reach, np.maximum(float(self.limits.travel) - np.sign(angles) * at, 0.0))
+        wanted = reach * np.abs(angles) / np.where(room > 0.0, room, 1.0)
+        # The angle is not proportional to the rate: a faster turn needs longer ramps.
         low, high = np.zeros(len(turns)), np.ones(len(turns))
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             short = at_shares(middle) < wanted
             low, high = np.where(short, middle, low), np.where(short, high, middle)
-        return np.sign(made) * 0.5 * (low + high)
+        return np.sign(angles) * 0.5 * (low + high)
 
     def pruned(self, cycle: CycleNumbers) -> "tuple[Coordinates, CycleNumbers]":
-        """The structure without the turns that the search has shrunk to nothing, their time given to the longest."""
+        """The structure without the turns that the search has shrunk to nothing; the longest one gets their time."""
         durations, elements = np.array(cycle.durations), self.elements()
         keep = np.ones(len(elements), bool)
         for group in range(self.groups):
@@ -329,8 +328,8 @@ class Coordinates(eqx.Module):
             for i in turns:
                 if i != longest and durations[i] < _VANISHED * elements[i].least:
                     keep[i] = False
-            # Between neighbouring turns that are kept stands one rest, with the time of all that were there; one more
-            # at the ends, where the structure has one: there the axis has not stood before, or will not stand after.
+            # One rest remains between neighbouring turns, with the time of all rests there, and one at each end where
+            # the structure has one, since no rest precedes or follows it.
             kept = [i for i in turns if keep[i]]
             resting = [i for i in members if elements[i].shape == "rest"]
             keep[resting] = False
@@ -349,13 +348,13 @@ class Coordinates(eqx.Module):
         return self.with_elements(tuple(e for e, k in zip(elements, keep, strict=True) if k), left), left
 
     def with_elements(self, elements: tuple[Element, ...], nominal: CycleNumbers) -> "Coordinates":
-        """Other moves in the same frame."""
+        """The same frame with other moves."""
         cycles, tail = int(self.visits) // self.groups, bool(len(self.template.fill_move))
         structure = _Structure(cycles, self.others_read, self.free, self.parts, tail)
         return _coordinates(elements, self.limits, self.frame, nominal, structure)
 
     def padded(self) -> "Coordinates":
-        """Sizes filled up to few classes, for one compiled program to serve many structures."""
+        """Pad the sizes to few classes, so that one compiled program serves many structures."""
         count = size_class(len(self.least))
         steps = size_class(len(self.nominal.steps))
         longer = lambda values, filling=0.0: filled(values, count, filling)  # noqa: E731
@@ -375,13 +374,13 @@ class Coordinates(eqx.Module):
         )
 
     def places_in(self, padded: "Coordinates") -> np.ndarray:
-        """Where these coordinates' numbers stand in a vector of the padded ones."""
+        """Indices of these coordinates in a vector of the padded ones."""
         begins = np.cumsum([0, *padded._sizes[:-1]])
         return np.concatenate([b + np.arange(n) for b, n in zip(begins, self._sizes, strict=True)])
 
     def eased(self, by: Float[AnyArray, " 5"]) -> "Coordinates":
-        """The same structure with figures eased by SI amounts: the ramp's time, with cycle and turns in proportion; the
-        largest rate and acceleration, the travel, the chamber's slope.
+        """The same structure with limits relaxed by SI amounts: the ramp's time (cycle and turns in proportion), the
+        largest rate, the largest acceleration, the travel, the chamber's slope.
         """
         frame, limits = self.frame, self.limits
         stretch = 1.0 + by[0] / frame.motion_time
@@ -396,11 +395,11 @@ class Coordinates(eqx.Module):
 
 
 EASED = 5
-"""How many figures `Coordinates.eased` takes."""
+"""Number of limits that `Coordinates.eased` relaxes."""
 
 _STEEP = np.array([0.0, *STEEPNESS.values()])
 _HAS_RAMPS = np.array([shape in RAMPED_SHAPES for shape in SHAPES])
-# Of unit peak rate: angle = first·duration + second·ramp, from `formulas.turned_angle`, which is linear in both.
+# For unit peak rate: angle = first·duration + second·ramp, since `formulas.turned_angle` is linear in both.
 _TURNED = formulas.turned_angle
 _ANGLE = np.array(
     [(0.0, 0.0)]
@@ -423,12 +422,10 @@ def make_coordinates(
     nominal: CycleNumbers | None = None,
     longest_piece: float = np.inf,
 ) -> Coordinates:
-    """Coordinates from plain numbers. `nominal` None: every visit's time shared evenly, nothing turning.
+    """Coordinates from plain numbers. `nominal` None: every turn at the table shared evenly, no motion.
 
-    `others_read`: readings go on while others turn; `longest_piece` s: a part of a turn is integrated in pieces of this
-    length at most.
-
-    Errors: `ValueError` that says which limits exclude each other.
+    `others_read`: readings continue while other axes turn; `longest_piece` s: longest piece in which a part of a turn
+    is integrated. Errors: `ValueError` that states which limits exclude each other.
     """
     if [e.group for e in elements] != sorted(e.group for e in elements):
         raise ValueError("the moves of a cycle must be in the order of its turns at the table")
@@ -459,7 +456,7 @@ def make_coordinates(
 
 
 class _Structure(NamedTuple):
-    """See `make_coordinates`, and `Coordinates` for `parts`; `tail`: time is left at the end of the ramp."""
+    """See `make_coordinates`, and `Coordinates` for `parts`; `tail`: time remains at the end of the ramp."""
 
     cycles: int
     others_read: bool
@@ -503,7 +500,7 @@ def _coordinates(
 
 
 def _turn(shape: str, parts: int) -> PieceTable:
-    """A turn that is read where it ends, each of its smooth parts in `parts` pieces."""
+    """A turn with one reading at its end, each of its smooth parts in `parts` pieces."""
     smooth = len(formulas.shape_pieces(shape))
     edges, unread = even_division(parts, False)
     last = (*unread[:-1], True)

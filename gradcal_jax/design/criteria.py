@@ -1,4 +1,4 @@
-"""What a design minimises: a residual statistic, smooth while searching, exact when reported.
+"""Criteria of a design: residual statistics, smooth while searching, exact when reported.
 
 With `s_ij` the residual at temperature i and rate j, and a sharpness k, the maximum over temperature is replaced by a
 norm
@@ -7,7 +7,7 @@ norm
 
 which tends to it as k grows; an infinite sharpness is the exact statistic.
 
-The classical optimalities of the covariance C of p parameters are given as standard deviations: A is `√(tr C/p)`, D is
+The classical optimality criteria of the covariance C of p parameters are standard deviations: A is `√(tr C/p)`, D is
 `(det C)^(1/2p)`, E is the root of C's largest eigenvalue.
 """
 
@@ -31,8 +31,8 @@ EXACT = np.asarray(np.inf)
 class Criterion(eqx.Module):
     """A named statistic of a residual map on a box; the value is in SI (1 for the scale factor, rad/s for the bias).
 
-    `rows`, `alone`, `beyond`: see `information.contrasts`; `alone` is None without a discrepancy. `between`: the rows
-    are of a grid from which these matrices make, for the variance, the one of `shape`: see `polynomial_grid`.
+    `rows`, `alone`, `beyond`: see `information.contrasts`; `alone` is None without a discrepancy. `between`: matrices
+    that interpolate the variance from the grid of the rows to the grid of `shape`; see `polynomial_grid`.
     """
 
     rows: Float[AnyArray, "g p"]
@@ -48,7 +48,7 @@ class Criterion(eqx.Module):
         if self.alone is None:
             variance = info.deviations(self.rows) ** 2 + self.beyond
         else:
-            # cᵀCc − αᵀCα = (c − α)ᵀC(c + α): one product, where solves would take each of many rows by itself, twice.
+            # cᵀCc − αᵀCα = (c − α)ᵀC(c + α): one product instead of two triangular solves for many rows.
             half = (self.rows - self.alone) @ info.covariance()
             variance = xp.sum(half * (self.rows + self.alone), axis=1) + self.beyond
         if self.between is not None:
@@ -70,13 +70,13 @@ class Criterion(eqx.Module):
 
 
 class Optimality(eqx.Module):
-    """A, D or E of the covariance of `rows` (p combinations of the parameters, of one unit)."""
+    """A-, D- or E-optimality of the covariance of `rows` (p combinations of the parameters, in one unit)."""
 
     rows: Float[AnyArray, "q p"]
     kind: Literal["A", "D", "E"] = eqx.field(static=True)
 
     def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
-        """The value, in the parameters' unit; smooth but for E at equal eigenvalues."""
+        """The value in the parameters' unit; smooth except for E at equal eigenvalues."""
         del sharpness
         half = solve_transposed(info.factor, (self.rows / info.scale[None, :]).T)
         count, xp = self.rows.shape[0], namespace(half)
@@ -91,8 +91,8 @@ class Optimality(eqx.Module):
 class Missed(eqx.Module):
     """The probability that the χ² test does not notice a hidden map, its `std` that of each coefficient.
 
-    `prior_std`: of the same coefficients in the model, where they are the parameters `where`. All of them take part in
-    the test: the reported power, of the directions that the plan sees, is no smaller. `below`: `information.quantiles`.
+    `prior_std`: standard deviation of the same coefficients, the parameters `where`, in the model. The test uses all of
+    them, so the reported power, of the observable directions only, is no smaller. `below`: `information.quantiles`.
     """
 
     prior_std: Float[AnyArray, ""]
@@ -109,10 +109,10 @@ class Missed(eqx.Module):
 
 
 def polynomial_grid(at: Float[np.ndarray, " n"], degree: int) -> tuple[Float[np.ndarray, " m"], np.ndarray]:
-    """Few places, and the matrix `(n, m)` from a polynomial's values there to those `at` all places asked for.
+    """A few nodes, and the matrix `(n, m)` that maps a polynomial's values at the nodes to those `at` all points.
 
-    What polynomials of a degree leave uncertain is the root of one of twice that degree: `2·degree + 1` Chebyshev nodes
-    tell it everywhere.
+    The variance of a polynomial of a degree is a polynomial of twice that degree, so `2·degree + 1` Chebyshev nodes
+    determine it everywhere.
     """
     count = 2 * degree + 1
     if count >= len(at):

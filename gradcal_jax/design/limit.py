@@ -1,12 +1,12 @@
 """A lower limit on the residual of any plan, with its certificate.
 
-**The relaxed problem.** A plan spends its motion time on rates and temperatures: a measure m on (T, ω). Were the
-random walk the only error and every motion possible, the information would be `I(m) = ∫ ω²ψψᵀ dm / N²`; readings,
-drifts, acceleration and travel only take from it. So no plan does better than the least `Ψ(I(m))` over all measures
+**The relaxed problem.** A plan spends its motion time on rates and temperatures: a measure m on (T, ω). If the random
+walk were the only error and every motion possible, the information would be `I(m) = ∫ ω²ψψᵀ dm / N²`; readings, drifts,
+acceleration and travel only reduce it. So no plan is better than the minimum of `Ψ(I(m))` over all measures
 whose total is the motion time and whose temperature marginal is the programme's (or any, where the programme is free).
 
-**Convexity.** `√(φᵀI⁻¹φ) = sup_x φᵀx (xᵀIx)^(−1/2)` is convex in I; means and maxima keep that. For any weights `w`
-that give each maximum over temperature a mean instead (`w ≥ 0`, summing to one for each rate), `Ψ_w = mean_j Σ_i w_ij
+**Convexity.** `√(φᵀI⁻¹φ) = sup_x φᵀx (xᵀIx)^(−1/2)` is convex in I, and so are means and maxima of it. For any weights
+`w` that replace each maximum over temperature by a mean (`w ≥ 0`, summing to one for each rate), `Ψ_w = mean_j Σ_i w_ij
 s_ij ≤ Ψ`.
 
 **Certificate.** `Ψ_w` is convex and homogeneous of degree −½. With its gradient `−G`, `tr(G I) = Ψ_w/2`, and `d` the
@@ -14,16 +14,17 @@ largest `tr(G·I(m))` over the measures, every feasible I' and every c > 0 satis
 
     Ψ_w(I') = c^½ Ψ_w(cI') ≥ c^½ (Ψ_w + Ψ_w/2 − c·d),      best for c = Ψ_w/(2d):      Ψ_w(I') ≥ Ψ_w·√(Ψ_w/(2d)).
 
-Any I certifies; a good one certifies much. A prior I₀ adds `tr(G·I₀)` to d. For fixed T the integrand is a polynomial
-in ω, whose largest value is found from its derivative's roots. The root mean square is handled likewise, with the
-weights `w = s/(nΨ)` of its own gradient (Cauchy–Schwarz). For D-optimality, `Ψ = det(I)^(−1/2p)`: log det is concave,
-and `Ψ* ≥ Ψ·√(p/d)` with `d` the largest `tr(I⁻¹I(m))` (Kiefer and Wolfowitz, 1960).
+Any I gives a valid limit; a better one gives a tighter limit. A prior I₀ adds `tr(G·I₀)` to d. For fixed T the
+integrand is a polynomial in ω, whose largest value is found from its derivative's roots. The root mean square is
+handled likewise, with the weights `w = s/(nΨ)` of its own gradient (Cauchy–Schwarz). For D-optimality, `Ψ =
+det(I)^(−1/2p)`: log det is concave, and `Ψ* ≥ Ψ·√(p/d)` with `d` the largest `tr(I⁻¹I(m))` (Kiefer and Wolfowitz,
+1960).
 
 A **discrepancy** γ joins the parameters with its prior. A calibration that does not carry γ̂ leaves
 `cᵀCc + (χᵀΓχ − αᵀCα)`, α being χ's part of c, of which the bracket is not negative: the proof leaves it out.
 
-N² may be replaced by a larger density, and a variance that no plan removes added to every residual: see
-`gradcal_jax.design.noise_floor`. Then Ψ_w is not homogeneous any more, and convexity alone gives
+N² may be replaced by a larger density, and a variance that no plan removes may be added to every residual: see
+`gradcal_jax.design.noise_floor`. Then Ψ_w is no longer homogeneous, and convexity alone gives
 `Ψ_w(I') ≥ Ψ_w + tr(G I) − d`.
 """
 
@@ -41,18 +42,18 @@ from gradcal_jax.design.criteria import Criterion, Optimality
 from gradcal_jax.design.noise_floor import root_of
 from gradcal_jax.model import Polynomial, SensorModel
 
-# The maximum hardens; between the stages the rates that would help most join the grid.
+# Sharpness of the soft maximum by stage; between stages the most useful rates join the grid.
 _SHARPNESS = (8.0, 30.0, 100.0, 400.0, 2000.0, 10000.0)
 _RATES = 25
-# The logarithm of the weight of a place that is still empty: its rate is zero, which brings nothing.
+# Logarithm of the weight of an empty column: its rate is zero and carries no information.
 _EMPTY = -30.0
-# A maximum over temperature is searched on so many.
+# Temperatures on which a maximum over temperature is searched.
 _TEMPERATURES = 26
 
 
 class Limit(NamedTuple):
-    """`certified`: no plan does better; `reached`: the relaxed problem's best value; both in the criterion's SI unit.
-    The truth of the relaxed problem lies between the two.
+    """`certified`: no plan is better; `reached`: the best value computed for the relaxed problem; both in the
+    criterion's SI unit. The optimum of the relaxed problem lies between the two.
     """
 
     certified: float
@@ -72,27 +73,27 @@ def limit(
     prior_share: float = 1.0,
     tolerance: float = 2e-3,
 ) -> Limit:
-    """The limit for a scale-factor criterion, B(T) known or not (knowing it only helps, so the limit holds).
+    """The limit for a scale-factor criterion, whether B(T) is known or not (knowing it only adds information).
 
     `motion_time` s: of the axis; `temperatures` °C: points over which the motion time is spread evenly
-    (`fixed_programme`) or as it likes. `noise_density` rad²/s: N², `least_noise_density` or `gated_noise_density`.
-    `floor`: a variance that no plan removes, of each of the criterion's rows. `prior_share`: of the prior's variance,
-    where the rest went into that.
-    `tolerance`: how far apart, relatively, what is certified and what is reached may stay.
+    (`fixed_programme`) or freely. `noise_density` rad²/s: N², `least_noise_density` or `gated_noise_density`.
+    `floor`: a variance that no plan removes, of each of the criterion's rows. `prior_share`: the share of
+    the prior's variance that counts here, where `floor` counts the rest. `tolerance`: largest relative difference
+    of `certified` and `reached`.
     Errors: `ValueError` for a criterion or a map that the proof does not cover.
     """
     if isinstance(criterion, Criterion):
-        # What the calibration does not carry of a discrepancy is at least nothing: see the module's head.
+        # A discrepancy adds a variance that is not negative, which the proof leaves out: see the module's head.
         added = np.zeros(len(criterion.rows)) if floor is None else floor
         criterion = Criterion(criterion.rows, None, added, criterion.shape, criterion.statistic)
     if model.scale is None or not isinstance(model.scale.rate, Polynomial):
         raise ValueError("the limit is for a scale factor that is polynomial in rate: give the model such a map")
     if isinstance(criterion, Optimality) and criterion.kind == "E":
         raise ValueError("there is no limit for E-optimality: ask for A- or D-optimality, or a residual")
-    given = model, motion_time / noise_density, prior_share, np.asarray(temperatures), fixed_programme
-    # A maximum over fewer temperatures is no larger, so what is certified for it is certified.
-    problem, whole = _Problem(_thinned(criterion), *given), _Problem(criterion, *given)
-    # Rates that turn out useful take empty places, so that every stage has the same shape and is compiled once.
+    arguments = model, motion_time / noise_density, prior_share, np.asarray(temperatures), fixed_programme
+    # A maximum over fewer temperatures is no larger, so its certificate is valid for all of them.
+    problem, whole = _Problem(_thinned(criterion), *arguments), _Problem(criterion, *arguments)
+    # Useful rates fill the empty columns, so that every stage has the same shape and is compiled once.
     grid = max_rate * np.cos(np.pi * np.arange(_RATES) / (_RATES - 1))
     rates = np.tile(np.concatenate([grid, np.zeros(2 * len(_SHARPNESS))]), (len(temperatures), 1))
     logs = np.where(np.arange(rates.shape[1]) < _RATES, 0.0, _EMPTY) + np.zeros_like(rates)
@@ -103,7 +104,7 @@ def limit(
         best = Limit(max(best.certified, float(certified)), min(best.reached, whole.value(rates, logs)))
         if best.reached <= best.certified * (1.0 + tolerance):
             break
-        # Most requirements do not tell left from right, so that the mirrored rate would be next.
+        # Most criteria are symmetric in rate, so that the mirrored rate would be next.
         new = slice(_RATES + 2 * stage, _RATES + 2 * stage + 2)
         rates[:, new] = np.stack([peaks, -peaks], axis=1)
         logs[:, new] = np.max(logs, axis=1, keepdims=True) + np.log(1e-3)
@@ -120,7 +121,7 @@ class _Problem:
         of_map = [model.scale] if model.scale.beyond is None else [model.scale, model.scale.beyond]
         self.functions = of_map
         where = np.concatenate([np.arange(model.size)[model.where(term.name)] for term in of_map])
-        # Columns other than M's are taken as known: that is information added, never taken away.
+        # All other columns are taken as known, which only adds information.
         self.rows = np.asarray(criterion.rows)[:, where]
         prior = model.prior_rows()[:, where]
         self.prior = prior.T @ prior / prior_share
@@ -132,15 +133,15 @@ class _Problem:
         return values * rate[:, None] * np.sqrt(self.gain)
 
     def solve(self, rates: np.ndarray, logs: np.ndarray, sharpness: float) -> np.ndarray:
-        """Logarithms of better weights `(n_T, m)` on given rates, by L-BFGS."""
+        """Logarithms of better weights `(n_T, m)` on the same rates, by L-BFGS."""
         from scipy.optimize import minimize
 
         arrays = [jnp.asarray(a) for a in (self._points(rates), self.prior, self.rows, self.beyond, sharpness)]
 
         def both(z):
             how = self.fixed_programme, _statistic(self.criterion), self._shape
-            found, gradient = _value(jnp.asarray(z.reshape(logs.shape)), *arrays, *how)
-            return float(found), np.asarray(gradient).ravel()
+            value, gradient = _value(jnp.asarray(z.reshape(logs.shape)), *arrays, *how)
+            return float(value), np.asarray(gradient).ravel()
 
         options = {"maxiter": 500, "maxfun": 700, "maxcor": 30, "ftol": 1e-14, "gtol": 1e-11}
         return minimize(both, logs.ravel(), jac=True, method="L-BFGS-B", options=options).x.reshape(logs.shape)
@@ -155,14 +156,14 @@ class _Problem:
     def _halves(self, rates, logs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns' sizes, the triangular factor R of the scaled information, and R⁻ᵀ of the criterion's rows."""
         weights = np.asarray(_shares(jnp.asarray(logs), self.fixed_programme))
-        # Of the weighted rows themselves: their squares would lose half the digits.
+        # From the weighted rows themselves: their product would lose half the digits.
         weighted = np.concatenate([self._points(rates) * np.sqrt(weights).reshape(-1, 1), root_of(self.prior)])
         size = np.linalg.norm(weighted, axis=0)
         factor = np.asarray(np.linalg.qr(weighted / size, mode="r"))
         return size, factor, scipy.linalg.solve_triangular(factor, (self.rows / size).T, trans=1)
 
     def value(self, rates, logs) -> float:
-        """The exact criterion at given weights."""
+        """The exact criterion at these weights."""
         half = self._halves(rates, logs)[2]
         if _statistic(self.criterion) == "D":
             return float(np.exp(np.linalg.slogdet(half.T @ half)[1] / (2 * len(half))))
@@ -172,7 +173,7 @@ class _Problem:
         return np.sqrt(np.sum(half**2, axis=0) + self.beyond).reshape(self._shape)
 
     def certify(self, rates, logs, sharpness: float, max_rate: float) -> tuple[float, np.ndarray]:
-        """What an information matrix certifies, and the most useful rate at each temperature."""
+        """The lower limit that these weights certify, and the most useful rate at each temperature."""
         size, factor, half = self._halves(rates, logs)
         count = len(half)
         if _statistic(self.criterion) == "D":
@@ -193,7 +194,7 @@ class _Problem:
         return value * np.sqrt(min(enough / most, 1.0)), peaks
 
     def _largest(self, useful: np.ndarray, share: np.ndarray, max_rate: float) -> tuple[np.ndarray, np.ndarray]:
-        """At each temperature the largest of `Σ share·(useful·m)²` over the rates, and where it is."""
+        """At each temperature the maximum of `Σ share·(useful·m)²` over the rates, and its rate."""
         scale = self.model.scale
         assert scale is not None
         assert scale.rate is not None
@@ -207,11 +208,11 @@ class _Problem:
             polynomial = chebyshev.chebfit(nodes, values, degree)
             inner = np.asarray(chebyshev.chebroots(chebyshev.chebder(polynomial)), dtype=complex)
             real = np.real(inner[np.abs(np.imag(inner)) < 1e-6])
-            tried = np.concatenate([[-1.0, 1.0], real[np.abs(real) < 1.0]])
-            found = chebyshev.chebval(tried, polynomial)
-            at = int(np.argmax(found))
-            largest.append(float(found[at]))
-            where.append(max_rate * float(tried[at]))
+            candidates = np.concatenate([[-1.0, 1.0], real[np.abs(real) < 1.0]])
+            at_candidates = chebyshev.chebval(candidates, polynomial)
+            at = int(np.argmax(at_candidates))
+            largest.append(float(at_candidates[at]))
+            where.append(max_rate * float(candidates[at]))
         return np.array(largest), np.array(where)
 
 
@@ -222,7 +223,7 @@ def _statistic(criterion: Criterion | Optimality) -> str:
 
 
 def _thinned(criterion: Criterion | Optimality) -> Criterion | Optimality:
-    """A maximum over temperature on fewer temperatures, ends included; what is no maximum as it is."""
+    """A criterion with a maximum over temperature on fewer temperatures, ends included; others unchanged."""
     if _statistic(criterion) not in ("max", "mean of max"):
         return criterion
     assert isinstance(criterion, Criterion)
@@ -240,12 +241,12 @@ def _shares(logs: Float[Array, "n m"], fixed_programme: bool) -> Float[Array, "n
 
 
 def _relaxed(logs, points, prior, rows, beyond, sharpness, fixed_programme: bool, statistic: str, shape) -> Array:
-    """The logarithm of the smooth criterion at given weights."""
+    """The logarithm of the smooth criterion at these weights."""
     weights = jnp.reshape(_shares(logs, fixed_programme), (-1, 1))
     information = (points * weights).T @ points + prior
     size = jnp.sqrt(jnp.diag(information))
     factor = jnp.linalg.cholesky(information / size[:, None] / size[None, :])
-    # The inverse of a small factor and one product: many right-hand sides would be solved one after another.
+    # The inverse of a small factor and one product: XLA solves for many right-hand sides one after another.
     half = jax.scipy.linalg.solve_triangular(factor, jnp.eye(len(size)), lower=True) @ (rows / size[None, :]).T
     if statistic == "D":
         return jnp.linalg.slogdet(half.T @ half)[1] / (2 * rows.shape[1])

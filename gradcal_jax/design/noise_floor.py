@@ -1,42 +1,43 @@
-"""The least noise that any motion meets: what may stand for the random walk in a limit, and what no plan removes.
+"""Lower limits of the noise for any motion: a density that replaces the random walk's, and a variance for every plan.
 
 **Drift and readings.** With readings at least Δ apart, of variance R each, N² may be replaced by the least over λ of
 
     S(λ) = N² + Σ 2σ²τ/(1 + λ²τ²) + R λ²/(1/Δ + ε/2 + λ²/(2ε))        for any ε > 0:
 
-the integrated error is seen through a window of frequencies in which drift and readings cost the more the slower, and
-the faster, the motion is. A design that stays below every frequency cannot be (large-sieve inequality); the best ε is
-taken.
+the integrated error is seen through a window of frequencies in which slow motion is limited by drift and fast motion
+by the readings. No design avoids every frequency (large-sieve inequality); the best ε is taken.
 
-**Turns at the table.** An axis that turns only in given windows of time cannot have all its motion at the best
+**Turns at the table.** An axis that turns only in certain windows of time cannot have all its motion at the best
 frequency. For every combination of columns, `x(t)` supported in the windows, `∫|X|²/S dλ/2π ≤ μ ∫x²dt` with μ the
 largest eigenvalue of the kernel k(t − t'), the transform of 1/S, restricted to the windows: 1/μ replaces the least S.
 1/S is rational in λ², so k is a point mass 1/S(∞) and a sum of exponentials, by partial fractions; the eigenvalue is
 that of a midpoint rule.
 
-**The bias.** Whoever knew M(T, ω) and saw the rate's noise all the time, not through readings, would know B as well as
-generalised least squares in T allows; every reading is a function of that, too. Of the angle random walk alone the
-information is `∫ ψψᵀ dt/N²`, of a drift alone that of a continuous look (below); a rate random walk and whatever
-depends on the rate is left out, and the variances add up as they do below. Where the programme is free, only the walk
-counts: over all measures m of the time t on the temperatures, for every θ (with P the prior's information),
+**The bias.** Suppose that M(T, ω) is known and the rate's noise is observed continuously instead of through readings.
+Then generalised least squares in T gives the least variance of B, and every reading is a function of this observation.
+Under the angle random walk alone the information is `∫ ψψᵀ dt/N²`, under a drift alone that of a continuous observation
+(below). A rate random walk and all noise that depends on the rate are left out, and the variances add as they do below.
+Where the programme is free, only the angle random walk counts: over all measures m of the time t on the temperatures,
+for every θ (with P the prior's information),
 
     min_m cᵀ(∫ψψᵀdm/N² + P)⁻¹c ≥ min_m max_a 2a·cᵀθ − a²·θᵀ(∫ψψᵀdm/N² + P)θ ≥ (cᵀθ)²/(t·max_T(ψᵀθ)²/N² + θᵀPθ);
 
 the θ of a linear programme (the largest cᵀθ with |ψᵀθ| ≤ 1) makes this an equality without a prior (Elfving, 1952).
 
-**Processes that multiply the rate** (instability of the scale factor, an error of the temperature, of the sensor's
-clock) look like the scale factor itself. Whoever saw `M(T, ω) + δ(t)` at every rate at once, at every instant at which
-the axis has the table, would know `M(T, ω) − M(T, 0)` exactly, and M(T, 0) as well as generalised least squares in T
-allows; every reading is a function of that. Of a continuous look at functions f(t) = ψ(T(t)) under a Gauss–Markov
-process (σ, decay λ) the information is, with `f' = df/dt`, the windows [a, b] and φ = exp(−λ(a⁺ − b)) between them,
+**Processes that multiply the rate** (instability of the scale factor, an error of the temperature or of the sensor's
+clock) cannot be distinguished from the scale factor itself. Suppose that `M(T, ω) + δ(t)` is observed at every rate at
+once, whenever the axis has the table. Then `M(T, ω) − M(T, 0)` is known exactly, generalised least squares in T gives
+M(T, 0), and every reading is a function of this observation. The information of a continuous observation of functions
+f(t) = ψ(T(t)) under a Gauss–Markov process (σ, decay λ) is, with `f' = df/dt`, the windows [a, b] and φ = exp(−λ(a⁺ −
+b)) between them,
 
     f(a₀)f(a₀)ᵀ/σ² + Σ ∫ (f' + λf)(f' + λf)ᵀ dt/(2σ²λ) + Σ (f(a⁺) − φf(b))(f(a⁺) − φf(b))ᵀ/(σ²(1 − φ²)),
 
 exactly, whatever the correlation time (samples of a quick process would know less, and give a floor that is too high).
-What is left of the best linear estimate under a sum of noises is at least the sum of what each leaves alone, so that
-these variances are added to the random walk's. A prior is a reading, too, and its variance is shared out: half to the
-random walk, a quarter each to what is constant and to what moves (that a prior seldom limits a plan makes any shares
-good ones).
+The variance of the best linear estimate under a sum of noises is at least the sum of the variances under each noise
+alone, so these variances are added to that of the random walk. A prior is a reading, too, and its variance is divided:
+half for the random walk, a quarter each for constant errors and for processes (priors seldom limit a plan, so that the
+shares hardly matter).
 """
 
 from collections.abc import Callable, Sequence
@@ -48,33 +49,32 @@ import scipy.linalg
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Basis, SensorModel
 from gradcal_jax.trajectory import quadrature
 
-# From when to when, s; and the sensor's temperature (°C) and its rate (K/s) at times (s).
+# Begin and end of windows, s; the sensor's temperature (°C) and its rate (K/s) at times (s).
 Windows = Sequence[tuple[float, float]]
 Course = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-# How a prior's variance is shared out: see above.
+# Shares of a prior's variance: see above.
 PRIOR_OF_WALK = 0.5
 _PRIOR_OF_OTHERS = 0.25
-# The eigenvalue's midpoint rule has at most so many points.
+# Largest number of points of the eigenvalue's midpoint rule.
 _POINTS = 1500
 # Nodes in a window; the step of a derivative in temperature, K; windows nearer than this touch, s.
 _NODES = 12
 _SMALL = 1e-4
 _TOUCHING = 1e-6
-# Share of a window that its ends keep off a jump; and what a process changes by at once, of its variance.
-_HAIR, _AT_ONCE = 1e-9, 1e-12
+# Distance of a window's ends from a jump, in windows; variance of a process's change at a jump, over its variance.
+_INSET, _AT_ONCE = 1e-9, 1e-12
 # Temperatures of a linear programme.
 _GRID = 2001
-# Of the largest singular value of scaled columns: what is seen.
+# Observable: singular values of scaled columns above this share of the largest.
 _SEEN = 1e-9
 
 
 def scale_factor_floor(model: SensorModel, windows: Windows, temperature: Course, at: np.ndarray) -> np.ndarray:
     """`(len(at),)`, the variance of M at the temperatures `at` (°C) that no motion in the windows removes.
 
-    `windows` (begin, end; s, in order): all times at which the axis may turn, none of which the chamber's slope changes
-    within; `temperature(t)` of the sensor (°C) and its rate (K/s) there. Without any (a programme that is free) only
-    what is constant counts. Where the map has a prior, a limit to which this is added may count only `PRIOR_OF_WALK` of
-    the prior's variance.
+    `windows` (begin, end; s, in order): all times at which the axis may turn; the chamber's slope is constant in each.
+    `temperature(t)`: the sensor's (°C), and its rate (K/s). Without windows (a free programme) only constant errors
+    count. A limit to which this is added may count only the share `PRIOR_OF_WALK` of the variance of the map's prior.
     """
     p, scale = model.processes, model.scale
     if scale is None:
@@ -83,26 +83,26 @@ def scale_factor_floor(model: SensorModel, windows: Windows, temperature: Course
     variance, decay = (gain * p.initial_std) ** 2, p.decay
     prior = _prior_of_constants(model) / _PRIOR_OF_OTHERS
     wanted = scale.temperature(at)
-    found = np.zeros(len(at))
+    floor = np.zeros(len(at))
     clock = float(np.sum(variance[decay == 0.0]))
     if clock > 0.0:
-        # A constant is a constant of M: it adds itself, as far as the prior does not tell the two apart.
+        # A constant error adds its variance to that of M, as far as the prior does not separate the two.
         one = _constant(scale.temperature)
-        found += 1.0 / (one @ prior @ one + 1.0 / clock)
+        floor += 1.0 / (one @ prior @ one + 1.0 / clock)
     moving = np.flatnonzero((variance > 0.0) & (decay > 0.0))
     if not len(moving) or not windows:
-        return found
+        return floor
     for k in moving:
         seen = _continuous_look(scale.temperature, windows, temperature, float(variance[k]), float(decay[k]))
         root = np.linalg.qr(np.concatenate([seen, root_of(len(moving) * prior)]), mode="r")
-        found += np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
-    return found
+        floor += np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
+    return floor
 
 
 def bias_floor(model: SensorModel, windows: Windows, temperature: Course, rows: np.ndarray) -> np.ndarray:
     """`(g,)`, the variance of combinations `rows` `(g, p)` of B's parameters that no plan removes.
 
-    `windows`: all times whose data are used, and `temperature`, as of `scale_factor_floor`.
+    `windows` (all times whose data are used) and `temperature`: as for `scale_factor_floor`.
     """
     p, bias = model.processes, model.bias
     assert bias is not None
@@ -119,56 +119,56 @@ def bias_floor(model: SensorModel, windows: Windows, temperature: Course, rows: 
     ]
     # Every noise takes an equal share of the prior's variance.
     prior = model.prior_rows()[:, model.where(BIAS)] * len(looks) ** 0.5
-    found = np.zeros(len(rows))
+    floor = np.zeros(len(rows))
     for look in looks:
         seen = np.concatenate([look, prior])
         scale = np.linalg.norm(seen, axis=0)
         _, singular, directions = np.linalg.svd(seen / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-        # A direction of which nothing is seen is left out, which only makes the variance smaller.
+        # An unobservable direction is left out, which only makes the variance smaller.
         there = singular > _SEEN * singular[0]
         half = (rows / np.where(scale > 0.0, scale, np.inf)) @ directions[there].T / singular[there]
-        found += np.sum(half**2, axis=1)
-    return found
+        floor += np.sum(half**2, axis=1)
+    return floor
 
 
 def bias_floor_anywhere(
     model: SensorModel, time: float, temperatures: tuple[float, float], rows: np.ndarray
 ) -> np.ndarray:
     """As `bias_floor`, where the `time` (s) of the data is spent on any of the `temperatures` (°C) between two."""
-    # Where it is used: it takes a third of a second to import, and most commands prove nothing.
+    # Imported where it is used: the import takes a third of a second, and few commands compute a limit.
     from scipy import optimize
 
     bias = model.bias
     assert bias is not None
     values = bias.temperature(np.linspace(*temperatures, _GRID))
     prior = model.prior_rows()[:, model.where(BIAS)]
-    found = np.zeros(len(rows))
+    floor = np.zeros(len(rows))
     for k, row in enumerate(rows):
         bounded = np.concatenate([values, -values])
         best = optimize.linprog(-row, A_ub=bounded, b_ub=np.ones(len(bounded)), bounds=(None, None))
         if best.x is None:
             continue
-        # Between two points of the grid it may be larger than at them.
+        # The maximum may lie between two points of the grid.
         along = values @ best.x
         largest = np.max(np.abs(along)) + 0.5 * np.max(np.abs(np.diff(along)))
         walk = time * largest**2 / float(model.angle_random_walk) ** 2
-        found[k] = (row @ best.x) ** 2 / (walk + np.sum((prior @ best.x) ** 2))
-    return found
+        floor[k] = (row @ best.x) ** 2 / (walk + np.sum((prior @ best.x) ** 2))
+    return floor
 
 
 def _continuous_look(basis: Basis, windows, temperature, variance: float, decay: float) -> np.ndarray:
-    """Rows whose squares are the information of a look at the basis's functions under a Gauss–Markov process."""
+    """Rows whose squares are the information of a continuous observation of the basis under a Gauss–Markov process."""
     edges = _divided(basis, windows, temperature)
     nodes, weights = quadrature(_NODES)
     width = np.diff(edges, axis=1)
     t, of_time = temperature((edges[:, :1] + width * nodes).ravel())
-    # A step in temperature in which no polynomial, nor a spline, bends.
+    # A temperature step small enough for polynomials and splines to be straight.
     slope = (basis(t + _SMALL) - basis(t - _SMALL)) / (2.0 * _SMALL) * of_time[:, None]
     share = np.sqrt((width * weights).ravel() / (2.0 * variance * decay))
     inside = (slope + decay * basis(t)) * share[:, None]
-    hair = _HAIR * width[:, 0]
-    begin, end = basis(temperature(edges[:, 0] + hair)[0]), basis(temperature(edges[:, 1] - hair)[0])
-    # Where a function jumps and the process does not, the jump is seen as it is.
+    inset = _INSET * width[:, 0]
+    begin, end = basis(temperature(edges[:, 0] + inset)[0]), basis(temperature(edges[:, 1] - inset)[0])
+    # Where a function jumps and the process does not, the jump is observed directly.
     kept = np.minimum(np.exp(-decay * (edges[1:, 0] - edges[:-1, 1])), 1.0 - _AT_ONCE)[:, None]
     between = (begin[1:] - kept * end[:-1]) / np.sqrt(variance * (1.0 - kept**2))
     touch = edges[1:, 0] - edges[:-1, 1] <= _TOUCHING
@@ -177,7 +177,7 @@ def _continuous_look(basis: Basis, windows, temperature, variance: float, decay:
 
 
 def _divided(basis: Basis, windows, temperature) -> np.ndarray:
-    """`(k, 2)`, the windows divided where the temperature crosses a break of the basis (it goes one way in each)."""
+    """`(k, 2)`, the windows divided where the temperature, monotone in each, crosses a break of the basis."""
     edges: list[tuple[float, float]] = []
     for a, b in windows:
         at_a, at_b = (float(temperature(np.array([t]))[0][0]) for t in (a, b))
@@ -188,7 +188,7 @@ def _divided(basis: Basis, windows, temperature) -> np.ndarray:
 
 
 def _when(temperature, value: float, a: float, b: float) -> float:
-    """When a temperature is passed between two times."""
+    """The time between two times at which the sensor passes a temperature."""
     from scipy import optimize
 
     return optimize.root_scalar(lambda t: float(temperature(np.array([t]))[0][0]) - value, bracket=(a, b)).root
@@ -206,7 +206,7 @@ def _prior_of_constants(model: SensorModel) -> np.ndarray:
 
 
 def _constant(basis: Basis) -> np.ndarray:
-    """The coefficients of the function that is one everywhere (°C or rad/s: a hundred covers both)."""
+    """Coefficients of the function that is one everywhere; ±100 °C or rad/s cover all uses."""
     values = basis(np.linspace(-100.0, 100.0, 16 * basis.size))
     return np.linalg.lstsq(values, np.ones(len(values)), rcond=None)[0]
 
@@ -250,7 +250,7 @@ def gated_noise_density(model: SensorModel, spacing: float, windows: Sequence[tu
     free = least_noise_density(model, spacing)
     if spectrum.variance == 0.0 or not spectrum.decay.size:
         return free
-    # The best ε of the free problem is a good one here; any is valid.
+    # Any ε is valid, and the best ε of the free problem is a good choice here.
     at = max(np.linspace(-15.0, 10.0, 251), key=lambda x: spectrum.least(np.exp(x), spacing))
     return max(free, *(density(at + shift) for shift in (0.0, 0.5, 1.0)))
 

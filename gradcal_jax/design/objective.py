@@ -1,7 +1,6 @@
-"""What a search minimises: one number of a plan, and by how much it exceeds limits.
+"""The objective of a search: one value of a plan, and the ratios by which it exceeds limits.
 
-Everything in an `Objective` but structure is an array, so that search, polish, prices and the exact value share one
-program, whatever the numbers.
+All numbers of an `Objective` are arrays, so that search, polish, prices and the exact value share one compiled program.
 """
 
 from typing import Any, Literal
@@ -24,10 +23,10 @@ AnyCoordinates = Coordinates | ProgrammeCoordinates | ProgrammeKnots | StandardC
 
 
 class Case(eqx.Module):
-    """A sensor and rig that the plan must serve: what is minimised there, and what has a limit; its weight.
+    """A sensor and rig that the plan must serve: its minimised and its limited criteria, and its weight.
 
-    `believed`: the criteria count so many of the model's parameters, the first, and take the others to be zero; they
-    are there to be noticed. None: all. `past`: what was done before the plan begins.
+    `believed`: number of leading parameters that the criteria count; they take the others, which only the χ² test sees,
+    to be zero. None: all count. `past`: the trajectory before the plan.
     """
 
     model: SensorModel
@@ -40,12 +39,12 @@ class Case(eqx.Module):
     past: Past | None = None
 
     def trajectory(self, schedule: Schedule) -> Trajectory:
-        """All that is done: before the plan, and by it."""
+        """The trajectory of the plan, after the past one where there is one."""
         line = schedule.trajectory(self.thermal_lag)
         return line if self.past is None else self.past.then(line)
 
     def values(self, schedule: Schedule, sharpness):
-        """Of all criteria, in SI."""
+        """Values of the minimised and of the limited criteria, SI."""
         info = information(self.trajectory(schedule), self.model, self.rule)
         sure = info if self.believed is None else info.leading(self.believed)
 
@@ -56,10 +55,10 @@ class Case(eqx.Module):
 
 
 class Objective(eqx.Module):
-    """`(z, sharpness)` to the value, positive, and the logarithms by which `targets` (SI) are exceeded.
+    """`(z, sharpness)` to the positive value and the log ratios of the limited criteria to their `targets` (SI).
 
-    `factors` bring what is minimised to its unit; of several the worst counts, and over the cases the "worst" or their
-    weighted "mean". Without `coordinates` it is one of schedules alone.
+    `factors` scale the minimised criteria; the worst of several counts, and over the cases the "worst" one or the
+    weighted "mean". Without `coordinates` it takes schedules only.
     """
 
     coordinates: AnyCoordinates | None
@@ -70,17 +69,17 @@ class Objective(eqx.Module):
 
     @property
     def eased(self) -> int:
-        """How many figures of rig and time may be eased."""
+        """Number of limits of rig and time that may be relaxed."""
         return EASED if isinstance(self.coordinates, Coordinates) else 0
 
     @property
     def cost(self) -> int:
-        """Noise steps of all cases, about."""
+        """Approximate number of noise steps of all cases."""
         template = getattr(self.coordinates, "template", None)
         return len(self.cases) * (0 if template is None else template.piece_count)
 
     def value(self, z: Float[AnyArray, " n"], by: Float[AnyArray, " m"], sharpness):
-        """The value and the excess of a vector's plan, with figures eased by so much (`Coordinates.eased`)."""
+        """Value and excess of a vector's plan, with limits relaxed `by` so much (`Coordinates.eased`)."""
         coordinates = self.coordinates
         assert coordinates is not None
         if isinstance(coordinates, Coordinates):
@@ -88,7 +87,7 @@ class Objective(eqx.Module):
         return self.of_schedule(coordinates.decode(z), sharpness)
 
     def of_schedule(self, schedule: Schedule, sharpness=EXACT):
-        """The value and the excess of a plan."""
+        """Value and excess of a plan."""
         values, excess, xp = [], [], np
         for minimised, limited in _of_each(self.cases, schedule, sharpness):
             xp = namespace(minimised)
@@ -104,16 +103,16 @@ class Objective(eqx.Module):
 
 
 def _of_each(cases: tuple[Case, ...], schedule: Schedule, sharpness) -> list[tuple[list[Any], list[Any]]]:
-    """The criteria of every case. Cases alike in structure are traced once, and the program loops over them."""
+    """The criteria of every case. Cases of the same structure are traced once, in a loop of the program."""
     leaves, structures = zip(*(jax.tree.flatten(case) for case in cases), strict=True)
     shapes = {tuple(np.shape(leaf) for leaf in one) for one in leaves}
     if namespace(schedule) is np or len(cases) == 1 or len(set(structures)) > 1 or len(shapes) > 1:
         return [case.values(schedule, sharpness) for case in cases]
     stacked = [jnp.stack([jnp.asarray(leaf) for leaf in group]) for group in zip(*leaves, strict=True)]
-    found = jax.lax.map(lambda one: jax.tree.unflatten(structures[0], one).values(schedule, sharpness), stacked)
-    return [jax.tree.map(lambda v, k=k: v[k], found) for k in range(len(cases))]
+    values = jax.lax.map(lambda one: jax.tree.unflatten(structures[0], one).values(schedule, sharpness), stacked)
+    return [jax.tree.map(lambda v, k=k: v[k], values) for k in range(len(cases))]
 
 
 def _worst(values, sharpness):
-    """The largest, or a norm just above it."""
+    """The largest value, or a norm just above it."""
     return values[0] if values.shape[0] == 1 else largest(values[:, None], sharpness)[0]

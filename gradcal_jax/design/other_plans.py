@@ -1,17 +1,17 @@
-"""Free coordinates of the plans without moves: a temperature programme for a standing axis, and the standard method.
+"""Free coordinates of plans without moves: temperature programmes for a standing axis, and the standard method.
 
-As in `coordinates`, any real vector is a plan that the rig executes:
+As in `coordinates`, any real vector is a plan that the rig can execute:
 
 | what | from free numbers | why it is feasible |
 |---|---|---|
-| durations of a programme's stretches | least times + what is left · softmax | they fill the time exactly |
-| slopes | between the steepest cooling and heating, by tanh; stopped at the chamber's range | both limits hold |
+| durations of a programme's stretches | least times + remaining time · softmax | they fill the time exactly |
+| slopes | tanh between steepest cooling and heating, clipped to the chamber's range | both limits hold |
 | first temperature, the standard method's temperatures | range · sigmoid | inside the chamber's range |
 | the standard method's rates | largest · tanh | the table's and the sensor's limit |
-| integration time | what soaks leave of the time, shared evenly | it fills the time exactly |
+| integration time | even share of the time without soaks | it fills the time exactly |
 
-The best programmes run along the chamber's limits, where slopes that are stopped at the range have kinks: the polish
-takes a programme by its own numbers, whose limits are linear (`ProgrammeKnots`).
+The best programmes run along the chamber's limits, where clipped slopes have kinks: the polish uses durations and
+temperatures themselves, whose limits are linear (`ProgrammeKnots`).
 """
 
 from abc import abstractmethod
@@ -26,9 +26,9 @@ from gradcal_jax.trajectory import Programme, Schedule, standard_plan
 from gradcal_jax.trajectory.motion import even_division, standing
 from gradcal_jax.trajectory.schedule import Points, make_schedule
 
-# A stretch is at least this share of an even one.
+# Least duration of a stretch, as a share of an even one.
 _LEAST_SHARE = 0.1
-# The readings of a standing axis are searched in about this many pieces a stretch.
+# Pieces of a stretch in which the readings of a standing axis are searched.
 _PIECES_A_STRETCH = 16
 
 
@@ -51,7 +51,7 @@ class _Programmes(eqx.Module):
 
     @property
     def size(self) -> int:
-        """How many free numbers there are."""
+        """Number of free coordinates."""
         return 2 * self.stretches + 1
 
     @abstractmethod
@@ -82,7 +82,7 @@ class ProgrammeCoordinates(_Programmes):
     """Any vector is a programme: the search's coordinates."""
 
     def programme(self, z: Float[AnyArray, " size"]) -> Programme:
-        """The programme without its soak."""
+        """The programme of a vector, without its soak."""
         timed, sloped, first = (z[: self.stretches], z[self.stretches : 2 * self.stretches], z[2 * self.stretches :])
         xp = namespace(z, self.time)
         least = _LEAST_SHARE * self.time / self.stretches
@@ -98,7 +98,7 @@ class ProgrammeCoordinates(_Programmes):
         return Programme(xp.asarray(start), durations, xp.stack(reached), xp.zeros(durations.shape))
 
     def knots(self, z: np.ndarray) -> "tuple[ProgrammeKnots, np.ndarray]":
-        """The same programmes by their own numbers, and those of the programme of `z`."""
+        """The same programmes in durations and temperatures, and the vector of the programme of `z` there."""
         of = self.programme(np.asarray(z))
         own = ProgrammeKnots(**{name: getattr(self, name) for name in self.__dataclass_fields__})
         begin, end = of.chamber()
@@ -107,9 +107,9 @@ class ProgrammeCoordinates(_Programmes):
 
 
 class ProgrammeKnots(_Programmes):
-    """A programme by the shares of the time that its stretches take and, in shares of the range, its temperatures.
+    """A programme as its stretches' shares of the time and its temperatures in shares of the range.
 
-    Only vectors within `limits` are programmes that the chamber follows.
+    The chamber follows only vectors within `limits`.
     """
 
     def programme(self, z: Float[AnyArray, " size"]) -> Programme:
@@ -122,7 +122,7 @@ class ProgrammeKnots(_Programmes):
         )
 
     def near(self, z: np.ndarray) -> np.ndarray:
-        """A vector from which a polish sets out: durations fill the time, temperatures are in the chamber's range."""
+        """A feasible start of a polish: durations fill the time, temperatures are in the chamber's range."""
         durations = np.maximum(z[: self.stretches], _LEAST_SHARE / self.stretches)
         return np.concatenate([durations / np.sum(durations), np.clip(z[self.stretches :], 0.0, 1.0)])
 
@@ -137,7 +137,7 @@ class ProgrammeKnots(_Programmes):
         heating, cooling = np.zeros((n, size)), np.zeros((n, size))
         heating[:, :n], heating[:, n:] = float(self.heating) * np.eye(n), -steps
         cooling[:, :n], cooling[:, n:] = float(self.cooling) * np.eye(n), steps
-        # Slopes in shares of the faster one, so that every row is of about unit size.
+        # Slopes relative to the faster one, so that every row is of about unit size.
         fastest = max(float(self.heating), float(self.cooling))
         rows = np.concatenate([timed, heating / fastest, cooling / fastest, eye[n:], -eye[n:], np.eye(1, size) * 0.0])
         rows[-1, :n] = 1.0
@@ -146,10 +146,10 @@ class ProgrammeKnots(_Programmes):
 
 
 class StandardCoordinates(eqx.Module):
-    """The standard method at `temperatures` temperatures and `rates` rates in a given time.
+    """The standard method at a number of `temperatures`, all rates at each, in a fixed time.
 
-    `soak` (each), `time` (all): s. `coldest`, `warmest`: °C. `max_rate` rad/s. `given_rates` rad/s stay where rates
-    are not free.
+    `soak` (each), `time` (all): s. `coldest`, `warmest`: °C. `max_rate` rad/s. `fixed_rates` rad/s hold unless
+    `rates_free`.
     """
 
     soak: Float[AnyArray, ""]
@@ -157,21 +157,21 @@ class StandardCoordinates(eqx.Module):
     coldest: Float[AnyArray, ""]
     warmest: Float[AnyArray, ""]
     max_rate: Float[AnyArray, ""]
-    given_rates: Float[AnyArray, " r"]
+    fixed_rates: Float[AnyArray, " r"]
     temperatures: int = eqx.field(static=True)
     rates_free: bool = eqx.field(static=True)
     points: Points = eqx.field(static=True, default="one run")
 
     @property
     def size(self) -> int:
-        """How many free numbers there are."""
-        return self.temperatures + (self.given_rates.shape[0] if self.rates_free else 0)
+        """Number of free coordinates."""
+        return self.temperatures + (self.fixed_rates.shape[0] if self.rates_free else 0)
 
     def decode(self, z: Float[AnyArray, " size"]) -> Schedule:
         """The plan of a vector, temperatures in rising order."""
         xp = namespace(z, self.time)
         temperatures = xp.sort(_between(self.coldest, self.warmest, z[: self.temperatures]))
-        rates = self.max_rate * xp.tanh(z[self.temperatures :]) if self.rates_free else self.given_rates
+        rates = self.max_rate * xp.tanh(z[self.temperatures :]) if self.rates_free else self.fixed_rates
         count = rates.shape[0]
         integration = (self.time / self.temperatures - self.soak) / count
         template = standard_plan(np.zeros(self.temperatures), 0.0, 0.0, np.zeros(count), points=self.points)

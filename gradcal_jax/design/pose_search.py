@@ -2,8 +2,8 @@
 order (Kirkpatrick and others, 1983).
 
 A *cycle* is a tuple of `CycleItem`s, each a turn of one axis by a whole number of angle steps followed by a rest. Every
-cycle ends where it began, up to whole turns, so that it can repeat. All figures are those that a controller takes
-(tenths of a second, of a degree a second): what is found is what is executed.
+cycle ends where it began, up to whole turns, so that it can repeat. All values have the resolution of a controller
+(0.1 s, 0.1 deg/s), so that the optimum is executed without rounding.
 """
 
 import math
@@ -19,7 +19,7 @@ _FACTORS = (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)
 
 
 class CycleItem(NamedTuple):
-    """A turn of `axis` by `steps` angle steps (0: none) at `rate` (deg/s at most), then `rest` s of it (0: none)."""
+    """A turn of `axis` by `steps` angle steps (0: none) at up to `rate` (deg/s), then a rest of `rest` s (0: none)."""
 
     axis: int
     steps: int
@@ -31,8 +31,8 @@ PoseCycle = tuple[CycleItem, ...]
 
 
 class PoseLimits(NamedTuple):
-    """What a cycle may be: `per_turn` angle steps in a turn; of each axis the fastest `rates` (deg/s) and its `reach`
-    either way, in angle steps; rests (s) from `shortest` to `longest`; at most `most` items.
+    """Limits of a cycle: `per_turn` angle steps in a turn; for each axis the largest of `rates` (deg/s) and the `reach`
+    in both directions, angle steps; rests (s) from `shortest` to `longest`; at most `most` items.
     """
 
     per_turn: int
@@ -44,7 +44,7 @@ class PoseLimits(NamedTuple):
 
 
 class PoseState(NamedTuple):
-    """How far a search is: the best cycle and its value, where it stands now, and the share that is done."""
+    """State of a search: the best cycle and its value, the value of the current cycle, the completed share."""
 
     best: PoseCycle
     value: float
@@ -62,12 +62,11 @@ def anneal(
     warmest: float = 0.02,
     together: int = 1,
 ) -> Iterator[PoseState]:
-    """Yields after every `together` evaluations. `values`: what is minimised, of several cycles; infinite for one that
-    cannot be.
+    """Yields after every `together` evaluations. `values`: the minimised function, of several cycles; infinite for an
+    infeasible one.
 
-    `warmest`: by how much worse (in the value's unit) a step may be that is often still taken, at the beginning, as
-    `_COLDEST` at the end. `together`: neighbours of one cycle that are asked for at once, of which the first that is
-    taken counts, so that they can be worked out side by side.
+    `warmest`: temperature at the beginning, the increase (in the value's unit) that is often still accepted; `_COLDEST`
+    at the end. `together`: neighbours of one cycle that are evaluated in parallel; the first accepted one counts.
     """
     rng = np.random.default_rng(seed)
     here, now = start, next(iter(values([start])))
@@ -83,15 +82,14 @@ def anneal(
                 break
         if now < least:
             best, least = here, now
-        # Far from the best it goes on from there.
+        # Far above the best value the search restarts from the best cycle.
         if now > least + 6.0 * temperature:
             here, now = best, least
         yield PoseState(best, least, now, share)
 
 
 def neighbour(cycle: PoseCycle, limits: PoseLimits, rng: np.random.Generator) -> PoseCycle:
-    """A cycle with one thing changed, closed again by the turn of the same axis that follows: poses between the two
-    change, and no others."""
+    """A cycle with one change, closed by the next turn of the same axis: only poses between the two change."""
     items, k = list(cycle), int(rng.integers(len(cycle)))
     item, axis = items[k], int(rng.integers(len(limits.rates)))
     steps, factor = int(rng.choice(_TURNS)) * int(rng.choice([-1, 1])), float(rng.choice(_FACTORS))
@@ -116,7 +114,7 @@ def neighbour(cycle: PoseCycle, limits: PoseLimits, rng: np.random.Generator) ->
     elif what == "rests":
         items = [i._replace(rest=_rest(i.rest * factor, limits) if i.rest else 0.0) for i in items]
     elif what == "copy" and len(items) < limits.most:
-        # There and back: a move and its opposite, which cancels drift.
+        # Adds the opposite move, which cancels drift.
         items[k + 1 : k + 1] = [item._replace(steps=-item.steps)]
     elif what == "move":
         block = items[k : k + int(rng.integers(1, 7))]
@@ -141,9 +139,9 @@ _SHARES = {
 
 
 def closed(cycle: PoseCycle, limits: PoseLimits, after: int | None = None) -> PoseCycle:
-    """The cycle with one turn of each axis changed so that it ends where it began, up to whole turns (on an axis of
-    limited travel, exactly): the last one, or the next one to the item `after`. Items without turn and rest are left
-    out."""
+    """The cycle with one turn of each axis changed so that it ends where it began, up to whole turns (exactly on an
+    axis of limited travel): the last turn, or the first one behind the item `after`. Empty items are removed.
+    """
     items = list(cycle)
     for axis, (_, highest) in enumerate(limits.reach):
         turns = [k for k, i in enumerate(items) if i.axis == axis and i.steps]
@@ -157,7 +155,7 @@ def closed(cycle: PoseCycle, limits: PoseLimits, after: int | None = None) -> Po
 
 
 def feasible(cycle: PoseCycle, limits: PoseLimits) -> bool:
-    """Whether a cycle stays where every axis may go."""
+    """Whether a cycle stays within the reach of every axis."""
     for axis, (lowest, highest) in enumerate(limits.reach):
         path = np.cumsum([i.steps for i in cycle if i.axis == axis])
         if path.size and (path.min() < lowest or path.max() > highest):

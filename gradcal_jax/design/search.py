@@ -1,7 +1,7 @@
 """The search: random starts that descend while a soft maximum hardens, hops from the best, and a polish.
 
-One compiled program gives the value, what limits are exceeded by, and all gradients; whatever descends, descends with
-it. Starts are independent of one another and share the cores; the better half of them goes on to each harder stage.
+One compiled program gives the value, the excess over limits and all gradients for every descent. Starts are independent
+of one another and share the cores; the better half of them continues in each harder stage.
 """
 
 import os
@@ -17,50 +17,50 @@ import numpy as np
 from jaxtyping import Float
 
 SHARPNESS = (8.0, 40.0, 200.0, 1000.0)
-# What exceeding a limit by a factor e costs, in factors e of the value, squared.
+# Penalty: this times the squared log excess over a limit is added to the log value.
 _PENALTY = 30.0
-# So many begin at least, with a share of a stage's steps each: there are many local optima, and where a descent will
-# end hardly shows where it begins. The better half of a stage goes on to the next, and at least so many.
+# Least number of starts, each with a share of a stage's steps: there are many local optima, and the start hardly
+# predicts the end of a descent. This share of a stage's points continues in the next one, and at least this number.
 _BEGIN, _BRIEF = 24, 0.5
 _SURVIVORS, _FEWEST = 0.5, 4
 _QUICK_STEPS = 200
-# For an objective of more noise steps than this fewer begin, in proportion, and fewer hop.
+# An objective with more noise steps than this has proportionally fewer starts and hops.
 _CHEAP, _FEWEST_DEAR = 1024, 2
-# On a CPU the kernels of products are not XLA's own: its optimisations take a fifth of the time to compile, and the
-# emitters that make small kernels a little quicker a third; neither shows in a search. (JAX 0.11 refuses the second.)
+# On a CPU XLA's optimisations take a fifth of the compile time and its fusion emitters, which speed small kernels up
+# a little, a third; the search gains from neither. (JAX 0.11 refuses the second option.)
 _COMPILER = {"xla_backend_optimization_level": 1} | (
     {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
 )
-# Standard deviations of hops in coordinates of unit size, in turn; after a round of each that gains less than this
-# share it ends.
+# Standard deviations of hops in coordinates of unit size, used in turn; the search ends after a round that gains less
+# than this share.
 _HOPS = (0.3, 1.0)
 _HOP_GAIN = 1e-3
-# The merit of a point at which nothing can be said.
+# The merit of a point without a finite value.
 _NOWHERE = 1e3
 _LARGEST = 700.0
 # Largest gradient component of log(value) that counts as zero.
 CONVERGED = 1e-4
 _POLISHES = 3
-# A polish without limits ends where the gradient is so small a share of that.
+# A polish without limits ends at this share of it.
 _SETTLED = 0.9
-# Step of the differences that tell a polish the curvature; along so many directions for each coordinate, of which those
-# below the second share of the largest are rounding; and what it is elsewhere, as a share of their mean.
+# Curvature for a polish: step of the differences, directions per coordinate, the share of the largest below which a
+# value is rounding, and the curvature in all other directions as a share of the mean.
 _DIFFERENCE, _DIRECTIONS, _ROUNDING, _ELSEWHERE = 1e-5, 0.2, 1e-3, 0.05
-# A limit that is nearer than this binds; a linear one that is exceeded by less is held.
+# A limit nearer than this binds.
 _BINDING = 1e-4
-# A limit counts as kept where the logarithm of the excess is no larger.
+# Largest log excess at which a limit counts as satisfied; largest excess over a linear limit.
 KEPT = 1e-3
 _HELD = 1e-8
-# Value and limits' excess at a point, as logarithms, and their gradients.
+# Logarithms of the value and of the excess over limits at a point, and their gradients.
 _At = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @runtime_checkable
 class Minimised(Protocol):
-    """What is minimised: a pytree, so that its numbers are arguments of the compiled program.
+    """An objective: a pytree, so that its numbers are arguments of the compiled program.
 
-    `value(z, by, sharpness)`: the value, positive, and the logarithms by which limits are exceeded (k,), with figures
-    eased `by` so much, `eased` of them. `cost`: the noise steps that a value takes.
+    `value(z, by, sharpness)`: the positive value and the log excess (k,) over limits, with `eased` limits relaxed `by`
+    so much. `cost`: noise steps of one evaluation.
     """
 
     @property
@@ -73,8 +73,8 @@ class Minimised(Protocol):
 
 
 class Slopes(NamedTuple):
-    """At a point: `logs` `(1 + k,)` of the value and of the limits' excess, and their derivatives in z and in what may
-    be eased, `(1 + k, n)` and `(1 + k, m)`.
+    """At a point: `logs` `(1 + k,)` of the value and of the excess over limits, and their derivatives in z and in the
+    relaxations, `(1 + k, n)` and `(1 + k, m)`.
     """
 
     logs: np.ndarray
@@ -82,7 +82,7 @@ class Slopes(NamedTuple):
     of_eased: np.ndarray
 
     def merit(self) -> tuple[float, np.ndarray]:
-        """The logarithm of the value, what exceeding limits costs, and the gradient of both."""
+        """The logarithm of the value plus the penalty, and its gradient."""
         excess = np.maximum(self.logs[1:], 0.0)
         log = float(self.logs[0] + _PENALTY * np.sum(excess**2))
         gradient = self.of_z[0] + 2.0 * _PENALTY * excess @ self.of_z[1:]
@@ -93,7 +93,7 @@ class Slopes(NamedTuple):
 
 @lru_cache(maxsize=64)
 def _program(structure):
-    """Value and slopes of all objectives of a structure, compiled once for each class of sizes."""
+    """Value and slopes of all objectives of a structure; compiled once for each class of sizes."""
 
     def slopes(leaves, z, by, sharpness):
         objective = jax.tree.unflatten(structure, leaves)
@@ -127,7 +127,7 @@ class Compiled:
         self.size = len(self._places)
 
     def __call__(self, z: Float[np.ndarray, " n"], sharpness: float = np.inf) -> Slopes:
-        """At a point; an infinite sharpness is exact."""
+        """Value and slopes at a point; an infinite sharpness is exact."""
         whole = np.zeros(self._whole)
         whole[self._places] = z
         logs, of_z, of_eased = (np.asarray(x) for x in self._program(self._leaves, whole, self._by, sharpness))
@@ -135,9 +135,9 @@ class Compiled:
 
 
 class SearchState(NamedTuple):
-    """All that a search needs to go on: where every start is, what it reached, how many descents are done, the best.
+    """State from which a search continues: every start's point and value, the number of completed descents, the best.
 
-    A start that did not go on to a later stage stays where it was.
+    A start that did not continue in a later stage keeps its last point.
     """
 
     points: np.ndarray
@@ -149,7 +149,7 @@ class SearchState(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far a search is: the best objective at its beginning and now, and descents done of how many at most."""
+    """Progress of a search: the best objective at its beginning and now, completed descents and their maximum."""
 
     first: float
     best: float
@@ -159,7 +159,7 @@ class Progress(NamedTuple):
 
 
 class LinearLimits(NamedTuple):
-    """Limits on a vector: `rows @ z >= least`, and exactly equal where `equal` says so."""
+    """Limits on a vector: `rows @ z >= least`, equality where `equal` is true."""
 
     rows: np.ndarray
     least: np.ndarray
@@ -167,10 +167,10 @@ class LinearLimits(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """The polished point, its exact objective, and a sentence that says whether it converged.
+    """The polished point, its exact objective, and a sentence on its convergence.
 
-    `gradient_norm`: largest component of the gradient of the objective's logarithm, less what limits hold back.
-    `held`: whether every limit is.
+    `gradient_norm`: largest component of the objective's log gradient, projected on the binding limits. `held`: whether
+    every limit is satisfied.
     """
 
     point: np.ndarray
@@ -194,10 +194,10 @@ def search(
 ) -> Iterator[Progress]:
     """Yield `Progress` after every descent; the last one's state holds the best point.
 
-    Twice as many points as `starts` begin; a start makes up to `steps` steps in all, as the maximum hardens, the better
-    half going on each time; then some begin again near the best, as long as that gains something, `hops` times at most.
-    `quick`: half as many begin, once each, and none hops. `state`: go on from there. `stop`: asked between steps; once
-    true, descents end where they are. Errors: `ValueError` when no start gives a finite objective.
+    Twice `starts` points begin and make up to `steps` steps in all; the better half continues in each harder stage.
+    Then some points near the best begin again, at most `hops` times and as long as that gains something. `quick`: half
+    as many starts, one stage, no hops. `state`: continue from it. `stop`: called between steps; once it returns true,
+    descents end at their present point. Errors: `ValueError` when no start gives a finite objective.
     """
     share = min(1.0, _CHEAP / max(1, compiled.cost))
     plan = _levels(1, min(steps, _QUICK_STEPS), 0, 0.5 * share) if quick else _levels(starts, steps, hops, share)
@@ -222,7 +222,7 @@ def search(
             if without_gain >= len(_HOPS):
                 return
             hop_from = state.best
-            # The same numbers whether a search went on or began anew.
+            # The same numbers whether the search was continued or not.
             near = np.random.default_rng([seed, number]).standard_normal((count, compiled.size))
             order, begins = np.arange(count), state.best_point + level.hop * near
         else:
@@ -246,7 +246,7 @@ def search(
 
 
 class _Level(NamedTuple):
-    """So many descents of so many steps at a sharpness; from points about the best, for a hop."""
+    """Number and steps of descents at a sharpness; `hop`: spread of their starts about the best point, 0 for none."""
 
     sharpness: float
     descents: int
@@ -255,7 +255,7 @@ class _Level(NamedTuple):
 
 
 def _levels(starts: int, steps: int, hops: int, share: float) -> list[_Level]:
-    """`share`: how many of the starts and hops that nobody asked for are affordable."""
+    """`share`: affordable share of the starts and hops beyond the requested ones."""
     stage = max(1, round(steps / len(SHARPNESS)))
     fewest = max(_FEWEST_DEAR, round(_FEWEST * share))
     counts = [max(2 * starts, round(_BEGIN * share))]
@@ -269,8 +269,7 @@ def _levels(starts: int, steps: int, hops: int, share: float) -> list[_Level]:
 def _descents(
     compiled: Compiled, points: Sequence[np.ndarray], sharpness: float, steps: int, stop: Callable[[], bool]
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Where a descent of so many steps ends from each point, in their order; as many at once as there are cores."""
-
+    """End of a descent of `steps` steps from each point, in their order; one thread for each core."""
     from scipy.optimize import minimize
 
     def descend(z: np.ndarray) -> np.ndarray:
@@ -295,10 +294,10 @@ def polish(
     linear: LinearLimits | None = None,
     names: Sequence[str] = (),
 ) -> Optimum:
-    """SLSQP on the hardest soft maximum, which it hardly tells from the exact one; limits held exactly.
+    """SLSQP on the hardest soft maximum, which is nearly the exact one; limits hold exactly.
 
     Without limits it descends in coordinates of equal curvature: a discrepancy leaves valleys a million times flatter
-    than their walls. Where `steps` do not do it begins anew, `rounds` in all. `linear`: further limits, on the vector
+    than their walls. It restarts where `steps` do not suffice, `rounds` in all. `linear`: further limits on the vector
     itself. `names`: of the compiled limits.
     """
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
@@ -325,7 +324,7 @@ def polish(
     norm = np.inf
     for _ in range(rounds):
         if limits:
-            fun = lambda z: (float(at(z)[0][0]), at(z)[1][0].copy())  # noqa: E731 (SLSQP writes into what it is given.)
+            fun = lambda z: (float(at(z)[0][0]), at(z)[1][0].copy())  # noqa: E731 (SLSQP overwrites its argument.)
             reached = minimize(fun, point, jac=True, method="SLSQP", constraints=limits, options=options).x
         else:
             reached = _free_descent(at, point, options)
@@ -358,9 +357,9 @@ class _SettledError(Exception):
 
 
 def _free_descent(at: _At, point: np.ndarray, options: dict[str, Any]) -> np.ndarray:
-    """The best point that SLSQP sees without limits, in coordinates of equal curvature.
+    """The best point of SLSQP without limits, in coordinates of equal curvature.
 
-    Where what it has learned of the curvature breaks down, it leaps to where nothing has a slope any more.
+    The best and not the last one: where its curvature estimate fails, SLSQP may leap to a point without slopes.
     """
     from scipy.optimize import minimize
 
@@ -385,8 +384,8 @@ def _free_descent(at: _At, point: np.ndarray, options: dict[str, Any]) -> np.nda
 def _equal_curvature(at: _At, point: np.ndarray) -> np.ndarray:
     """Columns along which the objective's curvature at a point is about one.
 
-    It is steep along few directions: differences of the gradient along a fifth as many, drawn at random, find them
-    (Nyström's approximation), and what they miss the descent learns for less than the other differences would cost.
+    It is steep in few directions. Differences of the gradient in a random subspace of a fifth of the dimension find
+    them (Nyström's approximation); SLSQP learns the rest at a lower cost than further differences.
     """
     size = len(point)
     drawn = np.random.default_rng(0).standard_normal((size, int(np.ceil(_DIRECTIONS * size))))
@@ -400,12 +399,12 @@ def _equal_curvature(at: _At, point: np.ndarray) -> np.ndarray:
     curvature = np.abs(curvature)
     seen = curvature > _ROUNDING * np.max(curvature)
     steep = bent @ turned[:, seen] / np.sqrt(curvature[seen])
-    found, along = np.linalg.eigh(steep @ steep.T)
-    return along / np.sqrt(np.maximum(found, 0.0) + _ELSEWHERE * np.mean(curvature))
+    eigenvalues, along = np.linalg.eigh(steep @ steep.T)
+    return along / np.sqrt(np.maximum(eigenvalues, 0.0) + _ELSEWHERE * np.mean(curvature))
 
 
 def missed_limit(excess: np.ndarray, names: Sequence[str]) -> str:
-    """The limit that is exceeded most, in words; empty where all are kept."""
+    """The limit that is exceeded most, in words; empty where all are satisfied."""
     if np.all(excess <= KEPT):
         return ""
     worst = int(np.argmax(excess))
@@ -413,13 +412,13 @@ def missed_limit(excess: np.ndarray, names: Sequence[str]) -> str:
 
 
 def exactly(compiled: Compiled, point: np.ndarray) -> tuple[float, np.ndarray]:
-    """The exact value, and the logarithms by which limits are exceeded."""
+    """The exact value and the log excess over limits."""
     logs = compiled(np.asarray(point)).logs
     return float(np.exp(logs[0])), logs[1:]
 
 
 def multipliers(compiled: Compiled, point: np.ndarray) -> Float[np.ndarray, " k"]:
-    """At an optimum: what each compiled limit costs, d log value / d log excess; nought where it does not bind."""
+    """At an optimum: price of each compiled limit, d log value / d log excess; 0 where it does not bind."""
     from scipy.optimize import nnls
 
     values, rows, _ = compiled(np.asarray(point), SHARPNESS[-1])
@@ -431,7 +430,7 @@ def multipliers(compiled: Compiled, point: np.ndarray) -> Float[np.ndarray, " k"
 
 
 def _beyond(linear: LinearLimits | None, point: np.ndarray) -> float:
-    """By how much a point exceeds the worst of its linear limits."""
+    """Excess of a point over its worst linear limit."""
     if linear is None:
         return 0.0
     room = linear.rows @ point - linear.least
@@ -439,7 +438,7 @@ def _beyond(linear: LinearLimits | None, point: np.ndarray) -> float:
 
 
 def _projected(values: np.ndarray, rows: np.ndarray, point: np.ndarray, linear: LinearLimits | None) -> float:
-    """Largest component of the gradient, less its best combination of the gradients of the limits that bind."""
+    """Largest component of the gradient after subtraction of its best fit by the gradients of binding limits."""
     gradient, binding = rows[0], rows[1:][values[1:] > -_BINDING]
     if linear is not None:
         held = linear.rows[linear.equal | (linear.rows @ point - linear.least < _BINDING)]

@@ -1,4 +1,4 @@
-"""From readings to parameters with covariance: the prediction's own measurement model, fed with data."""
+"""From readings to parameters with covariance, by the measurement model of the prediction."""
 
 from gradcal_jax.estimation.consistency import Consistency, Test, chi_squared_test, consistency, split, whiteness
 from gradcal_jax.estimation.executed import Executed, distinct_readings, executed, momentary_stops

@@ -1,14 +1,14 @@
-"""Does the fit agree with the model? Every test is of whitened residuals, which are independent with variance one.
+"""Tests of a fit against the model, on whitened residuals, which are independent with variance one.
 
-* `χ²` of the whole fit against its degrees of freedom: is the noise as large as the spec says?
-* whiteness (Ljung and Box, 1978): is anything left that lasts from reading to reading? What the parameters took up is
-  missing in the residuals, which correlates them: the correlations' mean and covariance count that (of 200 residuals
-  behind 16 parameters the plain statistic fires in 10 % of all cases where 1 % is meant).
-* the share of residuals beyond three standard deviations: are there outliers?
+* `χ²` of the whole fit against its degrees of freedom: is the noise as large as in the spec?
+* whiteness (Ljung and Box, 1978): are residuals of successive readings correlated? The fit of the parameters correlates
+  them, too; mean and covariance of the correlations include this effect (for 200 residuals and 16 parameters the plain
+  statistic rejects 10 % of all cases instead of 1 %).
+* share of residuals beyond three standard deviations: are there outliers?
 * **split test**: whitened rows are independent, so any two subsets are two experiments. With the smallest χ² of each,
-  `χ²_AB − χ²_A − χ²_B` is χ² with as many degrees of freedom as parameters that both see: do heating and cooling (or
-  the first and the second half) say the same? `(β_A − β_B)_k/√(C_A + C_B)_kk` names the coefficient that does not.
-* held out: `χ²_AB − χ²_A`, of the B rows predicted from A with the covariance of that prediction.
+  `χ²_AB − χ²_A − χ²_B` is χ² with as many degrees of freedom as parameters that both observe: do heating and cooling
+  (or the first and the second half) agree? `(β_A − β_B)_k/√(C_A + C_B)_kk` shows the coefficient that differs.
+* held out: `χ²_AB − χ²_A`, of the rows of B predicted from A, with the covariance of that prediction.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from gradcal_jax.estimation.solve import Estimate, Whitened, solve
 from gradcal_jax.information.posterior import OBSERVABLE
 
 _LAGS = 20
-# Fewer residuals that are left for each lag are too few for the statistic to be χ².
+# Least number of residuals for each lag for the statistic to be χ².
 _PER_LAG = 20
 _RARE = 0.01
 
@@ -28,7 +28,7 @@ _RARE = 0.01
 class Test(NamedTuple):
     """A statistic that is χ² with `degrees` where the model is true; `probability` of one as large or larger."""
 
-    __test__ = False  # pytest would take it for a class of tests
+    __test__ = False  # not a class of tests for pytest
 
     statistic: float
     degrees: int
@@ -36,13 +36,13 @@ class Test(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether chance explains it, 99 times of 100."""
+        """Whether the statistic is plausible at the level of 1 %."""
         return self.probability > _RARE
 
 
 class Split(NamedTuple):
     """Two subsets of the readings against each other; see the module's head. `differences` `(p,)` in standard
-    deviations (NaN where one of them does not see the parameter), of the reported parameters."""
+    deviations (NaN where one of them does not observe the parameter), of the reported parameters."""
 
     name: str
     counts: tuple[int, int]
@@ -52,7 +52,7 @@ class Split(NamedTuple):
 
 
 class Consistency(NamedTuple):
-    """Of one unit. `noise_scale`: √(χ²/degrees), what the spec's noise would have to be multiplied by."""
+    """Tests of one unit. `noise_scale`: √(χ²/degrees), the factor by which the noise differs from the spec."""
 
     fit: Test
     noise_scale: float
@@ -63,14 +63,14 @@ class Consistency(NamedTuple):
 
 
 def chi_squared_test(statistic: float, degrees: int) -> Test:
-    """A statistic against χ² with so many degrees of freedom; none of them: passed."""
+    """Test of a statistic against χ² with `degrees` degrees of freedom; passed without any."""
     if degrees <= 0:
         return Test(float(statistic), 0, 1.0)
     return Test(float(statistic), int(degrees), float(special.chdtrc(degrees, statistic)))
 
 
 def consistency(
-    found: Estimate,
+    estimate: Estimate,
     white: Whitened,
     unit: int,
     subsets: dict[str, np.ndarray],
@@ -78,15 +78,15 @@ def consistency(
     taken: np.ndarray | None = None,
 ) -> Consistency:
     """All tests of one unit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`; `taken`:
-    `taken_up`, where it is known."""
-    residual = found.residuals[unit]
-    degrees = int(found.degrees[unit])
-    fit = chi_squared_test(float(found.chi_squared[unit]), degrees)
+    result of `taken_up`, if known."""
+    residual = estimate.residuals[unit]
+    degrees = int(estimate.degrees[unit])
+    fit = chi_squared_test(float(estimate.chi_squared[unit]), degrees)
     single = white.of_unit(unit)
     splits = [split(single, name, subset, to_reported) for name, subset in subsets.items()]
     return Consistency(
         fit,
-        float(np.sqrt(found.chi_squared[unit] / degrees)) if degrees > 0 else float("nan"),
+        float(np.sqrt(estimate.chi_squared[unit] / degrees)) if degrees > 0 else float("nan"),
         whiteness(residual, taken_up(single) if taken is None else taken),
         float(np.mean(np.abs(residual) > 3.0)) if len(residual) else 0.0,
         float(np.max(np.abs(residual), initial=0.0)),
@@ -97,8 +97,8 @@ def consistency(
 def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
     """Ljung and Box's statistic of a series of whitened residuals `(n,)`.
 
-    `taken` `(n, q)`: rows of an orthonormal basis of what the fit's parameters explain, `taken_up` of the fit; the
-    residuals' covariance is I − taken takenᵀ. None: nothing.
+    `taken` `(n, q)`: rows of an orthonormal basis of the fitted columns, from `taken_up`; the residuals' covariance is
+    I − taken takenᵀ. None: no fit.
     """
     count = len(residual)
     taken = np.zeros((count, 0)) if taken is None else taken
@@ -108,13 +108,13 @@ def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
     if lags < 1 or power <= 0.0:
         return Test(0.0, 0, 1.0)
     shifts = range(1, lags + 1)
-    found = np.array([residual[k:] @ residual[:-k] for k in shifts]) / power
+    correlations = np.array([residual[k:] @ residual[:-k] for k in shifts]) / power
     # Moments of quadratic forms in normal variables, over their sum of squares.
     inner = np.stack([0.5 * (one + one.T) for k in shifts for one in [taken[k:].T @ taken[:-k]]])
     mean = -np.trace(inner, axis1=1, axis2=2) / free
     product = np.diag(0.5 * (count - np.array(shifts))) + np.einsum("kij,lij->kl", inner, inner)
-    # Twice tr(takenᵀ A_k A_l taken), A_k the half sum of the shifts by k either way: sums of the basis' own products,
-    # less what leaves the series at its ends.
+    # Twice tr(takenᵀ A_k A_l taken), A_k the half sum of the shifts by ±k: sums of products of the basis, less the
+    # terms beyond the ends of the series.
     dots = [np.einsum("ij,ij->i", taken[m:], taken[: count - m]) for m in range(2 * lags + 1)]
     sums = [float(np.sum(d)) for d in dots]
     for k in shifts:
@@ -123,12 +123,12 @@ def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
             product[k - 1, m - 1] -= sums[k + m] + sums[k - m] - 0.5 * ends
             product[m - 1, k - 1] = product[k - 1, m - 1]
     covariance = 2.0 * (product / free - np.outer(mean, mean)) / (free + 2.0)
-    apart = found - mean
+    apart = correlations - mean
     return chi_squared_test(float(apart @ np.linalg.solve(covariance, apart)), lags)
 
 
 def taken_up(white: Whitened) -> np.ndarray:
-    """`(n, q)`: the readings' rows of an orthonormal basis of what one unit's parameters can explain."""
+    """`(n, q)`: the readings' rows of an orthonormal basis of the columns of one unit's parameters."""
     design = np.concatenate([white.rows[0], white.prior])
     norm = np.linalg.norm(design, axis=0)
     orthogonal, triangle = np.linalg.qr(design / np.where(norm > 0.0, norm, 1.0))
@@ -143,7 +143,7 @@ def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarra
     halves = white.only(subset).condensed(), white.only(~subset).condensed()
     three = (*halves, halves[0].joined(halves[1]))
     first, second, both = (solve(part) for part in three)
-    # The prior's rows are in both halves and would count twice: what is known beforehand is no news of either.
+    # Without the prior's rows, which both halves contain and which would count twice.
     without = [solve(part._replace(prior=part.prior[:0])) for part in three]
     squares = [float(s.chi_squared[0]) for s in without]
     ranks = [part.data.shape[1] - int(s.degrees[0]) for part, s in zip(three, without, strict=True)]

@@ -1,13 +1,12 @@
-"""What was really done: a log's standstills and moves as a trajectory, in the terms of the prediction.
+"""The executed plan: a log's standstills and moves as a trajectory of the prediction's kind.
 
-A reading is taken at the first and the last row of every standstill and every `read_every` between. The pieces from
-reading to reading are those of a plan's trajectory. Moves that follow one another without a rest stop for an instant
-between them: the row of that instant is read, too. Moves are divided so that the noise that the rate drives can be
-followed. The motion inside a piece counts for the noise alone (mean rates will do); the regressors come from the
-samples themselves (`estimation.samples`).
+A reading is taken at the first and the last row of every standstill and every `read_every` between. The pieces between
+readings are those of a plan's trajectory. Consecutive moves without a rest stop for an instant between them, and the
+row of that instant is read, too. Moves are divided for the noise that the rate drives. Only the noise depends on the
+motion within a piece (mean rates suffice); the regressors come from the samples themselves (`estimation.samples`).
 
-Row `i` of a log stands for the time from row `i − 1` to itself. Where rows are missing or masked the integral is
-broken: the angle's origin is read anew at the first row of rest after it (a gap piece).
+Row `i` of a log represents the time from row `i − 1` to itself. Where rows are missing or masked the integral is
+interrupted: a new origin of the angle is read at the first row of rest after it (a gap piece).
 """
 
 from typing import NamedTuple
@@ -18,17 +17,15 @@ from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import Trajectory, held
 
 _MOVE_PARTS = 8
-# A valley of the speed this many times below both its sides is a stop; what is this much below the fastest is noise.
+# The speed at a stop is this many times below that on both sides; speeds below this share of the fastest are noise.
 _DIP = 10.0
 _SLOWEST = 1e-4
-# A table that is read on the move is within this share of a move's extent of what the sensor says.
+# Largest difference between the angles of table and sensor on the move, as a share of the move's extent.
 _FOLLOWS = 0.02
 
 
 class Executed(NamedTuple):
-    """`line` of `P` pieces; `rows` `(P + 1,)`: piece k is the log's rows `rows[k] + 1 … rows[k+1]`, none of which
-    count where `broken[k]`.
-    """
+    """`line` of `P` pieces; `rows` `(P + 1,)`: piece k is rows `rows[k] + 1 … rows[k+1]`, unused where `broken[k]`."""
 
     line: Trajectory
     rows: np.ndarray
@@ -50,10 +47,10 @@ def executed(
     """The timeline of a log's rows, all arrays `(n,)`.
 
     `standing`: whether the axis stands (rows of one standstill are neighbours); `usable`: whether the row's sample may
-    be integrated (it is not where rows are missing before it, either); `angle_rad` of the table, None where nothing
-    but standing is known: then no move has a reference, and every move is a gap. `rate_rad_per_s` need only be good
-    enough for the noise. `reading_rows` `(n,)`: where the table was really read, where that is known; a standstill
-    without any is read at its first row. Errors: `ValueError` where the log never stands for two readings.
+    be integrated (false also where rows are missing before it); `angle_rad` of the table, None if unknown: then moves
+    have no reference and are gaps. `rate_rad_per_s` is used for the noise only. `reading_rows` `(n,)`: the rows at
+    which the table was read, if known; a standstill without any is read at its first row. Errors: `ValueError` where
+    the log never stands for two readings.
     """
     if not read_every > 0.0:
         raise ValueError(f"the spacing of readings must be positive, not {read_every}")
@@ -80,7 +77,7 @@ def executed(
                 for row in _parts(time_s, before, first, longest_piece):
                     add(row, reads=row == first, stands=row == first, moves=True)
             else:
-                # The move itself draws the next standstill's offset; the origin is read anew after it.
+                # The move draws the offset of the next standstill; a new origin is read after it.
                 add(first, reads=False, stands=True, moves=True, lost=True)
                 add(first, reads=False, stands=True, is_gap=True, lost=True)
         for row in others:
@@ -96,9 +93,9 @@ def momentary_stops(
 ) -> np.ndarray:
     """`(n,)`: rows within moves at which the table stops for an instant between two turns.
 
-    Those are the slowest rows of valleys from which the speed rises tenfold on both sides. The integrated error is
-    read there as well as at rest: it hardly changes within a row, whatever the angle does. Moves in which the table's
-    angle does not follow the sensor's (it was not read, but drawn straight between readings) have none.
+    Those are the slowest rows of minima from which the speed rises tenfold on both sides. The integrated error is read
+    there as accurately as at rest, since it hardly changes within a row. Moves in which the table's angle does not
+    follow the sensor's (it was interpolated between readings) have none.
     """
     result = np.zeros(len(standing), bool)
     speed = np.abs(rate_rad_per_s)
@@ -118,8 +115,8 @@ def momentary_stops(
 
 
 def valleys(speed: np.ndarray, slowest: float) -> np.ndarray:
-    """Rows of the valleys from which a speed rises tenfold on both sides; below `slowest` all speeds are alike."""
-    # Where it is used alone: it brings all of SciPy's statistics.
+    """Rows of the minima from which a speed rises tenfold on both sides; speeds below `slowest` count as equal."""
+    # Imported where it is used: it imports all of SciPy's statistics.
     from scipy.signal import find_peaks
 
     return find_peaks(-np.log(np.maximum(speed, slowest)), prominence=np.log(_DIP))[0]
@@ -139,7 +136,7 @@ def _line(time, temperature, rate, angle, at, read, rest, gap, moves) -> Traject
 
 
 def _as_the_table(turned: np.ndarray, angle: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """The pieces of each move, adjusted to sum to what the table turned."""
+    """The angles of each move's pieces, corrected to sum to the table's angle."""
     result = turned.copy()
     for first, last in _runs(moves):
         total = angle[last + 1] - angle[first]
@@ -149,10 +146,10 @@ def _as_the_table(turned: np.ndarray, angle: np.ndarray, moves: np.ndarray) -> n
 
 
 def _readings(time: np.ndarray, first: int, last: int, every: float, known: np.ndarray | None) -> list[int]:
-    """Rows of one standstill that are read: the first, the last, and what lies `every` apart between; or the known."""
+    """Rows of one standstill that are read: first, last and those `every` apart between; or the `known` ones."""
     if known is not None:
-        given = np.flatnonzero(known[first : last + 1]) + first
-        return [int(r) for r in given] or [first]
+        readings = np.flatnonzero(known[first : last + 1]) + first
+        return [int(r) for r in readings] or [first]
     if last == first:
         return [first]
     goals = np.arange(time[first] + every, time[last] - 0.5 * every, every) if np.isfinite(every) else np.zeros(0)
@@ -161,12 +158,12 @@ def _readings(time: np.ndarray, first: int, last: int, every: float, known: np.n
 
 
 def distinct_readings(time_s: np.ndarray, angle_rad: np.ndarray, standing: np.ndarray, read_every: float) -> np.ndarray:
-    """`(n,)`: one row for each reading of the table, where a log repeats every reading over the rows about it.
+    """`(n,)`: one row for each reading of the table, in a log that repeats every reading in neighbouring rows.
 
-    Rows that repeat one reading share its error: to count them apart would count them as more than they are. Two
-    readings that happen to agree to the last digit are two, though: values that last twice as long as values usually
-    do are counted so (taken for one, they would make the others scatter more than they do, by some per cent). What
-    is repeated for longer than three times `read_every` is read at its first and its last row.
+    Rows that repeat one reading share its error and must not count separately. But two readings may agree to the last
+    digit: a value that lasts twice as long as usual counts as two readings (counted as one it would increase the
+    scatter of the others by some per cent). A value that is repeated for more than three times `read_every` is read at
+    its first and last row.
     """
     result = np.zeros(len(time_s), bool)
     repeats: list[tuple[int, int]] = []
@@ -178,7 +175,7 @@ def distinct_readings(time_s: np.ndarray, angle_rad: np.ndarray, standing: np.nd
         if time_s[b] - time_s[a] > 3.0 * read_every:
             result[[a, b]] = True
         else:
-            # Ends of standstills last half as long again: those are no second reading.
+            # At ends of standstills a value may last 1.5 times as long and is still one reading.
             count = max(int((b + 1 - a) / usual + 0.25), 1)
             result[a + (np.arange(count) * 2 + 1) * (b + 1 - a) // (2 * count)] = True
     return result

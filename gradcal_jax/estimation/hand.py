@@ -1,4 +1,4 @@
-"""A unit without a table, held still in many positions and turned by hand between them: its errors by gravity alone.
+"""Calibration without a table: a unit held still in many positions and turned by hand, with gravity as reference.
 
 Two least-squares problems, one after the other (Tedaldi, Pretto, Menegatti, "A robust and easy to implement method for
 IMU calibration without external equipments", ICRA 2014), here with the covariance of every row:
@@ -7,13 +7,13 @@ IMU calibration without external equipments", ICRA 2014), here with the covarian
     Cᵀ u = u'           from each to the next          gyros: bias b, whole E, sensitivity G to f      21
     rate = b + G f + e  over each standstill           the same b and G; e: the Earth's horizontal rate, 2
 
-    said = centre + gain · ((I + E) f + β)             centre, gain: of the sphere that the positions lie on, or 0, 1
-    said = centre + gain · ((I + E) ω + b + G f)       u: f/|f|; C: attitude from the gyros, body to where it started
+    output = centre + gain · ((I + E) f + β)           centre, gain: of the sphere of the positions, or 0, 1
+    output = centre + gain · ((I + E) ω + b + G f)     u: f/|f|; C: attitude from the gyros, body to where it started
 
-The accelerometers define the frame: x along accelerometer x, y in the plane of x and y. Noise is what neighbouring
-parts of standstills differ by. The second problem's rows carry the noise of the two directions u, and what the
-accelerometers' coefficients are uncertain by; where the Earth's rate points is carried from turn to turn. Where a fit
-is worse than noise explains, a variance is added that explains it (Paule and Mandel, J. Res. NBS 87, 1982).
+The accelerometers define the frame: x along accelerometer x, y in the plane of x and y. Differences of neighbouring
+parts of standstills give the noise. The covariance of the second problem's rows includes the noise of the two
+directions u and the accelerometers' coefficients; the direction of the Earth's rate is carried from turn to turn. Where
+residuals exceed the noise, a variance is added that explains them (Paule and Mandel, J. Res. NBS 87, 1982).
 """
 
 from collections.abc import Callable
@@ -28,23 +28,23 @@ from scipy.spatial.transform import Rotation
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.standstill import find_standstills
 
-# How far a unit may be from ideal, once its readings are scaled: 10 %, 100 mrad, 100 mg. Far wider than what is left.
+# Priors of a unit's errors after scaling: 10 %, 100 mrad, 100 mg, far wider than the posterior.
 _RELATIVE = 0.1
 _RATE_BIAS = 0.1  # rad/s about the mean of the first standstill
 _EARTH = 7.292115e-5  # rad/s
 _SENSITIVITY = 1e-3  # rad/s/(m/s²), 2000 deg/h/g
 _BLOCK_S = 0.5
 LOWER = tuple((j, l) for j in range(3) for l in range(j + 1))
-# Of what was allowed: what keeps so much of its variance is not seen, and whatever takes such a part in it.
+# A direction that keeps this share of its prior variance is unobservable, and so are parameters with this share in it.
 _KEPT, _TAKES_PART = 0.5, 0.05
 _LEAST = 9
-# Turns so far off, rad, that the rates are not rad/s.
+# Errors of turns, rad, above which the rates are not in rad/s.
 _STRANGE = 0.1
 
 
 class HandRows(NamedTuple):
-    """One unit's rows: `time` (n,) s, `rates` and `force` (n, 3) in whatever unit, `usable` (n,): false where the row
-    is masked, or what lay before it was not recorded; `standing` (n,): number of the standstill, −1 between.
+    """One unit's rows: `time` (n,) s, `rates` and `force` (n, 3) in any unit, `usable` (n,): false where the row is
+    masked or the one before it is missing; `standing` (n,): number of the standstill, −1 between.
     """
 
     time: np.ndarray
@@ -68,9 +68,9 @@ class Positions(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """Parameters `(p,)` with their covariance, in fractions of `gain` about `centre`; `hidden` `(p,)`: those of which
-    the data say nothing; `test`: χ² by the noise alone; `left`: residuals of the rows that it is of; `taken`: those
-    rows of an orthonormal basis of what the parameters explain; `beyond`: standard deviation that had to be added.
+    """Parameters `(p,)` with their covariance, in fractions of `gain` about `centre`; `hidden` `(p,)`: the
+    unobservable ones; `test`: χ² by the noise alone; `left`: residuals of the tested rows; `taken`: the same rows of an
+    orthonormal basis of the fitted columns; `beyond`: added standard deviation.
     """
 
     parameters: np.ndarray
@@ -86,8 +86,8 @@ class Fitted(NamedTuple):
 
 class ByHand(NamedTuple):
     """Both triads. `cross` `(9, 21)`: covariance of their parameters; `at_rest`: test of the rates over standstills,
-    and `unsteady` (rad/s) what they change by beyond noise; `turns`: how many counted; `earth_level` `(2,)`: the
-    Earth's horizontal rate that was found, rad/s, in axes of no known azimuth.
+    `unsteady` (rad/s): their changes beyond noise; `turns`: number of turns used; `earth_level` `(2,)`: estimate of the
+    Earth's horizontal rate, rad/s, in axes of unknown azimuth.
     """
 
     positions: Positions
@@ -101,23 +101,23 @@ class ByHand(NamedTuple):
 
 
 def find_positions(rates: np.ndarray, force: np.ndarray, sample_interval_s: float, usable: np.ndarray) -> np.ndarray:
-    """`(n,)`: the standstill's number of each row, −1 between; by both triads, `(n, 3)` each in whatever unit."""
-    said = np.nan_to_num(np.concatenate([rates, force], axis=1))
-    said = said - np.median(said[usable], axis=0)
+    """`(n,)`: the standstill's number of each row, −1 between; by both triads, `(n, 3)` each in any unit."""
+    output = np.nan_to_num(np.concatenate([rates, force], axis=1))
+    output = output - np.median(output[usable], axis=0)
     width = max(round(_BLOCK_S / sample_interval_s), 4)
-    mean = uniform_filter1d(said, width, axis=0)
-    spread = np.sqrt(np.maximum(uniform_filter1d(said**2, width, axis=0) - mean**2, 0.0))
+    mean = uniform_filter1d(output, width, axis=0)
+    spread = np.sqrt(np.maximum(uniform_filter1d(output**2, width, axis=0) - mean**2, 0.0))
     quiet = np.quantile(spread[usable], 0.1, axis=0)
     if not (quiet > 0.0).all():
-        quiet = np.maximum(quiet, 1e-6 * np.max(np.abs(said), axis=0) + 1e-300)
-    return find_standstills(said / quiet, sample_interval_s, largest_bias=np.inf, valid=usable)
+        quiet = np.maximum(quiet, 1e-6 * np.max(np.abs(output), axis=0) + 1e-300)
+    return find_standstills(output / quiet, sample_interval_s, largest_bias=np.inf, valid=usable)
 
 
 def positions(rows: HandRows) -> Positions:
     """The standstills' means, and the noise in them. Errors: `ValueError` where there are too few."""
     step = float(np.median(np.diff(rows.time)))
     block = max(round(_BLOCK_S / step), 2)
-    found, squares = [], []
+    standstills, squares = [], []
     for k in range(int(rows.standing.max(initial=-1)) + 1):
         here = np.flatnonzero(rows.standing == k)
         good = here[rows.usable[here]]
@@ -126,24 +126,24 @@ def positions(rows: HandRows) -> Positions:
         both = np.concatenate([rows.force[good], rows.rates[good]], axis=1)
         parts = both[: len(good) // block * block].reshape(-1, block, 6).mean(axis=1)
         squares.append(0.5 * np.diff(parts, axis=0) ** 2)
-        found.append((both.mean(axis=0), len(good) * step, here[0], here[-1]))
-    if len(found) < _LEAST:
+        standstills.append((both.mean(axis=0), len(good) * step, here[0], here[-1]))
+    if len(standstills) < _LEAST:
         raise ValueError(
-            f"{len(found)} standstills of a second and more were found, and at least {_LEAST} are needed: lay the unit "
-            "down in some twenty positions, in all directions, for five seconds each"
+            f"{len(standstills)} standstills of a second and more were found, and at least {_LEAST} are needed: lay "
+            "the unit down in some twenty positions, in all directions, for five seconds each"
         )
-    means = np.array([f[0] for f in found])
+    means = np.array([f[0] for f in standstills])
     noise = np.concatenate(squares).mean(axis=0) * block * step
-    # Of a coarse sensor that does not flicker: a count's own variance, or next to nothing.
+    # A lower limit for a coarsely quantised sensor with constant output.
     noise = np.maximum(noise, 1e-18 * np.ptp(means, axis=0) ** 2 + 1e-300)
-    ends = np.array([[f[2], f[3]] for f in found])
-    return Positions(means[:, :3], means[:, 3:], np.array([f[1] for f in found]), ends, noise[:3], noise[3:])
+    ends = np.array([[f[2], f[3]] for f in standstills])
+    return Positions(means[:, :3], means[:, 3:], np.array([f[1] for f in standstills]), ends, noise[:3], noise[3:])
 
 
 def solve_by_hand(rows: HandRows, gravity: float, earth_up: float = 0.0) -> ByHand:
-    """Accelerometers by the norm of gravity (m/s²), then gyros by its turns. `earth_up`: of the Earth's rate, rad/s.
+    """Accelerometers by the norm of gravity (m/s²), then gyros by its turns. `earth_up`: vertical Earth rate, rad/s.
 
-    Errors: `ValueError` with a sentence where the record does not hold what this needs.
+    Errors: `ValueError` that states what the record lacks.
     """
     held = positions(rows)
     accelerometer = _accelerometers(held, gravity)
@@ -166,15 +166,15 @@ def _accelerometers(held: Positions, gravity: float) -> Fitted:
         solution, _, _, singular = np.linalg.lstsq(table, np.sum(x**2, axis=1), rcond=None)
         if singular[-1] < 1e-2 * singular[0]:
             raise ValueError(
-                "the forces are no m/s², and the positions lie too near to one plane for zero and scale to be told "
-                "from them: hold the unit in all directions, or give scale and zero in the column map"
+                "the forces are not in m/s², and the positions are too close to one plane to determine zero and scale: "
+                "hold the unit in all directions, or give scale and zero in the column map"
             )
         radius = float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
         centre, gain = middle + size * solution[:3], size * radius / gravity
-    said, noise = (held.force - centre) / gain, held.force_noise / gain**2
+    output, noise = (held.force - centre) / gain, held.force_noise / gain**2
 
     def rows(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        f, df, inverse = _true_force(p, said)
+        f, df, inverse = _true_force(p, output)
         size = np.linalg.norm(f, axis=1)
         u = f / size[:, None]
         variance = (u @ inverse) ** 2 @ noise / held.duration
@@ -184,13 +184,13 @@ def _accelerometers(held: Positions, gravity: float) -> Fitted:
     return _fit(rows, priors, centre, gain, slice(None))
 
 
-def _true_force(p: np.ndarray, said: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _true_force(p: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`f` (K, 3), its derivative (K, 3, 9), and the inverse of I + E."""
     matrix = np.eye(3)
     for value, (j, l) in zip(p[3:], LOWER, strict=True):
         matrix[j, l] += value
     inverse = np.linalg.inv(matrix)
-    f = (said - p[:3]) @ inverse.T
+    f = (output - p[:3]) @ inverse.T
     df = [np.broadcast_to(-inverse[:, j], f.shape) for j in range(3)]
     df += [-np.outer(f[:, l], inverse[:, j]) for j, l in LOWER]
     return f, np.stack(df, axis=2), inverse
@@ -200,8 +200,8 @@ def _true_force(p: np.ndarray, said: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 class _Moves(NamedTuple):
-    """The rows between standstills, padded with rows that last no time: `step` (M, n), `rates` as said and `force`
-    corrected (M, n, 3), `start` (M,): the standstill before each.
+    """The rows between standstills, padded with rows of no duration: `step` (M, n), `rates` as recorded and corrected
+    `force` (M, n, 3), `start` (M,): the standstill before each.
     """
 
     step: np.ndarray
@@ -221,9 +221,9 @@ def _moves(rows: HandRows, held: Positions, accelerometer: Fitted) -> _Moves:
     for m, k in enumerate(start):
         here = slice(*spans[k])
         count = spans[k][1] - spans[k][0]
-        said = (rows.force[here] - accelerometer.centre) / accelerometer.gain
+        output = (rows.force[here] - accelerometer.centre) / accelerometer.gain
         step[m, :count], rates[m, :count] = dt[here], rows.rates[here]
-        force[m, :count] = _true_force(accelerometer.parameters, said)[0]
+        force[m, :count] = _true_force(accelerometer.parameters, output)[0]
     return _Moves(step, rates, force, start)
 
 
@@ -273,7 +273,7 @@ def _gyros(
     across = np.eye(3) - np.einsum("ka,kb->kab", u, u) / np.sum(u**2, axis=1)[:, None, None]
     du = across / gravity  # by f
     k, after = moves.start, moves.start + 1
-    # Two directions across the later one.
+    # Two directions perpendicular to the later one.
     basis = np.linalg.svd(u[after][:, None, :])[2][:, 1:, :]
     centre, gain = _rate_scale(held, moves, u)
     moves = moves._replace(rates=(moves.rates - centre) / gain)
@@ -296,7 +296,7 @@ def _gyros(
         slope = np.einsum("mia,mba,mpb->mip", basis, attitude, crossed, optimize=True)
         to_first = np.einsum("mia,mba,mbc->mic", basis, attitude, du[k], optimize=True)
         to_second = -basis @ du[after]
-        # The Earth's rate C(t)ᵀ e, taken back into the body where the turn began, is e all the while.
+        # The Earth's rate C(t)ᵀ e, transformed to the body frame at the begin of the turn, is constant, e.
         earth = np.cross(u[k][:, None, :], -lasting[:, None, None] * level_of[k].transpose(0, 2, 1))
         by_earth = np.einsum("mia,mba,mpb->mip", basis, attitude, earth, optimize=True).reshape(size, 2)
         left = left.ravel() + by_earth @ p[21:]
@@ -306,7 +306,7 @@ def _gyros(
         return (to_first @ df[k] + to_second @ df[after]).reshape(size, 9)
 
     def covariance_of(to_first: np.ndarray, to_second: np.ndarray) -> np.ndarray:
-        """Of the turns' rows, by the noise of the directions and the accelerometers' coefficients."""
+        """Covariance of the turns' rows, from the noise of the directions and the accelerometers' coefficients."""
         of_means = np.zeros((size, len(f), 3))
         for m in range(len(k)):
             of_means[2 * m : 2 * m + 2, k[m]], of_means[2 * m : 2 * m + 2, after[m]] = to_first[m], to_second[m]
@@ -321,7 +321,7 @@ def _gyros(
         seen = np.r_[unmoved, True, True]
         alone, by_white = resting[:, seen], np.diag(level)
         rest = _fit(lambda p: (alone @ p - at_rest.ravel(), alone, by_white), priors[seen], centre, gain, slice(None))
-        # What the rates at rest change by beyond noise (drift) is in every turn too.
+        # The drift, the changes of the rates at rest beyond noise, acts in every turn, too.
         own = np.repeat(np.mean(density) * lasting + rest.beyond**2 * lasting**2, 2)
 
         def rows(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -335,13 +335,13 @@ def _gyros(
 
     level_of = np.zeros((len(f), 3, 2))
     _, gyro, _ = fit(level_of)
-    # Now the attitudes are known well enough to say where the Earth's horizontal rate pointed.
+    # The attitudes are now accurate enough for the direction of the Earth's horizontal rate.
     level_of = _level(_turned(gyro.parameters[:21], moves)[0], k, u)
     rest, gyro, own = fit(level_of)
     _, slope, to_first, to_second = turns(gyro.parameters, level_of)
     whole = covariance_of(to_first, to_second) + np.diag(own + gyro.beyond**2)
     known = by_accelerometers(to_first, to_second)
-    # An error of the accelerometers' coefficients moves the gyros' by minus their gain times what it does to the rows.
+    # An error of the accelerometers' coefficients changes the gyros' by minus their gain times its effect on the rows.
     cross = -accelerometer.covariance @ known.T @ np.linalg.solve(whole, slope) @ gyro.covariance
     own_fit = gyro._replace(
         parameters=gyro.parameters[:21], covariance=gyro.covariance[:21, :21], hidden=gyro.hidden[:21]
@@ -351,25 +351,23 @@ def _gyros(
 
 
 def _level(turned: np.ndarray, start: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Two horizontal directions in the body of each position (K, 3, 2), the same two all the time; none after a turn
-    that is missing.
-    """
-    found = np.zeros((len(u), 3, 2))
+    """Two fixed horizontal directions in body components at each position (K, 3, 2); zeros after a missing turn."""
+    level = np.zeros((len(u), 3, 2))
     if start[0] != 0:
-        return found
-    found[0] = np.linalg.svd(u[0][None])[2][1:].T
+        return level
+    level[0] = np.linalg.svd(u[0][None])[2][1:].T
     for m, k in enumerate(start):
         if not np.array_equal(start[: m + 1], np.arange(m + 1)):
             break
-        carried = turned[m].T @ found[k]
-        # What the gyros missed of the vertical is no part of the horizontal.
+        carried = turned[m].T @ level[k]
+        # Remove the vertical part, which is an error of the gyros.
         q, r = np.linalg.qr(carried - np.outer(u[k + 1], u[k + 1] @ carried) / (u[k + 1] @ u[k + 1]))
-        found[k + 1] = q * np.sign(np.diag(r))
-    return found
+        level[k + 1] = q * np.sign(np.diag(r))
+    return level
 
 
 def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray) -> tuple[np.ndarray, float]:
-    """What the gyros say at rest, and what they say of one rad/s: 1 where that turns gravity as the positions say."""
+    """Output of the gyros at rest and for one rad/s; the latter is 1 where it rotates gravity correctly."""
     longest = int(np.argmax(held.duration))
     centre = held.rates[longest]
 
@@ -381,12 +379,12 @@ def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray) -> tuple[np.ndarr
 
     if off(1.0) < _STRANGE:
         return np.zeros(3), 1.0
-    # No way of turning is shorter than the angle between the positions: that bounds the scale from above.
+    # A turn is at least as long as the angle between the positions, which bounds the scale from above.
     way = np.sum(np.linalg.norm(moves.rates - centre, axis=2) * moves.step, axis=1)
     angle = np.arccos(np.clip(np.sum(u[moves.start] * u[moves.start + 1], axis=1), -1.0, 1.0))
     far = angle > 0.3
     if not far.any() or not (way[far] > 0.0).all():
-        raise ValueError("the unit was not turned far enough between standstills to tell the gyros' scale")
+        raise ValueError("the unit was not turned far enough between standstills to determine the gyros' scale")
     gains = np.quantile(way[far] / angle[far], 0.1) * 1.025 ** np.arange(8, -48, -1)
     values = [off(float(gain)) for gain in gains]
     best = int(np.argmin(values))
@@ -409,13 +407,13 @@ def _fit(
     tested: slice,
 ) -> Fitted:
     """Least squares of rows with a covariance: `rows(p)` gives residuals (r,), their derivative (r, p), covariance
-    (r, r); `tested`: the rows to which a variance is added where the whole is worse than its noise.
+    (r, r); `tested`: the rows to which a variance is added where the residuals exceed the noise.
     """
     added = np.zeros(len(rows(np.zeros(len(priors)))[0]))
     added[tested] = 1.0
 
     def best(start: np.ndarray, beyond: float) -> np.ndarray:
-        """With the weights that the start gives."""
+        """The optimum with the weights at `start`."""
         root = np.linalg.cholesky(rows(start)[2] + np.diag(added * beyond**2))
 
         def white(p: np.ndarray) -> np.ndarray:
@@ -428,7 +426,7 @@ def _fit(
         return least_squares(white, start, jac=jacobian, x_scale=priors, xtol=1e-12, ftol=1e-12, gtol=1e-12).x
 
     def known_of(p: np.ndarray, beyond: float) -> tuple[np.ndarray, np.ndarray]:
-        """Covariance, and the directions, in units of the priors, of which the data say nothing."""
+        """Covariance, and the unobservable directions in units of the priors."""
         white = whitened(p, beyond)
         known = np.linalg.inv(white.T @ white + np.diag(priors**-2.0))
         values, vectors = np.linalg.eigh(known / np.outer(priors, priors))
@@ -455,7 +453,7 @@ def _fit(
 def _beyond(
     left: np.ndarray, by: np.ndarray, covariance: np.ndarray, added: np.ndarray, priors: np.ndarray, free: int
 ) -> float:
-    """The standard deviation that, added to these rows, makes χ² what it should be, after the best fit of each."""
+    """The added standard deviation of these rows for which χ² of the best fit has its expected value."""
 
     def excess(log_std: float) -> float:
         root = np.linalg.cholesky(covariance + np.diag(added * np.exp(2.0 * log_std)))

@@ -1,25 +1,25 @@
-"""Calibration without a structure, the paper's way: motions that are near in time and temperature, taken together.
+"""Calibration without a structure, as in the paper: averages of moves that are near in time and temperature.
 
-Every move between two rests is an experiment of its own. What the sensor drifts in the rests right before and after it,
-its closest neighbours in time, is taken off the move's error in angle; the rest, over the angle turned, is the scale
-factor of that move. Moves of one rate within a few kelvins are then averaged. No map is assumed, and what they scatter
-by says how far to trust the mean: a check of the fitted map by other means, at the price of a larger error, since
-neither the correlation of the noise nor any other move is made use of.
+Every move between two rests is an experiment of its own. The drift in the rests before and after it, its closest
+neighbours in time, is subtracted from the move's error in angle; the remainder over the angle is the scale factor of
+that move. Moves of one rate within a few kelvins are then averaged. No map is assumed, and the scatter gives the
+standard error of the mean: an independent check of the fitted map with a larger error, since it uses neither the
+correlation of the noise nor other moves.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-# Rates this close to one another, relatively, are one.
+# Relative difference below which rates are equal.
 _ALIKE = 0.1
-# A move through less than this (rad) says nothing of a scale factor.
+# Least angle of a move (rad) for a scale factor.
 _LEAST_ANGLE = np.radians(1.0)
 
 
 class MovesBetweenRests(NamedTuple):
-    """Moves between rests, arrays `(m,)`: mean temperature (°C), mean rate (rad/s), angle (rad), the scale factor that
-    it shows, and the fitted map's mean over it."""
+    """Moves between rests, arrays `(m,)`: mean temperature (°C), mean rate (rad/s), angle (rad), its scale
+    factor, and the fitted map's mean over it."""
 
     temperature_c: np.ndarray
     rate_rad_per_s: np.ndarray
@@ -49,10 +49,10 @@ def moves_between_rests(
     moving: np.ndarray,
     broken: np.ndarray,
 ) -> MovesBetweenRests:
-    """Every unbroken move that has a rest on both sides. All arrays `(P,)` of a timeline's pieces.
+    """Every unbroken move with a rest on both sides. All arrays `(P,)` of a timeline's pieces.
 
-    `error_rad`: integrated error of the sensor at the end of each piece; `map_error_rad`: what the fitted scale factor
-    alone adds up to by then; `turned_rad` of the table over each piece.
+    `error_rad`: integrated error of the sensor at the end of each piece; `map_error_rad`: its part from the fitted
+    scale factor; `turned_rad`: angle of the table over each piece.
     """
     before = np.concatenate([[0.0], error_rad[:-1]])
     by_map = np.diff(map_error_rad, prepend=0.0)
@@ -62,7 +62,8 @@ def moves_between_rests(
         if not moving[first]:
             continue
         angle = float(turned_rad[first : last + 1].sum())
-        sides = [runs[k] for k in (number - 1, number + 1) if 0 <= k < len(runs) and _rests(runs[k], moving, broken)]
+        sides = [runs[k] for k in (number - 1, number + 1) if 0 <= k < len(runs)]
+        sides = [run for run in sides if not moving[run[0]] and not broken[run[0]]]
         touching = len(sides) == 2 and sides[0][1] == first - 1 and sides[1][0] == last + 1
         if broken[first] or not touching or abs(angle) < _LEAST_ANGLE:
             continue
@@ -72,10 +73,6 @@ def moves_between_rests(
         warm = float(np.average(temperature_c[first : last + 1], weights=duration_s[first : last + 1]))
         rows.append((warm, angle / lasting, angle, off / angle, float(by_map[first : last + 1].sum()) / angle))
     return MovesBetweenRests(*np.array(rows).reshape(len(rows), 5).T)
-
-
-def _rests(run: tuple[int, int], moving: np.ndarray, broken: np.ndarray) -> bool:
-    return not moving[run[0]] and not broken[run[0]]
 
 
 def _runs(moving: np.ndarray, broken: np.ndarray) -> list[tuple[int, int]]:
@@ -97,13 +94,13 @@ def closest_neighbours(moves: MovesBetweenRests, width_k: float) -> tuple[Group,
         return ()
     like = like_rates(moves.rate_rad_per_s, _ALIKE)
     warm = np.floor((moves.temperature_c - moves.temperature_c.min()) / width_k).astype(int)
-    # Less what the map says, so that its own slope within a group is no scatter.
+    # Without the map's mean, so that its slope within a group is no scatter.
     apart_from_map = moves.scale_factor - moves.of_map
     groups: list[Group] = []
     for one in np.unique(like):
         parts = [(like == one) & (warm == at) for at in np.unique(warm[like == one])]
         freedom = sum(int(inside.sum()) - 1 for inside in parts)
-        # Few moves say little of their own scatter: that of all groups of one rate is taken.
+        # A few moves do not determine their scatter, which is therefore pooled over all groups of one rate.
         squares = sum(float(np.sum((v := apart_from_map[inside]) ** 2) - np.sum(v) ** 2 / len(v)) for inside in parts)
         scatter = np.sqrt(max(squares, 0.0) / freedom) if freedom else None
         for inside in parts:

@@ -1,11 +1,10 @@
-"""The standard method's log: stable temperatures, a held rate at each, and what the sensor says there.
+"""Points of a log of the standard method: stable temperatures with held rates.
 
-A plateau is an unbroken run of rows at which the table turns at a planned rate and the sensor stands at a planned
-temperature; where the log has others, an unbroken run at a rate that is held and a temperature that is stable, whatever
-the plan says (a soak between two of its temperatures is not stable). Of each run the last `integration` seconds count:
-what comes before is the soak and the table's settling.
-Every plateau has a reference rate whose error is common to all of it; drifts, clock and turn-on bias go on through the
-run, unless the plan takes its points as independent.
+A plateau is an unbroken run of rows at a planned rate of the table and a planned temperature of the sensor. Unplanned
+plateaus are unbroken runs at any held rate and stable temperature (a soak between two temperatures is not stable). The
+last `integration` seconds of each run count; before them are the soak and the settling of the table.
+The error of the reference rate is common to a plateau; drifts, clock and turn-on bias continue through the run, unless
+the plan takes its points as independent.
 """
 
 from itertools import pairwise
@@ -19,21 +18,21 @@ from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import held
 from gradcal_jax.trajectory.schedule import Points
 
-# A table at a set point is within this of it: relative, and rad/s.
+# Tolerance of a table at a set point: relative, and rad/s.
 _RATE_TOLERANCE = (0.02, np.radians(0.5))
 _LEAST_SHARE = 0.5
-# Rates are held where they stay within the tolerance for so long (s); at a stable temperature it changes by less, K.
+# A held rate stays within the tolerance for this time (s); a stable temperature changes by less than this, K.
 _HELD_OVER_S, _STABLE_K = 1.0, 1.0
 
 
 class Plateaus(NamedTuple):
-    """What was done: points, and what lies between them, which is `broken`."""
+    """The executed points; pieces between them are `broken`."""
 
     done: Executed
     missing: tuple[tuple[float, float], ...]
-    """Planned points (°C, rad/s) that the log does not hold."""
+    """Planned points (°C, rad/s) that the log lacks."""
     unplanned: int
-    """How many points the log holds that the plan does not."""
+    """Number of points of the log that are not in the plan."""
 
 
 def plateaus(
@@ -57,7 +56,7 @@ def plateaus(
         np.maximum(_RATE_TOLERANCE[0] * np.abs(planned_rad_per_s), _RATE_TOLERANCE[1]),
     )
     label = np.where((warm >= 0) & (fast >= 0), warm * len(planned_rad_per_s) + fast, -1)
-    # Where the plan never stands, a table that stands is soaking.
+    # If the plan has no point at rest, the table stands only during soaks.
     soaking = (np.abs(table_rate_rad_per_s) < _RATE_TOLERANCE[1]) & bool(np.all(planned_rad_per_s != 0.0))
     others = _held_elsewhere(time_s, table_rate_rad_per_s, (label < 0) & ~soaking)
     label = np.where(others >= 0, others + len(planned_c) * len(planned_rad_per_s), label)
@@ -77,11 +76,11 @@ def plateaus(
             f"the log holds no rate at a stable temperature for {_LEAST_SHARE * integration_s:g} s or longer, none of "
             "the plan's points among them: give the spec's integration as it was"
         )
-    found = {int(label[b]) for b in last}
+    present = {int(label[b]) for b in last}
     missing = tuple(
         (float(planned_c[k // len(planned_rad_per_s)]), float(planned_rad_per_s[k % len(planned_rad_per_s)]))
         for k in range(len(planned_c) * len(planned_rad_per_s))
-        if k not in found
+        if k not in present
     )
     rows, broken = [first[0]], []
     for a, b in zip(first, last, strict=True):

@@ -1,12 +1,12 @@
-"""Robust estimation: readings that the model cannot explain count for less, and every one of them is named.
+"""Robust estimation: readings that the model cannot explain get a lower weight, and each of them is reported.
 
 Huber's function on the normalised innovations `r_k`, `k = 2.5` by default (the efficiency on clean data stays above
 99 %): weights `w = min(1, k/|r|)`. A weight acts on the *reading*, whose variance becomes `R + (1/w − 1) S`, S the
-variance of its innovation, and everything is whitened anew: down-weighting the whitened row alone would leave the
-filter's state, and with it the next innovations, spoilt by the bad reading.
+variance of its innovation, and all rows are whitened again: a lower weight of the whitened row alone would leave the
+effect of the bad reading in the filter's state and so in the next innovations.
 
-What this heals are bad *readings* (an encoder's slip, a reading taken too early). A jump of the integrated rate, which
-stays, shows as several bad readings in a row: it is reported, and only the data can be mended.
+This corrects bad *readings* (an encoder's slip, a reading taken too early). A jump of the integrated rate persists and
+shows as several bad readings in a row: it is reported, but only the data can be corrected.
 """
 
 from collections.abc import Callable
@@ -20,9 +20,9 @@ from gradcal_jax.model import SensorModel
 
 HUBER = 2.5
 _ROUNDS = 20
-# Of a weight, at which the rounds end.
+# Change of a weight at which the rounds end.
 _NO_CHANGE = 0.01
-Found = TypeVar("Found")
+Solution = TypeVar("Solution")
 
 
 class RobustEstimate(NamedTuple):
@@ -34,9 +34,9 @@ class RobustEstimate(NamedTuple):
 
 
 def estimate_robustly(observations: Observations, model: SensorModel, *, threshold: float = HUBER) -> RobustEstimate:
-    """Each unit by itself, since its outliers are its own; a unit without any is what `estimate` gives, exactly.
+    """Each unit separately, since outliers are its own; without outliers the result is exactly that of `solve`.
 
-    Ends when no weight changes by a hundredth. Errors: `ValueError` for a threshold that is not positive.
+    Ends when no weight changes by 0.01. Errors: `ValueError` for a threshold that is not positive.
     """
     if not threshold > 0.0:
         raise ValueError(f"the threshold of a robust estimate must be positive, not {threshold}")
@@ -72,36 +72,36 @@ def estimate_robustly(observations: Observations, model: SensorModel, *, thresho
 def reweighted(
     steps: NoiseSteps,
     used: np.ndarray,
-    found: Found,
-    residuals: Callable[[Found], np.ndarray],
-    again: Callable[[NoiseSteps, Found], Found],
+    solution: Solution,
+    residuals: Callable[[Solution], np.ndarray],
+    again: Callable[[NoiseSteps, Solution], Solution],
     threshold: float,
     rounds: int,
-) -> tuple[Found, np.ndarray]:
-    """What is found, and the weights of the readings `used`, once no weight changes any more.
+) -> tuple[Solution, np.ndarray]:
+    """The solution and the weights of the readings `used`, after the weights have converged.
 
-    `residuals` of what is found, each over its own standard deviation; `again`: finds it anew with other noise steps.
+    `residuals` of a solution, in their standard deviations; `again`: solves with other noise steps.
     """
     plain, extra, weights = steps.reading_variance, np.zeros(len(used)), np.ones(int(used.sum()))
     for _ in range(rounds):
         spread = innovation_variance(steps)[used]
-        # What the reading would show against its undisturbed variance: the innovation itself, in its old measure.
+        # The innovation relative to its variance without the increase.
         plain_spread = spread - extra[used]
-        against = np.abs(residuals(found)) * np.sqrt(spread / np.maximum(plain_spread, np.finfo(float).tiny))
+        against = np.abs(residuals(solution)) * np.sqrt(spread / np.maximum(plain_spread, np.finfo(float).tiny))
         new = np.minimum(1.0, threshold / np.maximum(against, threshold))
         if np.max(np.abs(new - weights)) < _NO_CHANGE:
             break
         weights = new
         extra[used] = (1.0 / weights - 1.0) * plain_spread
         steps = steps._replace(reading_variance=np.asarray(plain) + extra)
-        found = again(steps, found)
-    return found, weights
+        solution = again(steps, solution)
+    return solution, weights
 
 
 def innovation_variance(steps) -> np.ndarray:
-    """`(N,)`: variance of each reading given those before it, rad²; of steps without a reading, what it would be.
+    """`(N,)`: variance of each reading conditional on those before it, rad², also at steps without a reading.
 
-    A plain filter of the covariance in NumPy: it is wanted for a handful of units only.
+    A plain covariance filter in NumPy, since only a few units need it.
     """
     transition, noise = np.asarray(steps.transition), np.asarray(steps.covariance)
     observation, variance = np.asarray(steps.observation), np.asarray(steps.reading_variance)

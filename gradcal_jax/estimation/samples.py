@@ -1,11 +1,11 @@
-"""What was measured, as the model's terms take it: nodes from samples, and the readings beside them.
+"""Measured samples as nodes of the model's terms, and the readings.
 
-The regressors are the prediction's own terms (`model.terms`), summed over the rows of each piece, of a temperature
-without its thermometer's steps (`estimation.temperature`). The rate is the table's where it is known well enough at
-every row. Otherwise it is the sensor's own, *corrected by the map that is being estimated*: the two are found in turn,
-and since a wrong map of size M makes a regressor wrong by M of itself, each round gains a factor of about M. (Its noise
-is taken care of by the terms. What the noises of a regressor and its reading have in common is N²/(ω²t) of a turn of
-length t: nothing beside the rest.)
+The regressors are the prediction's own terms (`model.terms`), summed over the rows of each piece, at a smoothed
+temperature (`estimation.temperature`). The rate is the table's where it is accurate enough at every row. Otherwise it
+is the sensor's own, *corrected by the estimated map*: map and rate are computed in turn, and since a map error M causes
+a relative error M of a regressor, each round gains a factor of about M. (The terms correct for the noise of the rate.
+The correlation of a regressor's noise with that of its reading is N²/(ω²t) for a turn of duration t, which is
+negligible.)
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from gradcal_jax.information import since_origin
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Nodes, SampleNodes, SensorModel
 
 _ROWS_AT_ONCE = 1 << 16
-# Of the largest rate: a change that is rounding; and how often a rate is substituted at most.
+# Change of a rate, relative to the largest one, that is rounding; largest number of substitutions.
 _SETTLED_RATE, _SUBSTITUTIONS = 1e-15, 50
 
 
@@ -33,14 +33,14 @@ def sample_nodes(
     """A log's samples as nodes of `P` pieces.
 
     `rate_rad_per_s`, `temperature_c` and `step_s` (time since the row before) `(n,)`; `rows` `(P + 1,)`, `moving` and
-    `broken` `(P,)` as in `executed`; `turned` `(P,)`: what the table turned, rad; `rate_noise`: standard deviation of a
+    `broken` `(P,)` as in `executed`; `turned` `(P,)`: angle of the table, rad; `rate_noise`: standard deviation of a
     row's rate, rad/s. Pieces that do not move have no rate, and broken ones no samples at all.
     """
     lengths = np.diff(rows)
     groups = []
     for moves in (False, True):
         chosen = np.flatnonzero((moving == moves) & ~broken & (lengths > 0))
-        # Together as many pieces as have some ten thousand rows: their products are large.
+        # Pieces are grouped to some ten thousand rows, since their products are large.
         share = np.cumsum(lengths[chosen]) // _ROWS_AT_ONCE
         for pieces in np.split(chosen, np.flatnonzero(np.diff(share)) + 1):
             if not len(pieces):
@@ -64,9 +64,9 @@ def integrated_error(
     gap: np.ndarray,
     known_rate: float = 0.0,
 ) -> np.ndarray:
-    """`(P,)`: the sensor's integrated rate less the table's angle, and less a rate that is known (the Earth's), rad."""
+    """`(P,)`: the sensor's integrated rate less the table's angle, less a known rate (the Earth's), rad."""
     inside = slice(int(rows[0]) + 1, int(rows[-1]) + 1)
-    # Where each piece's rows begin, counted from the first row after the origin; empty pieces repeat a place.
+    # First row of each piece, counted from the first row after the origin; empty pieces repeat an index.
     starts = np.minimum(rows[:-1] - rows[0], max(int(rows[-1] - rows[0]) - 1, 0))
     not_empty = np.diff(rows) > 0
     sums = np.where(not_empty, np.add.reduceat((rate_rad_per_s[inside] - known_rate) * step_s[inside], starts), 0.0)
@@ -78,10 +78,10 @@ def integrated_error(
 def true_rate(
     model: SensorModel, parameters: np.ndarray, rate_rad_per_s: np.ndarray, temperature_c: np.ndarray
 ) -> np.ndarray:
-    """The rates `(n,)` that the sensor's maps, as estimated, make of its own: the ω with ω̃ − B(T) = (1 + M(T, ω))·ω.
+    """The sensor's rates `(n,)` corrected by its estimated maps: the ω with ω̃ − B(T) = (1 + M(T, ω))·ω.
 
-    Substituted into itself until it no longer changes: each time gains a factor of about M + ω·∂M/∂ω, some two digits
-    for a map of a per cent. A map so wild that it never settles (over 100 %) is left after the last substitution.
+    By fixed-point iteration: each step gains a factor of about M + ω·∂M/∂ω, two digits for a map of one per cent. For a
+    map without convergence (over 100 %) it ends after the last step.
     """
     result = np.empty_like(rate_rad_per_s)
     for begin in range(0, len(rate_rad_per_s), _ROWS_AT_ONCE):

@@ -1,12 +1,12 @@
-"""Calibration without a structure: how strongly neighbouring coefficients hold together, by marginal likelihood.
+"""Calibration without a structure: strength of the smoothness prior by marginal likelihood.
 
-A map of bins or B-splines has a prior on the differences of neighbouring coefficients, `D β ~ N(0, s²)`. Too large an s
-fits the noise, too small a one smooths the map away. The likelihood of the data with β integrated out,
+A map of bins or B-splines has a prior on the differences of neighbouring coefficients, `D β ~ N(0, s²)`. Too large
+an s fits the noise, too small an s smooths the map away. The likelihood of the data with β integrated out,
 
     −2 ln p(z | s) = min_β (|z − A β|² + |P_s β|²) + ln det(AᵀA + P_sᵀP_s) − ln pdet(P_sᵀP_s) + const,
 
-P_s the rows of all priors, weighs the two against each other (empirical Bayes; with directions that no prior touches it
-is the restricted likelihood). Each value costs one small factorisation, for the data are first reduced to p rows.
+P_s the rows of all priors, balances both (empirical Bayes; with directions without a prior it is the restricted
+likelihood). Each value costs one small factorisation, since the data are first reduced to p rows.
 """
 
 from typing import NamedTuple
@@ -23,9 +23,9 @@ _DECADES = 3.0
 
 
 class Smoothness(NamedTuple):
-    """Chosen standard deviations of neighbours' differences (None: the map has no such prior), in rad/s and as a ratio.
+    """Chosen standard deviations of neighbours' differences, in rad/s and as a ratio (None: a map without this prior).
 
-    `at_edge`: whether one of them stands at the edge of what was looked at, so that the data do not tell it.
+    `at_edge`: whether one of them is at the edge of the searched range, so that the data do not determine it.
     """
 
     bias: float | None
@@ -45,7 +45,7 @@ def with_smoothness(model: SensorModel, bias: float | None, scale_factor: float 
 def choose_smoothness(white: Whitened, model: SensorModel, unit: int = 0) -> Smoothness:
     """The strength at which one unit's data are most probable.
 
-    Looked for within three decades about the strengths that the model has. Errors: `ValueError` for a model without a
+    Searched within three decades about the strengths of the model. Errors: `ValueError` for a model without a
     smoothness prior.
     """
     now = [
@@ -77,14 +77,14 @@ def choose_smoothness(white: Whitened, model: SensorModel, unit: int = 0) -> Smo
     simplex = np.concatenate([best[None], best[None] + 0.5 * (offsets[1] - offsets[0]) * np.eye(len(best))])
     options = {"xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
     bounds = [(s - reach, s + reach) for s in start]
-    found = optimize.minimize(minus_twice, best, method="Nelder-Mead", bounds=bounds, options=options)
-    at_edge = bool(np.any(np.abs(np.abs(found.x - start) - reach) < 0.01 * reach))
-    bias, scale_factor = strengths(found.x)
+    optimum = optimize.minimize(minus_twice, best, method="Nelder-Mead", bounds=bounds, options=options)
+    at_edge = bool(np.any(np.abs(np.abs(optimum.x - start) - reach) < 0.01 * reach))
+    bias, scale_factor = strengths(optimum.x)
     return Smoothness(bias, scale_factor, at_edge)
 
 
 def _minus_twice_log(triangle: np.ndarray, data: np.ndarray, prior: np.ndarray) -> float:
-    """Without constants; the rest of the data, outside the p rows, is one of them."""
+    """Without constants; the data outside the p rows are one of them."""
     design = np.concatenate([triangle, prior])
     scale = np.linalg.norm(design, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
@@ -93,7 +93,7 @@ def _minus_twice_log(triangle: np.ndarray, data: np.ndarray, prior: np.ndarray) 
     left = target - (design / scale) @ beta
     both = np.linalg.svd(design / scale, compute_uv=False)
     alone = np.linalg.svd(prior / scale, compute_uv=False)
-    # The rank of the prior does not depend on its strength; the scale, which does, is in both determinants.
+    # The rank of the prior does not depend on its strength; the scale does, but is in both determinants.
     alone = alone[alone > 1e-10 * alone[0]]
     both = both[both > 1e-14 * both[0]]
     log_both = 2.0 * float(np.sum(np.log(both))) + 2.0 * float(np.sum(np.log(scale)))

@@ -1,15 +1,15 @@
-"""The estimate: whitening and least squares, the same that the prediction rests on, fed with data.
+"""The estimate: the whitening and least squares of the prediction, applied to data.
 
 Readings of the integrated error, with the regressors and the noise steps of a prediction: `N` steps (one for each piece
 of a trajectory, some without a reading), `p` parameters of the model, `U` units on one table. `y_k = Φ_k β + noise` is
-the integrated rate of the sensor less the angle of the reference, from the angle's origin on: exactly what
-`information.at_readings` and `information.noise_steps` describe.
+the integrated rate of the sensor less the angle of the reference since the angle's origin, with the regressors of
+`information.at_readings` and the noise of `information.noise_steps`.
 
 The readings are whitened as columns beside the regressors; with the priors' rows below them
 
     A = [Φ̃; P],  z = [ỹ; 0],     β̂ = argmin |z − A β|²,     C = (AᵀA)⁻¹
 
-so `C` is the covariance that `information.posterior` reports of the same timeline, to rounding. The whitened
+so `C` is the covariance of `information.posterior` for the same timeline, to rounding. The whitened
 residuals `r = ỹ − Φ̃ β̂` are the normalised innovations of the noise's Kalman filter: independent with variance 1 where
 the model is true.
 """
@@ -27,7 +27,7 @@ class Observations(NamedTuple):
     """Readings of one channel of `U` units, which share the table and so the noise's timing.
 
     `columns` `(N, p)`, common to the units, or `(U, N, p)`, one for each (their temperatures differ); rad per unit of
-    each parameter. `readings` `(N, U)`, rad; what stands at a step without a reading is not used. `time_s` `(N,)`: of
+    each parameter. `readings` `(N, U)`, rad; values at steps without a reading are not used. `time_s` `(N,)`: of
     each step's end. `temperature_c`, `rate_rad_per_s` `(N,)`: means over the step, for reports.
     """
 
@@ -55,7 +55,7 @@ class Observations(NamedTuple):
 class Whitened(NamedTuple):
     """Rows of variance one, of the steps that have a reading: `rows` `(U or 1, n, p)`, `data` `(U, n)`.
 
-    `prior` `(q, p)` are the whitened rows of what is known beforehand, whose data are zero.
+    `prior` `(q, p)`: whitened rows of the prior, whose data are zero.
     """
 
     rows: np.ndarray
@@ -70,12 +70,11 @@ class Whitened(NamedTuple):
         return Whitened(self.rows_of(unit)[None], self.data[unit : unit + 1], self.prior)
 
     def only(self, subset: np.ndarray) -> "Whitened":
-        """Some of the readings `(n,)`: whitened rows are independent, so any subset is an experiment of its own."""
+        """A subset of the readings `(n,)`: whitened rows are independent, so any subset is an experiment of its own."""
         return Whitened(self.rows[:, subset], self.data[:, subset], self.prior)
 
     def condensed(self) -> "Whitened":
-        """As many rows as there are parameters, and one, with the same least squares and the same χ² (of any subset and
-        its complement together, too); what each reading left is lost."""
+        """p + 1 rows with the same least squares and χ², also joined with those of the complement of a subset."""
         rows, data = [], []
         for unit in range(len(self.data)):
             both = np.concatenate([self.rows_of(unit), self.data[unit][:, None]], axis=1)
@@ -91,8 +90,8 @@ class Whitened(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Of `U` units. `parameters` `(U, p)`, in the engine's coordinates; `known`: what they are uncertain by, one for
-    each unit (the same object where the units share their columns).
+    """Of `U` units. `parameters` `(U, p)`, in the engine's coordinates; `known`: posterior of each
+    unit (the same object where the units share their columns).
 
     `residuals` `(U, n)`: whitened, of the readings used; `chi_squared` `(U,)` counts the priors' rows too and has
     `degrees` degrees of freedom.
@@ -115,7 +114,7 @@ def whitened(observations: Observations, model: SensorModel, steps: NoiseSteps |
     else:
         columns, shared = np.concatenate(list(observations.columns), axis=1), units
     count = columns.shape[1]
-    # What stands where nothing is read must not become NaN times zero.
+    # Values at steps without a reading must not become NaN times zero.
     readings = np.where(used[:, None], observations.readings, 0.0)
     if not np.isfinite(readings).all():
         raise ValueError("a reading that is used is not finite: mark its step as not used")
@@ -125,7 +124,7 @@ def whitened(observations: Observations, model: SensorModel, steps: NoiseSteps |
 
 
 def solve(white: Whitened) -> Estimate:
-    """Least squares of every unit. What cannot be observed gets the smallest parameters, and is `known.hidden`."""
+    """Least squares of every unit, with minimal norm in the unobservable directions (`known.hidden`)."""
     units, priors = len(white.data), len(white.prior)
     parameters, known, squares, degrees = [], [], [], []
     for rows, members in (
@@ -136,9 +135,9 @@ def solve(white: Whitened) -> Estimate:
         factor, rotated, scale = _factor(design, data)
         one = posterior(SquareRootInformation(factor, scale))  # pyright: ignore[reportArgumentType]
         solution, _, rank, _ = np.linalg.lstsq(factor, rotated, rcond=OBSERVABLE)
-        found = solution / scale[:, None]
-        parameters += list(found.T)
-        squares += list(np.sum((data - design @ found) ** 2, axis=0))
+        coefficients = solution / scale[:, None]
+        parameters += list(coefficients.T)
+        squares += list(np.sum((data - design @ coefficients) ** 2, axis=0))
         known += [one] * len(members)
         degrees += [len(design) - int(rank)] * len(members)
     beta = np.array(parameters)
@@ -149,7 +148,7 @@ def solve(white: Whitened) -> Estimate:
 def _factor(design: np.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`R` `(p, p)` of the design with columns of length one, `Qᵀ data`, and the columns' lengths.
 
-    As `information.square_root` has it, by NumPy's QR: the shapes vary, and nothing is differentiated.
+    As `information.square_root`, but by NumPy's QR, since shapes vary and nothing is differentiated.
     """
     norm = np.linalg.norm(design, axis=0)
     scale = np.where(norm > 0.0, norm, 1.0)

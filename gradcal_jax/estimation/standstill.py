@@ -1,15 +1,15 @@
-"""Where a gyro stands still, from its own rates: for recordings without a table that says so.
+"""Standstills of a gyro from its own rates, for recordings without a table's angle.
 
-Two quantities are looked at over a window about each row: the spread of the rates in it, and how far its mean is from
-nothing. The spread at rest is the noise, or the vibration of a drive that holds its place, which differs from
-standstill to standstill; the spread of moves is larger by orders of magnitude. So the question is asked twice:
+Two quantities are computed in a window about each row: the spread and the mean of the rates. The spread at rest is the
+noise or the vibration of a drive that holds its position, and differs between standstills; the spread of moves is
+larger by orders of magnitude. So there are two criteria:
 
-1. which stretches are quiet at all: the spread of all axes together is below the geometric mean of the
-   quietest tenth and the liveliest row (but not below `factor` times the quiet level: a record may hold no move), and
-   the mean within what a bias may be;
-2. where each of them begins and ends: as long as the spread stays within `factor` times the stretch's own.
+1. quiet stretches: the spread of all axes together is below the geometric mean of the quietest tenth and the largest
+   spread (but not below `factor` times the quiet level, since a record may contain no move), and the mean is within the
+   largest bias;
+2. begin and end of each: the spread stays within `factor` times the stretch's own.
 
-Stretches that are too short are no standstills.
+Stretches that are too short are not standstills.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from gradcal_jax import formulas
 
 _QUIETEST = 0.10
-# Of a count of a quantised sensor, the spread where it flickers between two values half of the time or less.
+# Spread of a quantised sensor that changes between two values half of the time or less, in counts.
 _FLICKER = 0.3
 
 
@@ -43,7 +43,7 @@ def find_standstills(
         raise ValueError("the record is shorter than two windows: nothing can be said of standstills")
     usable = np.ones(len(rate_rad_per_s), bool) if valid is None else valid
     mean, spread = _about_each_row(rate_rad_per_s, usable, width)
-    # A quantised sensor may be perfectly quiet: then a share of one count is the level.
+    # The output of a quantised sensor may be constant: then a share of one count is the level.
     counts = [_least_step(rate_rad_per_s[usable, k]) for k in range(rate_rad_per_s.shape[1])]
     least = _FLICKER * float(np.linalg.norm(counts))
     level = max(float(np.quantile(spread[usable], _QUIETEST)), least)
@@ -53,7 +53,7 @@ def find_standstills(
     count = 0
     for first, end in formulas.runs(still):
         calm = np.flatnonzero(spread[first:end] <= factor * max(float(np.median(spread[first:end])), least))
-        # A window that touches a move is restless half its width too early and too late, on the safe side.
+        # A window that overlaps a move shortens the standstill by half its width at both ends, on the safe side.
         first, end = first + int(calm[0]), first + int(calm[-1]) + 1
         if (end - first) * sample_interval_s >= shortest_s:
             number[first:end] = count
@@ -67,9 +67,9 @@ def find_standstills(
 
 
 def _about_each_row(rate: np.ndarray, usable: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of the usable rates in a window about each row: means `(n, axes)`, standard deviation of all axes `(n,)`."""
+    """Means `(n, axes)` and standard deviation of all axes `(n,)` of the usable rates in a window about each row."""
     share = np.maximum(uniform_filter1d(usable.astype(float), width), 1.0 / width)[:, None]
-    # About the middle value, so that nothing is lost where a large constant is squared.
+    # About the median, since squares of a large constant would lose digits.
     middle = np.median(rate[usable], axis=0)
     apart = np.where(usable[:, None], rate - middle, 0.0)
     mean = uniform_filter1d(apart, width, axis=0) / share
@@ -78,6 +78,6 @@ def _about_each_row(rate: np.ndarray, usable: np.ndarray, width: int) -> tuple[n
 
 
 def _least_step(values: np.ndarray) -> float:
-    """The smallest difference between values of one axis: a count of a quantised sensor, or nearly nothing."""
+    """The smallest difference between values of one axis: a count of a quantised sensor, or almost zero."""
     distinct = np.unique(values[: 1 << 16])
     return float(np.min(np.diff(distinct))) if len(distinct) > 1 else 0.0

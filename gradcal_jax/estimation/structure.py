@@ -1,15 +1,15 @@
-"""What a log says of structure that a map has and its model lacks: the χ² test that a plan's power is of, the degrees
-that the data ask for, and how large the discrepancy is.
+"""Test of a log for structure that the model of a map lacks: the χ² test whose power a plan predicts, the degrees that
+the data require, and the size of the discrepancy.
 
-The whitened columns G of the polynomials beyond the map and the data d have everything else that is estimated, priors
-included, taken off by an orthogonal projection. With `G = U S Vᵀ` then, `y = Uᵀd` is `N(0, 1 + σ²m)` component by
+An orthogonal projection removes all other estimated parameters, with their priors, from the whitened columns G of the
+polynomials beyond the map and from the data d. Then with `G = U S Vᵀ`, `y = Uᵀd` is `N(0, 1 + σ²m)` component by
 component, `m = S²` being the gains (see `information.noticing`), where the coefficients are `N(0, σ²)`; without a
 hidden map `Σ y²` is χ². Of σ²:
 
 * the estimate is where the marginal likelihood `−½ Σ [ln(1 + σ²m) + y²/(1 + σ²m)]` of all units together is largest
-  (restricted maximum likelihood, Patterson and Thompson, 1971: what is estimated beside has been projected out);
-* `Q(σ²) = Σ y²/(1 + σ²m)` falls with σ² and is χ²_k at the true one, so where Q meets the 97.5 and 2.5 % points lie the
-  ends of an interval that covers 95 % exactly, whatever k and σ are.
+  (restricted maximum likelihood, Patterson and Thompson, 1971: the other parameters have been projected out);
+* `Q(σ²) = Σ y²/(1 + σ²m)` decreases with σ² and is χ²_k at the true one, so the σ² at which Q equals the 97.5 and 2.5 %
+  points are the ends of an interval with exactly 95 % coverage for any k and σ.
 """
 
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import Discrepancy
 
 _TAILS = (0.975, 0.025)
-# The largest σ²·m that is looked at: no log tells larger ones apart.
+# The largest σ²·m of the search; no log distinguishes larger ones.
 _LARGEST = 1e12
 
 
@@ -36,7 +36,7 @@ class Components(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Standard deviation of a discrepancy's coefficients (1 or rad/s), and the 95 % interval; `high` None: no end."""
+    """Standard deviation of a discrepancy's coefficients (1 or rad/s), and 95 % interval; `high` None: no end."""
 
     std: float
     low: float
@@ -44,8 +44,8 @@ class Size(NamedTuple):
 
 
 class StructureTest(NamedTuple):
-    """Of one map and unit. `asked`: the degrees (in temperature, in rate) that the data ask for; None where the model
-    suffices. `components`: what `size_of` takes, of several units together.
+    """Test of one map and unit. `asked`: the degrees (in temperature, in rate) that the data require; None where the
+    model suffices. `components`: input of `size_of`, which combines several units.
     """
 
     quantity: str
@@ -61,9 +61,10 @@ class StructureTest(NamedTuple):
 
 
 def components(white: Whitened, extra: np.ndarray, keep: np.ndarray | None = None) -> Components:
-    """Of the units in `white`, which share rows, and the whitened columns `extra` `(n, k)` of hidden functions.
+    """Components of the units in `white`, which share rows, on the whitened columns `extra` `(n, k)` of hidden
+    functions.
 
-    `keep` `(k,)`: which of them are tested; the others are estimated beside, without a prior.
+    `keep` `(k,)`: the tested functions; the others are estimated, too, without a prior.
     """
     n, rows = len(extra), white.rows[0]
     keep = np.ones(extra.shape[1], bool) if keep is None else keep
@@ -75,7 +76,7 @@ def components(white: Whitened, extra: np.ndarray, keep: np.ndarray | None = Non
     left, singular, _ = np.linalg.svd(beside / np.where(length > 0.0, length, 1.0), full_matrices=False)
     known = left[:, singular > OBSERVABLE * np.max(singular, initial=0.0)]
     both = both - known @ (known.T @ both)
-    # Once more: what is left is small beside what was taken off.
+    # Projected twice, since the remainder is small beside the removed part.
     both = both - known @ (known.T @ both)
     hidden, data = both[:, : int(keep.sum())], both[:, int(keep.sum()) :]
     directions, sizes, _ = np.linalg.svd(hidden, full_matrices=False)
@@ -89,25 +90,24 @@ def chi_squared(of: Components, unit: int = 0) -> Test:
 
 
 def size_of(every: list[Components]) -> Size | None:
-    """How large the discrepancy is, of all units together; None where none of them sees anything of it."""
+    """Size of the discrepancy from all units together; None where none of them has a component."""
     squares = np.concatenate([c.y.T.ravel() ** 2 for c in every])
     gains = np.concatenate([np.tile(c.gains, c.y.shape[1]) for c in every])
     if not len(gains):
         return None
     scale = float(np.max(gains))
     m = gains / scale
-    top = _LARGEST
 
     def short(log: float) -> float:
         v = 1.0 + np.exp(log) * m
         return float(np.sum(np.log(v) + squares / v))
 
-    grid = np.linspace(-12.0, np.log(top), 400)
+    grid = np.linspace(-12.0, np.log(_LARGEST), 400)
     values = [short(x) for x in grid]
     best = int(np.argmin(values))
     around = (grid[max(best - 1, 0)], grid[min(best + 1, 399)])
-    found: Any = optimize.minimize_scalar(short, bounds=around, method="bounded")
-    at = float(found.x)
+    optimum: Any = optimize.minimize_scalar(short, bounds=around, method="bounded")
+    at = float(optimum.x)
     none = float(np.sum(squares))
     estimate = 0.0 if none <= short(at) else float(np.exp(at))
 
@@ -119,10 +119,10 @@ def size_of(every: list[Components]) -> Size | None:
         quantile = float(special.chdtri(len(m), 1.0 - tail))
         if none <= quantile:
             ends.append(0.0)
-        elif pivot(top) > quantile:
+        elif pivot(_LARGEST) > quantile:
             ends.append(None)
         else:
-            end: Any = optimize.brentq(lambda v, q=quantile: pivot(v) - q, 0.0, top, xtol=1e-12)
+            end: Any = optimize.brentq(lambda v, q=quantile: pivot(v) - q, 0.0, _LARGEST, xtol=1e-12)
             ends.append(float(end))
     low, high = ends
     root = lambda v: float(np.sqrt(v / scale))  # noqa: E731
@@ -130,7 +130,7 @@ def size_of(every: list[Components]) -> Size | None:
 
 
 def structure_test(white: Whitened, extra: np.ndarray, hidden: Discrepancy, false_alarm: float) -> StructureTest | None:
-    """Of one unit: `extra` `(n, k)` are the whitened columns of the hidden functions. None where nothing is seen."""
+    """Test of one unit on the whitened columns `extra` `(n, k)` of the hidden functions; None without components."""
     of = components(white, extra)
     size = size_of([of])
     if size is None:
@@ -141,7 +141,7 @@ def structure_test(white: Whitened, extra: np.ndarray, hidden: Discrepancy, fals
 
 
 def _asked(white: Whitened, extra: np.ndarray, hidden: Discrepancy, false_alarm: float) -> tuple[int, int]:
-    """The structure with the fewest coefficients after which the same test finds nothing more."""
+    """The structure with the fewest coefficients beyond which the same test detects nothing."""
     degrees = np.array(hidden.degrees())
     lowest = hidden.temperature.lowest - 1, 0 if hidden.rate is None else hidden.rate.lowest - 1
     most = np.max(degrees, axis=0)

@@ -1,30 +1,30 @@
-"""The temperature that regressors are made of: a thermometer's readings without their noise and steps.
+"""The temperature of the regressors: a thermometer's readings without their noise and quantisation steps.
 
-The column of dB/dṪ is the temperature's change from reading to reading. Of a raw thermometer's it holds every step of
-its quantisation and all its noise, which the fit takes for changes that the bias did not follow (errors in variables):
-the gradient is drawn to nothing, and looks better known than it is. A die cannot follow such steps. So a
-parabola is fitted about every instant, over a time that is long against the noise and short against what the die
-does: of a minute at 100 samples/s, steps of 1/256 K leave some 0.1 mK, and a die that follows a ramp of 1 K/min with
-a lag of 3 min is missed by no more (0.15 mK where the ramp begins). A corner without any lag is rounded: by
-a tenth of what the ramp makes in 30 s.
+The column of dB/dṪ is the temperature's change from reading to reading. With a raw thermometer it contains every
+quantisation step and all noise, which the bias does not follow (errors in variables): the estimate of the gradient is
+biased towards zero, and its uncertainty too small. A die cannot follow such steps. So a parabola is fitted about every
+instant, over a window that is long compared with the noise and short compared with the die's dynamics. With a minute at
+100 samples/s, steps of 1/256 K leave about 0.1 mK, and the error for a die that follows a ramp of 1 K/min with a lag of
+3 min is no larger (0.15 mK at the begin of the ramp). A corner without any lag is rounded by a tenth of the ramp's
+change in 30 s.
 """
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 SMOOTHED_OVER_S = 60.0
-# Rows are first gathered in bins, so many a window; a window of fewer is left as it was measured.
+# Rows are first averaged in bins, this number in a window; a window with fewer bins stays as measured.
 _BINS = 60
 _FEWEST_BINS = 8
-# Data that break off for longer than this share of a window are smoothed apart.
+# Stretches separated by more than this share of a window are smoothed separately.
 _BREAK = 0.25
 
 
 def smoothed_temperature(time_s: np.ndarray, temperature_c: np.ndarray, over_s: float = SMOOTHED_OVER_S) -> np.ndarray:
-    """Temperatures `(n,)`, °C, at the instants `time_s` `(n,)`: about each the parabola that fits the readings within
-    ± `over_s`/2 best, in the sense of least squares (a Savitzky–Golay filter that takes times as they are).
+    """Temperatures `(n,)`, °C, at the instants `time_s` `(n,)`: a least-squares parabola
+    through the readings within ± `over_s`/2 of each (a Savitzky–Golay filter for arbitrary times).
 
-    Breaks longer than a quarter of the window are not bridged; at ends and breaks the window is what is there.
+    Breaks longer than a quarter of the window are not bridged; at ends and breaks the window is cut.
     Stretches with too few readings for that (fewer than eight a window) stay as measured. `over_s` = 0 changes
     nothing. Errors: `ValueError` for a window that is negative or not finite.
     """
@@ -46,13 +46,12 @@ def _smoothed(time: np.ndarray, temperature: np.ndarray, over: float) -> np.ndar
     if len(at) < _FEWEST_BINS or len(at) < _FEWEST_BINS * (at[-1] - at[0]) / over:
         return temperature
     value, slope = _parabolas(count, at, mean, 0.5 * over)
-    # Between the bins' centres the parabolas differ by nothing that counts; beyond the outer ones the last goes on.
+    # Between the bins' centres the parabolas hardly differ; beyond the outer ones the last one is extrapolated.
     return CubicHermiteSpline(at, value, slope)(time)
 
 
 def _binned(time: np.ndarray, temperature: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, mean time and mean temperature of the bins that hold any. The middle of the temperatures is kept apart
-    from the sums, so that none is rounded."""
+    """Rows, mean time and mean temperature of the bins that hold any; the median is subtracted against rounding."""
     number = ((time - time[0]) / width).astype(np.int64)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     count = np.diff(starts, append=len(time)).astype(float)
@@ -62,10 +61,10 @@ def _binned(time: np.ndarray, temperature: np.ndarray, width: float) -> tuple[np
 
 
 def _parabolas(count: np.ndarray, at: np.ndarray, mean: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
-    """Value and slope, at each bin, of the parabola fitted to the bins within ± `half`, which count by their rows."""
+    """Value and slope, at each bin, of the parabola fitted to the bins within ± `half`, weighted by their rows."""
     moments, sums = np.zeros((len(at), 5)), np.zeros((len(at), 3))
     first, last = np.searchsorted(at, at - half), np.searchsorted(at, at + half, side="right")
-    # At the ends the window reaches inwards until it holds enough for a parabola.
+    # At the ends the window extends inwards until it has enough bins for a parabola.
     first = np.minimum(first, np.maximum(last - _FEWEST_BINS, 0))
     last = np.maximum(last, np.minimum(first + _FEWEST_BINS, len(at)))
     for ahead in range(int(np.max(last - first))):
@@ -77,5 +76,5 @@ def _parabolas(count: np.ndarray, at: np.ndarray, mean: np.ndarray, half: float)
         moments[inside] += powers
         sums[inside] += powers[:, :3] * (mean[other] - mean[inside])[:, None]
     normal = moments[:, np.arange(3)[:, None] + np.arange(3)[None]]
-    found = np.linalg.solve(normal, sums[:, :, None])[..., 0]
-    return mean + found[:, 0], found[:, 1] / half
+    line = np.linalg.solve(normal, sums[:, :, None])[..., 0]
+    return mean + line[:, 0], line[:, 1] / half

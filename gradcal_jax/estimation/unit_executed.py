@@ -1,11 +1,11 @@
-"""What a table of several axes really did with a unit on it: a log's standstills and moves as a `TableMotion`.
+"""The executed motion of a unit on a table of several axes: a log's standstills and moves as a `TableMotion`.
 
-Between two standstills of the whole table one axis after the other turns. Which one turns when is read from the gyros:
-where the table stops for an instant between two moves their rate has a valley, and what they integrate to between two
-valleys points along the axis that turned. Where an axis stands then is what its encoder read on the average between two
-of its own moves. How a move went in between, the gyros say too, drawn to the encoder's angles at its ends.
+Between two standstills of the whole table one axis after the other turns. The gyros show which one: their rate has a
+minimum where the table stops for an instant between two moves, and their integral between two minima points along the
+axis that turned. The angle of an axis at rest is the mean of its encoder between two of its own moves. Within a move
+the gyros give the angle, adjusted to the encoder's angles at its ends.
 
-Row `i` of a log stands for the time from row `i − 1` to itself.
+Row `i` of a log represents the time from row `i − 1` to itself.
 """
 
 import itertools
@@ -20,26 +20,26 @@ from gradcal_jax.formulas import runs
 from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
 
-# A rest is one row of each channel, as in a plan, but its temperature is followed from piece to piece of so long.
+# A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
 _PIECE_S = 60.0
 _GUARD_S = 0.1
-# A valley of the rate this many times below both its sides is a stop; what is this much below the fastest is noise.
+# Speeds below this share of the fastest are noise.
 _SLOWEST = 1e-3
-# An axis that stands at angles less than this apart (rad) has not been turned.
+# Least change of an axis's angle (rad) that counts as a turn.
 _LEAST_TURN = np.radians(0.05)
-# What gyros integrate to a move is within this share of the table's angle, and this angle (rad): biases, scale factors.
+# The gyros' integral over a move differs from the table's angle by at most this share and this angle (rad).
 _FOLLOWS, _BIAS = 0.05, np.radians(3.0)
-# A node of a move spans this angle at most (rad).
+# Largest angle between nodes of a move (rad).
 _NODE = np.radians(3.0)
 _FEWEST_NODES = 16
-# An axis of which the gyros see less than this share of its rate is not seen.
+# Least share of an axis's rate along the gyros at which it is observable.
 _SEEN = 0.3
 
 
 class UnitRows(NamedTuple):
-    """One unit's rows of a log, `(n,)` unless said. `rates` `(n, 3)` rad/s and `force` `(n, 3)` m/s² along the body's
-    axes, NaN of those that it has not; `angles` `(n, L)` rad of the table's axes; `standing`: all of them stand;
-    `usable`: the row may be integrated; `mounting`: how the unit hangs.
+    """One unit's rows of a log, `(n,)` unless stated. `rates` `(n, 3)` rad/s and `force` `(n, 3)` m/s² along the body's
+    axes, NaN for missing ones; `angles` `(n, L)` rad of the table's axes; `standing`: all of them stand;
+    `usable`: the row may be integrated; `mounting`: its number.
     """
 
     time_s: np.ndarray
@@ -63,10 +63,10 @@ class ExecutedUnit(NamedTuple):
 
 
 def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
-    """The motion that a log's rows show.
+    """The motion in a log's rows.
 
-    Errors: `ValueError` where the table never stands, where its angles are not known there, or where what the gyros
-    say of a move is no turn of one axis after the other.
+    Errors: `ValueError` where the table never stands, where its angles are not known there, or where the gyros'
+    integral over a move is not a sequence of turns of single axes.
     """
     spans = [_inner(log.time_s, int(a), int(b) - 1) for a, b in runs(log.standing) if b - a > 1]
     if len(spans) < 2:
@@ -85,7 +85,7 @@ def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
 
 
 class _Leg(NamedTuple):
-    """A move of one axis (−1: nobody knows which, or none), rows `begin + 1 … end`, after standstill `span`."""
+    """A move of one axis (−1: unknown or none), rows `begin + 1 … end`, after standstill `span`."""
 
     span: int
     axis: int
@@ -94,8 +94,8 @@ class _Leg(NamedTuple):
 
 
 def _inner(time: np.ndarray, first: int, last: int) -> tuple[int, int]:
-    """A standstill without its ends: a row that is called standing may hold the beginning of a move, some µrad at 25
-    rows/s, which its encoder counts to the move. What of rest is counted to a move instead costs nothing.
+    """A standstill without its ends: a row marked as standing may contain the begin of a move, some µrad at 25 rows/s,
+    which the encoder counts to the move. Rows of rest that are counted to a move do no harm.
     """
     rows = last - first
     guard = min(max(1, int(np.searchsorted(time[first : last + 1] - time[first], _GUARD_S))), rows // 10)
@@ -107,15 +107,15 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
     step = np.diff(log.time_s, prepend=log.time_s[0])
     seen = np.flatnonzero(np.isfinite(log.rates).any(axis=0))
     quiet = np.array([np.nanmean(log.rates[a : b + 1], axis=0) for a, b in spans]) if len(seen) else None
-    found: list[_Leg] = []
+    result: list[_Leg] = []
     for k, ((_, last), (first, _)) in enumerate(itertools.pairwise(spans)):
         change = means[k + 1] - means[k]
         turned = np.flatnonzero(np.abs(change) > _LEAST_TURN)
         whole = bool(log.usable[last + 1 : first + 1].all()) and log.mounting[last] == log.mounting[first]
         if quiet is None or not whole:
-            # Nothing is read of this move: only where it led to counts. Where rows are missing, as where a run was
-            # resumed, an axis that stands as before may have been away.
-            found.append(_Leg(k, int(turned[0]) if whole and len(turned) == 1 else -1, last, first))
+            # This move is not read; only its final angles count. Where rows are missing, as in a resumed run, an axis
+            # at its former angle may have moved.
+            result.append(_Leg(k, int(turned[0]) if whole and len(turned) == 1 else -1, last, first))
             continue
         rates = (log.rates[last + 1 : first + 1] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
         where = _valleys(np.linalg.norm(rates, axis=1)) if len(turned) != 1 else []
@@ -135,11 +135,11 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
         if np.max(np.abs(at - means[k + 1])) > _FOLLOWS * size + _BIAS:
             raise ValueError(
                 f"between {log.time_s[last]:.6g} and {log.time_s[first]:.6g} s the gyros and the table's angles do not "
-                "say the same: one axis after the other must turn; is the table of the spec the one of the log, with "
-                "its axes in that order, and the unit mounted as the spec says?"
+                "agree: one axis after the other must turn; is the table of the spec the one of the log, with its "
+                "axes in that order, and the unit mounted as in the spec?"
             )
-        found += legs
-    return found
+        result += legs
+    return result
 
 
 def _valleys(speed: np.ndarray) -> list[int]:
@@ -147,7 +147,7 @@ def _valleys(speed: np.ndarray) -> list[int]:
     top = float(np.max(speed, initial=0.0))
     if top == 0.0:
         return []
-    # Noise at the bottom of a valley must not make two of it.
+    # Noise at a minimum must not divide it into two.
     width = max(len(speed) // 400, 1)
     smooth = np.convolve(np.pad(speed, width, mode="edge"), np.ones(2 * width + 1) / (2 * width + 1), mode="valid")
     return valleys(smooth, _SLOWEST * top).tolist()
@@ -156,9 +156,7 @@ def _valleys(speed: np.ndarray) -> list[int]:
 def _which(
     geometry: Geometry, at: np.ndarray, left: np.ndarray, mounting: int, total: np.ndarray, seen: np.ndarray
 ) -> tuple[int, float]:
-    """The axis along which the gyros' integral points, and the angle (rad). Of several that do, as where the outer one
-    is parallel to the inner one, the one that has this angle `left` to go.
-    """
+    """Axis (and angle, rad) along which the gyros' integral points; of several the one with the angle `left`."""
     axes = frames(geometry, at[None], np.array([mounting])).axes[0][:, seen]
     angle = (axes @ total) / np.maximum(np.sum(axes**2, axis=1), _SEEN**2)
     missed = np.linalg.norm(total[None] - angle[:, None] * axes, axis=1)
@@ -168,11 +166,11 @@ def _which(
 
 
 def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], legs: list[_Leg]) -> list[np.ndarray]:
-    """Of each axis, its angles (rad) before its first move, and after each of its moves: means of what was read from
-    the end of one to the beginning of the next, whatever others did then.
+    """Angles (rad) of each axis before its first move and after each of its moves: means of its readings from the end
+    of one to the begin of the next, also while other axes move.
 
-    A busy computer's stamps are late, and where another axis's move comes next, rows of it may be of the axis's own:
-    they count from when all stood first to when they did last, and where they never did, in the middle half.
+    Time stamps of a busy computer are late, so that rows next to another axis's move may belong to this axis's own
+    move: readings count between the first and the last row at which all axes stand, or else in the middle half.
     """
     standing = np.zeros(len(known), bool)
     for first, last in spans:
@@ -194,7 +192,7 @@ def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], 
 
 
 class _Builder:
-    """Pieces as they are found, one after the other."""
+    """Accumulates pieces one after the other."""
 
     def __init__(self, log: UnitRows, angles: list[np.ndarray], begin: int):
         self.log, self.angles = log, angles
@@ -214,7 +212,7 @@ class _Builder:
         self.travelled.append(way)
 
     def next_angle(self, axis: int) -> float:
-        """By how much (rad) an axis goes on to its next standstill."""
+        """The angle (rad) of an axis's next move."""
         self.moved[axis] += 1
         return float(self.angles[axis][self.moved[axis]] - self.at[axis])
 
@@ -222,8 +220,8 @@ class _Builder:
 def _pieces(
     log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], legs: list[_Leg], angles: list[np.ndarray]
 ) -> ExecutedUnit:
-    made, axes = _Builder(log, angles, spans[0][0]), len(angles)
-    start = made.at.copy()
+    builder, axes = _Builder(log, angles, spans[0][0]), len(angles)
+    start = builder.at.copy()
     of_span: dict[int, list[_Leg]] = {}
     for leg in legs:
         of_span.setdefault(leg.span, []).append(leg)
@@ -231,27 +229,25 @@ def _pieces(
         parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / _PIECE_S - 1e-9)))
         goals = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
         for row in [*np.searchsorted(log.time_s[:last], goals - 1e-9).tolist(), last]:
-            if row > made.rows[-1]:
-                made.add(row)
+            if row > builder.rows[-1]:
+                builder.add(row)
         for leg in of_span.get(k, []):
             if leg.axis >= 0:
-                angle = made.next_angle(leg.axis)
-                made.add(leg.end, leg.axis, _way(log, geometry, made.at, leg, angle))
-                made.at[leg.axis] += angle
+                angle = builder.next_angle(leg.axis)
+                builder.add(leg.end, leg.axis, _way(log, geometry, builder.at, leg, angle))
+                builder.at[leg.axis] += angle
                 continue
-            # Several axes, or none: nothing of it is read; every axis is where it stands next.
+            # Several axes, or none: the move is not read; every axis goes to its next angle.
             ends = np.linspace(leg.begin, leg.end, axes + 1).round().astype(int).tolist()[1:]
             for l, row in enumerate(ends):
-                angle = made.next_angle(l)
-                made.add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
-                made.at[l] += angle
-    return ExecutedUnit(_motion(log, geometry, made, start), np.array(made.rows), tuple(made.travelled))
+                angle = builder.next_angle(l)
+                builder.add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
+                builder.at[l] += angle
+    return ExecutedUnit(_motion(log, geometry, builder, start), np.array(builder.rows), tuple(builder.travelled))
 
 
 def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float) -> np.ndarray:
-    """The angle (rad) that a move has turned, at the edges of equal parts of its time, few enough degrees each: the
-    gyros', drawn to the encoder's.
-    """
+    """The angle (rad) of a move by the gyros, adjusted to the encoder's, at the edges of equal parts of its time."""
     time = log.time_s[leg.begin : leg.end + 1]
     direction = frames(geometry, at[None], log.mounting[[leg.begin]]).axes[0][leg.axis]
     rates = log.rates[leg.begin + 1 : leg.end + 1]
@@ -269,10 +265,10 @@ def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: fl
 
 
 def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
-    """What to add to the gyros' integrals over every piece `(P, 3)`, rad, where the table stopped for an instant.
+    """Corrections of the gyros' integrals over every piece `(P, 3)`, rad, where the table stopped for an instant.
 
-    The row in which it stopped holds the end of one axis's turn and the beginning of another's, some tens of µrad at
-    100 rows/s. What they turn about differs, and tells them apart.
+    The row of the stop contains the end of one axis's turn and the begin of another's, some tens of µrad at 100 rows/s.
+    Their different directions separate them.
     """
     result, axis, rows = np.zeros((len(done.motion.axis), 3)), done.motion.axis, done.rows
     step, seen = np.diff(log.time_s, prepend=log.time_s[0]), np.isfinite(log.rates).any(axis=0)
@@ -295,10 +291,10 @@ def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
     return result
 
 
-def _motion(log: UnitRows, geometry: Geometry, made: _Builder, start: np.ndarray) -> TableMotion:
-    rows, axis, lost = np.array(made.rows), np.array(made.axis), np.array(made.lost)
+def _motion(log: UnitRows, geometry: Geometry, builder: _Builder, start: np.ndarray) -> TableMotion:
+    rows, axis, lost = np.array(builder.rows), np.array(builder.axis), np.array(builder.lost)
     duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
-    turned = np.array([0.0 if way is None else way[-1] for way in made.travelled])
+    turned = np.array([0.0 if way is None else way[-1] for way in builder.travelled])
     mean = turned / np.where(duration > 0.0, duration, 1.0)
     line = held(
         log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=~lost, at_rest=axis < 0, moving=axis >= 0, gap=lost
@@ -307,7 +303,7 @@ def _motion(log: UnitRows, geometry: Geometry, made: _Builder, start: np.ndarray
     goes_on = (axis[1:] < 0) & (axis[:-1] < 0) & ~lost[1:] & ~lost[:-1]
     line = eqx.tree_at(lambda x: x.segment, line, np.concatenate([[0], np.cumsum(~goes_on)]))
     each = np.arange(len(axis))
-    # The unit is hung anew while nothing is read.
+    # The mounting changes only in pieces that are not read.
     return TableMotion(line, axis, log.mounting[rows[1:]], geometry, start, each, each, each)
 
 
@@ -320,10 +316,10 @@ def nodes_of_rows(
     error_of=None,
     felt: np.ndarray | None = None,
 ) -> BodyNodes:
-    """The nodes of what was done, with the table as `geometry` says. `temperature_c` `(n,)`: what the maps follow.
+    """The nodes of the executed motion on a table of this `geometry`. `temperature_c` `(n,)`: temperature of the maps.
 
-    `error_of(axis, angle) -> (error, its derivative)`, rad: what every axis stands beyond its encoder's angle. `felt`
-    `(P, 3)`: the mean specific force over every piece, m/s², NaN where it is not known: off the axes a move adds some
+    `error_of(axis, angle) -> (error, its derivative)`, rad: angle of every axis less that of its encoder. `felt` `(P,
+    3)`: the mean specific force over every piece, m/s², NaN where unknown: away from the axes a move adds some
     hundredths of g to gravity, and gyros are sensitive to it.
     """
     motion = eqx.tree_at(lambda m: m.geometry, done.motion, geometry)
@@ -340,7 +336,7 @@ def nodes_of_rows(
 
 
 def _errors(error_of, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of all axes (the last one of `angle`): errors and their derivatives."""
+    """Errors of all axes (the last axis of `angle`), and their derivatives."""
     if error_of is None:
         return np.zeros(angle.shape), np.zeros(angle.shape)
     both = [error_of(axis, angle[..., axis]) for axis in range(angle.shape[-1])]

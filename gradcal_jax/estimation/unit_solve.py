@@ -1,13 +1,13 @@
-"""The estimate of a whole unit: Gauss–Newton with the Jacobian and the noise of the prediction, kept as they are.
+"""The estimate of a whole unit: Gauss–Newton with the constant Jacobian and noise of the prediction.
 
-The readings are not linear in everything: what a sensor's error does depends on how the table really stands. So the
-forward model goes through the finite geometry, base, axes, mounting and encoders as far off as was estimated, and the
-channels' terms are taken at what they then see:
+The readings are not linear in all parameters: the effect of a sensor's error depends on the true attitude of the table.
+So the forward model uses finite geometry, with the estimated errors of base, axes, mounting and encoders, and evaluates
+the channels' terms at the resulting signals:
 
     r = y − h(β),    δ = argmin |W r − W J δ|² + |P (β + δ)|²,    β ← β + δ
 
-with the whitened Jacobian `W J` at the drawing, or about what a first estimate found. The steps contract by the size of
-what they correct: an installation that is off by 1 mrad gains three digits a step.
+with the whitened Jacobian `W J` at the nominal installation or at a first estimate. Each step reduces the error by a
+factor of about the installation's error: 1 mrad gains three digits a step.
 """
 
 from collections.abc import Callable
@@ -41,16 +41,14 @@ from gradcal_jax.model import (
 from gradcal_jax.trajectory import Geometry, rotation
 
 _ROUNDS = 12
-# A step that moves nothing by more than this share of its standard deviation is the last.
+# The iteration ends at a step that changes no parameter by more than this share of its standard deviation.
 _SETTLED = 1e-3
-# rad, of differences.
+# Step of finite differences, rad.
 _SMALL_TURN = 1e-5
 
 
 class Installed(NamedTuple):
-    """A table as it was found: `geometry`, `error_of(axis, angle)` of the encoders and its derivative, rad, and by how
-    much the sample clock is off.
-    """
+    """Estimated table: `error_of(axis, angle)`: encoder error and derivative, rad; `clock`: relative clock error."""
 
     geometry: Geometry
     error_of: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]] | None
@@ -58,9 +56,9 @@ class Installed(NamedTuple):
 
 
 def installed(geometry: Geometry, model: UnitModel, values: np.ndarray) -> Installed:
-    """The table with the installation's errors `values` (SI, in the model's order) put in, finite.
+    """The table with the installation's errors `values` (SI, in the model's order) as finite rotations.
 
-    A non-orthogonality between two axes turns all that is inside it: `E·Rot(e, θ) = Rot(E e, θ)·E`.
+    A non-orthogonality between two axes rotates all stages inside it: `E·Rot(e, θ) = Rot(E e, θ)·E`.
     """
     base, axes, mountings, gravity = geometry.base, geometry.axes.copy(), geometry.mountings.copy(), geometry.gravity
     waves: list[tuple[AxisHarmonics, np.ndarray]] = []
@@ -107,8 +105,8 @@ def _small(vector: np.ndarray) -> np.ndarray:
 
 
 class UnitReadings(NamedTuple):
-    """What a unit's rows say, ready to be compared with any table: `observed` `(R,)`, integrals in rad and m/s; `felt`
-    `(P, 3)`, the mean specific force over every piece, m/s², where it is known.
+    """A unit's readings, for comparison with any table: `observed` `(R,)`, integrals in rad and m/s; `felt` `(P, 3)`,
+    the mean specific force over every piece, m/s², if known.
     """
 
     model: UnitModel
@@ -130,20 +128,20 @@ class UnitReadings(NamedTuple):
         for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
             own = parameters[begin : begin + c.model.size]
             begin += c.model.size
-            said = ideal[nodes.kind, c.index] + columns @ own
+            output = ideal[nodes.kind, c.index] + columns @ own
             rows = at.row_channel == i
-            result[rows] = at.sums(said)[at.row_segment[rows]]
+            result[rows] = at.sums(output)[at.row_segment[rows]]
         return result * (1.0 + table.clock)
 
     def nominal(self) -> BodyNodes:
-        """The nodes with everything as it is drawn."""
+        """The nodes of the nominal table."""
         return self._nodes(self.done.motion.geometry)
 
     def linear(self, about: np.ndarray | None) -> tuple[NoiseSteps, np.ndarray]:
-        """Noise steps, and the readings' derivatives by the parameters `(R, p)`, `about` these; None: as all is drawn.
+        """Noise steps, and the readings' derivatives with respect to the parameters `(R, p)` at `about`; None: nominal.
 
-        A channel sees a turn of the table through its own errors. Where the turn is hardly known (a mounting, which
-        misalignments look like), that is more than what a run leaves of them over temperature.
+        A rotation of the table reaches a channel through the channel's own errors. For a poorly known rotation (of a
+        mounting, which resembles misalignments) this effect exceeds the errors' uncertainty over temperature.
         """
         motion, model = self.done.motion, self.model
         if about is None:
@@ -171,9 +169,7 @@ def readings_of(
     points: int,
     felt: np.ndarray | None = None,
 ) -> UnitReadings:
-    """The integrals of every channel over the segments that it is read in. `felt` `(n, 3)`: the specific force at the
-    rows, corrected, m/s².
-    """
+    """Integrals of every channel over its segments. `felt` `(n, 3)`: corrected specific force at the rows, m/s²."""
     at = segments_of(done.motion, model)
     step = np.diff(log.time_s, prepend=log.time_s[0])
     if felt is not None:
@@ -195,9 +191,9 @@ def readings_of(
 
 
 class UnitEstimate(NamedTuple):
-    """Of one unit: the `estimate` (`U` = 1) and the `white` rows it stands on, linear about it: of those of the `R`
-    rows that are `used`. `taken`: those rows of an orthonormal basis of what the parameters explain, which residuals
-    lack. `moved`: by how many of its σ the last of the `rounds` went. `weights`: of the rows used, 1 in full.
+    """One unit's `estimate` (`U` = 1), and its `white` rows, linearised about it, for those of the `R` rows that are
+    `used`. `taken`: the same rows of an orthonormal basis of the fitted columns. `moved`: size of the last of the
+    `rounds`, in standard deviations. `weights`: of the rows used, 1 for full weight.
     """
 
     estimate: Estimate
@@ -215,39 +211,38 @@ class UnitEstimate(NamedTuple):
 
     @property
     def known(self) -> Posterior:
-        """What they are uncertain by."""
+        """Posterior of the parameters."""
         return self.estimate.known[0]
 
 
 def estimate_unit(
     readings: UnitReadings, about: np.ndarray | None = None, *, threshold: float | None = None
 ) -> UnitEstimate:
-    """Parameters of a unit and its installation from its rows. What cannot be observed gets the smallest parameters.
+    """Parameters of a unit and its installation from its rows, with minimal norm in unobservable directions.
 
-    `about`: parameters near which they are, in the engine's coordinates; the covariance is that of readings that are
-    linear there. `threshold`: rows that are further off, in standard deviations, count for less; see `robust`.
-
-    Errors: `ValueError` where a row that is used is not finite.
+    `about`: approximate parameters in the engine's coordinates, the point of linearisation. `threshold`: rows with
+    larger residuals, in standard deviations, get a lower weight; see `robust`. Errors: `ValueError` where a used row is
+    not finite.
     """
     steps, columns = readings.linear(about)
     used = np.asarray(segments_of(readings.done.motion, readings.model).used)
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a reading that is used is not finite")
-    found = _solved(readings, steps, columns, used, about)
+    estimate = _solved(readings, steps, columns, used, about)
     if threshold is None:
-        return found
+        return estimate
 
     def again(noise: NoiseSteps, last: UnitEstimate) -> UnitEstimate:
         return _solved(readings, noise, columns, used, last.parameters)
 
-    found, weights = reweighted(steps, used, found, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
-    return found._replace(weights=weights)
+    estimate, weights = reweighted(steps, used, estimate, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
+    return estimate._replace(weights=weights)
 
 
 def _solved(
     readings: UnitReadings, steps: NoiseSteps, columns: np.ndarray, used: np.ndarray, about: np.ndarray | None
 ) -> UnitEstimate:
-    """With such noise, by steps with the derivatives `columns` from the parameters `about` on."""
+    """The estimate with these noise steps and derivatives `columns`, iterated from the parameters `about`."""
     model = readings.model
     jacobian, prior = np.asarray(whiten(steps, columns))[used], model.prior_rows()
     design = np.concatenate([jacobian, prior])
@@ -275,6 +270,6 @@ def _solved(
     chi_squared = np.array([rest @ rest + np.sum((prior @ beta) ** 2)])
     degrees = np.array([len(design) - np.count_nonzero(seen)])
     taken = orthogonal[: len(jacobian)] @ left[:, seen]
-    found = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
+    estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
     white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
-    return UnitEstimate(found, white, used, taken, moved, rounds, np.ones(len(rest)))
+    return UnitEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)))

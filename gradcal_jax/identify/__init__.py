@@ -1,4 +1,4 @@
-"""Instability from records at rest: Direct Bound, Allan deviation, and the bias over temperature taken off before."""
+"""Instability from records at rest: Direct Bound, Allan deviation, and removal of the bias over temperature."""
 
 from gradcal_jax.identify.allan import MISFIT, AllanDeviation, AllanFit, fit_allan, overlapping_allan
 from gradcal_jax.identify.direct_bound import DirectBound, fit_direct_bound, scatter_of_bound

@@ -18,19 +18,19 @@ u at two averaging times follows by summing over the 3 × 3 taps of both differe
 
     cov[V(τ), V(τ')] = 2/(n n' 4 τ² τ'²) Σ_(i, i') cov[u_i, u'_i']²
 
-No table of degrees of freedom by noise type is needed: the mixture that was fitted is the noise type. The fit is
-generalised least squares (nothing negative) with this covariance under the fitted mixture, iterated, over averaging
-times an octave apart: those between tell next to nothing more. The standard errors are its own; the distance of the
-V from the fit, cube roots taken, is χ² with as many degrees as times less coefficients that are not zero, and says by
-its chance whether the model holds. Where it does not, the longest times are left out one by one
-until it does; where that helps nowhere, each V is taken to be as uncertain as it is far off.
+No table of degrees of freedom by noise type is needed, since the fitted mixture is the noise type. The fit is
+generalised least squares (no coefficient negative) with the covariance under the fitted mixture, iterated, over
+averaging times an octave apart, since intermediate times add almost no information. The standard errors are those of
+the fit. The distance of the V from the fit, in cube roots, is χ² with as many degrees as times less nonzero
+coefficients; its probability tests the model. Where the test fails, the longest times are left out one by one until it
+passes; where it never passes, the standard deviation of each V is increased to its residual.
 
-**Low-pass.** Nearly every sensor averages its output over some samples. That takes the white noise off the shortest τ,
-where a fit would look for N. A sum of the four powers of τ is nowhere bent downwards in logarithms, white noise behind
-a low-pass is: V rises or lingers below the low-pass's length and falls as N²/τ beyond. Where ln V is bent downwards at
-the shortest times by more than five standard deviations, the fit begins at twice the τ of the sharpest bend. What the
-low-pass takes off beyond its length is -c/τ², exactly so for a moving mean (for M samples c = N² τ₀ (M² - 1)/(2M)), and
-a column of the fit; quantisation, which has the same form, cannot be told then.
+**Low-pass.** Nearly every sensor averages its output over some samples. That reduces the white noise at the shortest τ,
+from which a fit would determine N. A sum of the four powers of τ is convex in logarithms; white noise behind a low-pass
+is not: V rises or stays level below the low-pass's length and falls as N²/τ beyond. Where ln V is concave at the
+shortest times by more than five standard deviations, the fit begins at twice the τ of the sharpest bend. The reduction
+beyond the low-pass's length is c/τ², exactly so for a moving mean (for M samples c = N² τ₀ (M² - 1)/(2M)), and a column
+of the fit; quantisation, which has the same form, cannot be determined then.
 """
 
 from collections.abc import Sequence
@@ -42,27 +42,28 @@ from jaxtyping import Bool, Float, Int
 from scipy import optimize, special
 
 from gradcal_jax import formulas
+from gradcal_jax.identify.largest_drift import running_angle
 
 Times = Float[np.ndarray, " times"]
 Steps = Int[np.ndarray, " times"]
 Squares = Float[np.ndarray, " 4"]
-# (length, how many) of the unbroken stretches.
+# (length, count) of the unbroken stretches.
 Runs = tuple[tuple[int, int], ...]
 
 TERMS = ("quantisation", "angle_random_walk", "bias_instability", "rate_random_walk")
 _FLICKER = 2.0 * np.log(2.0) / np.pi
-# Second differences are summed in pieces that stay in the cache.
+# Second differences are summed in pieces that fit into the cache.
 _PIECE = 1 << 15
 _TAPS = (1.0, -2.0, 1.0)
 # Lags of a smooth sum, for each doubling of the distance from a kink.
 _PER_OCTAVE = 8
-# Standard deviations by which ln V must bend downwards to be a low-pass, and N², B², … exceed nothing to show.
+# Standard deviations of concavity of ln V for a low-pass, and by which N², B², … must exceed zero to be significant.
 _BENT = 5.0
 _SHOWS = 3.0
-# A record whose distance from its fit has a smaller chance than this is not of the model.
+# Least probability of a record's distance from its fit under the model.
 MISFIT = 0.01
 _SLOWEST_LOW_PASS_S = 1.0
-# How many τ the slowly falling correlation of 1/f noise is followed beyond the support of the others.
+# Reach of the slowly decaying correlation of 1/f noise, relative to the support of the others.
 _FLICKER_REACH = 6
 
 
@@ -75,10 +76,10 @@ class AllanDeviation:
     deviation: Times
     """√V, in the unit of the rates (rad/s in this package)."""
     difference_count: Steps
-    """How many second differences were averaged."""
+    """Number of averaged second differences."""
     sample_interval_s: float
     stretch_lengths: tuple[int, ...]
-    """Samples in each unbroken stretch; what the confidence rests on."""
+    """Samples in each unbroken stretch, for the confidence."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +88,9 @@ class Coefficient:
 
     value: float
     standard_error: float
-    """One sigma, to first order; where the value is zero, the value that would be one sigma above it."""
+    """One sigma, to first order; for a value of zero, the value one sigma above it."""
     shows: bool
-    """Whether its part of the variance is more than three standard errors above nothing."""
+    """Whether its part of the variance is more than three standard errors above zero."""
 
 
 @dataclass(frozen=True)
@@ -114,16 +115,16 @@ class AllanFit:
     """Confidence limits of the true deviation, from the measured one and χ² with those degrees of freedom."""
     confidence: float
     fitted_time_s: Float[np.ndarray, " fitted"]
-    """The averaging times that the fit rests on."""
+    """The averaging times in the fit."""
     low_passed: bool
     """Whether a low-pass shows at the shortest times, which the fit then leaves out."""
     chi_squared: float
     """Distance of the V from the model, by their covariance, over all times but those below a low-pass's end."""
     chi_squared_degrees: int
     chance: float
-    """How often a record of this model is as far from its fit as this one."""
+    """Probability that a record of this model is as far from its fit as this one."""
     farthest_time_s: float
-    """The time at which the model is least like the record."""
+    """The time at which the model differs most from the record."""
 
 
 def averaging_times(samples: int, sample_interval_s: float, *, per_decade: int = 10) -> Times:
@@ -144,9 +145,9 @@ def overlapping_allan(
 ) -> AllanDeviation:
     """Overlapping Allan deviation of evenly sampled rates.
 
-    No difference spans a sample that is not `valid`: what was missed cannot be integrated over. Gaps in time are given
-    as invalid samples on the even grid. `averaging_times_s` are rounded to whole samples (without them,
-    `averaging_times` of the longest stretch); those too long for every stretch are left out.
+    No difference spans a sample that is not `valid`. Gaps in time are invalid samples on the even grid.
+    `averaging_times_s` are rounded to whole samples (without them, `averaging_times` of the longest stretch); those too
+    long for every stretch are left out.
 
     **Raises:** `ValueError` where nothing is left, and where a usable rate is not finite.
     """
@@ -170,14 +171,7 @@ def overlapping_allan(
     for start, stop in edges.tolist():
         if stop - start < 2 * int(steps[0]):
             continue
-        angle = np.zeros(stop - start + 1)
-        angle[1:] = rate[start:stop]
-        mean = angle[1:].mean()
-        if not np.isfinite(mean):
-            bad = start + int(np.flatnonzero(~np.isfinite(angle[1:]))[0])
-            raise ValueError(f"the rate of sample {bad} is not finite: mark such samples as not valid")
-        angle[1:] -= mean  # changes no second difference and keeps the sums small
-        np.cumsum(angle, out=angle)
+        angle = running_angle(rate[start:stop], first_sample=start)
         for row, m in enumerate(steps.tolist()):
             if 2 * m <= stop - start:
                 total[row] += _sum_of_squares(angle, m)
@@ -191,8 +185,8 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     """The coefficients whose model fits an Allan deviation best, with standard errors, and its confidence limits.
 
     Generalised least squares on the variances, none negative, over times an octave apart and no shorter than where a
-    low-pass ends (see the module's head). `terms` says which of `TERMS` the sensor may have; a term left out is zero.
-    Deterministic drift (a temperature ramp) passes for rate random walk: take it out first.
+    low-pass ends (see the module's head). `terms`: those of `TERMS` that the sensor may have; the others are zero.
+    Deterministic drift (a temperature ramp) appears as rate random walk: remove it first.
 
     **Raises:** `ValueError` for unknown terms, fewer averaging times than terms, or a confidence outside (0, 1).
     """
@@ -224,7 +218,7 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
             )
     fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
     farthest = float(tau[rows[whole.farthest]])
-    # A trend or what temperature did shows at long times: the shorter ones may still be of the model.
+    # Trends and effects of temperature appear at long times; the model may still hold at shorter ones.
     least = int(chosen.sum()) + 2
     shorter = [rows[:length] for length in range(len(rows) - 1, least - 1, -1)] if whole.chance < MISFIT else []
     for band in shorter:
@@ -280,7 +274,7 @@ def _octaves(steps: Steps, *, at_least: int) -> Int[np.ndarray, " rows"]:
 
 
 def _end_of_low_pass(steps: Steps, variance: Times, runs: Runs, interval: float) -> int:
-    """The samples from which on a low-pass leaves but its term in 1/τ²; 0 where there is none to be seen."""
+    """Number of samples from which on a low-pass has only its term in 1/τ²; 0 without a significant low-pass."""
     if len(steps) < 3:
         return 0
     x, y = np.log(steps), np.log(variance)
@@ -295,7 +289,7 @@ def _end_of_low_pass(steps: Steps, variance: Times, runs: Runs, interval: float)
         falls = y[k] < y[k - 1]
         if deviations < -_BENT and falls:
             after_rounding = True
-        # From falling to rising and down again: rounded output of a low-pass, if within a second; otherwise a drift.
+        # V that falls, rises and falls again: rounded output of a low-pass, if within a second; otherwise a drift.
         if after_rounding and steps[k] * interval > _SLOWEST_LOW_PASS_S:
             break
         bent[k] = float(weight @ y) if deviations > _BENT else 0.0
@@ -317,15 +311,15 @@ class _Fit:
 def _least_squares(
     steps: Steps, variance: Times, runs: Runs, interval: float, chosen: Bool[np.ndarray, " 4"], low_passed: bool
 ) -> _Fit:
-    """Generalised least squares on V, weights and coefficients in turn until they agree."""
+    """Generalised least squares on V; weights and coefficients in turn until convergence."""
     tau = steps * interval
-    # What a low-pass takes off beyond its end is -c/τ²: a fifth column, of either sign by standing here twice.
+    # The reduction by a low-pass beyond its end is c/τ²: a fifth column, present twice for both signs.
     design = np.column_stack([_design(tau), 1 / tau**2])
     signs = np.array([[1.0, 1, 1, 1, 1], [0, 0, 0, 0, -1]])
     used = np.append(chosen, low_passed)
     columns, signs = np.nonzero(signs * used)[::-1][0], signs[np.nonzero(signs * used)]
     counts = sum(np.maximum(n - 2 * steps + 1, 0) * times for n, times in runs)
-    # To begin with every V is as uncertain, relatively, as if its differences were independent over τ.
+    # Initial relative variance of every V: as if its differences were independent over τ.
     covariance = np.diag(variance**2 * 2 * steps / counts)
     solution, rounding = np.zeros(5), 0.0
     expected, left = variance, np.zeros(len(tau))
@@ -334,8 +328,8 @@ def _least_squares(
         root = np.linalg.cholesky(covariance)
         weighed = np.linalg.solve(root, design)
         scale = np.linalg.norm(weighed, axis=0)
-        found, _ = optimize.nnls((weighed / scale)[:, columns] * signs, np.linalg.solve(root, expected + left))
-        solution = np.bincount(columns, found * signs, minlength=5) / scale
+        strengths, _ = optimize.nnls((weighed / scale)[:, columns] * signs, np.linalg.solve(root, expected + left))
+        solution = np.bincount(columns, strengths * signs, minlength=5) / scale
         if low_passed and solution[1] > 0 and turn < 4:
             rounding = max(-solution[4], 0.0) / (1.5 * solution[1] * interval)
         covariance = _covariance(steps, runs, interval, solution[:4], rounding)
@@ -349,11 +343,11 @@ def _least_squares(
     degrees = len(steps) - int(np.count_nonzero(solution))
     chance = float(special.chdtrc(degrees, chi_squared)) if degrees > 0 else 1.0
     away = np.abs(left) / np.sqrt(np.diag(covariance))
-    # Where the model does not hold, each V is as uncertain as it is far off.
+    # Where the model does not hold, the standard deviation of each V is increased to its residual.
     wider = np.maximum(away, 1.0) if chance < MISFIT else np.ones(len(tau))
     errors = np.zeros(4)
     for index in np.flatnonzero(chosen):
-        # The standard error of a term at zero is what it would have if it were let in beside the others.
+        # The standard error of a term at zero is the one that it would have in a fit together with the others.
         present = np.append(solution[:4] > 0, low_passed) | (np.arange(5) == index)
         scale = np.linalg.norm(weighed[:, present], axis=0)
         gain = np.linalg.pinv(weighed[:, present] / scale) / scale[:, None]
@@ -363,7 +357,7 @@ def _least_squares(
 
 
 def _gaussian(variance: Times, expected: Times, spread: Times) -> Times:
-    """V - E V with the skewness of χ² taken out: as its cube root is away from the mean of that, and as uncertain."""
+    """V - E V without the skewness of χ²: the deviation of its cube root from its mean, scaled to the same variance."""
     half = expected**2 / spread
     mean, square = (special.poch(half, power) / half**power for power in (1 / 3, 2 / 3))
     return np.sqrt(spread / (square - mean**2)) * (np.cbrt(variance / expected) - mean)
@@ -392,15 +386,14 @@ def _covariances(
 def _products(pairs: Runs, runs: Runs, rounding: float) -> Float[np.ndarray, "pairs 4 4"]:
     """2 Σ cov[u_i, u'_i']² / (n n' 4 m² m'²) of pairs of averaging times, as a form in the strengths of the noises.
 
-    The forms belong to the lengths of the record alone: one record's serve every mixture tried on it, and every record
-    of its lengths.
+    The forms depend only on the lengths of the record, so they serve every mixture and every record of these lengths.
     """
     forms = np.zeros((len(pairs), 4, 4))
     reach = max(length for length, _ in runs)
     for form, (short, long) in zip(forms, pairs, strict=True):
         kinks, which = np.unique([b * long - a * short for a in range(3) for b in range(3)], return_inverse=True)
         jumps = np.bincount(which, np.outer(_TAPS, _TAPS).ravel())
-        # Between the kinks all is smooth: a step in proportion to the distance from the nearest one is enough.
+        # Between the kinks all is smooth: steps proportional to the distance from the nearest one suffice.
         far = _FLICKER_REACH * 2 * long
         away = np.rint(np.geomspace(1, far, round(_PER_OCTAVE * np.log2(far)))).astype(np.int64)
         lags = np.unique(np.concatenate([kinks, *(kink + side * away for kink in kinks for side in (-1, 1))]))
@@ -433,7 +426,7 @@ def _smooth(lags: Int[np.ndarray, " lags"], short: int, long: int, rounding: flo
 
 
 def _pairs(lags: Int[np.ndarray, " lags"], short: int, long: int, runs: Runs) -> Float[np.ndarray, " lags"]:
-    """How many pairs (i, i') of differences within one stretch have i - i' = lag."""
+    """Number of pairs (i, i') of differences within one stretch with i - i' = lag."""
     total = np.zeros(len(lags))
     for length, times in runs:
         count, other = length - 2 * short + 1, length - 2 * long + 1

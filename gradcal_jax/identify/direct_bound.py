@@ -1,32 +1,32 @@
-"""Direct Bound: the Gauss-Markov drift that bounds what a record at rest shows, in the place of an Allan fit.
+"""Direct Bound: the Gauss-Markov drift that bounds a record at rest, as an alternative to an Allan fit.
 
 Source: Z. Berman, "Inertial Sensors - A New Approach for Low Cost Calibration and Testing", section 3, eqs. 6-10.
 
 Given the angle random walk N and the data's `D_θ*(t)` (`largest_drift`), a process (σ, τ) bounds them with the margin
-k when `D_θ*(t) ≤ k D_L(t; σ, τ)` at every t, with the D_L of what the data went through, a plain mean over Δ
-(`limiting_function_of_mean`). The smallest σ for a τ is closed,
+k when `D_θ*(t) ≤ k D_L(t; σ, τ)` at every t, with the D_L of the data's alignment, a plain mean over Δ
+(`limiting_function_of_mean`). The smallest σ for a τ is a closed form,
 
     σ²(τ) = max_t [(D_θ*(t)² - κ(t)² N² (1/t + 1/Δ)) / (k² g(t, Δ, τ))]₊          κ = k in the paper
 
-and the curve σ(τ) is the edge of everything that bounds: the feasible boundary. The rule for a pair on it is ours: the
-one that bounds *most tightly over the range*, with the least mean over ln t of `ln(limit / D_θ*)`, which is nowhere
+and the curve σ(τ) is the feasible boundary, the limit of all bounding pairs. The choice of a pair on it is not the
+paper's: the *tightest bound over the range*, with the least mean over ln t of `ln(limit / D_θ*)`, which is nowhere
 negative on the boundary.
 
-**Why κ.** The largest of very many draws of pure random walk lies beyond k = 2.5 standard deviations too (ten hours
-hold 36 000 seconds to integrate over), and with κ = k that excess is read as drift: a sensor without any comes back
-with 14 deg/h. So the random walk is granted what its own largest draw reaches in a record of this length, where that is
-more than k. Under random walk alone D(t₀) is a stationary Gaussian process in t₀ with autocorrelation `1 - C|h|`,
-`C = (1/t² + 1/Δ² + 1/(tΔ)) / (1/t + 1/Δ)`, because its kernel jumps by 1/t, 1/t + 1/Δ and 1/Δ; the chance that its
-largest magnitude over T seconds of starts is beyond u standard deviations is (J. Pickands, "Upcrossing probabilities
-for stationary Gaussian processes", 1969; the 1 is the first start, and n starts are no more than n draws)
+**Why κ.** The largest of very many draws of pure random walk exceeds k = 2.5 standard deviations, too (ten hours
+contain 36 000 integrations over a second), and with κ = k that excess appears as drift: the result for a sensor without
+drift is 14 deg/h. So κ is the level of the largest draw of random walk in a record of this length, where that is more
+than k. Under random walk alone D(t₀) is a stationary Gaussian process in t₀ with autocorrelation `1 - C|h|`, `C = (1/t²
++ 1/Δ² + 1/(tΔ)) / (1/t + 1/Δ)`, because its kernel jumps by 1/t, 1/t + 1/Δ and 1/Δ; the probability that its largest
+magnitude over T seconds of starts exceeds u standard deviations is (J. Pickands, "Upcrossing probabilities for
+stationary Gaussian processes", 1969; the 1 is the first start, and n starts are no more than n draws)
 
     P ≈ 1 - exp(-2 min(1 + T C u², n) Φ(-u))
 
-and κ(t) = max(k, u(t)), with the P of each t such that a record of pure random walk stays within at every t 19 times
-out of 20. `raise_margin=False` gives the paper's κ = k.
+and κ(t) = max(k, u(t)), with the P of each t such that a record of pure random walk is within the limit at every t with
+probability 95 %. `raise_margin=False` gives the paper's κ = k.
 
-**Does the drift show at all?** A record whose D_θ* stays within κ N √(1/t + 1/Δ) at every t is one in which it does
-not: σ = 0 is the answer, with a sentence that says how large a drift could hide and from which Δ on it would show.
+**Significance of the drift.** If D_θ* is within κ N √(1/t + 1/Δ) at every t, no drift is significant: the result is σ =
+0, with a message that states how large a drift could be hidden and from which Δ on it would be significant.
 """
 
 import itertools
@@ -49,20 +49,20 @@ from gradcal_jax.identify.limiting_function import (
 
 Times = Float[np.ndarray, " times"]
 Taus = Float[np.ndarray, " taus"]
-# How often a record of pure random walk may be said to show a drift.
+# Probability that a record of pure random walk shows a drift.
 _CHANCE_OF_FALSE_DRIFT = 0.05
 
 
 @dataclass(frozen=True)
 class DirectBound:
-    """The process that bounds one channel, and everything that bounds it. Rates in the unit of the record (rad/s)."""
+    """The process that bounds one channel, and the feasible boundary. Rates in the unit of the record (rad/s)."""
 
     drift_std: float
     """σ of the chosen pair; zero where the random walk alone bounds."""
     correlation_time_s: float
     """τ of the chosen pair."""
     angle_random_walk: float
-    """N that was assumed, rad/√s."""
+    """Assumed N, rad/√s."""
     margin: float
     """k: the data stay within k standard deviations."""
     averaging_time_s: float
@@ -75,24 +75,24 @@ class DirectBound:
     limit: Times
     """√(κ² N² (1/t + 1/Δ) + k² σ² g), k D_L where κ = k: nowhere below `largest_drift`."""
     random_walk_limit: Times
-    """κ N √(1/t + 1/Δ): what random walk alone stays within."""
+    """κ N √(1/t + 1/Δ): the limit of random walk alone."""
     boundary_correlation_time_s: Taus
     boundary_drift_std: Taus
-    """The feasible boundary σ(τ): anything on or above it bounds."""
+    """The feasible boundary σ(τ): pairs on or above it are bounds."""
     boundary_excess: Taus
-    """Mean over ln t of ln(limit / D_θ*): how far above the data each pair of the boundary lies on average."""
+    """Mean over ln t of ln(limit / D_θ*) of each pair of the boundary."""
     deciding_time_s: float
     """The t at which the chosen pair touches the data."""
     deciding_start_index: int
-    """The sample with which the drift that decides begins, after its average over Δ."""
+    """The first sample of the deciding drift, after its average over Δ."""
     drift_shows: bool
-    """Whether some D_θ* is larger than random walk alone explains."""
+    """Whether some D_θ* exceeds the limit of random walk alone."""
     hidden_drift_std: float
-    """Where no drift shows: how large a σ could hide, if its τ is √(Δ × longest t), given as `correlation_time_s`."""
+    """Where no drift shows: largest σ that could be hidden for τ = √(Δ × longest t), which is `correlation_time_s`."""
     advised_averaging_time_s: float | None
-    """Where no drift shows: the Δ from which on the hidden one would; `None` where no Δ would do for these t."""
+    """Where no drift shows: least Δ at which the hidden one would show; `None` without one for these t."""
     messages: tuple[str, ...]
-    """Sentences for whoever uses the numbers; empty where there is nothing to warn of."""
+    """Warnings for the user; empty without any."""
 
 
 def smallest_bounding_variance(
@@ -107,8 +107,8 @@ def smallest_bounding_variance(
 ) -> Float[Array, " taus"]:
     """σ²(τ) of the feasible boundary, in the square of the rates' unit; zero where random walk alone bounds.
 
-    `random_walk_margin` is κ(t); without it κ = k, the paper's. Closed, and differentiable in every argument but for
-    the change of the deciding t.
+    `random_walk_margin` is κ(t); without it κ = k as in the paper. A closed form, differentiable in every argument
+    except where the deciding t changes.
     """
     t, drift, tau = (jnp.asarray(x) for x in (integration_time_s, largest_drift, correlation_time_s))
     walk = random_walk_variance_of_mean(t, averaging_time_s, angle_random_walk)
@@ -125,10 +125,10 @@ def largest_of_random_walk(
     *,
     exceeded_with_probability: float,
 ) -> Times:
-    """The level, in standard deviations, that the largest drift of pure random walk exceeds with a given probability.
+    """The level, in standard deviations, that the largest drift of pure random walk exceeds with some probability.
 
-    The formula stands at the module's head; it is asymptotic: good to a few per cent of the level for probabilities up
-    to a half. Where even no excess at all is more probable than asked for, zero.
+    By the asymptotic formula at the module's head, accurate to a few per cent of the level for probabilities up to 0.5.
+    Zero where every level has a lower probability.
     """
     if not 0 < exceeded_with_probability < 1:
         raise ValueError(f"a probability lies between 0 and 1, not {exceeded_with_probability}")
@@ -140,7 +140,7 @@ def largest_of_random_walk(
         # ln Φ keeps its digits where Φ itself underflows.
         return np.log(2.0 * np.minimum(1.0 + crossings * u**2, start_count)) + special.log_ndtr(-u) - log_expected
 
-    # Bisection on the branch that falls with u; below its crest the asymptotics mean nothing.
+    # Bisection on the branch that falls with u; the asymptotic formula does not hold below its maximum.
     grid = np.broadcast_to(np.linspace(0.0, 3.0, 61)[:, None], (61, len(t)))
     crest = np.argmax(beyond(grid), axis=0)
     low, high = grid[crest, np.arange(len(t))].copy(), np.full(len(t), 100.0)
@@ -162,14 +162,13 @@ def fit_direct_bound(
     correlation_times_s: Sequence[float] | Taus | None = None,
     rate_in_words: Callable[[float], str] = "{:.3g} in the unit of the rates".format,
 ) -> DirectBound:
-    """The feasible boundary of one channel and the pair on it that bounds most tightly.
+    """The feasible boundary of one channel and the tightest pair on it.
 
-    **Arguments:** `observed` from `largest_drift`; `angle_random_walk` N, rad/√s (an Allan fit finds it, or the data
-    sheet says it; too large an N hides drift, too small a one calls it drift); `margin` k; `raise_margin`: whether the
-    random walk is granted what its largest draw reaches in a record of this length (see the module's head);
-    `correlation_times_s` restricts the τ's to look at; without it they run from a third of the shortest t to ten times
-    the longest, and the chosen one is refined between its neighbours; `rate_in_words` writes a rate for the messages
-    (the core knows no units but SI).
+    **Arguments:** `observed` from `largest_drift`; `angle_random_walk` N, rad/√s (from an Allan fit or a data sheet;
+    too large an N hides drift, too small an N appears as drift); `margin` k; `raise_margin`: whether κ is raised to the
+    largest draw of random walk in a record of this length (see the module's head); `correlation_times_s` restricts the
+    τ's; by default they extend from a third of the shortest t to ten times the longest, and the chosen one is refined
+    between its neighbours; `rate_in_words` formats a rate for the messages (the core uses SI units only).
 
     **Raises:** `ValueError` for a channel that is not there, and for numbers that are not positive.
     """
@@ -192,7 +191,7 @@ def fit_direct_bound(
             raise ValueError("correlation times must be positive and finite, and at least one is needed")
 
     starts, interval = observed.start_count[:, channel], observed.sample_interval_s
-    # Shared among the times, of which those a factor √e apart have nearly independent maxima.
+    # Divided among the times: maxima at times a factor √e apart are nearly independent.
     chance = _CHANCE_OF_FALSE_DRIFT / (1.0 + 2.0 * np.log(t[-1] / t[0]))
     level = largest_of_random_walk(t, delta, starts, interval, exceeded_with_probability=chance)
     walk_margin = np.maximum(margin, level) if raise_margin else np.full(len(t), margin)
@@ -218,20 +217,20 @@ def fit_direct_bound(
         mean_error = rate_in_words(angle_random_walk / float(np.sqrt(delta)))
         messages.append(_no_drift_shows(delta, mean_error, hidden, rate_in_words(hidden), chosen_tau, advised))
     elif correlation_times_s is None and inside:
-        found: Any = optimize.minimize_scalar(
+        optimum: Any = optimize.minimize_scalar(
             lambda log_tau: float(boundary(np.exp(np.array([log_tau])))[1][0]),
             bounds=(np.log(tau[best - 1]), np.log(tau[best + 1])),
             method="bounded",
             options={"xatol": 1e-5},
         )
-        if found.fun < excess[best]:
-            chosen_tau = float(np.exp(found.x))
+        if optimum.fun < excess[best]:
+            chosen_tau = float(np.exp(optimum.x))
     elif correlation_times_s is None:
         messages.append(
-            "the record does not tell the correlation time: the drift outlasts the longest integration, and only its "
+            "the record does not determine the correlation time: the drift outlasts the longest integration; only its "
             "slope, σ²/τ, is bounded"
             if best > 0
-            else "the record does not tell the correlation time: the drift is over within the shortest integration, "
+            else "the record does not determine the correlation time: the drift ends within the shortest integration, "
             "and only its density, σ²τ, is bounded"
         )
     chosen_std = float(boundary(np.array([chosen_tau]))[0][0])
@@ -271,10 +270,10 @@ def scatter_of_bound(
 ) -> tuple[float, float] | None:
     """Standard deviations of σ and of ln τ, from how the largest drift differs between blocks of the record.
 
-    The largest of K blocks lies higher than that of one but scatters as much, where the tails are exponential (Gumbel).
-    So D_θ* is displaced by each block's departure from the blocks' mean, all t together, and bounded again. Integration
-    times that no block holds are displaced in the proportion of the longest that fits. `None` where no drift shows, or
-    blocks of twice the shortest window are too few.
+    The maximum over K blocks exceeds that over one but has the same scatter for exponential tails (Gumbel). So D_θ* is
+    shifted by each block's deviation from the blocks' mean, at all t together, and bounded again. Integration times
+    longer than a block are shifted in proportion to the longest one that fits. `None` where no drift shows, or there
+    are too few blocks of twice the shortest window.
     """
     usable = np.ones(len(rate), bool) if valid is None else valid
     t, delta = bound.integration_time_s, bound.averaging_time_s
@@ -288,8 +287,8 @@ def scatter_of_bound(
     fits = t <= float(np.median(room)) * (1 + 1e-12)
     if len(parts) < 4 or not fits.any():
         return None
-    found = [largest_drift(values, sample_interval_s, t[fits], delta, valid=mask) for values, mask in parts]
-    each = np.stack([one.largest_drift[:, 0] for one in found])
+    drifts = [largest_drift(values, sample_interval_s, t[fits], delta, valid=mask) for values, mask in parts]
+    each = np.stack([one.largest_drift[:, 0] for one in drifts])
     away = np.empty((len(parts), len(t)))
     away[:, fits] = each - each.mean(axis=0)
     last = int(np.flatnonzero(fits)[-1])
@@ -310,8 +309,8 @@ def scatter_of_bound(
 
 
 def _hidden_drift(t: Times, largest: Times, level: Times, delta: float, angle_random_walk: float, tau: float) -> float:
-    """The largest σ that may leave D_θ* as small as these by chance; `level` is what nearly every record exceeds."""
-    telling = level > 0  # a record too short to say anything at some t allows any drift there
+    """The largest σ for which D_θ* may be as small as these by chance; nearly every record exceeds `level`."""
+    telling = level > 0  # at other t the record is too short and allows any drift
     if not telling.any():
         return np.inf
     walk = np.asarray(random_walk_variance_of_mean(t, delta, angle_random_walk))[telling]
@@ -371,7 +370,7 @@ def _averaging_time_that_shows(
 
 
 def _log_weights(t: Times) -> Times:
-    """Trapezoid weights in ln t, sum one, so that the choice does not depend on how the times were spread."""
+    """Trapezoid weights in ln t with sum one, so that the choice does not depend on the distribution of the times."""
     if len(t) == 1:
         return np.ones(1)
     step = np.diff(np.log(t))

@@ -1,21 +1,21 @@
-"""The data's side of the Direct Bound: the largest drift after an average, over every start in a record.
+"""Data of the Direct Bound: the largest drift after an average, over every start in a record.
 
 Source: Z. Berman, "Inertial Sensors - A New Approach for Low Cost Calibration and Testing", section 3, eqs. 6-8.
 
-    θ_i            running angle, the sum of the first i rates (in samples; a constant rate drops out of everything)
+    θ_i            running angle, the sum of the first i rates (in samples; a constant rate has no effect)
     q_i            [θ_i - θ_(i-m)]/m, mean rate over the Δ = m samples before the start i
     D_k(i)         [θ_(i+k) - θ_i]/k - q_i, drift over the next t = k samples against that mean
     D_θ*(t)        max_i |D_k(i)|, over every start whose two windows are whole
 
-The plain way makes four passes over the record for every t. Here the starts are taken in blocks of `_BLOCK`: the
-extremes of θ and q in each block, found once, bound what D_k can be in a block,
+The direct computation makes four passes over the record for every t. Here the starts are divided into blocks of
+`_BLOCK`: the extremes of θ and q in each block, computed once, bound D_k in the block,
 
     k D_k(i) ≤ max θ_(i+k) - [min θ_i + k min q_i]     over the block, and likewise from below,
 
-and only the blocks whose bound beats the largest value met so far are looked at sample by sample. The answer is the
-plain one (the bound is never below the value, rounding included); the work per t falls from n to about n/30, and for
-records that resist (many equal values) it is that of the plain passes, done in cache. Working memory: two arrays of
-the length of one channel.
+and only blocks whose bound exceeds the largest value so far are evaluated sample by sample. The result is exact (the
+bound is never below the value, including rounding); the work for each t falls from n to about n/30, and for records
+with many equal values it is that of the direct computation, in cache. Working memory: two arrays of the length of one
+channel.
 """
 
 from dataclasses import dataclass
@@ -41,9 +41,9 @@ class LargestDrift:
     largest_drift: Float[np.ndarray, "times channels"]
     """D_θ*(t), in the unit of the rates (rad/s in this package)."""
     start_index: Int[np.ndarray, "times channels"]
-    """The sample that follows the average where the largest drift began."""
+    """The first sample of the largest drift, after its average."""
     start_count: Int[np.ndarray, "times channels"]
-    """How many starts were looked at."""
+    """Number of starts."""
     sample_interval_s: float
 
 
@@ -64,7 +64,7 @@ def integration_times(
 def longest_integration_time(
     valid: Bool[np.ndarray, " samples"], sample_interval_s: float, averaging_time_s: float
 ) -> float:
-    """The longest t (s) for which some unbroken stretch still holds one start; zero or less where there is none."""
+    """The longest t (s) for which an unbroken stretch still has one start; zero or less without one."""
     longest = max((stop - start for start, stop in formulas.runs(valid).tolist()), default=0)
     return (longest - _whole_samples(averaging_time_s, sample_interval_s)) * sample_interval_s
 
@@ -80,9 +80,8 @@ def largest_drift(
     """D_θ*(t) of the paper's eqs. 6-8: the largest drift over all starts, for each integration time and channel.
 
     **Arguments:** `rate`, evenly sampled at rest, rad/s, one column a channel (one dimension: one channel);
-    `integration_times_s` t and `averaging_time_s` Δ are rounded to whole samples, and equal ones merged; `valid`, where
-    given, is false for the samples that must not be used: no window may touch one. Gaps in time are given as invalid
-    samples on the even grid.
+    `integration_times_s` t and `averaging_time_s` Δ are rounded to whole samples, and equal ones merged; `valid` is
+    false for samples that no window may contain. Gaps in time are invalid samples on the even grid.
 
     **Raises:** `ValueError` where an integration time fits no unbroken stretch of some channel (it names the longest
     that does), where a usable rate is not finite, or where a time is not positive.
@@ -148,14 +147,14 @@ class _Stretch:
 
     @classmethod
     def of(cls, rate: Float[np.ndarray, " samples"], before: int, *, first_sample: int) -> "_Stretch":
-        running = _running_angle(rate, first_sample=first_sample)
+        running = running_angle(rate, first_sample=first_sample)
         mean_before = running[before:] - running[:-before]
         mean_before /= before
         angle = running[before:]
         edges = np.arange(0, len(angle), _BLOCK)
         angle_low, angle_high = np.minimum.reduceat(angle, edges), np.maximum.reduceat(angle, edges)
         before_low, before_high = np.minimum.reduceat(mean_before, edges), np.maximum.reduceat(mean_before, edges)
-        # A block shifted by k samples straddles two blocks of the fixed grid.
+        # A block shifted by k samples overlaps two blocks of the fixed grid.
         pair_low, pair_high = angle_low.copy(), angle_high.copy()
         np.minimum(angle_low[:-1], angle_low[1:], out=pair_low[:-1])
         np.maximum(angle_high[:-1], angle_high[1:], out=pair_high[:-1])
@@ -184,7 +183,7 @@ class _Stretch:
         np.maximum(bound, below, out=bound)
         bound += self.rounding * (1 + length)
 
-        # The most promising blocks first: they raise the level that the others must beat.
+        # Blocks with the largest bounds first: they raise the level that excludes the others.
         first = min(blocks, 16)
         best, best_index = self._look(length, blocks, np.argpartition(bound, -first)[-first:], best, best_index)
         candidates = np.flatnonzero(bound > best)
@@ -198,7 +197,7 @@ class _Stretch:
     def _look(
         self, length: int, blocks: int, rows: Int[np.ndarray, " rows"], best: float, best_index: int
     ) -> tuple[float, int]:
-        """The larger of `best` and k |D_k| in some blocks, sample by sample, with where it stands."""
+        """The larger of `best` and k |D_k| in some blocks, sample by sample, with its index."""
         whole = blocks * _BLOCK
         values = self.before[:whole].reshape(blocks, _BLOCK)[rows]
         values *= length
@@ -212,8 +211,8 @@ class _Stretch:
         return value, int(rows[index // _BLOCK]) * _BLOCK + index % _BLOCK
 
 
-def _running_angle(rate: Float[np.ndarray, " samples"], *, first_sample: int) -> Float[np.ndarray, " instants"]:
-    """θ, from zero; the mean rate is taken off first, which changes no drift and keeps θ small."""
+def running_angle(rate: Float[np.ndarray, " samples"], *, first_sample: int) -> Float[np.ndarray, " instants"]:
+    """θ, from zero; the mean rate is subtracted first, which changes no drift and keeps θ small."""
     running = np.zeros(len(rate) + 1)
     running[1:] = rate
     mean = running[1:].mean()

@@ -3,26 +3,26 @@
 Source: Z. Berman, "Inertial Sensors - A New Approach for Low Cost Calibration and Testing", section 3.
 
 The sensor at rest shows `x(s) + n(s)`: a stationary first-order Gauss-Markov drift `x` (standard deviation σ,
-correlation time τ, autocovariance `σ² exp(-|s|/τ)`) and white rate noise `n` (angle random walk N). During the Δ
-seconds before time zero something is learnt of the drift (the *alignment*) and subtracted; the rate is then
-integrated for t seconds. `D_L(t)` is the standard deviation of the angle error divided by t: a rate.
+correlation time τ, autocovariance `σ² exp(-|s|/τ)`) and white rate noise `n` (angle random walk N). In the Δ seconds
+before time zero the drift is estimated (the *alignment*) and subtracted; the rate is then integrated for t seconds.
+`D_L(t)` is the standard deviation of the angle error divided by t: a rate.
 
-Two alignments exist, and mixing them ruins an identification (true 1 deg/h comes back as 5 deg/h):
+There are two alignments; confusing them spoils an identification (5 deg/h for a true 1 deg/h):
 
-* a **Kalman filter** that knows σ, τ and N and shrinks to its prior where Δ is too short to learn anything:
-  `limiting_function`, the one of the paper's Figures 3-5;
+* a **Kalman filter** that knows σ, τ and N and tends to its prior for short Δ: `limiting_function`, as in the paper's
+  Figures 3-5;
 * the **plain mean** over Δ, whose own random-walk error is N/√Δ however well the process is known:
-  `limiting_function_of_mean`, the one that equations 6-7 let the data go through, hence the one to identify with.
+  `limiting_function_of_mean`, the processing of the data in equations 6-7, hence the one for identification.
 
 Symbols, with `u = t/τ`; everything below is a function of u that keeps full relative precision for u → 0:
 
-    a(u) = (1 - e⁻ᵘ)/u                     mean over t of what is left of a drift that was 1 at time zero
+    a(u) = (1 - e⁻ᵘ)/u                     mean over t of the decay of a drift that is 1 at time zero
     b(u) = 1 - a(u)
     r(u) = [2u - 3 + 4e⁻ᵘ - e⁻²ᵘ]/u²       variance of the mean over t *given* the drift at time zero, over σ²
     V(t)/t² = r(u) + a(u)²                 variance of the mean over t, over σ²
 
-Given the drift at time zero, what comes after it and what came before are independent (the Markov property). So the
-variances of the two windows add, and no difference of nearly equal terms is ever formed.
+Given the drift at time zero, past and future are independent (the Markov property). So the
+variances of the two windows add, and there is no difference of nearly equal terms.
 """
 
 from math import factorial
@@ -31,7 +31,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 Values = Float[Array, "..."]
-# Where the closed forms lose digits their Taylor series take over, with terms enough to be exact to rounding.
+# Below this the closed forms lose digits, and Taylor series are used with enough terms to be exact to rounding.
 _SERIES_BELOW = 1.0
 _DECAY_LOSS_SERIES = tuple((-1.0) ** k / factorial(k + 2) for k in range(20))
 _CONDITIONAL_VARIANCE_SERIES = tuple((-1.0) ** k * (4.0 - 2.0**k) / factorial(k) for k in range(3, 30))
@@ -48,19 +48,19 @@ def limiting_function(
 ) -> Values:
     """Standard deviation of the angle error after a Kalman alignment, divided by the integration time.
 
-    The filter starts from its prior σ² and sees the noisy rate for Δ seconds; what remains of the drift's variance is
-    `alignment_variances`' P. Afterwards
+    The filter starts from its prior σ² and observes the noisy rate for Δ seconds; the posterior variance P of the drift
+    is that of `alignment_variances`. Afterwards
 
-    * `"carried"`: the filter goes on without measurements and takes off what it expects of the drift, which decays
-      as exp(-s/τ):  `D_L² = P a² + σ² r + N²/t`. This is the filter's own covariance and the least any linear
-      alignment leaves; never above `D_L` without alignment.
-    * `"held"`: the estimate at the alignment's end is taken off as a constant, as a bias would be:
-      `D_L² = P a² + (σ² - P) b² + σ² r + N²/t`; for t » τ the estimate has gone stale and √(σ² - P) stays.
+    * `"carried"`: the filter continues without measurements and subtracts the predicted drift, which decays as
+      exp(-s/τ):  `D_L² = P a² + σ² r + N²/t`. This is the filter's own covariance and the minimum over all linear
+      alignments; never above `D_L` without alignment.
+    * `"held"`: the estimate at the alignment's end is subtracted as a constant, like a bias:
+      `D_L² = P a² + (σ² - P) b² + σ² r + N²/t`; for t » τ the estimate is obsolete and adds √(σ² - P).
 
     With Δ = 0 both are the drift without alignment, `σ² V(t)/t² + N²/t`.
 
     **Arguments:** `integration_time_s` t > 0 and `correlation_time_s` τ > 0, finite, s; `drift_std` σ ≥ 0, rad/s;
-    `angle_random_walk` N ≥ 0, rad/√s; `alignment_time_s` Δ ≥ 0, s. Any one coherent unit of angle will do.
+    `angle_random_walk` N ≥ 0, rad/√s; `alignment_time_s` Δ ≥ 0, s. Any coherent unit of angle is allowed.
     Shapes broadcast.
 
     **Returns:** D_L, rad/s; the angle error itself is `t * D_L`. Differentiable in every argument. Source: Berman,
@@ -107,8 +107,8 @@ def drift_shape_of_mean(
 
         g = V(t)/t² + V(Δ)/Δ² - 2 a(u) a(v) = r(u) + r(v) + [b(u) - b(v)]²
 
-    The first form is the textbook's and loses everything where both windows are short against τ (g → ⅔(u + v));
-    the second is the first with the drift at their common instant conditioned upon, and loses nothing.
+    The first form is that of textbooks and loses all digits where both windows are short compared with τ
+    (g → ⅔(u + v)); the second one, conditional on the drift at their common instant, loses none.
     """
     t, delta, tau = _floating(integration_time_s, averaging_time_s, correlation_time_s)
     u, v = t / tau, delta / tau
@@ -118,7 +118,7 @@ def drift_shape_of_mean(
 def random_walk_variance_of_mean(
     integration_time_s: ArrayLike, averaging_time_s: ArrayLike, angle_random_walk: ArrayLike
 ) -> Values:
-    """`N² (1/t + 1/Δ)`: what white rate noise alone gives to the difference of two adjacent means, (rad/s)²."""
+    """`N² (1/t + 1/Δ)`: variance of the difference of two adjacent means of white rate noise, (rad/s)²."""
     t, delta, walk = _floating(integration_time_s, averaging_time_s, angle_random_walk)
     return walk**2 * (1.0 / t + 1.0 / delta)
 
@@ -136,7 +136,7 @@ def alignment_variances(delta: Values, sigma: Values, tau: Values, walk: Values)
     """
     root = jnp.sqrt(jnp.where((walk > 0) | (sigma > 0), walk**2 + 2.0 * sigma**2 * tau, 1.0))
     noisy = walk > 0
-    # Without random walk one instant of data tells the drift: tanh(∞) = 1, but for an alignment that does not happen.
+    # Without random walk one instant of data determines the drift: tanh(∞) = 1, except for Δ = 0.
     grown = jnp.where(noisy, jnp.tanh(delta * root / (tau * jnp.where(noisy, walk, 1.0))), jnp.sign(delta))
     denominator = walk * root + (walk**2 + sigma**2 * tau) * grown
     nothing_known = denominator == 0
@@ -161,7 +161,7 @@ def _conditional_variance(u: Values) -> Values:
 
 
 def _split(u: Values) -> tuple[Values, Values]:
-    """The argument for either branch of a `where`, harmless in the branch not taken so that gradients stay finite."""
+    """The argument for both branches of a `where`, harmless in the unused branch so that gradients stay finite."""
     short = u < _SERIES_BELOW
     # Not minimum and maximum: at a tie those pass half of the gradient each.
     return jnp.where(short, u, _SERIES_BELOW), jnp.where(short, _SERIES_BELOW, u)
@@ -181,7 +181,7 @@ def _safe_sqrt(variance: Values) -> Values:
 
 
 def _floating(*values: ArrayLike) -> tuple[Values, ...]:
-    """JAX arrays of one floating type; whole numbers are taken for the real numbers they are."""
+    """JAX arrays of one floating type; integers are converted."""
     arrays = [jnp.asarray(value) for value in values]
     dtype = jnp.result_type(float, *(a for a in arrays if jnp.issubdtype(a.dtype, jnp.floating)))
     return tuple(array.astype(dtype) for array in arrays)

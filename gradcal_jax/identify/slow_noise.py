@@ -1,8 +1,8 @@
-"""Bias instability and slow drift of a record at rest beside a map that is fitted to the same record.
+"""Bias instability and slow drift of a record at rest, for a map that is fitted to the same record.
 
-A map of bias over temperature, fitted while the sensor warms once, takes the slowest part of the noise with it: what
-the fit leaves says too little of it. The restricted likelihood looks at the record through contrasts that no map can
-touch: `z = Qᵀy`, Q the complement of the map's columns `Φ`, and leaves the map's parameters out of account,
+A map of bias over temperature, fitted while the sensor warms up once, absorbs the slowest part of the noise, so that
+the residuals underestimate it. The restricted likelihood uses contrasts that are independent of the map's parameters,
+`z = Qᵀy`, Q the complement of the map's columns `Φ`,
 
     y = Φβ + slow noise + white noise,    z ~ N(0, Qᵀ(W + B² F + σ² G)Q)
 
@@ -12,11 +12,11 @@ touch: `z = Qᵀy`, Q the complement of the map's columns `Φ`, and leaves the m
     G  of one Markov process whose correlation time is the record's length: a rate random walk of K² = 2σ²/τ inside it,
        which has a level of its own
 
-B and σ are known from few contrasts, and the map's errors are ruled by what these do not tell. So no most probable pair
-is taken but the mean of B² and σ² over their posterior (flat in B and σ): the map's covariance is linear in both but
-for its weights. Of simulated drifts from a minute to random walks 90 to 100 of 100 intervals of 95 % hold the map
-(`tests/estimation/test_warm_up.py`); the price is that drifts much faster than the record are counted as up to five
-times what they do.
+B and σ are estimated from few contrasts, and their uncertainty dominates the map's error. So the result is not the most
+probable pair but the mean of B² and σ² over their posterior (flat in B and σ): the map's covariance is linear in both
+except for its weights. For simulated drifts from a minute to random walks 90 to 100 of 100 intervals of 95 % contain
+the map (`tests/estimation/test_warm_up.py`); for drifts much faster than the record the standard error is up to five
+times too large.
 
 Source: H. D. Patterson and R. Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika
 58 (1971) 545.
@@ -30,12 +30,12 @@ from jaxtyping import Float
 _FLICKER = 5
 _LONGEST_SHARE = 0.3
 _DIRECTIONS, _SIZES = 9, 80
-# Beyond this many times the size that the contrasts have without white noise nothing is probable.
+# Largest size in the posterior, relative to that of the contrasts without white noise.
 _FARTHEST = 3.0
 
 
 class SlowNoise(NamedTuple):
-    """Of one channel, SI."""
+    """Slow noise of one channel, SI."""
 
     bias_instability: float
     """B, rad/s."""
@@ -54,16 +54,16 @@ def slow_noise(
     *,
     width_s: float,
 ) -> SlowNoise:
-    """B and σ beside a map.
+    """B and σ in the presence of a map.
 
-    **Arguments:** means of the rate (rad/s) over bins about `centre_s` that are `width_s` long and hold `held_s` of
-    data each; `columns`: what the map's functions are there; N, rad/√s, above zero.
+    **Arguments:** means of the rate (rad/s) over bins about `centre_s` that are `width_s` long and contain `held_s`
+    of data each; `columns`: the map's functions there; N, rad/√s, above zero.
 
     **Raises:** `ValueError` for fewer than twice as many bins as columns, and without white noise.
     """
     bins, p = columns.shape
     if bins < 2 * p + 8:
-        raise ValueError(f"{bins} stretches of rest do not tell noise from {p} functions of temperature")
+        raise ValueError(f"{bins} stretches of rest do not separate noise from {p} functions of temperature")
     if not 0 < angle_random_walk < np.inf:
         raise ValueError(f"an angle random walk above zero is needed, not {angle_random_walk}")
     length = float(np.ptp(centre_s)) + width_s
@@ -84,7 +84,7 @@ def slow_noise(
         spread, power = np.maximum(spread, 0.0), ((complement @ turn).T @ data) ** 2
         telling = spread > 1e-12 * spread[-1]
         farthest = _FARTHEST * float(np.sqrt(np.mean(power[telling] / spread[telling])))
-        # Denser towards none at all: (k/n)², whose step grows with k.
+        # Denser towards zero: (k/n)², whose step grows with k.
         step = np.arange(1, _SIZES + 1) / _SIZES
         size = farthest * step**2
         variance = 1.0 + size[:, None] ** 2 * spread

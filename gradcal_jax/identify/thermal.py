@@ -1,12 +1,12 @@
-"""Bias over temperature taken off a record at rest, so that what is left is instability; with a thermal lag if it pays.
+"""Removal of the bias over temperature from a record at rest, so that instability remains; with an optional lag.
 
-A sensor in a chamber that ramps is warmed through its case: the temperature that its bias follows is a first-order lag
-behind the one that is measured,
+A sensor in a chamber on a ramp is warmed through its case: the temperature of its bias is a first-order lag behind the
+measured one,
 
     dy/dt = (T - y)/λ,      bias = B(y),      B a polynomial in z = (y - centre)/scale
 
-Heating and cooling then part by about `2 λ dT/dt · B'`, which no function of the measured temperature can follow, and
-which a term in dT/dt follows only as long as the ramp does: at a turn-round that term jumps, and the bias does not.
+Heating and cooling then differ by about `2 λ dT/dt · B'`, which no function of the measured temperature can model, and
+a term in dT/dt only on a constant ramp: at a reversal that term jumps, and the bias does not.
 """
 
 from dataclasses import dataclass
@@ -24,20 +24,20 @@ class ThermalBias:
     """B(T) with its lag, as fitted by `fit_thermal_bias`."""
 
     coefficients: Float[np.ndarray, " powers"]
-    """Of the powers of z from zero on, in the unit of the rates."""
+    """Coefficients of the powers of z from zero on, in the unit of the rates."""
     centre_c: float
     scale_k: float
     lag_time_s: float
-    """λ; zero: the bias follows the measured temperature at once."""
+    """λ; zero: the bias follows the measured temperature without lag."""
     residual_rms: float
-    """What is left of the rates that were fitted, in their unit."""
+    """RMS residual of the fitted rates, in their unit."""
 
     def bias(
         self, temperature_c: Float[np.ndarray, " samples"], sample_interval_s: float
     ) -> Float[np.ndarray, " samples"]:
-        """The bias along a record of measured temperatures (every one known), in the unit of the rates.
+        """The bias along a record of measured temperatures (all finite), in the unit of the rates.
 
-        The record is taken to begin in equilibrium: for some λ afterwards the lag is a guess.
+        The record is assumed to begin in equilibrium, which makes the lag uncertain for some λ.
         """
         z = (lagged(temperature_c, sample_interval_s, self.lag_time_s) - self.centre_c) / self.scale_k
         return np.polynomial.polynomial.polyval(z, self.coefficients)
@@ -46,10 +46,10 @@ class ThermalBias:
 def lagged(
     temperature_c: Float[np.ndarray, " samples"], sample_interval_s: float, lag_time_s: float
 ) -> Float[np.ndarray, " samples"]:
-    """A first-order lag behind temperatures that run straight from sample to sample, in equilibrium at the first."""
+    """A first-order lag behind temperatures that are linear between samples, in equilibrium at the first."""
     if lag_time_s <= 0:
         return temperature_c
-    # Where it is used alone: it brings all of SciPy's statistics.
+    # Imported where it is used: it imports all of SciPy's statistics.
     from scipy.signal import lfilter
 
     start = temperature_c[0]
@@ -70,9 +70,9 @@ def fit_thermal_bias(
     """The polynomial in (lagged) temperature that fits rates at rest best, in the least-squares sense.
 
     `rate` `(samples,)` in rad/s, every `sample_interval_s` s, with `temperature_c` `(samples,)`; `degree` of B(T).
-    `lag_time_s=None` finds the lag too, between zero and `longest_lag_s` (a lag found there is one that the record does
-    not tell: drift may be passing for it); a number keeps it. Rows that are not `valid` are not fitted; temperatures
-    missing there (NaN) are bridged by straight lines.
+    `lag_time_s=None` also estimates the lag, between zero and `longest_lag_s` (at that end the record does not
+    determine it, and it may be drift); a number fixes it. Rows that are not `valid` are not fitted; temperatures
+    missing there (NaN) are interpolated linearly.
 
     **Raises:** `ValueError` where the rows do not determine the polynomial, or the lag is negative.
     """
@@ -95,21 +95,21 @@ def fit_thermal_bias(
 
     def solve(lag: float) -> tuple[Float[np.ndarray, " powers"], float]:
         z = (lagged(whole, sample_interval_s, lag)[usable] - centre) / scale
-        # Legendre inside, for its conditioning; powers outside, for people.
+        # Legendre polynomials for the conditioning of the fit; powers in the result.
         design = np.polynomial.legendre.legvander(z, degree)
         solution, *_ = np.linalg.lstsq(design, rate[usable])
         left = rate[usable] - design @ solution
         return np.polynomial.legendre.leg2poly(solution), float(np.sqrt(np.mean(left**2)))
 
     if lag_time_s is None:
-        # The rms has one minimum in practice, but a flat one towards long lags: a grid first, then a refinement.
+        # The RMS has one minimum in practice, but a flat one towards long lags: a grid first, then a refinement.
         grid = np.append(0.0, np.geomspace(sample_interval_s, longest_lag_s, 40))
         best = int(np.argmin([solve(float(lag))[1] for lag in grid]))
-        found: Any = optimize.minimize_scalar(
+        optimum: Any = optimize.minimize_scalar(
             lambda lag: solve(float(lag))[1],
             bounds=(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]),
             method="bounded",
         )
-        lag_time_s = float(found.x) if found.fun < solve(float(grid[best]))[1] else float(grid[best])
+        lag_time_s = float(optimum.x) if optimum.fun < solve(float(grid[best]))[1] else float(grid[best])
     coefficients, rms = solve(lag_time_s)
     return ThermalBias(np.atleast_1d(coefficients), centre, scale, lag_time_s, rms)

@@ -1,7 +1,7 @@
 """From a timeline and an error model to square-root information, the residual map and its Monte Carlo twin."""
 
 from gradcal_jax.information.adjoint import gram, whitened_factor
-from gradcal_jax.information.montecarlo import Twin, WishartTest, monte_carlo_errors, simulate_noise, wishart_test
+from gradcal_jax.information.montecarlo import WishartTest, monte_carlo_errors, simulate_noise, wishart_test
 from gradcal_jax.information.native import begin_filter
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_states, noise_steps
 from gradcal_jax.information.noticing import (

@@ -4,19 +4,18 @@ With `U = V⁻¹Φ` the derivative is
 
     dG = dΦᵀU + UᵀdΦ − UᵀdV U,
 
-and for a linear state-space V the last term is a sum over the readings of what is *linear* in the model's tangents. Let
-u_k be U's row k, ρ_k what a change of the state before reading k is worth, and ẑ_k that state as all columns together
-estimate it (de Jong's smoother; Durbin and Koopman, Time Series Analysis by State Space Methods, 4.4–4.5):
+and for a linear state-space V the last term is a sum over the readings that is *linear* in the model's tangents. Let
+u_k be row k of U, ρ_k the adjoint of the state before reading k, and ẑ_k the smoothed state there (de Jong's smoother;
+Durbin and Koopman, Time Series Analysis by State Space Methods, 4.4–4.5):
 
     ρ_k = Aᵀρ_{k+1} + Hᵀrow_k/√S,   u_k = row_k/√S − gᵀρ_{k+1},   ẑ_k = x_k + P_k ρ_k,
 
     UᵀdV U = ρ₀ᵀ dP₀ ρ₀ + Σ_k [ u_kᵀ dR u_k + ρ_{k+1}ᵀ dQ ρ_{k+1}
                                 + (u_kᵀ dH ẑ_k + ρ_{k+1}ᵀ dF ẑ_k) + (the same, transposed) ].
 
-So a value and its gradient cost the filter, one more linear recurrence with the same A, backwards and in the same
-blocks, and a few products; neither the filter's covariances nor its blocks are ever differentiated. The rule is linear
-in the tangents and serves both modes: transposed, it is dense products again, or the machine code of
-`information.native` where there is some.
+So a value and its gradient cost the filter, one backward linear recurrence with the same A in the same blocks, and a
+few products; neither the filter's covariances nor its blocks are differentiated. The rule is linear in the tangents and
+serves both modes; its transpose is dense products, or the machine code of `information.native` where it is available.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,7 +51,7 @@ from gradcal_jax.machine import by_platform, like, linear_with_transpose
 
 @jax.custom_jvp
 def gram(steps: NoiseSteps, columns: Float[Array, "N p"]) -> Float[Array, "p p"]:
-    """`columnsᵀ V⁻¹ columns`, V the covariance of the used readings. It squares the rows' condition."""
+    """`columnsᵀ V⁻¹ columns`, V the covariance of the used readings. This squares the rows' condition number."""
     rows = whiten(steps, columns)
     return rows.T @ rows
 
@@ -69,8 +68,8 @@ def whitened_factor(
 ) -> tuple[Float[Array, "p p"], Float[Array, " p"], Float[Array, "p p"]]:
     """R, upper triangular, and columns' lengths: `diag(scale) RᵀR diag(scale) = columnsᵀ V⁻¹ columns + belowᵀ below`.
 
-    R is found from the rows themselves, which keeps their condition. `scale` counts as a constant. Last `(RᵀR)⁻¹`, not
-    finite where there is none, whose own derivative asks for no solves.
+    R is computed from the rows themselves, which keeps their condition number. `scale` counts as a constant. The third
+    result is `(RᵀR)⁻¹`, not finite for singular R; its derivative needs no triangular solve.
     """
     return _with_inverse(*scaled_factor(whiten(steps, columns), below))[:3]
 
@@ -88,7 +87,7 @@ def _whitened_factor_jvp(primals, tangents):
 
 
 def _with_inverse(factor: Array, scale: Array) -> tuple[Array, Array, Array, Array]:
-    """And `(RᵀR)⁻¹`, also with ones in the place of a zero on the diagonal, so that no derivative is NaN."""
+    """The arguments, `(RᵀR)⁻¹`, and the same with ones for zeros on the diagonal, so that no derivative is NaN."""
     dead = dead_of(factor)
     half = solve_transposed(factor + jnp.diag(jnp.where(dead, 1.0, 0.0)), jnp.eye(len(factor), dtype=factor.dtype))
     safe = half.T @ half
@@ -121,7 +120,7 @@ def _kept(steps: NoiseSteps, columns: Array) -> tuple[Array, Kept]:
 
 @_kept.defjvp
 def _kept_jvp(primals, tangents):
-    """For second derivatives. What is kept serves the told transpose alone, whose derivative JAX takes from the map."""
+    """For second derivatives. Only the custom transpose uses `Kept`; JAX derives its derivative from the linear map."""
     rows, kept = _kept(*primals)
     d_rows = jax.jvp(partial(whiten, block=block_length(rows.shape[0])), primals, tangents)[1]
     return (rows, kept), (d_rows, jax.tree.map(jnp.zeros_like, kept))
@@ -167,14 +166,14 @@ def _pulled_in_blocks(steps: NoiseSteps, rows: Array, kept: Kept, of_product: Ar
     def linear(tangents):
         return _tangent(filtered, steps, _changed(steps, tangents), tangents[-1])
 
-    (told,) = jax.linear_transpose(linear, [*steps[:4], steps.initial, rows])(of_product)
-    return told
+    (cotangents,) = jax.linear_transpose(linear, [*steps[:4], steps.initial, rows])(of_product)
+    return cotangents
 
 
 _pull_by_platform = by_platform("gradcal_pull", _pulled_natively, _pulled_in_blocks)
 
 
-@jax.jit  # So that it is traced once, and not at every use of `_linearised`.
+@jax.jit  # Traced once, and not at every use of `_linearised`.
 def _tangent_in_blocks(known: tuple[NoiseSteps, Array, Array, Kept], tangents: list[Array]) -> Array:
     steps, columns, *_ = known
     return _tangent(_filtered(steps, columns), steps, _changed(steps, tangents), tangents[-1])
@@ -192,7 +191,7 @@ def _changed(steps: NoiseSteps, tangents: Sequence[Array]) -> NoiseSteps:
 
 
 def _refiltered(steps: NoiseSteps, rows: Array, kept: Kept) -> Filtered:
-    """What was kept, in blocks again; the end is not in it."""
+    """`Filtered` from the values kept by reading; its `end` is that before the last reading."""
     length = block_length(rows.shape[0])
     cut_steps = cut_up(jax.tree.map(jnp.asarray, steps), length)
     covariance = cut(kept.covariances, length, 0.0)
@@ -238,14 +237,14 @@ def _backwards(filtered: Filtered) -> tuple[Array, Array, Array]:
 
 
 def _tangent(filtered: Filtered, steps: NoiseSteps, d_steps: NoiseSteps, d_columns: Array) -> Float[Array, "p p"]:
-    """`dG`; see the module's head. Each pair of transposes is found once, and symmetrised at the end."""
+    """`dG`; see the module's head. One of each pair of transposes is computed, and the sum is symmetrised."""
     us, rhos, first_of_all = _backwards(filtered)
     states = filtered.states
     assert states is not None
     length, n = us.shape[1], states.shape[0]
 
     def by_time(x: Array) -> Array:
-        """`(K, …, B)` to `(…, B, K)`: as the large arrays have it."""
+        """`(K, …, B)` to `(…, B, K)`, the layout of the large arrays."""
         return jnp.moveaxis(x, 0, -1)
 
     # ρ_k = Hᵀu_k + Fᵀρ_{k+1}, the same as with A.

@@ -1,9 +1,9 @@
-"""The error budget: how much of a residual each source of error is.
+"""The error budget: the share of each source of error in a residual.
 
 A statistic r of the residual depends on the noise through `G = ΦᵀV⁻¹Φ` alone, and V is a sum over sources, each
 proportional to its variance σ². With `Ḡ = ∂r/∂G` the filter's own derivative (`by_reading`) gives `∂r/∂V`, and so
-`∂ln r/∂ln σ` of each source: shares that add up to one with that of the priors, since r is homogeneous in all standard
-deviations together. Nothing is differenced.
+`∂ln r/∂ln σ` of each source. With that of the priors these shares add up to one, since r is homogeneous in all standard
+deviations together. No finite differences are used.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from gradcal_jax.information.residual import Contrasts, Statistic
 
 
 def weights_of(name: Statistic, values: Float[np.ndarray, "n_T n_w"]) -> Float[np.ndarray, "n_T n_w"]:
-    """The derivative of a statistic of a residual map in each of its values."""
+    """Derivative of a statistic of a residual map with respect to each of its values."""
     weights = np.zeros_like(values)
     if name == "mean of max":
         weights[np.argmax(values, axis=0), np.arange(values.shape[1])] = 1.0 / values.shape[1]
@@ -32,7 +32,7 @@ def weights_of(name: Statistic, values: Float[np.ndarray, "n_T n_w"]) -> Float[n
 
 
 class Sensitivity:
-    """The derivative of one statistic of a residual map: in `G`, and in what no plan can touch."""
+    """Derivative of one statistic of a residual map with respect to `G` and to the variance that no plan changes."""
 
     def __init__(
         self, known: Posterior, places: Contrasts, statistic: Statistic, values: Float[np.ndarray, "n_T n_w"]
@@ -48,10 +48,10 @@ class Sensitivity:
 
 
 def noise_shares(
-    steps: NoiseSteps, found: Readings, of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
+    steps: NoiseSteps, readings: Readings, of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
 ) -> dict[str, float]:
-    """`∂r/∂ln σ` of each source, whose own part of the noise `sources` has. `found`: of all columns."""
-    covariance, variance, initial = of_noise(steps, found, of_gram)
+    """`∂r/∂ln σ` of each of `sources`, given by its part of the noise. `readings`: of all columns."""
+    covariance, variance, initial = of_noise(steps, readings, of_gram)
 
     def of(part: NoiseSteps) -> float:
         pairs = (covariance, part.covariance), (variance, part.reading_variance), (initial, part.initial)
@@ -63,6 +63,6 @@ def noise_shares(
 def unweighted_shares(
     estimator: LeastSquares, of_covariance: np.ndarray, sources: Mapping[str, NoiseSteps]
 ) -> dict[str, float]:
-    """As `noise_shares`, for an estimator that stays as it is whatever the noise."""
+    """As `noise_shares`, for an estimator that does not depend on the noise."""
     inner = estimator.back.T @ of_covariance @ estimator.back
     return {name: 2.0 * float(np.sum(inner * noise_of_sums(part, estimator.weights))) for name, part in sources.items()}

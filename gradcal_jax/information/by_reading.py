@@ -1,7 +1,7 @@
-"""The filter of the noise and its derivative in NumPy, reading by reading, as `whitening` and `adjoint` say them.
+"""The filter of the noise and its derivative in NumPy, reading by reading; see `whitening` and `adjoint`.
 
-A reading takes some ten microseconds, and nothing is compiled: for single predictions that is the quickest way, and
-on a machine without a compiler the one there is.
+A reading takes about ten microseconds and nothing is compiled: the fastest way for single predictions, and the only one
+without a compiler.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ def filter_readings(
     steps: NoiseSteps,
     columns: Float[np.ndarray, "N p"],
 ) -> Readings:
-    """All columns through the filter, from a state before the first step."""
+    """Filter all columns, from the state before the first step."""
     transition, noise, observation, variance, used = steps[:5]
     rows, gain, per_std = np.empty_like(columns), np.zeros(observation.shape), np.zeros(len(columns))
     stays = np.zeros(len(columns), bool) if steps.stays is None else steps.stays
@@ -46,16 +46,16 @@ def filter_readings(
 
 
 def of_noise(
-    steps: NoiseSteps, found: Readings, of_gram: Float[np.ndarray, "p p"]
+    steps: NoiseSteps, readings: Readings, of_gram: Float[np.ndarray, "p p"]
 ) -> tuple[Float[np.ndarray, "N n n"], Float[np.ndarray, " N"], Float[np.ndarray, "n n"]]:
-    """Of what has the derivative `of_gram` in `rowsᵀ rows`, the derivative in the covariance of every step, in the
-    variance of every reading, and in the initial covariance.
+    """Derivatives with respect to the covariance of every step, the variance of every reading and the initial
+    covariance, of a function whose derivative with respect to `rowsᵀ rows` is `of_gram`.
     """
-    count, p = found.rows.shape
+    count, p = readings.rows.shape
     us, rhos = np.empty((count, p)), np.empty((*steps.observation.shape, p))
     later = np.zeros(rhos.shape[1:])
     for k in range(count - 1, -1, -1):
-        us[k] = found.per_std[k] * found.rows[k] - found.gain[k] @ later
+        us[k] = readings.per_std[k] * readings.rows[k] - readings.gain[k] @ later
         rhos[k] = steps.observation[k, :, None] * us[k] + later
         later = steps.transition[k].T @ rhos[k]
     inner = (of_gram + of_gram.T) / 2

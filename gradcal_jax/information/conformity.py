@@ -1,12 +1,12 @@
-"""Whether something keeps a limit, and the risk of saying so wrongly: JCGM 106:2012, for normal errors about zero.
+"""Conformity with a limit and the risk of a false decision: JCGM 106:2012, for normal errors about zero.
 
 Symbols: `T` the limit (the tolerance interval is −T … T), `A` the acceptance limit, `y` a measured value with standard
 uncertainty `u`, `s` the standard deviation of the errors before that measurement (the prior).
 
-* *Specific risk* (9.3.2, 7.2): the chance that the error exceeds ±T, once its estimate y and its u are known.
+* *Specific risk* (9.3.2, 7.2): the probability that the error exceeds ±T, given its estimate y and its u.
 * *Guard band* (8.3): accepting within ±A, A < T, so that an accepted value's specific risk stays below a chosen one.
-* *Global risks* (9.5.3): before the measurement, the chance that an error beyond ±T is accepted (the consumer's), and
-  that one within is rejected (the producer's),
+* *Global risks* (9.5.3): before the measurement, the probability that an error beyond ±T is accepted (consumer's risk),
+  and that one within is rejected (producer's risk),
 
       R_C = ∫_{|e| > T} F(e) g(e) de,   R_P = ∫_{|e| ≤ T} (1 − F(e)) g(e) de,   F(e) = Φ((A − e)/u) − Φ((−A − e)/u)
 
@@ -24,25 +24,25 @@ from gradcal_jax.information.posterior import Posterior
 from gradcal_jax.information.residual import Contrasts, Statistic, statistic_of_each
 from gradcal_jax.model import Discrepancy, SensorModel
 
-# Beyond so many standard deviations lies 1e-23 of a normal distribution.
+# Standard deviations beyond which lies 1e-23 of a normal distribution.
 _FAR = 10.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
 def _beyond(z: float) -> float:
-    """The chance of a standard normal value above z."""
+    """Probability of a standard normal value above z."""
     return 0.5 * erfc(z / sqrt(2.0))
 
 
 def specific_risk(y: float, u: float, limit: float) -> float:
-    """The chance that an error estimated as `y`, with standard uncertainty `u`, lies beyond ±`limit`."""
+    """Probability that an error with estimate `y` and standard uncertainty `u` lies beyond ±`limit`."""
     if u == 0.0:
         return float(abs(y) > limit)
     return _beyond((limit - y) / u) + _beyond((limit + y) / u)
 
 
 def coverage_of_risk(risk: float) -> float:
-    """The number of standard deviations that an error about zero exceeds with the chance `risk`, either way."""
+    """Number of standard deviations that the magnitude of an error about zero exceeds with probability `risk`."""
     return NormalDist().inv_cdf(1.0 - 0.5 * risk)
 
 
@@ -58,7 +58,7 @@ def acceptance_limit(u: float, limit: float, risk: float) -> float | None:
 
 
 class GlobalRisks(NamedTuple):
-    """Chances before a measurement: that it accepts, accepts falsely (consumer's), rejects falsely (producer's)."""
+    """Probabilities before a measurement: acceptance, false acceptance (consumer's), false rejection (producer's)."""
 
     accepted: float
     false_accept: float
@@ -66,13 +66,13 @@ class GlobalRisks(NamedTuple):
 
 
 def global_risks(s: float, u: float, limit: float, acceptance: float) -> GlobalRisks:
-    """Of errors of standard deviation `s`, measured to `u`, accepted within ±`acceptance`, conforming within ±`limit`.
+    """Risks for errors of standard deviation `s`, measured to `u`: accepted within ±`acceptance`, limit ±`limit`.
 
     All four in one unit. Errors: `ValueError` unless `s` and `u` are positive.
     """
     if not (s > 0.0 and u > 0.0):
         raise ValueError("risks need a positive spread of the errors and a positive uncertainty of the measurement")
-    # By symmetry one half does. Steps of width u at the acceptance limit, of width s from zero.
+    # By symmetry one half suffices. Edges at steps of u about the acceptance limit and of s from zero.
     ends = {0.0, limit, *(k * s for k in (0.5, 1, 2, 3, 4, 6, 8)), *(acceptance + k * u for k in range(-10, 11, 2))}
     far = _FAR * s
     edges = np.array(sorted(end for end in ends | {far} if 0.0 <= end <= far))
@@ -97,17 +97,17 @@ def chance_of_keeping(
     limit: float,
     draws: int = 4000,
 ) -> tuple[float, float] | None:
-    """The share of units whose error after a calibration keeps `limit`: by the named statistic, and everywhere.
+    """Share of units whose error after a calibration is within `limit`: by the named statistic, and at every point.
 
-    A statistic is that of one unit's |error| over all `places`, of that `shape`, errors there correlated as the
-    posterior has them (drawn; binomial standard error 0.5 % and less). `limit` in the places' unit. None where the plan
-    leaves something unobservable.
+    The statistic is of one unit's |error| over all `places` of that `shape`, with errors drawn from the posterior
+    (binomial standard error 0.5 % and less). `limit` in the places' unit. None where the plan leaves something
+    unobservable.
     """
     if known.hidden.shape[1]:
         return None
     roots = [places.rows @ known.spread]
     if np.any(places.alone):
-        # What a calibration does not carry is estimated, and left: with it goes prior less posterior covariance.
+        # A calibration does not carry the discrepancy's estimate, whose covariance is prior less posterior.
         hidden = [term for term in model.terms if isinstance(term, Discrepancy)]
         where = np.concatenate([np.arange(model.size)[model.where(term.name)] for term in hidden])
         prior = np.concatenate([np.full(term.size, float(term.std) ** 2) for term in hidden])

@@ -1,13 +1,13 @@
-"""A mission: what a calibration leaves of the integrated rate, and what the unit's own noise adds.
+"""A mission: the error of the integrated rate after a calibration, and the contribution of the unit's own noise.
 
-Of the rate error `B(T) + M(T, ω)·ω` a calibration leaves `ψᵀ(β − β̂)`, and of its integral along a mission
+A calibration reduces the rate error `B(T) + M(T, ω)·ω` to `ψᵀ(β − β̂)`, and its integral along a mission to
 
     ∫ δω dt = cᵀ(β − β̂),    c = ∫ ψ(T, ω)·(1 or ω) dt,    σ² = cᵀ C c:
 
-one linear functional of the maps, made of the very columns that the plan's readings have (`SensorModel.columns`), a
-discrepancy's among them (`residual.Contrasts`). What is no map no calibration takes off: the angle random walk N√t, and
-of every process x, that drives the angle at the rate g(t)·x (`model.noise`), the variance of `∫ g x dt` over a mission
-that begins with the process in its stationary state.
+one linear functional of the maps, computed by the same columns as the plan's readings (`SensorModel.columns`), with
+those of a discrepancy (`residual.Contrasts`). A calibration does not remove noise: the angle random walk N√t and, for
+every process x that drives the angle at the rate g(t)·x (`model.noise`), the variance of `∫ g x dt` over a mission that
+begins with the process in its stationary state.
 """
 
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ from gradcal_jax.information.residual import Contrasts
 from gradcal_jax.model import Discrepancy, Nodes, Processes, SampleNodes, SensorModel
 from gradcal_jax.trajectory import quadrature
 
-# So many Gauss nodes on each straight line: exact for quintic by quintic maps, times the rate.
+# Gauss nodes on each straight line: exact for quintic by quintic maps times the rate.
 _NODES = 6
-# A mission has at least so many lines (for maps that bend along one), of which so many are summed at once.
+# Least number of lines in a mission (maps bend along a line); number of lines that are summed at once.
 _LINES, _AT_ONCE = 256, 8192
-# Cells in which a process's gain is constant: at least so many, so many a correlation time, and no more than.
+# Cells in which a process's gain is constant: least number, number per correlation time, largest number.
 _CELLS, _A_TIME, _MOST_CELLS = 2000, 20.0, 200_000
 
 
@@ -45,7 +45,7 @@ class Flight(NamedTuple):
 
 
 def mission_rows(model: SensorModel, flight: Flight, at: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p"]:
-    """What each parameter's unit adds to the integrated rate from the beginning to the times `at` (s, increasing)."""
+    """Contribution of each parameter's unit to the integrated rate since the begin at times `at` (s, increasing)."""
     kept = flight.time[flight.time < at[-1]]
     breaks = np.unique(np.concatenate([kept, at, np.linspace(0.0, at[-1], _LINES + 1)]))
     rate, temperature = (np.interp(breaks, flight.time, of) for of in (flight.rate, flight.temperature))
@@ -71,7 +71,7 @@ def mission_rows(model: SensorModel, flight: Flight, at: Float[np.ndarray, " k"]
 
 
 def mission_contrasts(model: SensorModel, rows: Float[np.ndarray, "k p"]) -> Contrasts:
-    """Of errors that are these combinations of the parameters: what no calibration carries of them set apart."""
+    """Contrasts of errors that are these combinations of the parameters, with the discrepancy's part set apart."""
     alone, beyond = np.zeros_like(rows), np.zeros(len(rows))
     for term in model.terms:
         if isinstance(term, Discrepancy):
@@ -84,7 +84,7 @@ def mission_contrasts(model: SensorModel, rows: Float[np.ndarray, "k p"]) -> Con
 def own_variance(
     flight: Flight, processes: Processes, members: Sequence[int] | Int[np.ndarray, " m"], time: float
 ) -> float:
-    """Variance (rad²) of what processes add to the integrated rate from the mission's beginning to `time` (s)."""
+    """Variance (rad²) that processes add to the integrated rate from the mission's beginning to `time` (s)."""
     from scipy.signal import lfilter
 
     at = np.array(members, dtype=int)
@@ -92,16 +92,16 @@ def own_variance(
     count = int(np.clip(_A_TIME * time * fastest, _CELLS, _MOST_CELLS))
     edges = np.linspace(0.0, time, count + 1)
     step, turned = time / count, np.diff(flight.angle(edges))
-    found = 0.0
+    variance = 0.0
     for k in at:
         gain = float(processes.bias_gain[k]) + float(processes.rate_gain[k]) * turned / step
         initial, decay, drive = (float(of[k]) for of in (processes.initial_std, processes.decay, processes.diffusion))
         if decay == 0.0:
             still = np.cumsum(gain[::-1])[::-1] - gain / 2.0
-            found += (initial * step * np.sum(gain)) ** 2 + drive**2 * step**3 * float(still @ still)
+            variance += (initial * step * np.sum(gain)) ** 2 + drive**2 * step**3 * float(still @ still)
             continue
         kept = np.exp(-decay * step)
         earlier = np.asarray(lfilter([0.0, 1.0], [1.0, -kept], gain))
         within, between = 2.0 * (decay * step - 1.0 + kept), 2.0 * (1.0 - kept) ** 2
-        found += (initial / decay) ** 2 * float(within * gain @ gain + between * gain @ earlier)
-    return found
+        variance += (initial / decay) ** 2 * float(within * gain @ gain + between * gain @ earlier)
+    return variance

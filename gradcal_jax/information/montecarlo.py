@@ -1,7 +1,7 @@
 """The Monte Carlo twin: simulate a plan's readings, estimate with the real estimator, compare with the prediction.
 
 The noise is drawn step by step from the timeline's own linear system in NumPy; the estimator whitens the simulated
-readings together with the regressors and solves the least squares: the same code that is fed with a real log.
+readings together with the regressors and solves the least squares, with the same code as for a real log.
 """
 
 from typing import NamedTuple
@@ -17,8 +17,8 @@ from gradcal_jax.trajectory import Trajectory
 
 
 class Twin(NamedTuple):
-    """`errors` `(runs, p)`: estimate minus truth, in the engine's parameters; `predicted`: the posterior that they
-    should follow. `left`: errors of what a calibration carries, which is nothing of a discrepancy.
+    """`errors` `(runs, p)`: estimate minus truth, in the engine's parameters; `predicted`: their predicted posterior.
+    `left`: errors of the calibration, which carries no discrepancy.
     """
 
     errors: np.ndarray
@@ -29,11 +29,11 @@ class Twin(NamedTuple):
 def monte_carlo_errors(
     line: Trajectory, model: SensorModel, runs: int, seed: int = 0, tile: int = 256, *, weighted: bool = True
 ) -> Twin:
-    """Simulate `runs` calibrations. Parameters with a prior are drawn from it; flat ones are zero, which costs nothing.
+    """Simulate `runs` calibrations. Parameters with a prior are drawn from it; those without are zero, without loss of
+    generality.
 
-    Without `weighted` they are estimated, and predicted, by ordinary least squares (`posterior.unweighted`).
-
-    Errors: `ValueError` where the plan leaves something unobservable, since its estimate would be arbitrary.
+    Not `weighted`: estimate and prediction by ordinary least squares (`posterior.unweighted`). Errors: `ValueError`
+    where the plan leaves something unobservable, since its estimate would be arbitrary.
     """
     steps, columns = noise_steps(line, model), at_readings(line, model)
     rows = model.prior_rows()
@@ -67,7 +67,7 @@ def monte_carlo_errors(
 
 
 def simulate_noise(steps: NoiseSteps, runs: int, rng: np.random.Generator) -> np.ndarray:
-    """Noise of the readings, `(N, runs)`, drawn from the linear system; a step without a reading has none to use."""
+    """Noise of the readings, `(N, runs)`, drawn from the linear system; rows of steps without a reading are unused."""
     transition, observation = np.asarray(steps.transition), np.asarray(steps.observation)
     noise_root = _roots(np.asarray(steps.covariance))
     reading_std = np.sqrt(np.asarray(steps.reading_variance))
@@ -81,7 +81,7 @@ def simulate_noise(steps: NoiseSteps, runs: int, rng: np.random.Generator) -> np
 
 
 def _roots(covariances: np.ndarray) -> np.ndarray:
-    """Square roots of positive semidefinite matrices, singular ones included; scaled first, for their units differ."""
+    """Square roots of positive semidefinite matrices, also singular ones; scaled first, since their units differ."""
     scale = np.sqrt(np.einsum("kii->ki", covariances))
     safe = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariances / (safe[:, :, None] * safe[:, None, :]))
@@ -89,7 +89,7 @@ def _roots(covariances: np.ndarray) -> np.ndarray:
 
 
 class WishartTest(NamedTuple):
-    """Is an empirical covariance consistent with the predicted one? `statistic` against `low … high`."""
+    """Test of an empirical covariance against the predicted one: `statistic` within `low … high`."""
 
     statistic: float
     low: float
@@ -107,7 +107,7 @@ def wishart_test(errors: np.ndarray, predicted: Posterior, confidence: float = 0
     chi-square with p(p+1)/2 degrees of freedom, after Bartlett's factor (Muirhead, Aspects of Multivariate
     Statistical Theory, 8.4).
     """
-    # Half a second of imports for a test that few ask for.
+    # Imported where it is used: the import takes half a second, and few calls need the test.
     from scipy.special import chdtri
 
     runs, p = errors.shape

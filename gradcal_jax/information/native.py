@@ -1,8 +1,8 @@
 """The filter and its derivative in machine code, for NumPy, and for JAX on a CPU.
 
-XLA pays for every pass over N × p numbers what a whole product costs; `filter.cc` goes through the readings once. It is
-made for each number of noise states by itself (`machine.compiled`), in a second; `whitening.filter_columns` and
-`adjoint` say the same to XLA.
+In XLA every pass over N × p numbers costs as much as a whole product; `filter.cc` passes the readings once. It is
+compiled for each number of noise states (`machine.compiled`) in about a second; `whitening.filter_columns` and
+`adjoint` are the equivalent for XLA.
 """
 
 import ctypes
@@ -21,13 +21,13 @@ from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.machine import Compiled, NotCompiled, call, compiled, double_or_single, is_at_hand
 
 _SOURCE = Path(__file__).with_name("filter.cc")
-# So many readings take NumPy about half as long as the compiler takes.
+# Number of readings that NumPy filters in about half the compiler's time.
 _WORTH = 40_000
 _asked: Counter[int] = Counter()
 
 
 class Kept(NamedTuple):
-    """What the derivative needs of the filter, at each reading: x and P before it, `P Hᵀ/S` and `1/√S`."""
+    """Values of the filter that its derivative needs, at each reading: x and P before it, `P Hᵀ/S` and `1/√S`."""
 
     states: Float[AnyArray, "N n p"]
     covariances: Float[AnyArray, "N n n"]
@@ -38,7 +38,7 @@ class Kept(NamedTuple):
 class Native(NamedTuple):
     """The compiled functions for one number of states and one precision, as JAX calls them.
 
-    Each raises `NotCompiled` where the compiler could not make them.
+    Each raises `NotCompiled` where the compiler failed.
     """
 
     code: Compiled
@@ -55,7 +55,7 @@ class Native(NamedTuple):
         return call(self.code.wait().names[0], shapes, (*steps[:5], mean, covariance, columns))
 
     def keep(self, steps: NoiseSteps, columns: Float[Array, "N p"]) -> tuple[Float[Array, "N p"], Kept]:
-        """Whitened rows from states of zero, and what `cotangents` wants."""
+        """Whitened rows from states of zero, and the values that `cotangents` needs."""
         (count, n), p = steps.observation.shape, columns.shape[1]
         shapes = ((count, p), (n, p), (n, n), (count, n, p), (count, n, n), (count, n), (count,))
         zero = jnp.zeros((n, p), columns.dtype)
@@ -65,7 +65,7 @@ class Native(NamedTuple):
     def cotangents(
         self, steps: NoiseSteps, rows: Float[Array, "N p"], kept: Kept, of_product: Float[Array, "p p"]
     ) -> list[Array]:
-        """Of transition, covariance, observation, reading variance, initial and columns, for that of `rowsᵀ rows`."""
+        """Cotangents of transition, covariance, observation, reading variance, initial and columns for `of_product`."""
         weighed = rows @ ((of_product + of_product.T) / 2)
         shapes = [x.shape for x in (*steps[:4], steps.initial, rows)]
         stays = jnp.zeros(steps.used.shape, bool) if steps.stays is None else jnp.asarray(steps.stays)
@@ -73,16 +73,16 @@ class Native(NamedTuple):
 
 
 def plain(states: int, readings: int) -> Callable[..., list[np.ndarray]] | None:
-    """The filter for NumPy's doubles: of a state, steps and columns the rows, and the state after the last reading.
+    """The filter for NumPy's doubles: from state, steps and columns to the rows and the state after the last reading.
 
-    None without a compiler, and until so many readings were asked for that its work is worth while.
+    None without a compiler, and until enough readings were filtered for compilation to pay.
     """
     _asked[states] += readings
     if not states or (_asked[states] <= _WORTH and not is_at_hand(_SOURCE, *_definitions(states))):
         return None
     try:
-        made = begin_filter(states)
-        loaded = None if made is None else made.wait().loaded
+        work = begin_filter(states)
+        loaded = None if work is None else work.wait().loaded
     except NotCompiled:
         return None
     return None if loaded is None else partial(_plainly, loaded.gradcal_filter_plain)
@@ -104,15 +104,15 @@ def _plainly(
 
 
 def native(steps: NoiseSteps, *others: Array) -> Native | None:
-    """The machine code that serves these arrays in a program for a CPU, or None where there is none."""
+    """The machine code for these arrays in a program for a CPU, or None where there is none."""
     real = double_or_single(*steps[:4], steps.initial, *others)
     count, n = steps.observation.shape
-    made = begin_filter(n, real) if real and count and n else None
-    return None if made is None else Native(made)
+    work = begin_filter(n, real) if real and count and n else None
+    return None if work is None else Native(work)
 
 
 def begin_filter(states: int, real: str = "double") -> Compiled | None:
-    """Have the compiler begin with the filter of so many states. None where there is no compiler."""
+    """Start compilation of the filter for a number of states; None without a compiler."""
     return compiled(_SOURCE, *_definitions(states, real), symbols=("gradcal_filter", "gradcal_pull"), what="the filter")
 
 

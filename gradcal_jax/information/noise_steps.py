@@ -28,9 +28,9 @@ _NODES = 16
 
 
 class NoiseSteps(NamedTuple):
-    """`N` steps of a linear-Gaussian system with `n` states and one scalar reading a step (`used`:
-    whether there is one). `stays`: where the transition is the identity, the covariance zero, and neither is ever
-    differentiated, since no step leads to that reading.
+    """`N` steps of a linear-Gaussian system with `n` states and one scalar reading a step (`used`: whether there is
+    one). `stays`: true where no step precedes the reading: the transition is the identity, the covariance zero, and
+    neither is differentiated.
     """
 
     transition: Float[AnyArray, "N n n"]
@@ -42,7 +42,7 @@ class NoiseSteps(NamedTuple):
     stays: Bool[AnyArray, " N"] | None = None
 
     def padded(self, count: int) -> "NoiseSteps":
-        """The same system with steps at its end that change nothing and read nothing, `count` in all."""
+        """The same system, padded to `count` steps by identity steps without readings."""
         n, missing = self.observation.shape[1], count - self.observation.shape[0]
         still = np.broadcast_to(np.eye(n), (missing, n, n))
         fillings = (still, np.zeros((missing, n, n)), np.zeros((missing, n)), np.ones(missing), np.zeros(missing, bool))
@@ -51,15 +51,15 @@ class NoiseSteps(NamedTuple):
 
 
 def noise_states(line: Trajectory, model: SensorModel) -> int:
-    """States of the noise: the angle, the processes, and a standstill's offset where there is one."""
+    """Number of noise states: the angle, the processes, and the offset of a standstill where the model has one."""
     return 1 + model.processes.count + int(model.reference.has_offset and not line.rates)
 
 
 def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> NoiseSteps:
     """Steps of the noise alone, the parameters kept out of the state. `rule`: as of `regressors.at_readings`.
 
-    The first reading is the angle's origin: its white noise and its standstill's offset are the angle state's initial
-    error, which is the exact treatment of an unknown initial angle. At the end of a gap the origin is read anew. With a
+    The first reading is the angle's origin: its white noise and the offset of its standstill are the initial error of
+    the angle state, an exact treatment of an unknown initial angle. A new origin is read at the end of a gap. With a
     held rate as the reference every point's angle begins at zero, and its error is one draw of the reference.
     """
     p, reference = model.processes, model.reference
@@ -82,7 +82,7 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     walk = model.angle_random_walk**2 * line.duration + xp.sum(q_angle, axis=1)
     start = (p.initial_std**2)[None]
     if line.has_gaps:
-        # Every process begins with the data: a walk's start belongs to the bias that the data see first.
+        # Every process begins with the data: the initial value of a random walk is part of the bias.
         before = (xp.cumsum(xp.where(line.gap, 0, 1)) == 0)[:, None]
         decayed, q_self = xp.where(before, 1.0, decayed), xp.where(before, 0.0, q_self)
     if line.rates and line.points == "independent":
@@ -97,14 +97,13 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     white = xp.asarray(0.0 if line.rates else reference.reading_noise**2)
     spread = reference.standstill_offset**2
     if line.has_gaps:
-        # A new origin: the angle state is minus what the reference says then, its white noise and its standstill's
-        # offset.
+        # A new origin: the angle state is minus the error of the reference, its white noise and standstill offset.
         origin, gap = np.eye(n)[0] * 0.0, line.gap[:, None]
         if offset:
             origin[-1] = -1.0
         first_row = xp.where(gap, xp.asarray(origin)[None], first_row)
         first_noise = xp.where(gap, xp.asarray(np.eye(n)[:1]) * white, first_noise)
-    # A move leaves the old standstill and makes the next one's draw; its readings on the way see none.
+    # A move draws the offset of the next standstill; readings during the move have none.
     stands = xp.where(line.moving, 0.0, 1.0)[:, None]
     extra = [stands] * offset
     diagonal = xp.concatenate([xp.zeros((count, 1)), decayed, *extra], axis=1)
@@ -179,9 +178,9 @@ def varying_drive(
     xp = namespace(duration, rate, p)
     duration = duration[:, None, None]
     drive = p.bias_gain[None, :, None] + p.rate_gain[None, :, None] * rate[:, None, :]
-    # Moves are divided to keep λD small, but for the processes that the rate drives only.
+    # Moves are divided to keep λD small only for the processes that the rate drives.
     x = xp.where(p.rate_gain != 0.0, p.decay, 0.0)[None, :, None] * duration
-    # e^(−λ(s−u)) between all nodes: also those before u, which the interpolation needs.
+    # e^(−λ(s−u)) between all nodes, including those before u, which the interpolation needs.
     apart = xp.asarray(nodes[None, :] - nodes[:, None])
     fading = xp.exp(-x[..., None] * apart[None, None])
     h = duration * ((_tail_integration()[None, None] * fading) @ drive[..., None])[..., 0]

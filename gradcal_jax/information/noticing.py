@@ -1,8 +1,8 @@
-"""Does a plan notice that a map has more structure than is believed? The χ² test of the next polynomials.
+"""Power of a plan to detect that a map has more structure than the model: the χ² test of the next polynomials.
 
-A hidden map has coefficients `γ ~ N(0, σ²)` on the functions of a `Discrepancy`. Once everything else that is estimated
-has been taken off the whitened rows, what the data say of γ is `z = S γ + e`, `e ~ N(0, 1)`; in the singular vectors of
-S the components are independent, `y_i ~ N(0, 1 + σ² m_i)`, with the *gains* `m_i` its squared singular values. The
+A hidden map has coefficients `γ ~ N(0, σ²)` on the functions of a `Discrepancy`. After projection of the whitened rows
+onto the complement of all other parameters the data are `z = S γ + e`, `e ~ N(0, 1)`; in the singular vectors of S the
+components are independent, `y_i ~ N(0, 1 + σ² m_i)`, with the *gains* `m_i` its squared singular values. The
 test is
 
     t = Σ y_i²  >  q,    t ~ χ²_k  without a hidden map, so that P(t > q) is the level of false alarms.
@@ -12,9 +12,9 @@ of χ² of k + 2j degrees (Ruben, Annals of Mathematical Statistics 33, 1962), a
 
     P(t ≤ q) = Σ_j a_j F_{k+2j}(q),   a_0 = Π w_i^(−1/2),   2j a_j = Σ_{r<j} b_{j−r} a_r,   b_r = Σ_i (1 − 1/w_i)^r
 
-and `1/w_i` is the share of the prior variance that the plan leaves of that component: `kept`, the eigenvalues of the
-posterior covariance of γ over σ². Directions with less than `SEEN` of the largest gain would only add noise to the
-test and are left out; which ones, the plan alone decides.
+and `1/w_i` is the ratio of posterior to prior variance of that component: `kept`, the eigenvalues of the posterior
+covariance of γ over σ². Directions with less than `SEEN` of the largest gain would only add noise to the test and are
+left out; they depend on the plan alone.
 """
 
 from functools import lru_cache
@@ -28,16 +28,16 @@ from gradcal_jax.linalg import solve_transposed
 from gradcal_jax.model import DISCREPANCY, Discrepancy, SensorModel
 
 SEEN = 1e-4
-"""Of the largest gain: what is left out of the test."""
-# The mixture ends where what is left of it is smaller than this.
+"""Components below this share of the largest gain are left out of the test."""
+# The mixture ends where its remainder is smaller than this.
 _NEGLIGIBLE = 1e-14
 _BEYOND_PPM_OF_ALL = 1e12
 
 
 def kept(info: SquareRootInformation, where: slice, std) -> Float[AnyArray, " k"]:
-    """Which share of the prior variance of a discrepancy's coefficients is left, by component, in (0, 1].
+    """Ratio of posterior to prior variance of a discrepancy's coefficients, by component, in (0, 1].
 
-    `where`: of the coefficients among the parameters; `std`: their prior standard deviation, part of the information.
+    `where`: indices of the coefficients; `std`: their prior standard deviation, part of the information.
     Differentiable: the derivative of an eigenvalue needs no derivative of its vector.
     """
     xp, count = namespace(info.factor), where.stop - where.start
@@ -49,13 +49,13 @@ def kept(info: SquareRootInformation, where: slice, std) -> Float[AnyArray, " k"
 
 
 def gains_of_shares(share: Float[np.ndarray, " k"], std: float) -> Float[np.ndarray, " s"]:
-    """`m_i` of the components that the test takes, per squared unit of a coefficient, from what is `kept`."""
+    """Gains `m_i` of the components in the test, per squared unit of a coefficient, from the shares `kept`."""
     every = (1.0 / np.asarray(share) - 1.0) / std**2
     return every[not_negligible(every)]
 
 
 def not_negligible(gain: Float[np.ndarray, " k"]) -> np.ndarray:
-    """Which components the test takes: all whose gain is not negligible beside the largest."""
+    """The components in the test: those with a gain that is not negligible beside the largest."""
     largest = np.max(gain, initial=0.0)
     return gain > max(SEEN * largest, np.finfo(float).tiny)
 
@@ -64,7 +64,7 @@ def not_negligible(gain: Float[np.ndarray, " k"]) -> np.ndarray:
 def quantiles(count: int, false_alarm: float) -> np.ndarray:
     """`F_{k+2j}(q)` for j = 0, 1, … with q the critical value of k components at the level of false alarms.
 
-    Errors: `ValueError` for a level that is none.
+    Errors: `ValueError` for a level outside (0, 1).
     """
     from scipy.special import chdtr, chdtri
 
@@ -78,13 +78,13 @@ def quantiles(count: int, false_alarm: float) -> np.ndarray:
 
 
 def missed(share: Float[AnyArray, " k"], below: Float[AnyArray, " j"]):
-    """The probability that the test does not notice: `P(Σ y²/share ≤ q)`; `below` are `quantiles`. Differentiable."""
+    """Probability of a missed detection, `P(Σ y²/share ≤ q)`; `below` are `quantiles`. Differentiable."""
     xp, count = namespace(share), len(below)
-    # No powers: their derivative divides by what may be zero.
+    # No powers: their derivative would divide by a share that may be zero.
     steps = xp.concatenate([xp.ones((1, len(share))), xp.tile((1.0 - share)[None, :], (count - 1, 1))])
     sums = xp.sum(xp.cumprod(steps, axis=0), axis=1)
     place = np.arange(count)[:, None] - np.arange(count)[None, :]
-    # 2j a_j − Σ b_(j−r) a_r = 0 is a triangular system; its first row says a_0.
+    # 2j a_j − Σ b_(j−r) a_r = 0 is a triangular system; its first row is a_0.
     lower = xp.where(place > 0, -sums[np.maximum(place, 0)], 0.0) + np.diag(np.append(1.0, 2.0 * np.arange(1, count)))
     first = put(xp.zeros((count, 1)), (0, 0), xp.exp(0.5 * xp.sum(xp.log(share))))
     weights = solve_transposed(lower.T, first)[:, 0]
@@ -92,14 +92,14 @@ def missed(share: Float[AnyArray, " k"], below: Float[AnyArray, " j"]):
 
 
 def power(gain: Float[np.ndarray, " s"], std: float, false_alarm: float) -> float:
-    """The probability that a hidden map with coefficients of this standard deviation is noticed; 0 where none can."""
+    """Probability that a hidden map with coefficients of this standard deviation is detected; 0 without components."""
     if not len(gain):
         return 0.0
     return 1.0 - float(missed(1.0 / (1.0 + std**2 * gain), quantiles(len(gain), false_alarm)))
 
 
 def noticed_from(gain: Float[np.ndarray, " s"], probability: float, false_alarm: float) -> float | None:
-    """The smallest standard deviation that is noticed with this probability; None where no plausible one is."""
+    """The smallest standard deviation that is detected with this probability; None where no plausible one is."""
     if not len(gain) or probability <= false_alarm:
         return None
     scale = 1.0 / float(np.sqrt(np.max(gain)))
@@ -114,7 +114,7 @@ def noticed_from(gain: Float[np.ndarray, " s"], probability: float, false_alarm:
             return None
     while short(low) > 0.0:
         low -= 2.0
-    # By halves: a root finder's import takes longer than many a prediction.
+    # Bisection: the import of a root finder takes longer than many predictions.
     while high - low > 1e-8:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if short(middle) > 0.0 else (middle, high)
@@ -122,6 +122,6 @@ def noticed_from(gain: Float[np.ndarray, " s"], probability: float, false_alarm:
 
 
 def where_hidden(model: SensorModel, name: str) -> tuple[Discrepancy, slice] | None:
-    """A model's discrepancy of a map ("bias", "scale_factor") and where its coefficients stand, if it has one."""
+    """A model's discrepancy of a map ("bias", "scale_factor") and the indices of its coefficients, if it has one."""
     term = model.term(DISCREPANCY.format(name))
     return (term, model.where(term.name)) if isinstance(term, Discrepancy) else None

@@ -1,4 +1,4 @@
-"""What a plan cannot observe, said in the names of the parameters."""
+"""Unobservable combinations of the parameters, by their names."""
 
 import numpy as np
 
@@ -7,16 +7,14 @@ from gradcal_jax.model import SensorModel
 
 
 def unobservable_combinations(known: Posterior, model: SensorModel) -> list[str]:
-    """Each combination of reported parameters of which the plan says nothing, written out: "a0 - 0.5·a2"."""
+    """Each unobservable combination of reported parameters as text: "a0 - 0.5·a2"."""
     if not known.hidden.shape[1]:
         return []
-    directions = _echelon((model.to_reported @ known.hidden).T)
-    names = model.names()
-    return [_written(row, names) for row in directions]
+    return [_as_text(row, model.names()) for row in _echelon((model.to_reported @ known.hidden).T)]
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """Reduced row-echelon form, pivoting on the largest entry: each combination becomes as short as it can be."""
+    """Reduced row-echelon form with pivots on the largest entry, for the shortest combinations."""
     rows = rows / np.max(np.abs(rows), axis=1, keepdims=True)
     done: list[int] = []
     for k in range(len(rows)):
@@ -32,7 +30,7 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
     return rows[np.argsort(done)]
 
 
-def _written(row: np.ndarray, names: list[str]) -> str:
+def _as_text(row: np.ndarray, names: list[str]) -> str:
     row = row / np.max(np.abs(row))
     terms = [(value, name) for value, name in zip(row, names, strict=True) if abs(value) > 1e-6]
     if len(terms) == 1:

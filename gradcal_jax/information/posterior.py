@@ -1,12 +1,12 @@
-"""Square-root information of the parameters, and what it leaves uncertain.
+"""Square-root information of the parameters, and the posterior covariance.
 
 `rows` are whitened regressors stacked over whitened priors. Their columns are scaled to unit length before one
 triangular factor is taken, so that nothing depends on the units of the parameters:
 
     rows = A diag(scale),   AᵀA = RᵀR,   covariance C = diag(scale)⁻¹ (RᵀR)⁻¹ diag(scale)⁻¹
 
-`SquareRootInformation` is what the design differentiates; `Posterior` is what is reported, after the combinations
-that the plan cannot observe have been set apart.
+The design differentiates `SquareRootInformation`; results are reported from `Posterior`, in which the unobservable
+combinations are separate.
 """
 
 from typing import NamedTuple
@@ -29,18 +29,18 @@ OBSERVABLE = 1e-11
 
 
 class SquareRootInformation(NamedTuple):
-    """`information = diag(scale) RᵀR diag(scale)`, R upper triangular; `inverse`: of RᵀR, where it is there."""
+    """`information = diag(scale) RᵀR diag(scale)`, R upper triangular; `inverse`: of RᵀR, if computed."""
 
     factor: Float[AnyArray, "p p"]
     scale: Float[AnyArray, " p"]
     inverse: Float[AnyArray, "p p"] | None = None
 
     def leading(self, count: int) -> "SquareRootInformation":
-        """What is known of the first parameters where all after them are known to be zero."""
+        """The information of the first parameters if all others are known to be zero."""
         return SquareRootInformation(self.factor[:count, :count], self.scale[:count])
 
     def covariance(self) -> Float[AnyArray, "p p"]:
-        """Of all parameters; not finite where the plan cannot tell them."""
+        """Covariance of all parameters; not finite for unobservable ones."""
         inverse, xp = self.inverse, namespace(self.factor)
         if inverse is None:
             half = solve_transposed(self.factor, xp.eye(len(self.scale)))
@@ -55,11 +55,11 @@ class SquareRootInformation(NamedTuple):
 
 
 def information(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> SquareRootInformation:
-    """Everything that the plan's readings and the priors say of the model's parameters.
+    """The information of the plan's readings and the priors about the model's parameters.
 
-    `rule`: how the terms are integrated (`trajectory.rule_of`), where the trajectory is traced. Errors: `ValueError` in
-    single precision, which cannot carry a covariance that is reported; for a search that needs only a direction, call
-    `whitened_factor` yourself.
+    `rule`: integration rule of the terms (`trajectory.rule_of`), for a traced trajectory. Errors: `ValueError` in
+    single precision, which is insufficient for a covariance; a search that needs only a direction calls
+    `whitened_factor`.
     """
     steps, columns = noise_steps(line, model, rule), at_readings(line, model, rule)
     if columns.dtype != np.float64:
@@ -76,17 +76,16 @@ def square_root(rows: Float[AnyArray, "rows p"]) -> SquareRootInformation:
 
 
 class Posterior(NamedTuple):
-    """What is known after the plan: `C = spread spreadᵀ` on what can be observed, and `hidden`, what cannot.
+    """The posterior after a plan: covariance `C = spread spreadᵀ`, and the unobservable directions `hidden`.
 
-    `spread` is `(p, r)`, `hidden` `(p, k)` with `r + k = p`: directions in parameter space of which the plan says
-    nothing.
+    `spread` is `(p, r)`, `hidden` `(p, k)` with `r + k = p`, directions in parameter space.
     """
 
     spread: np.ndarray
     hidden: np.ndarray
 
     def deviations(self, contrasts: np.ndarray) -> np.ndarray:
-        """Standard deviation of each row of `contrasts` `(g, p)`; `inf` where a hidden direction takes part."""
+        """Standard deviation of each row of `contrasts` `(g, p)`; `inf` for one with a hidden component."""
         values = np.sqrt(np.sum((contrasts @ self.spread) ** 2, axis=1))
         if self.hidden.shape[1]:
             size = np.sqrt(np.sum(contrasts**2, axis=1, keepdims=True))
@@ -95,15 +94,15 @@ class Posterior(NamedTuple):
         return values
 
     def covariance(self, contrasts: np.ndarray) -> np.ndarray:
-        """Covariance of the rows of `contrasts`, on what can be observed."""
+        """Covariance of the rows of `contrasts`, without their hidden components."""
         half = contrasts @ self.spread
         return half @ half.T
 
 
 def posterior(info: SquareRootInformation) -> Posterior:
-    """What is known of the parameters (SI) after a plan, from `information.information(trajectory, model)`.
+    """The posterior of the parameters (SI) after a plan, from `information.information(trajectory, model)`.
 
-    What cannot be observed is set apart by the singular values of the scaled factor, `(p, p) -> (p, r), (p, k)`.
+    The singular values of the scaled factor separate the unobservable directions, `(p, p) -> (p, r), (p, k)`.
     Errors: none here; `information` refuses single precision with a `ValueError`.
     """
     scale = np.asarray(info.scale)
@@ -117,7 +116,7 @@ def posterior(info: SquareRootInformation) -> Posterior:
 class LeastSquares(NamedTuple):
     """Ordinary least squares on a standard plan's mean rate errors: `β̂ = back weightsᵀ y` of the integrated errors y.
 
-    `weights` `(N, r)` are orthonormal but for the points' times; `hidden` `(p, p − r)`: what no point tells.
+    `weights` `(N, r)` are orthonormal but for the points' times; `hidden` `(p, p − r)`: unobservable directions.
     """
 
     weights: np.ndarray
@@ -126,9 +125,9 @@ class LeastSquares(NamedTuple):
 
 
 def least_squares(line: Trajectory, model: SensorModel, columns: np.ndarray | None = None) -> LeastSquares:
-    """Every point's mean rate error counts alike, whatever its variance; priors are not used.
+    """Every point's mean rate error has the same weight; priors are not used.
 
-    `columns` `(P, p)`: the regressors where they were measured. Errors: `ValueError` for a gradient plan, whose
+    `columns` `(P, p)`: measured regressors. Errors: `ValueError` for a gradient plan, whose
     readings are angles.
     """
     if not line.rates:
@@ -148,18 +147,16 @@ def least_squares(line: Trajectory, model: SensorModel, columns: np.ndarray | No
 
 
 def unweighted(line: Trajectory, model: SensorModel) -> Posterior:
-    """Covariance of ordinary least squares on the *rate* errors of a standard plan (the paper's Figure 6). Errors: as
-    `least_squares`.
-    """
+    """Covariance of ordinary least squares on a standard plan's rate errors. Errors: as `least_squares`."""
     estimator = least_squares(line, model)
     values, vectors = np.linalg.eigh(noise_of_sums(noise_steps(line, model), estimator.weights))
     return Posterior(estimator.back @ (vectors * np.sqrt(np.maximum(values, 0.0))), estimator.hidden)
 
 
 def noise_of_sums(steps: NoiseSteps, weights: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "m m"]:
-    """`weightsᵀ V weights`, V the covariance of all readings: of m weighted sums of them.
+    """`weightsᵀ V weights`, the covariance of m weighted sums of all readings.
 
-    With `ρ_k = F_kᵀ(ρ_{k+1} + H_k w_k)`, backwards, it is the sum of what each step's noise and the start add.
+    With the adjoint `ρ_k = F_kᵀ(ρ_{k+1} + H_k w_k)`, backwards, it is a sum over the steps' noises and the start.
     """
     response = np.zeros((steps.observation.shape[1], weights.shape[1]))
     total = (weights * np.asarray(steps.reading_variance)[:, None]).T @ weights

@@ -1,7 +1,7 @@
-"""Regressors: what each parameter adds to the integrated error that a reading sees.
+"""Regressors: derivatives of the integrated error at a reading with respect to each parameter.
 
-The terms of the model give what they add over every piece (`model.terms`); a reading of an angle sees the sum of all
-pieces since its origin, one of a held rate that of its own piece.
+The terms of the model give their increments over every piece (`model.terms`). A reading of an angle sums all pieces
+since its origin; one of a held rate has that of its own piece.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from gradcal_jax.trajectory import Rule, Trajectory, gauss_nodes
 def at_readings(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> Float[AnyArray, "P p"]:
     """Regressors of the reading at the end of each piece, rad for each parameter's unit.
 
-    `rule`: how the terms are integrated, where the trajectory is traced. Errors: `ValueError` for an encoder's error by
+    `rule`: integration rule of the terms, for a traced trajectory. Errors: `ValueError` for an encoder's error by
     angle where no angle is read.
     """
     if line.rates and model.harmonics is not None:
@@ -27,7 +27,7 @@ def at_readings(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
 def since_origin(
     increments: Float[AnyArray, " P *c"], gap: AnyArray, has_gaps: bool = True
 ) -> Float[AnyArray, " P *c"]:
-    """Running sums over pieces, counted from the end of the latest piece whose data are not used."""
+    """Running sums over pieces, from the end of the latest gap."""
     xp = namespace(increments)
     rows = running_sum(increments)
     if not has_gaps:

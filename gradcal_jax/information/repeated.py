@@ -1,13 +1,13 @@
-"""Information of a cycle that repeats while a unit's temperature runs straight, from a few of its cycles alone.
+"""Information of a cycle that repeats on a temperature ramp, from a few of its cycles.
 
-With T one slope and a cycle that ends where it began, cycles differ in temperature alone, and polynomials of it at
-another temperature are polynomials: the columns of cycle j are `C_j = C₁ S_j`, S_j one small matrix. The noise has
-settled after one cycle, so from the second to the last but one each does the same to what enters it,
+On one slope, cycles that end where they began differ in temperature only, and a polynomial at a shifted temperature is
+a polynomial: the columns of cycle j are `C_j = C₁ S_j`, S_j one small matrix. The noise is stationary after one cycle,
+so from the second to the last but one every cycle has the same map,
 
     rows_j = W S_j + V x_j,    x_{j+1} = E S_j + Ψ x_j                 x: the filter's state for every column
 
-and one pass through the second cycle, with a column for each state beside its own, gives W, V, E and Ψ. The first
-cycle, and the last one with what follows it, are gone through as they are.
+and one pass through the second cycle, with one more column for each state, gives W, V, E and Ψ. The first cycle, and
+the last one with the readings after it, are filtered directly.
 """
 
 import numpy as np
@@ -16,20 +16,20 @@ from jaxtyping import Float
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.whitening import FilterState, whiten_from
 
-# By how much of what a state is known beforehand its variance may still change from a cycle to the next.
+# Largest change of a state's variance from one cycle to the next, relative to its initial variance.
 _SETTLED = 5e-3
 
 
 def repeated_gram(
     steps: NoiseSteps, columns: Float[np.ndarray, "R p"], rows: int, shifts: Float[np.ndarray, "J p p"], degree: int
 ) -> Float[np.ndarray, "p p"] | None:
-    """`Φᵀ V⁻¹ Φ` of J + 2 cycles of `rows` readings each, and of what follows them.
+    """`Φᵀ V⁻¹ Φ` of J + 2 cycles of `rows` readings each, and of the readings after them.
 
-    `steps`, `columns`: of the first three cycles, and after them of what follows the last. `shifts`: S of the second
-    cycle (one), of the third, and so on. `degree`: of S in the number of the cycle, and a few more for what enters.
+    `steps`, `columns`: of the first three cycles and of the readings after the last. `shifts`: S of the second cycle
+    (one), the third, and so on. `degree`: of S in the cycle's number, plus a few for the entering state.
 
-    None where the noise has not settled after one cycle: drifts of several times its length. Otherwise standard
-    deviations are those of all cycles to 1e-3, and to some 1e-5 with drifts that are forgotten in a cycle's time.
+    None where the noise is not stationary after one cycle, with correlation times of several cycles. Otherwise standard
+    deviations agree with those of all cycles to 1e-3, and to about 1e-5 for correlation times below a cycle.
     """
     count, p = steps.initial.shape[0], columns.shape[1]
     beside = np.concatenate([np.zeros((count, p)), np.eye(count)], axis=1)
@@ -52,7 +52,8 @@ def repeated_gram(
     for entry, drive in zip(entries, driven, strict=True):
         entry[p:] = entering
         entering = drive + onward @ entering
-    # Cycles are many and their entries a polynomial of few terms: its coefficients for orthonormal ones carry the sum.
+    # The entries are polynomials of few terms in the cycle's number: orthonormal coefficients carry the sum over
+    # cycles.
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, len(shifts)), degree + 1))[0]
     few = np.reshape(basis.T @ entries.reshape(len(entries), -1), (-1, p + count, p))
     end = np.concatenate([shifts[-1], entering])

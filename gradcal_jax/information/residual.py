@@ -1,4 +1,4 @@
-"""What is left after calibration: the residual map and its named statistics.
+"""The residual after calibration: its map and named statistics.
 
     s(T, ω)² = ψ(T, ω)ᵀ C ψ(T, ω)
 
@@ -30,19 +30,19 @@ def map_of(model: SensorModel, quantity: Quantity) -> Map:
 
 
 class Contrasts(NamedTuple):
-    """`rows` c with `cᵀβ` an error; `alone`: of them the discrepancy's part; `beyond`: its prior variance there."""
+    """`rows` c with `cᵀβ` an error; `alone`: the discrepancy's part of them; `beyond`: its prior variance there."""
 
     rows: Float[AnyArray, "g p"]
     alone: Float[AnyArray, "g p"]
     beyond: Float[AnyArray, " g"]
 
     def times(self, factor: Float[AnyArray, " g"] | float) -> "Contrasts":
-        """Of errors that are so many times as large."""
+        """Contrasts of errors multiplied by a factor."""
         by = np.broadcast_to(factor, self.beyond.shape)
         return Contrasts(self.rows * by[:, None], self.alone * by[:, None], self.beyond * by**2)
 
     def left(self, known: Posterior) -> Float[np.ndarray, " g"]:
-        """Standard deviation of what a calibration leaves of each; `inf` where the plan cannot tell."""
+        """Standard deviation of each error after a calibration; `inf` where it is unobservable."""
         deviation = known.deviations(np.asarray(self.rows))
         if not np.any(self.alone):
             return deviation
@@ -52,10 +52,10 @@ class Contrasts(NamedTuple):
 def contrasts(
     model: SensorModel, quantity: Quantity, temperature: Float[AnyArray, " g"], rate: Float[AnyArray, " g"]
 ) -> Contrasts:
-    """Of the map's error at each point.
+    """Contrasts of the map's error at each point.
 
-    The discrepancy is estimated with the rest, but no calibration carries it: of `cᵀCc` its own part is taken off
-    again and `χᵀΓχ`, which no plan can touch, put in its place. Errors: `ValueError` when the model does not estimate
+    The discrepancy is estimated with the other parameters, but a calibration does not carry it: its part of `cᵀCc` is
+    replaced by `χᵀΓχ`, which no plan changes. Errors: `ValueError` when the model does not estimate
     the quantity.
     """
     of = map_of(model, quantity)
@@ -76,8 +76,8 @@ def residual(
 ) -> np.ndarray:
     """Standard deviation of the calibrated map's error on a grid: `(n_T,), (n_ω,) -> (n_T, n_ω)`.
 
-    °C and rad/s in; dimensionless (scale factor) or rad/s (bias, whose one rate is ignored) out. `inf` where the plan
-    cannot tell. Errors: `ValueError` for a map that the model does not have.
+    °C and rad/s in; dimensionless (scale factor) or rad/s (bias, for which the rate is ignored) out. `inf` where it is
+    unobservable. Errors: `ValueError` for a map that the model does not have.
     """
     of = map_of(model, quantity)
     if of.beyond is None and not known.hidden.shape[1]:
@@ -108,7 +108,7 @@ def statistic(name: Statistic, values: np.ndarray) -> float:
 
 
 def statistic_of_each(name: Statistic, values: np.ndarray) -> np.ndarray:
-    """As `statistic`, of many maps `(n_T, n_ω, …)`."""
+    """As `statistic`, for many maps `(n_T, n_ω, …)`."""
     if name == "mean of max":
         return np.asarray(np.mean(np.max(values, axis=0), axis=0))
     if name == "max":

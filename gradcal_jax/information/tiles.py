@@ -1,4 +1,4 @@
-"""Information of long logs and of plans with many readings, tile by tile: memory for one tile, not for all of Φ.
+"""Information of long logs and of plans with many readings by tiles, with the memory of one tile instead of all of Φ.
 
 `whiten_from` carries the noise's state from one tile to the next, so the result is that of the whole, to rounding.
 """
@@ -28,9 +28,9 @@ def information_in_tiles(
     """`Φᵀ V⁻¹ Φ` ("product") or the upper triangular R with `RᵀR` equal to it ("triangle") over `count` tiles.
 
     `tile(i)` makes the steps and the regressors of tile i, of one size: pad the last with steps that are not `used`.
-    `initial`: covariance of the noise before the first step. The product is quicker and squares the condition; the
-    triangle, by a QR update a tile, does not. Also returned: the state after the last reading. Errors: `ValueError` for
-    fewer than one tile.
+    `initial`: covariance of the noise before the first step. The product is faster and squares the condition number;
+    the triangle, one QR update for each tile, does not. Also returns the state after the last reading. Errors:
+    `ValueError` for fewer than one tile.
     """
     if count < 1:
         raise ValueError(f"{count} tiles hold no readings: give at least one")

@@ -1,22 +1,22 @@
 """The rows of a whole unit on a table, and the one joint noise system behind them.
 
-A *segment* is a rest or one move of one axis. At its end every gyro has one row, its own integral over the segment
-against what the axis turned; every accelerometer one where the table stood, or turned slowly enough for it. A table
-that holds its place is known not to turn, so nothing of the encoder enters a rest but its slow geometry.
+A *segment* is a rest or one move of one axis. At its end every gyro has one row, its integral over the segment less
+the turned angle; every accelerometer has one where the table stood or turned slowly enough. A table that holds its
+position does not turn, so the encoder enters a rest only through the direction of the axes.
 
-State `x = [C integrals, the processes of every channel, the encoders' errors now, and before the last move]`. The
-encoder of an axis is seen by all channels, so the channels are not independent: they go through one filter, a scalar
-reading after the other (no step between those of one segment). With `e_l` the error of axis l at a standstill, a
-rotation of the body about `a_l`, a row has of it
+State `x = [C integrals, the processes of every channel, the encoders' errors now, and before the last move]`. All
+channels see the error of an axis's encoder, so the channels are correlated: one filter takes their rows one after
+another (without a step between the rows of one segment). The error `e_l` of axis l at a standstill is a rotation of the
+body about `a_l`. It adds to a row
 
     gyro i            while l turns: a_li (e_now − e_before) + ∫(ω_outer × a_l)_i e(t) dt, e(t) in between by angle;
                       else ∫(ω_outer × a_l)_i dt · e_now
     accelerometer i   ∫(f × a_l)_i dt · e_now
 
-and `e_now` is drawn anew by each move of its axis. Where the angle is read while the table stands, a rest from one
-reading to the next is a segment of its own, every reading has its own error (its white part, and the offset of its
-standstill, a third state), and a row of gyro i has `ā_li (e_now − e_before)` of every axis, ā its mean direction; of an
-axis that stands, both errors turn the attitude by half.
+and every move of its axis draws `e_now` anew. Where the angle is read while the table stands, a rest from one reading
+to the next is a segment of its own, and every reading has its own error (a white part, and the offset of its
+standstill, a third state). A row of gyro i then has `ā_li (e_now − e_before)` of every axis, ā its mean direction; for
+an axis that stands, the attitude error is the mean of both.
 """
 
 from collections.abc import Sequence
@@ -32,17 +32,17 @@ from gradcal_jax.information.whitening import whiten
 from gradcal_jax.model import BodyGroup, BodyNodes, UnitModel
 from gradcal_jax.trajectory import TableMotion
 
-# Of the largest column of its unit: what is below is no signal.
+# Columns below this share of the largest one of the same unit are rounding.
 _ROUNDING = 1e-11
-# rad: a move that ends so near to where it began has no angle to share the encoder's change by.
+# rad: in a move with a smaller net angle, the encoder's error cannot be interpolated by angle.
 _RETURNS = 1e-3
-# Where a piece's fastest rate is looked for.
+# Points of a piece at which its largest rate is evaluated.
 _PLACES = 9
 
 
 class Segments(NamedTuple):
     """Rests and moves of a motion, `S` of them: `first` and `last` piece, the `axis` that turns (−1: none); and the
-    rows `(R,)` in order of time, each a channel's of a segment. A segment that nobody reads has one not `used`.
+    rows `(R,)` in order of time, each of one channel and segment. A segment without any has one that is not `used`.
     """
 
     first: Int[np.ndarray, " S"]
@@ -58,7 +58,7 @@ class Segments(NamedTuple):
 
 
 def segments_of(motion: TableMotion, model: UnitModel) -> Segments:
-    """The segments of a motion and the rows that a unit has of them."""
+    """The segments of a motion and a unit's rows of them."""
     number = np.asarray(motion.line.segment)
     begins = np.diff(number, prepend=number[0] - 1) != 0
     if not model.encoder.held:
@@ -75,7 +75,7 @@ def segments_of(motion: TableMotion, model: UnitModel) -> Segments:
 
 
 def _fastest(motion: TableMotion, first: np.ndarray, model: UnitModel) -> np.ndarray:
-    """The fastest rate of every segment (rad/s); of moves infinite where no accelerometer is read on any."""
+    """The largest rate of every segment (rad/s); infinite for moves if no accelerometer is read on moves."""
     fastest = np.where(np.asarray(motion.axis) < 0, 0.0, np.inf)
     if any(c.read_below for c in model.channels):
         moves = np.flatnonzero(fastest)
@@ -85,8 +85,8 @@ def _fastest(motion: TableMotion, first: np.ndarray, model: UnitModel) -> np.nda
 
 
 def unit_information(motions: Sequence[tuple[TableMotion, BodyNodes]], model: UnitModel) -> SquareRootInformation:
-    """Everything that the rows of one motion or several, each with its nodes and drifts of its own, and the priors say
-    of the unit's and the installation's parameters."""
+    """The information of the rows of one or several motions, with independent drifts, and of the priors about the
+    parameters of the unit and its installation."""
     rows = [whiten(*unit_system(motion, model, nodes)) for motion, nodes in motions]
     return square_root(np.concatenate([*rows, model.prior_rows()]))
 
@@ -115,8 +115,8 @@ def _columns(model: UnitModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray
 
 
 def _without_rounding(columns: Float[AnyArray, "R p"], units: list[str]) -> Float[AnyArray, "R p"]:
-    """The columns with zeros for those that are rounding beside others of the same unit: scaled to unit length, as the
-    information is, they would count as seen.
+    """The columns with zeros for those that are rounding beside others of the same unit: the information scales columns
+    to unit length, so that they would count as observable.
     """
     xp = namespace(columns)
     size = xp.maximum(xp.max(columns, axis=0), -xp.min(columns, axis=0))
@@ -129,7 +129,7 @@ def _without_rounding(columns: Float[AnyArray, "R p"], units: list[str]) -> Floa
 def _joint_steps(
     motion: TableMotion, model: UnitModel, nodes: BodyNodes, at: Segments
 ) -> tuple[NoiseSteps, np.ndarray]:
-    """The steps, and which row each reads (−1: none)."""
+    """The steps, and the row that each reads (−1: none)."""
     xp = namespace(motion, model, nodes)
     line, channels, axes = motion.line, len(model.channels), motion.geometry.axis_count
     m = sum(c.model.processes.count for c in model.channels)
@@ -202,7 +202,7 @@ def _joint_steps(
         ]
         initial += [((both[:, None], both[None]), drawn * xp.ones((2, 2))), ((now, now), drawn + white)]
     observation = _observations(motion, nodes, at, model, n, channels + m)
-    # Rows of one segment follow one another without a step; what is within a segment has none of its own.
+    # No step lies between rows of one segment; steps within a segment have no row.
     source, row = _order(at, by_pieces)
     fresh = np.flatnonzero(np.diff(source, prepend=-1))
     still = np.broadcast_to(np.eye(n), (len(row), n, n))
@@ -217,7 +217,7 @@ def _joint_steps(
 
 
 def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Of every step of the filter the noise step that leads to it, and its row (−1: none)."""
+    """For every step of the filter its noise step and its row (−1: none)."""
     if not by_pieces:
         return at.row_segment, np.arange(len(at.row_segment))
     inner = np.setdiff1d(np.arange(at.last[-1] + 1), at.last)
@@ -228,7 +228,7 @@ def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
-    """Variance of the draw that each move of axis k makes, `(S,)`, and of the first one."""
+    """Variance of the encoder error that each move of axis k draws, `(S,)`, and of the first one."""
     xp = namespace(encoder, start, duration)
     at = np.flatnonzero(moves)
     end = start[-1:] + duration[-1:]
@@ -243,13 +243,13 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
     """H of every row, `(R, n)`."""
     xp, axes = namespace(nodes.axes_before, motion.line.duration), motion.geometry.axis_count
     before, after = motion.angles()
-    # Of an example of each kind: where its segment began, and how far it goes.
+    # For an example of each kind: begin and total angle of its segment.
     segment = np.repeat(np.arange(len(at.first)), at.last - at.first + 1)[motion.example]
     began, whole = before[at.first[segment]], (after[at.last] - before[at.first])[segment]
 
     def of_group(g: BodyGroup):
         begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
-        # How far the axis is on its way: what its error is between those of its two standstills.
+        # The share of the move that is completed interpolates the error between the two standstills.
         turns = motion.turns[motion.example[g.kinds]][:, None, :]
         stands = 1.0 if model.encoder.held else 0.5
         away = turns & (abs(span) > _RETURNS)

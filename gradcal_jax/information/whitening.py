@@ -1,4 +1,4 @@
-"""Whitening: a Kalman filter of the noise alone, run over every column of the regressors as if it were data.
+"""Whitening: a Kalman filter of the noise alone, applied to every column of the regressors as to data.
 
 With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ = V` the covariance of all readings) costs O(N·n²·p) with a
 handful of noise states `n`. Written for the state *before* each reading, `P_k` its covariance and `F`, `Q` the step
@@ -7,17 +7,16 @@ that follows reading k,
     S = H P Hᵀ + R,   g = F P Hᵀ/S,   A = F − g H,   P⁺ = F (P − P Hᵀ H P/S) Fᵀ + Q
     x⁺ = A x + g y,   row = (y − H x)/√S
 
-The readings are cut into `B` blocks of `K`, so that nothing walks through N small steps:
+The readings are divided into `B` blocks of `K`, which avoids a sequence of N small steps:
 
-1. **Covariances first**, without data. From a *known* state at its start every block finds, all blocks side by side,
-   what it does to a covariance: `P → Ψ (P⁻¹ + TᵀT)⁻¹ Ψᵀ + P₀`. A short recursion over the blocks gives that at
-   every start, and a second pass through the blocks the covariance at every reading: the exact one, not a steady one.
-2. **Then the data**, for which the filter is a linear recurrence with known coefficients. What a block does to its end
-   is one small product, `x → Ψx + E y`; a short recurrence over the blocks gives every start, and one pass the rows.
+1. **Covariances first**, without data. From a *known* state at its start every block, in parallel, computes its map of
+   covariances `P → Ψ (P⁻¹ + TᵀT)⁻¹ Ψᵀ + P₀`. A short recursion over the blocks gives the covariance at every start, and
+   a second pass through the blocks that at every reading: the exact one, not the steady state.
+2. **Then the data**, for which the filter is a linear recurrence with known coefficients. The map of a block is one
+   small product, `x → Ψx + E y`; a short recurrence over the blocks gives every start, and one pass the rows.
 
-Nothing is approximated and any timing is allowed. Derivatives of `rowsᵀ rows` need none of this a second time: see
-`information.adjoint`. Where there is machine code for it (`information.native`), the readings are gone through one by
-one instead.
+Nothing is approximated and any timing is allowed. Derivatives of `rowsᵀ rows` do not differentiate the filter: see
+`information.adjoint`. Where machine code is available (`information.native`), it takes the readings one by one instead.
 """
 
 from collections.abc import Iterable
@@ -43,7 +42,7 @@ SINGLE_PRECISION = (
 
 
 class FilterState(NamedTuple):
-    """What goes from one stretch of readings to the next: every column's state, and the covariance of all."""
+    """The filter's state between stretches of readings: the state of every column, and their common covariance."""
 
     mean: Float[AnyArray, "n p"]
     covariance: Float[AnyArray, "n n"]
@@ -53,8 +52,8 @@ def whiten(steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, block: int | N
     """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings.
 
     The row of a reading that is not used is zero. `block`: K, by default about √N, or none in machine code. To
-    differentiate what follows from the rows' product, use `gram` or `whitened_factor`: several times quicker, and exact
-    for singular noise, too.
+    differentiate functions of the rows' product, use `gram` or `whitened_factor`: several times faster, and exact for
+    singular noise, too.
     """
     zeros = namespace(columns).zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype)
     return whiten_from(FilterState(zeros, steps.initial), steps, columns, block=block)[0]
@@ -63,7 +62,7 @@ def whiten(steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, block: int | N
 def whiten_from(
     state: FilterState, steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, block: int | None = None
 ) -> tuple[Float[AnyArray, "N p"], FilterState]:
-    """As `whiten`, from a given state and returning the next: long logs go through in tiles."""
+    """As `whiten`, from a state and with the next state as second result, for long logs in tiles."""
     if block is None and namespace(state, steps, columns) is np:
         return _by_value(state, steps, columns)
     if block is None and native(steps, columns, *state) is not None:
@@ -79,13 +78,13 @@ def _in_blocks(
 
 
 def _by_value(state: FilterState, steps: NoiseSteps, columns: np.ndarray) -> tuple[np.ndarray, FilterState]:
-    """NumPy's arrays: by machine code where that is at hand or worth while."""
+    """For NumPy's arrays: by machine code where it is available or pays."""
     code = plain(len(state.mean), len(columns))
     if code is not None:
         rows, *after = code(*state, steps, columns)
         return rows, FilterState(*after)
-    found = filter_readings(*state, steps, columns)
-    return found.rows, FilterState(found.mean, found.covariance)
+    readings = filter_readings(*state, steps, columns)
+    return readings.rows, FilterState(readings.mean, readings.covariance)
 
 
 def _natively(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:
@@ -108,7 +107,7 @@ def _quickly_jvp(primals, tangents):
     return jax.jvp(partial(whiten_from, block=block_length(len(primals[2]))), primals, tangents)
 
 
-# --- small matrices whose entries are whole arrays: `(i, j, …)` ------------------------------------------------------
+# --- small matrices with arrays as entries: `(i, j, …)` ------------------------------------------------------
 
 
 def total(terms: Iterable[Array]) -> Array:
@@ -140,7 +139,7 @@ def _congruence(a: Array, covariance: Array) -> Array:
 
 
 def _innovation(covariance: Array, h: Array, variance: Array | float, used: Array | bool = True):
-    """`P Hᵀ` and `1/(H P Hᵀ + R)`; zero where there is no reading, or one that is known beforehand."""
+    """`P Hᵀ` and `1/(H P Hᵀ + R)`; zero where there is no reading, or one without variance."""
     cross = applied(covariance, h)
     spread = jnp.sum(h * cross, axis=0) + variance
     useful = used & (spread > 0.0)
@@ -172,7 +171,7 @@ class Steps(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """The filter's pass over all columns. Arrays of every reading, time within a block first but for the large ones:
+    """The filter's pass over all columns. Arrays by reading, time within a block first except for the large ones:
 
     `states` x before each reading, of which `starts` are the blocks'; `covariance` P then, `cross` P Hᵀ; `closed` A,
     `gain` g, `per_std` 1/√S; `through` Ψ of each block; `end`: after the last reading.
@@ -190,7 +189,7 @@ class Filtered(NamedTuple):
 
 
 def cut(x: Array, length: int, fill: float | bool | np.ndarray, *, later: bool = False) -> Array:
-    """`(N, …)` to `(K, …, B)`, filled up at the end; `later`: one step later, for what follows a reading."""
+    """`(N, …)` to `(K, …, B)`, padded at the end; `later`: shifted by one step, for the step after a reading."""
     blocks = -(-x.shape[0] // length)
     x = x[1:] if later else x
     if missing := blocks * length - x.shape[0]:
@@ -200,7 +199,7 @@ def cut(x: Array, length: int, fill: float | bool | np.ndarray, *, later: bool =
 
 
 def block_length(count: int, asked: int | None = None) -> int:
-    """About √N; of the numbers near it the one that leaves the least to fill up."""
+    """The number near √N with the least padding."""
     if asked:
         return asked
     root = max(1.0, count**0.5)
@@ -211,8 +210,8 @@ def block_length(count: int, asked: int | None = None) -> int:
 def filter_columns(
     state: FilterState, steps: NoiseSteps, columns: Float[Array, "N p"], block: int | None, *, keep: bool = False
 ) -> Filtered:
-    """Everything but the derivative; `keep`: the states, too."""
-    # What is not traced may be NumPy's.
+    """The whole filter; `keep`: with the states before the readings."""
+    # Untraced arrays may be NumPy's.
     steps = jax.tree.map(jnp.asarray, steps)
     length = block_length(columns.shape[0], block)
     cut_steps = cut_up(steps, length)
@@ -227,7 +226,7 @@ def filter_columns(
 
 
 def cut_up(steps: NoiseSteps, length: int) -> Steps:
-    """Steps in blocks of so many readings."""
+    """Steps in blocks of `length` readings."""
     return Steps(
         cut(steps.observation, length, 0.0),
         cut(steps.reading_variance, length, 1.0),
@@ -238,14 +237,14 @@ def cut_up(steps: NoiseSteps, length: int) -> Steps:
 
 
 def cut_rows(x: Float[Array, " N *s"], length: int) -> Float[Array, "B K *s"]:
-    """Rows in blocks, filled up with zeros at the end."""
+    """Rows in blocks, padded with zeros at the end."""
     if missing := -x.shape[0] % length:
         x = jnp.concatenate([x, jnp.zeros((missing, *x.shape[1:]), x.dtype)])
     return jnp.reshape(x, (-1, length, *x.shape[1:]))
 
 
 def to_the_ends(closed: Float[Array, "K n n B"], gain: Float[Array, "K n B"]) -> tuple[Array, Array]:
-    """Ψ of each block `(n, n, B)`, and E, what each reading adds to the state at its block's end `(K, n, B)`."""
+    """Ψ of each block `(n, n, B)`, and E, the effect of each reading on the state at its block's end `(K, n, B)`."""
 
     def step(onward, now):
         a, g = now
@@ -268,8 +267,8 @@ def _covariances(steps: Steps, start: Float[Array, "n n"]) -> tuple[Float[Array,
         after = _congruence(now.transition, _updated(covariance, cross, reciprocal)) + now.noise
         return (after, times(now.transition, response)), _root(reciprocal)[None] * seen
 
-    # From a state known *after* the block's first reading on: known before it, a reading without noise would count
-    # as known beforehand, and what it says of the block's start would be lost.
+    # The state is known *after* the block's first reading: if it were known before, a reading without noise would have
+    # no variance, and its information about the block's start would be lost.
     first, others = jax.tree.map(lambda x: x[0], steps), jax.tree.map(lambda x: x[1:], steps)
     (own, response), rows = jax.lax.scan(from_known, (first.noise, first.transition), others)
 
@@ -294,7 +293,7 @@ def _covariances(steps: Steps, start: Float[Array, "n n"]) -> tuple[Float[Array,
 def _triangle(rows: Float[Array, "K n B"]) -> Float[Array, "n n B"]:
     """T with `TᵀT = AᵀA` for each block's `rows` A: Gram–Schmidt, twice.
 
-    A column that depends on the ones before (a state that the block does not see) gets a zero on the diagonal.
+    A column that depends on those before (a state that the block does not observe) has a zero on the diagonal.
     """
     count, n, blocks = rows.shape
     eps = jnp.finfo(rows.dtype).eps
@@ -334,7 +333,7 @@ def over_blocks(
     *,
     reverse: bool = False,
 ) -> tuple[Float[Array, "n B p"], Float[Array, "n p"]]:
-    """`x⁺ = Ψx + E y`, one step a block: x at the start of every block, and after the last."""
+    """`x⁺ = Ψx + E y`, one step for each block: x at the start of every block, and after the last."""
     added = jnp.transpose(effect, (2, 1, 0)) @ data
 
     def step(x, now):
@@ -346,7 +345,7 @@ def over_blocks(
 
 
 def _rows(steps: Steps, closed: Array, gain: Array, per_std: Array, data: Array, starts: Array, keep: bool):
-    """The pass over the data: whitened rows, and the states before the readings if they are to be kept."""
+    """The pass over the data: whitened rows, and the states before the readings if `keep`."""
 
     def step(carry, now):
         x, rows, states = carry

@@ -1,4 +1,4 @@
-"""Code for the very machine: made from C++ at first use, called by JAX on a CPU and by NumPy."""
+"""Machine code: compiled from C++ at first use, called by JAX on a CPU and by NumPy."""
 
 from gradcal_jax.machine.by_platform import by_platform, like, linear_with_transpose
 from gradcal_jax.machine.compiled import Compiled, NotCompiled, call, compiled, compiler, double_or_single, is_at_hand

@@ -1,4 +1,4 @@
-"""Functions that differ between CPUs and all other platforms, and linear ones whose transpose is told."""
+"""Functions that differ between CPUs and all other platforms, and linear ones with a transpose of their own."""
 
 from collections.abc import Callable
 from functools import partial
@@ -15,12 +15,12 @@ from gradcal_jax.machine.compiled import NotCompiled
 
 
 def like(x) -> jax.ShapeDtypeStruct:
-    """Shape and dtype of what JAX makes of an array: without its float64, NumPy's doubles become singles."""
+    """Shape and dtype of an array in JAX: without its float64 mode, NumPy's doubles become singles."""
     return jax.ShapeDtypeStruct(x.shape, canonicalize_dtype(x.dtype))
 
 
 class _Choice(NamedTuple):
-    """A call of a function of pytrees by their leaves, under so many `vmap`s (`batch`): what is no array in it."""
+    """Static part of a call of a function of pytrees by their leaves, under `batch` nested `vmap`s."""
 
     tree: Any
     results: tuple[jax.ShapeDtypeStruct, ...]
@@ -28,10 +28,10 @@ class _Choice(NamedTuple):
 
 
 class _Linear(NamedTuple):
-    """A call of a linear function: the first `known` of its leaves are given, the others what it is linear in.
+    """A call of a linear function: the first `known` of its leaves are constants, the others its operands.
 
-    `argument`, `results`: these leaves' shapes, and those of what it makes; `tree`, `shape`: the pytrees that they are
-    leaves of. `transposed`: whether it is the transpose that is called, whose argument has `results`' shapes.
+    `argument`, `results`: shapes of operands and results; `tree`, `shape`: their pytrees. `transposed`: the transpose
+    is called, whose argument has the shapes of `results`.
     """
 
     linear: Callable[..., Any]
@@ -45,31 +45,31 @@ class _Linear(NamedTuple):
     batch: int = 0
 
     @property
-    def made(self) -> tuple[jax.ShapeDtypeStruct, ...]:
+    def output(self) -> tuple[jax.ShapeDtypeStruct, ...]:
         return self.argument if self.transposed else self.results
 
-    def by_leaves(self, *leaves, told: bool = True) -> list[jax.Array]:
-        """What it makes of one problem. Not `told`: the transpose as JAX derives it."""
-        known, given = leaves[: self.known], leaves[self.known :]
+    def by_leaves(self, *leaves, supplied: bool = True) -> list[jax.Array]:
+        """The output's leaves for one problem; not `supplied`: with the transpose that JAX derives."""
+        known, operands = leaves[: self.known], leaves[self.known :]
 
         def linear(*argument):
             return jax.tree.leaves(self.linear(*jax.tree.unflatten(self.tree, (*known, *argument))))
 
         if not self.transposed:
-            return linear(*given)
-        if not told:
-            return list(jax.linear_transpose(linear, *self.argument)(list(given)))
+            return linear(*operands)
+        if not supplied:
+            return list(jax.linear_transpose(linear, *self.argument)(list(operands)))
         # (The argument's leaves are there for the tree alone.)
         first, _ = jax.tree.unflatten(self.tree, (*known, *self.argument))
-        return jax.tree.leaves(self.transpose(first, jax.tree.unflatten(self.shape, given)))
+        return jax.tree.leaves(self.transpose(first, jax.tree.unflatten(self.shape, operands)))
 
 
 def by_platform(name: str, on_cpu: Callable[..., Any], elsewhere: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of `results`, what `like` says of them, and the pytrees of arrays that both functions take.
+    """A function of `results` (their `like`) and of the pytrees of arrays that both functions take.
 
-    The choice is made as a program is lowered, and what its platform does not need is not even traced:
-    `jax.lax.platform_dependent` would trace both. `elsewhere` is also what a CPU does where `on_cpu` raises
-    `NotCompiled`. It goes through `vmap`; a derivative is the caller's to tell.
+    The choice is made when a program is lowered, and the other function is not traced (`jax.lax.platform_dependent`
+    would trace both). A CPU uses `elsewhere`, too, where `on_cpu` raises `NotCompiled`. `vmap` is supported; the caller
+    defines its derivatives.
     """
 
     def here(*arguments):
@@ -88,18 +88,18 @@ def by_platform(name: str, on_cpu: Callable[..., Any], elsewhere: Callable[..., 
     def call(results, *arguments):
         leaves, tree = jax.tree.flatten(arguments)
         shapes, shape_of_all = jax.tree.flatten(results)
-        made = primitive.bind(*map(jnp.asarray, leaves), how=_Choice(tree, tuple(shapes)))
-        return jax.tree.unflatten(shape_of_all, made)
+        output = primitive.bind(*map(jnp.asarray, leaves), how=_Choice(tree, tuple(shapes)))
+        return jax.tree.unflatten(shape_of_all, output)
 
     return call
 
 
 def linear_with_transpose(linear: Callable, transpose: Callable, known, argument, results):
-    """`linear(known, argument)`, a function linear in the second of two pytrees, whose transpose is told, not derived.
+    """`linear(known, argument)`, linear in the second of two pytrees, with a transpose of its own.
 
-    `transpose(known, cotangent)` makes a pytree like `argument`; `results`: what `like` says of those of `linear`. Both
-    are functions of a module: programs that were compiled are found by them. Derivatives of the transpose itself are
-    those of the transpose that JAX derives from `linear`, and nothing is traced that no derivative asks for.
+    `transpose(known, cotangent)` returns a pytree like `argument`; `results`: `like` of the results of `linear`. Both
+    must be functions of a module, since they are keys of the cache of compiled programs. Derivatives of the transpose
+    are those of the one that JAX derives from `linear`, which is traced only if a derivative needs it.
     """
     first, (leaves, tree) = jax.tree.leaves(known), jax.tree.flatten((known, argument))
     shapes, shape = jax.tree.flatten(results)
@@ -109,14 +109,14 @@ def linear_with_transpose(linear: Callable, transpose: Callable, known, argument
     return jax.tree.unflatten(shape, _linear.bind(*leaves, how=how))
 
 
-def _primitive(name: str, by_leaves: Callable[[Any], Callable[..., list]], made: Callable[[Any], tuple]) -> Primitive:
-    """A primitive with one parameter, `how`: `by_leaves(how)` for one problem, `made(how)` what that makes."""
+def _primitive(name: str, by_leaves: Callable[[Any], Callable[..., list]], output: Callable[[Any], tuple]) -> Primitive:
+    """A primitive with one parameter, `how`: `by_leaves(how)` for one problem, `output(how)` its results' shapes."""
     primitive = Primitive(name)
     primitive.multiple_results = True
 
     def shapes(*leaves, how):
         sizes = leaves[0].shape[: how.batch]
-        return [ShapedArray((*sizes, *x.shape), x.dtype) for x in made(how)]
+        return [ShapedArray((*sizes, *x.shape), x.dtype) for x in output(how)]
 
     def batched(leaves, where, *, how):
         size = next(x.shape[at] for x, at in zip(leaves, where, strict=True) if at is not None)
@@ -144,33 +144,33 @@ def _each(one: Callable[..., list], how) -> Callable[..., list]:
 def _transposed(cotangents, *leaves, how: _Linear):
     asked = [ad.is_undefined_primal(x) for x in leaves[how.known :]]
     cotangents = map(ad.instantiate_zeros, cotangents)
-    made = _linear.bind(*leaves[: how.known], *cotangents, how=how._replace(transposed=not how.transposed))
-    return [None] * how.known + [x if wanted else None for x, wanted in zip(made, asked, strict=True)]
+    output = _linear.bind(*leaves[: how.known], *cotangents, how=how._replace(transposed=not how.transposed))
+    return [None] * how.known + [x if wanted else None for x, wanted in zip(output, asked, strict=True)]
 
 
 def _differentiated(leaves, tangents, *, how: _Linear):
-    """The product rule: what is linear goes through, what is given is differentiated by JAX."""
+    """The product rule: the linear operands pass through, JAX differentiates the known leaves."""
     values = _linear.bind(*leaves, how=how)
-    known, given, d_known, d_given = (
+    known, operands, d_known, d_operands = (
         x[cut] for x in (leaves, tangents) for cut in (slice(how.known), slice(how.known, None))
     )
     moves = [k for k, d in enumerate(d_known) if type(d) is not ad.Zero]
-    made = [jnp.zeros_like(x) for x in values]
-    if any(type(d) is not ad.Zero for d in d_given):
-        made = _linear.bind(*known, *map(ad.instantiate_zeros, d_given), how=how)
+    tangent = [jnp.zeros_like(x) for x in values]
+    if any(type(d) is not ad.Zero for d in d_operands):
+        tangent = _linear.bind(*known, *map(ad.instantiate_zeros, d_operands), how=how)
 
     def of_known(*varying):
         whole = list(known)
         for k, x in zip(moves, varying, strict=True):
             whole[k] = x
-        return _each(partial(how.by_leaves, told=False), how)(*whole, *given)
+        return _each(partial(how.by_leaves, supplied=False), how)(*whole, *operands)
 
     if moves:
         _, more = jax.jvp(of_known, [known[k] for k in moves], [d_known[k] for k in moves])
-        made = [a + b for a, b in zip(made, more, strict=True)]
-    return values, made
+        tangent = [a + b for a, b in zip(tangent, more, strict=True)]
+    return values, tangent
 
 
-_linear = _primitive("gradcal_linear", lambda how: how.by_leaves, lambda how: how.made)
+_linear = _primitive("gradcal_linear", lambda how: how.by_leaves, lambda how: how.output)
 ad.primitive_transposes[_linear] = _transposed
 ad.primitive_jvps[_linear] = _differentiated

@@ -1,9 +1,9 @@
-"""C++ that the machine's own compiler makes at first use, and that the user's cache folder keeps.
+"""C++ code that the machine's own compiler compiles at first use, and that the user's cache folder keeps.
 
-It works beside whatever asks for its code: a program is waited for where it is lowered, not where it is traced.
+The compiler runs in parallel to the caller: the code is awaited when a program is lowered, not when it is traced.
 
-Without a compiler, in programs for other devices, or with `GRADCAL_NATIVE=0` XLA computes the same: several times
-slower, and equal but for rounding.
+Without a compiler, in programs for other devices, or with `GRADCAL_NATIVE=0` XLA computes the same several times
+slower, equal up to rounding.
 """
 
 import ctypes
@@ -29,43 +29,43 @@ from jaxtyping import Array
 
 from gradcal_jax.cache import cache_folder
 
-# What all sources include.
+# Folder of the headers that all sources include.
 _HEADERS = Path(__file__).parent
-# Contractions to fused products stay on; nothing that reorders sums.
+# Fused multiply-add stays on; no option that reorders sums.
 _OPTIONS = ("-std=gnu++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-w", "-shared", "-fPIC")
 _LONGEST_S = 120.0
-# C++'s names of the precisions that there is code for.
+# C++ names of the supported precisions.
 _REAL = {"float32": "float", "float64": "double"}
 _ONE_AT_A_TIME = threading.Lock()
 _BESIDE = ThreadPoolExecutor(2, "gradcal-compiler")
 
 
 class NotCompiled(Exception):
-    """There is a compiler, and it cannot; a warning has said so."""
+    """The compiler failed; a warning was issued."""
 
 
 class Library(NamedTuple):
-    """What is loaded, and the names under which JAX finds the functions that were asked for."""
+    """The loaded library, and the names of its functions in JAX."""
 
     loaded: ctypes.CDLL
     names: tuple[str, ...]
 
 
 class Compiled(NamedTuple):
-    """A source's functions, of which the compiler may still be making some."""
+    """The functions of a source whose compilation may still be running."""
 
     work: "Future[Library]"
     what: str
 
     def wait(self) -> Library:
-        """The library. Raises `NotCompiled`, once a warning has said why of `what`."""
+        """The library. Raises `NotCompiled` after a warning that names `what` and the reason."""
         try:
             return self.work.result()
         except (OSError, subprocess.SubprocessError) as e:
-            told = getattr(e, "stderr", None)
+            output = getattr(e, "stderr", None)
             warnings.warn(
                 f"{self.what} could not be compiled, so JAX computes it, several times slower: {e}"
-                f"{': ' + told.strip()[-500:] if told else ''} (CXX names another compiler; GRADCAL_NATIVE=0 tries "
+                f"{': ' + output.strip()[-500:] if output else ''} (CXX names another compiler; GRADCAL_NATIVE=0 tries "
                 "none)",
                 RuntimeWarning,
                 stacklevel=2,
@@ -74,13 +74,13 @@ class Compiled(NamedTuple):
 
 
 def double_or_single(*arrays) -> str | None:
-    """C++'s name of the precision of all arrays, as JAX makes it of them; None where there are several, or others."""
+    """C++ name of the precision of all arrays in JAX; None where they differ or it is not supported."""
     kinds = {canonicalize_dtype(x.dtype).name for x in arrays}
     return _REAL.get(kinds.pop()) if len(kinds) == 1 else None
 
 
 def compiled(source: Path, *definitions: str, symbols: tuple[str, ...], what: str) -> Compiled | None:
-    """Have a source compiled, unless that was done before. None where there is no compiler."""
+    """Start compilation of a source, once; None without a compiler."""
     if os.environ.get("GRADCAL_NATIVE") == "0" or os.name != "posix":
         return None
     with _ONE_AT_A_TIME:
@@ -94,10 +94,10 @@ def _begun(source: Path, definitions: tuple[str, ...], symbols: tuple[str, ...],
 
 
 def call(name: str, shapes, arguments) -> list[Array]:
-    """What a registered function makes of arrays: results of these shapes, of the precision of the first argument."""
+    """Results of a registered function, with these shapes and the precision of the first argument."""
     dtype = canonicalize_dtype(arguments[0].dtype)
     results = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
-    # The code takes bytes as they come: whatever JAX would still convert is converted here.
+    # The code reads raw bytes, so that conversions of JAX have to happen here.
     alike = [x if x.dtype == bool else jnp.asarray(x, dtype) for x in arguments]
     return list(jax.ffi.ffi_call(name, results, vmap_method="broadcast_all")(*alike))
 
@@ -106,12 +106,12 @@ def compiler() -> list[str] | None:
     """The command of the machine's C++ compiler, or None."""
     if named := os.environ.get("CXX"):
         return shlex.split(named)
-    found = next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
-    return None if found is None else [found]
+    command = next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
+    return None if command is None else [command]
 
 
 def _library(command: list[str], source: Path, definitions: tuple[str, ...], symbols: tuple[str, ...]) -> Library:
-    """The compiled functions, made known to JAX by names of their own."""
+    """The compiled functions, registered in JAX by unique names."""
     loaded, key = _loaded(command, source, definitions)
     names = tuple(f"{symbol}_{key}" for symbol in symbols)
     for name, symbol in zip(names, symbols, strict=True):
@@ -120,7 +120,7 @@ def _library(command: list[str], source: Path, definitions: tuple[str, ...], sym
 
 
 def is_at_hand(source: Path, *definitions: str) -> bool:
-    """Whether the cache folder has a source's functions, so that no compiler is waited for."""
+    """Whether the cache folder has a source's functions, without waiting for a compiler."""
     if os.environ.get("GRADCAL_NATIVE") == "0" or os.name != "posix" or (command := compiler()) is None:
         return False
     path, _ = _place(tuple(command), source, definitions)
@@ -129,7 +129,7 @@ def is_at_hand(source: Path, *definitions: str) -> bool:
 
 @functools.cache
 def _place(command: tuple[str, ...], source: Path, definitions: tuple[str, ...]) -> tuple[Path | None, str]:
-    """Where the cache folder keeps a library, and what tells it from all others."""
+    """The path of a library in the cache folder, and its unique key."""
     texts = [path.read_text() for path in (source, *sorted(_HEADERS.glob("*.h")))]
     parts = (*texts, version("jaxlib"), *command, _version(*command), *_OPTIONS, *definitions, _processor())
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
@@ -138,31 +138,31 @@ def _place(command: tuple[str, ...], source: Path, definitions: tuple[str, ...])
 
 
 def _loaded(command: list[str], source: Path, definitions: tuple[str, ...]) -> tuple[ctypes.CDLL, str]:
-    """The compiled functions, from the cache folder if they are there, and what tells them from all others."""
+    """The compiled functions, from the cache folder if they are there, and their unique key."""
     path, key = _place(tuple(command), source, definitions)
     if path is None:
         with tempfile.TemporaryDirectory() as alone:
-            return ctypes.CDLL(str(_make(command, source, definitions, Path(alone) / f"{source.stem}.so"))), key
+            return ctypes.CDLL(str(_compile(command, source, definitions, Path(alone) / f"{source.stem}.so"))), key
     if path.exists():
         try:
             return ctypes.CDLL(str(path)), key
-        except OSError:  # Cut short, by a full disk perhaps: made again.
+        except OSError:  # Truncated, by a full disk perhaps: compiled again.
             path.unlink(missing_ok=True)
-    return ctypes.CDLL(str(_make(command, source, definitions, path))), key
+    return ctypes.CDLL(str(_compile(command, source, definitions, path))), key
 
 
-def _make(command: list[str], source: Path, definitions: tuple[str, ...], path: Path) -> Path:
-    """Make `path`, at once and whole. Code for this very processor, unless the compiler does not know how."""
+def _compile(command: list[str], source: Path, definitions: tuple[str, ...], path: Path) -> Path:
+    """Compile to `path`, atomically; for this processor unless the compiler does not support that."""
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
-        made = Path(scratch) / path.name
+        library = Path(scratch) / path.name
         folders = [f"-I{jax.ffi.include_dir()}", f"-I{_HEADERS}"]
-        whole = [*command, *_OPTIONS, *definitions, *folders, str(source), "-o", str(made)]
+        whole = [*command, *_OPTIONS, *definitions, *folders, str(source), "-o", str(library)]
         for tuned in (["-march=native"], []):
             done = subprocess.run([*whole, *tuned], capture_output=True, text=True, check=False, timeout=_LONGEST_S)
             if done.returncode == 0:
                 break
         done.check_returncode()
-        made.replace(path)
+        library.replace(path)
     return path
 
 
@@ -173,10 +173,10 @@ def _version(*command: str) -> str:
 
 
 def _processor() -> str:
-    """What code for this very processor depends on: a home folder may be shared by unlike machines."""
+    """Identification of the processor: machines with different ones may share a home folder."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         lines = []
-    told = next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
-    return f"{platform.system()} {platform.machine()} {told}"
+    features = next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+    return f"{platform.system()} {platform.machine()} {features}"

@@ -44,9 +44,9 @@ void sums(const Sums& s, Real* out) {
   }
 }
 
-// Cotangents of x, y and weight for `given`, that of the sums.
-void pull(const Sums& s, const Real* given, Real* of_x, Real* of_y, Real* of_weight) {
-  for (int64_t k = 0; k < s.pieces; ++k, given += s.first * s.second)
+// Cotangents of x, y and weight for `of_sums`, that of the sums.
+void pull(const Sums& s, const Real* of_sums, Real* of_x, Real* of_y, Real* of_weight) {
+  for (int64_t k = 0; k < s.pieces; ++k, of_sums += s.first * s.second)
     for_panels(s.nodes, [&](int64_t c, int64_t left, auto whole) {
       const int64_t at = k * s.nodes + c * LANES;
       const Vec w = load(s.weight + at, left, whole);
@@ -58,8 +58,8 @@ void pull(const Sums& s, const Real* given, Real* of_x, Real* of_y, Real* of_wei
       for (int64_t a = 0; a < s.first; ++a) {
         Vec across = {}, steep = {};
         for (int64_t b = 0; b < s.second; ++b) {
-          across += given[a * s.second + b] * u[b];
-          steep += given[a * s.second + b] * u_slopes[b];
+          across += of_sums[a * s.second + b] * u[b];
+          steep += of_sums[a * s.second + b] * u_slopes[b];
         }
         by_weight += t[a] * across;
         by_x += t_slopes[a] * across;

@@ -1,7 +1,7 @@
-"""Sums that XLA is slow at on a CPU: running ones, and those of products of Legendre polynomials.
+"""Sums that are slow in XLA on a CPU: running sums, and sums of products of Legendre polynomials.
 
-The columns of every polynomial map are such sums. Written by XLA they cost a search more than the filter does: a matrix
-product for each piece, polynomials that go through memory several times, products with triangles.
+The columns of every polynomial map are such sums. In XLA they would take a search longer than the filter: a matrix
+product for each piece, several passes of the polynomials through memory, products with triangles.
 """
 
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from gradcal_jax.machine.by_platform import by_platform, like, linear_with_trans
 from gradcal_jax.machine.compiled import Compiled, call, compiled, double_or_single
 
 _SOURCE = Path(__file__).with_name("sums.cc")
-# Numbers of polynomials that there is room for, as there.
+# Largest number of polynomials, as in `sums.cc`.
 _MOST = 16
-# Fewer rows are soon summed by XLA.
+# XLA sums fewer rows as fast.
 _FEW = 64
 
 
 @jax.tree_util.register_static
 @dataclass(frozen=True)
 class _Sizes:
-    """Numbers of polynomials: structure, which goes where arrays go."""
+    """Numbers of polynomials, static in a pytree."""
 
     first: int
     second: int
@@ -86,7 +86,7 @@ def _pulled_by_xla(nodes: list[Array], of_sums: Array) -> list[Array]:
 
 
 def running_sum(values: Float[Array, " N *c"]) -> Float[Array, " N *c"]:
-    """Sums of all rows up to each one, that one included."""
+    """Sums of all rows up to and including each one."""
     if values.shape[0] < _FEW or not values.size or _code(values) is None:
         return _running_by_xla(values)
     return linear_with_transpose(_running, _running_back, (), values, like(values))
@@ -101,7 +101,7 @@ def _running_back(known: tuple[()], of_sums: Array) -> Array:
 
 
 def _running_by_xla(values: Array) -> Array:
-    """JAX's own costs a CPU a window of 128 rows for each; two products with triangles of about √N rows cost little."""
+    """Two products with triangles of about √N rows: JAX's own sum costs a CPU a window of 128 rows for each row."""
     count = values.shape[0]
     length = max(1, round(count**0.5))
     blocks = -(-count // length)
@@ -123,7 +123,7 @@ def _code(*arrays: Array) -> Compiled | None:
 
 
 def begin_sums(real: str = "double") -> Compiled | None:
-    """Have the compiler begin with these sums, which every prediction asks for. None where there is none."""
+    """Start compilation of these sums, which every prediction needs; None without a compiler."""
     return compiled(_SOURCE, f"-DREAL={real}", symbols=_SYMBOLS, what="the sums of columns")
 
 

@@ -1,8 +1,8 @@
-"""Bases: one thing with interchangeable forms.
+"""Bases: functions of one variable in interchangeable forms.
 
-A basis turns a temperature (°C) or a rate (rad/s) into the values of its functions. The *engine* computes in
-coordinates that are well conditioned (Legendre or Chebyshev); people read *reported* coefficients (the paper's
-normalised monomials). `to_reported @ engine = reported` connects them.
+A basis maps a temperature (°C) or a rate (rad/s) to the values of its functions. The *engine* computes in
+well-conditioned coordinates (Legendre or Chebyshev); *reported* coefficients are those of the paper's normalised
+monomials. `to_reported @ engine = reported` connects them.
 """
 
 from functools import lru_cache
@@ -41,18 +41,18 @@ class Basis(PytreeModule):
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Where the functions are not smooth; a quadrature must not step over these."""
+        """Points at which the functions are not smooth; a quadrature must not extend across them."""
         return ()
 
     @property
     def has_neighbours(self) -> bool:
-        """Whether coefficients belong to places, so that those of neighbouring places ought to be alike."""
+        """Whether coefficients belong to places, so that neighbouring ones should be similar."""
         return False
 
 
 @lru_cache(maxsize=64)
 def _monomials(degree: int, internal: str) -> np.ndarray:
-    """`(size, size)`: coefficients of orthogonal polynomials to those of monomials; one array for all who ask."""
+    """`(size, size)`: coefficients of orthogonal polynomials to those of monomials; a shared read-only array."""
     convert = np_legendre.leg2poly if internal == "legendre" else np_chebyshev.cheb2poly
     matrix = np.zeros((degree + 1, degree + 1))
     for k, unit in enumerate(np.eye(degree + 1)):
@@ -152,7 +152,7 @@ class Bins(Basis):
 class HigherPolynomials(Basis):
     """The Legendre polynomials that a model of lower degree leaves out: `lowest … degree` in `(x − centre)/scale`.
 
-    What a wrong structure may hide is described by these with a prior; they are never reported.
+    With a prior they describe the structure that a model lacks; they are never reported.
     """
 
     lowest: int = eqx.field(static=True)
@@ -164,7 +164,7 @@ class HigherPolynomials(Basis):
         return self.from_zero(x)[..., self.lowest :]
 
     def from_zero(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... all"]:
-        """All Legendre polynomials in order, those of the model first; there are at least `lowest` of them."""
+        """All Legendre polynomials in order, those of the model first; at least `lowest` of them."""
         return formulas.legendre((x - self.centre) / self.scale, max(self.degree, self.lowest - 1))
 
     @property

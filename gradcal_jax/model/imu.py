@@ -1,4 +1,4 @@
-"""The model of a whole unit: a channel for each gyro and accelerometer, and the installation that all of them see.
+"""The model of a whole unit: a channel for each gyro and accelerometer, and the installation common to all.
 
 Row of a channel i over a segment of the motion (a rest, or one move of one axis), in body components:
 
@@ -31,8 +31,8 @@ KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
 class Channel(PytreeModule):
     """A gyro or an accelerometer along the body's axis `axis`, with its own terms and noise (`model`).
 
-    An accelerometer's noise is as a gyro's with m/s in the place of rad. A gyro is read always, an accelerometer
-    at rest and on moves no faster than `read_below` rad/s.
+    An accelerometer's noise is that of a gyro with m/s instead of rad. A gyro is always read, an accelerometer at rest
+    and on moves no faster than `read_below` rad/s.
     """
 
     model: SensorModel
@@ -46,16 +46,16 @@ class Channel(PytreeModule):
 
     @property
     def index(self) -> int:
-        """Its place among three gyros and three accelerometers."""
+        """Its index among three gyros and three accelerometers."""
         return self.axis + 3 * KINDS.index(self.kind)
 
 
 class EncoderNoise(PytreeModule):
     """Error of each of `L` encoders, rad.
 
-    A table that is `held` has one draw for each standstill, of variance `offset² + reading²/n` with n readings in it,
-    `every` s apart, one at its beginning. Otherwise the angle is not known to stand: it is what every reading says, one
-    at the end of each segment, with one draw of `offset` for a standstill and one of `reading` for a reading.
+    For a table that is `held` the error is drawn once for each standstill, with variance `offset² + reading²/n` for its
+    n readings, `every` s apart from its beginning on. Otherwise the angle may change at rest and is read at the end of
+    each segment; `offset` is then drawn for each standstill and `reading` for each reading.
     """
 
     offset: Float[AnyArray, " L"]
@@ -77,7 +77,7 @@ class UnitModel(PytreeModule):
 
     @property
     def calibrated(self) -> int:
-        """How many parameters, the first ones, are the unit's own; those after are of its installation."""
+        """Number of the unit's own parameters, which precede those of its installation."""
         return sum(c.model.size for c in self.channels)
 
     @property
@@ -86,7 +86,7 @@ class UnitModel(PytreeModule):
         return self.calibrated + sum(term.size for term in self.installation)
 
     def where(self, kind: ChannelKind, axis: int, term: str | None = None) -> slice:
-        """Where the parameters of a channel, or of a term of it, stand; empty where there are none."""
+        """Indices of the parameters of a channel, or of one of its terms; empty where there are none."""
         begin = 0
         for c in self.channels:
             if (c.kind, c.axis) == (kind, axis):
@@ -116,8 +116,8 @@ class UnitModel(PytreeModule):
         return block_diagonal([*blocks, np.eye(self.size - self.calibrated)])
 
     def columns(self, nodes: BodyNodes) -> tuple[list[AnyArray], Float[AnyArray, "K 6 i"]]:
-        """What each parameter's unit adds, rad or m/s: of each channel `(P, own)` over every piece (zero over moves for
-        one that is read at rest alone), of the installation over a piece of each kind.
+        """Contribution of each parameter's unit, rad or m/s: for each channel `(P, own)` over every piece (zero over
+        moves if it is read at rest only), for the installation over a piece of each kind.
         """
         own = self.own_columns(nodes)
         xp = namespace(own, nodes.angle_before)
@@ -125,8 +125,8 @@ class UnitModel(PytreeModule):
         return own, xp.concatenate([none, *(term.columns(nodes) for term in self.installation)], axis=-1)
 
     def own_columns(self, nodes: BodyNodes) -> list[AnyArray]:
-        """Of `columns`, those of each channel: what its own parameters' unit adds over every piece, `(P, own)`."""
-        # Terms with the same functions of temperature are integrated at once, those of all channels together.
+        """The columns of each channel's own parameters over every piece, `(P, own)`."""
+        # Terms of all channels with the same functions of temperature are integrated together.
         ends, begin = [], 0
         parts: list[tuple] = []
         alike: list[dict[Basis, list[tuple[np.ndarray, AnyArray]]]] = [{} for _ in nodes.groups]
@@ -150,13 +150,11 @@ class UnitModel(PytreeModule):
                 drive = namespace(group.weight).concatenate([d for _, d in terms], axis=-1)
                 places = np.concatenate([at for at, _ in terms], axis=1).ravel()
                 parts.append(((group.pieces[:, None], places), shared.sums(basis(group.temperature), drive)))
-        found = placed((len(nodes.kind), begin), *parts)
-        return [found[:, a:b] for a, b in pairwise([0, *ends])]
+        columns = placed((len(nodes.kind), begin), *parts)
+        return [columns[:, a:b] for a, b in pairwise([0, *ends])]
 
     def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p p"] | None:
-        """S with `columns at T + by = (columns at T) S`, one for each `by` (K); None where functions of temperature are
-        no polynomials.
-        """
+        """S with `columns at T + by = (columns at T) S` for each `by` (K); None unless all are polynomials of T."""
         result, known = np.tile(np.eye(self.size), (len(by), 1, 1)), {}
         begin = 0
         for term in (term for c in self.channels for term in c.model.terms):
@@ -174,6 +172,6 @@ class UnitModel(PytreeModule):
         return result
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
-        """Whitened rows of everything known beforehand."""
+        """Whitened rows of the priors."""
         blocks = [c.model.prior_rows() for c in self.channels]
         return block_diagonal(blocks + [namespace(self).diag(1.0 / term.stds) for term in self.installation])

@@ -1,4 +1,4 @@
-"""Installation terms: small errors of table, mounting, site and clock, which every channel of the unit sees.
+"""Installation terms: small errors of table, mounting, site and clock, common to all channels of the unit.
 
 Each is a small rotation p (body components) inserted at a stage of the table (`trajectory.geometry`), which adds
 `ω_outer × p + ṗ` to the rate and `f × p` to the specific force, or a common scale. Their columns are shared by all
@@ -13,10 +13,11 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyGroup, BodyNodes
+from gradcal_jax.model.terms import waves
 
 
 class InstallationTerm(PytreeModule):
-    """An error that all channels see, linear in `size` parameters with independent priors `stds`."""
+    """An error common to all channels, linear in `size` parameters with independent priors `stds`."""
 
     stds: eqx.AbstractVar[AnyArray]
 
@@ -35,18 +36,18 @@ class InstallationTerm(PytreeModule):
 
     @abstractmethod
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 size"]:
-        """What each parameter's unit adds to the integrals of all channels over a piece of each kind, rad and m/s."""
+        """Contribution of each parameter's unit to all channels' integrals over a piece of each kind, rad and m/s."""
 
 
 def seen(group: BodyGroup, p: Float[AnyArray, "U q m 3"], outer: Float[AnyArray, "U q #m 3"]) -> AnyArray:
-    """What inserted rotations add to rate and force at the nodes, `(U, q, 6, m)`; ṗ apart."""
+    """Contribution of inserted rotations to rate and force at the nodes, without ṗ, `(U, q, 6, m)`."""
     xp = namespace(p, outer)
     both = xp.concatenate([cross(outer, p), cross(group.force[..., None, :], p)], axis=-1)
     return xp.swapaxes(both, -1, -2)
 
 
 class BaseTilt(InstallationTerm):
-    """How the base stands, rad: rotations about East and North (tilt) and about the vertical (azimuth)."""
+    """Error of the base's attitude, rad: rotations about East and North (tilt) and about the vertical (azimuth)."""
 
     stds: Float[AnyArray, " 3"]
 
@@ -54,14 +55,14 @@ class BaseTilt(InstallationTerm):
         return ["tilt_east", "tilt_north", "azimuth"]
 
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 3"]:
-        # Column j of Rᵀ is row j of R. A turn about the vertical changes no force: not even rounding may tell of it.
+        # Column j of Rᵀ is row j of R. A rotation about the vertical changes no force: exact zeros, no rounding.
         whole = np.ones((1, 1, 6, 3))
         whole[..., 3:, 2] = 0.0
         return nodes.integrals(lambda g: g.integral(whole * seen(g, g.attitude, g.earth[..., None, :])), (6, 3))
 
 
 class NonOrthogonality(InstallationTerm):
-    """Angles (rad) by which neighbouring axes, outermost first, are not as far apart as the drawing says."""
+    """Non-orthogonality of neighbouring axes, outermost first: deviation (rad) of their angle from the drawing."""
 
     stds: Float[AnyArray, " J"]
     axis_names: tuple[str, ...] = eqx.field(static=True)
@@ -88,28 +89,23 @@ class AxisHarmonics(InstallationTerm):
     def names(self) -> list[str]:
         return [f"angle_{self.axis_name}_{wave}{order}" for order in self.orders for wave in ("cos", "sin")]
 
-    def _waves(self, angle: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s m"]:
-        xp = namespace(angle)
-        phase = xp.stack([order * angle for order in self.orders], axis=-1)
-        return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
-
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 m"]:
         k, xp = self.axis, namespace(nodes.angle_before)
 
         def of_group(g: BodyGroup):
-            weighted = xp.swapaxes(self._waves(g.angle[..., k]) * g.weight[..., None], -1, -2)
+            weighted = xp.swapaxes(waves(g.angle[..., k], self.orders) * g.weight[..., None], -1, -2)
             return xp.swapaxes(weighted @ g.turned(k), -1, -2)
 
         inserted = nodes.integrals(of_group, (6, self.size))
-        change = self._waves(nodes.angle_after[:, k]) - self._waves(nodes.angle_before[:, k])
+        change = waves(nodes.angle_after[:, k], self.orders) - waves(nodes.angle_before[:, k], self.orders)
         along = np.where(nodes.axis == k, 1.0, 0.0)[:, None] * nodes.axes_before[:, k]
         return inserted + xp.concatenate([along, xp.zeros(along.shape)], axis=1)[:, :, None] * change[:, None, :]
 
 
 class MountingError(InstallationTerm):
-    """How the unit hangs in each mounting, rad about the body's axes, three for each.
+    """Misalignment of the unit in each mounting, rad about the body's axes, three for each.
 
-    With one mounting the body's frame is defined by it, and there is nothing to find.
+    A single mounting defines the body's frame and has no error.
     """
 
     stds: Float[AnyArray, " m"]
@@ -132,7 +128,7 @@ class MountingError(InstallationTerm):
 
 
 class CommonScale(InstallationTerm):
-    """What is common to the unit's scale factors: error of gravity (m/s²) or of the sample clock (relative)."""
+    """A common error of the unit's scale factors: of gravity (m/s²) or of the sample clock (relative)."""
 
     stds: Float[AnyArray, " 1"]
     of: str = eqx.field(static=True)

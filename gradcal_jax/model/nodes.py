@@ -1,8 +1,8 @@
 """Nodes: where the errors of a sensor are evaluated and summed, piece by piece. The one place where plan and log meet.
 
 A parameter of the sensor adds `∫ (its function of temperature and rate) dt` to the integrated error of a piece. A plan
-integrates on Gauss–Legendre nodes of smooth motion (`GaussNodes`), a log sums what was sampled (`SampleNodes`); the
-terms of the model are the same functions of either.
+integrates on Gauss–Legendre nodes of smooth motion (`GaussNodes`), a log sums its samples (`SampleNodes`); the terms of
+the model are the same functions of both.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, placed,
 
 
 class GaussNodes(PytreeModule):
-    """Nodes of the `k` given `pieces`, `q` each: `weight` s, `rate` rad/s, `temperature` °C.
+    """Nodes of the `k` `pieces`, `q` each: `weight` s, `rate` rad/s, `temperature` °C.
 
     Where `moving` is false the rate is zero throughout.
     """
@@ -36,7 +36,7 @@ class GaussNodes(PytreeModule):
 class SampleNodes(PytreeModule):
     """Samples `(n,)` of a log in order of time; those of the k-th of `pieces` begin at `starts[k]`.
 
-    `noise`: standard deviation of a sample's rate (rad/s), which functions that are not linear in it must not see.
+    `noise`: standard deviation of a sample's rate (rad/s), which biases functions that are not linear in the rate.
     """
 
     pieces: Int[np.ndarray, " k"]
@@ -54,10 +54,10 @@ class SampleNodes(PytreeModule):
 
 
 class SharedNodes(NamedTuple):
-    """Nodes of `k` given pieces that are alike in `U` ways: what they see is of their kind, the temperature their own.
+    """Nodes of `k` pieces of `U` kinds: pieces of one kind share their signals and differ in temperature.
 
-    Temperature runs smoothly along a piece, so functions of it are known by their values at `m` points, and a kind has
-    for each signal a weight at each of these: `share` `(q, m)` are the points' interpolating polynomials at the nodes.
+    Temperature is smooth along a piece, so functions of it are interpolated from `m` points, and each signal of a kind
+    has a weight at each point: `share` `(q, m)` are the interpolating polynomials of the points at the nodes.
     """
 
     pieces: Int[AnyArray, " k"]
@@ -70,8 +70,8 @@ class SharedNodes(NamedTuple):
     moving: bool = True
 
     def signal(self, name: str) -> Float[AnyArray, "U q"]:
-        """A signal by its name, "rate x"; "|rate x|" its magnitude. "size ik": what a coordinate k (m) of where an
-        accelerometer along i sits adds to its reading over a whole move (over which ∫ω̇ dt is zero),
+        """A signal by its name, "rate x"; "|rate x|" its magnitude. "size ik": contribution of the coordinate
+        k (m) of an accelerometer along i to its reading over a whole move (over which ∫ω̇ dt is zero),
 
             [(ω + 2ω_earth) × (ω × e_k)]_i = ω_i (ω + 2ω_earth)_k − δ_ik (ω + 2ω_earth)·ω        ω: against the Earth
         """
@@ -81,8 +81,8 @@ class SharedNodes(NamedTuple):
             return abs(signal) if name.startswith("|") else signal
         rate, earth = ([self.signals[f"{of} {a}"] for a in AXIS_NAMES] for of in ("rate", "earth"))
         i, k = (AXIS_NAMES.index(a) for a in axes)
-        found = (rate[i] - earth[i]) * (rate[k] + earth[k])
-        return found if i != k else found - sum(w * w - e * e for w, e in zip(rate, earth, strict=True))
+        product = (rate[i] - earth[i]) * (rate[k] + earth[k])
+        return product if i != k else product - sum(w * w - e * e for w, e in zip(rate, earth, strict=True))
 
     def sums(self, first: Float[AnyArray, "k m a"], second: Float[AnyArray, "U q b"]) -> Float[AnyArray, "k ab"]:
         """As of `GaussNodes`."""
@@ -97,7 +97,7 @@ NodeGroup = GaussNodes | SampleNodes | SharedNodes
 
 
 class Nodes(PytreeModule):
-    """All nodes of `count` pieces, and what terms that are no integrals need of each piece.
+    """All nodes of `count` pieces, and values of each piece for terms that are no integrals.
 
     `temperature_change` K over the piece; `angle_before`, `angle_after`: the table's angle at its ends, rad.
     """
@@ -112,7 +112,7 @@ class Nodes(PytreeModule):
         return self.temperature_change.shape[0]
 
     def integrals(self, of_group, size: int, *, moving_only: bool = False) -> Float[AnyArray, "P size"]:
-        """`of_group(group) -> (k, size)` of every group in the pieces' places; zero where there is none."""
+        """`of_group(group) -> (k, size)` of every group at its pieces; zero at pieces without a group."""
         result = namespace(self.temperature_change).zeros((self.count, size))
         for group in self.groups:
             if group.pieces.shape[0] and (group.moving or not moving_only):
@@ -121,13 +121,13 @@ class Nodes(PytreeModule):
 
 
 class BodyGroup(PytreeModule):
-    """Nodes of `U` kinds of pieces of a motion on `L` table axes, as the body on it sees them, `q` each.
+    """Nodes of `U` kinds of pieces of a motion on `L` table axes, in the body's frame, `q` each.
 
-    `kinds`: their numbers; `pieces`, `kind`, `temperature`, `share`: see `SharedNodes`. `weight` s; `rate` rad/s and
-    `force` m/s² in body components, the Earth's rate and gravity in them; `earth` rad/s and `up`, the Earth's rate and
-    the vertical; `attitude`: body to East-North-Up. `axes`: the axes' directions; `crosses`: see `trajectory.geometry`;
-    `outer`: the rate of all that stands outside each axis; `joint`: rate (rad/s) and `angle` (rad) of each axis.
-    `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`.
+    `kinds`: numbers of the kinds; `pieces`, `kind`, `temperature`, `share`: see `SharedNodes`. `weight` s; `rate` rad/s
+    and `force` m/s² in body components, the Earth's rate and gravity in them; `earth` rad/s and `up`, the Earth's rate
+    and the vertical; `attitude`: body to East-North-Up. `axes`: the axes' directions; `crosses`: see
+    `trajectory.geometry`; `outer`: the rate of the stage outside each axis; `joint`: rate (rad/s) and `angle` (rad) of
+    each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`.
     """
 
     kinds: Int[np.ndarray, " U"]
@@ -150,11 +150,11 @@ class BodyGroup(PytreeModule):
 
     @property
     def moving(self) -> bool:
-        """Whether anything turns: what stands sees one direction throughout, and has one node."""
+        """Whether anything turns; a standing body has a constant attitude and one node."""
         return self.weight.shape[1] > 1
 
     def turned(self, k: int) -> Float[AnyArray, "U q 6"]:
-        """What a small rotation about axis k adds to rate and force, but for its own change."""
+        """Contribution of a small rotation about axis k to rate and force, without its derivative."""
         xp, axis = namespace(self.axes), self.axes[..., k, :]
         return xp.concatenate([cross(self.outer[..., k, :], axis), cross(self.force, axis)], axis=-1)
 
@@ -174,9 +174,9 @@ class BodyGroup(PytreeModule):
 
 
 class BodyNodes(PytreeModule):
-    """All nodes of `P` pieces of `K` kinds. Of each kind, as a piece of it begins: `angle_before` rad of the joints and
-    their directions `axes_before`; `angle_after`: as it ends. `axis`: which joint it turns, −1: none; `mounting`: which
-    one. `kind`: of every piece.
+    """All nodes of `P` pieces of `K` kinds. For each kind: joint angles `angle_before` (rad) and directions
+    `axes_before` at the begin of its pieces, `angle_after` at their end, the `axis` that turns (−1: none) and the
+    `mounting`. `kind`: of every piece.
     """
 
     groups: tuple[BodyGroup, ...]
@@ -189,11 +189,11 @@ class BodyNodes(PytreeModule):
     mounting: Int[np.ndarray, " K"]
 
     def integrals(self, of_group, shape: tuple[int, ...]) -> Float[AnyArray, " K *shape"]:
-        """`of_group(group) -> (U, *shape)` of every group in its kinds' places."""
+        """`of_group(group) -> (U, *shape)` of every group at its kinds."""
         return placed((len(self.axis), *shape), *((g.kinds, of_group(g)) for g in self.groups))
 
     def channel(self, kind: str, index: int) -> Nodes:
-        """What a gyro or accelerometer along the body's axis `index` has for its own signal, the other axes beside."""
+        """Nodes of a gyro or accelerometer along the body's axis `index`, with the signals of all axes."""
         own = {"gyro": "rate", "accelerometer": "force"}[kind]
         none = namespace(self.temperature_change).zeros(self.temperature_change.shape)
         return Nodes(tuple(g.shared(own, index) for g in self.groups), self.temperature_change, none, none)

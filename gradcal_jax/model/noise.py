@@ -14,7 +14,7 @@ that drives the integrated angle at the rate `(bias_gain + rate_gain·ω(t))·x`
 | error of the temperature measurement (σ, τ) | σ | 1/τ | σ√(2/τ) | dB/dT | dM/dT |
 | a constant (turn-on bias, sample clock) | σ | 0 | 0 | 1 or 0 | 0 or 1 |
 
-The rate random walk is thus the limit of the first row, not another code path.
+So the rate random walk is a limit of the first row and needs no code of its own.
 """
 
 import equinox as eqx
@@ -53,29 +53,27 @@ def no_processes() -> Processes:
 
 
 def gauss_markov(standard_deviation, correlation_time, *, bias_gain=1.0, rate_gain=0.0) -> Processes:
-    """First-order Gauss–Markov process, stationary: σ in rad/s (or 1, or K, as the gains say), τ in s (`inf`:
-    a constant).
-    """
+    """Stationary Gauss–Markov process: σ in rad/s (or 1, or K, by the gains), τ in s (`inf`: a constant)."""
     decay = 1.0 / np.asarray(correlation_time, dtype=float)
     return _process(standard_deviation, decay, standard_deviation * np.sqrt(2.0 * decay), bias_gain, rate_gain)
 
 
 def rate_random_walk(coefficient) -> Processes:
-    """Rate random walk K in rad/s/√s; it starts at zero, its unknown start being part of the bias."""
+    """Rate random walk K in rad/s/√s; it starts at zero, since its initial value is part of the bias."""
     return _process(0.0, 0.0, coefficient, 1.0, 0.0)
 
 
 def constant(standard_deviation, *, bias_gain=0.0, rate_gain=0.0) -> Processes:
-    """An error that is drawn once per run: turn-on bias (`bias_gain=1`, rad/s) or sample clock (`rate_gain=1`)."""
+    """An error drawn once per run: turn-on bias (`bias_gain=1`, rad/s) or sample clock (`rate_gain=1`)."""
     return _process(standard_deviation, 0.0, 0.0, bias_gain, rate_gain)
 
 
 class Reference(PytreeModule):
-    """Noise of the reference: an angle read at standstill or on the move, or a rate that is held.
+    """Noise of the reference: an angle read at standstill or on the move, or a held rate.
 
-    Arguments, all standard deviations: `reading_noise` rad, white, each reading; `standstill_offset` rad, one draw each
-    time the table comes to rest; `timing_error` s, costs `ω·σ_t` on the move; `rate_accuracy`, relative, one draw for
-    each set point. (The encoder's error by angle is a term: `terms.EncoderHarmonics`.)
+    All standard deviations: `reading_noise` rad, white, of each reading; `standstill_offset` rad, drawn each time the
+    table comes to rest; `timing_error` s, adds `ω·σ_t` on the move; `rate_accuracy`, relative, drawn for each set
+    point. (The encoder's error by angle is a term: `terms.EncoderHarmonics`.)
     """
 
     reading_noise: Float[AnyArray, ""]

@@ -2,8 +2,8 @@
 
     δω = B(T) + ε_d2d + ε_ins(t) + M(T, ω)·ω + ε_res(t)·ω + ε_RW(t)                       (Berman, eq. 1)
 
-What is linear in parameters is a term (`terms`); everything else is noise (`noise`). The parameter vector `β` is the
-terms' parameters, one term after the other.
+Errors that are linear in parameters are terms (`terms`); all others are noise (`noise`). The parameter vector `β` holds
+the terms' parameters, one term after the other.
 """
 
 import numpy as np
@@ -45,7 +45,7 @@ class SensorModel(PytreeModule):
         return sum(term.size for term in self.terms)
 
     def where(self, name: str) -> slice:
-        """Where a term's parameters stand; an empty slice for a term that the model does not have."""
+        """Indices of a term's parameters; an empty slice for a term that the model does not have."""
         begin = 0
         for term in self.terms:
             if term.name == name:
@@ -59,8 +59,8 @@ class SensorModel(PytreeModule):
 
     def map(self, name: str) -> Map | None:
         """The map of that name, if the model estimates it."""
-        found = self.term(name)
-        return found if isinstance(found, Map) else None
+        term = self.term(name)
+        return term if isinstance(term, Map) else None
 
     @property
     def bias(self) -> Map | None:
@@ -84,7 +84,7 @@ class SensorModel(PytreeModule):
 
     @property
     def calibrated(self) -> int:
-        """How many parameters, the first ones, a calibration holds; those after are of the rig and of structure."""
+        """Number of calibrated parameters, which precede those of the rig and of structure."""
         return sum(term.size for term in self.terms if isinstance(term, Map | GradientOfBias))
 
     @property
@@ -93,7 +93,7 @@ class SensorModel(PytreeModule):
         return block_diagonal([term.to_reported for term in self.terms])
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P p"]:
-        """What each parameter's unit adds to the integrated error over each piece, rad."""
+        """Contribution of each parameter's unit to the integrated error over each piece, rad."""
         blocks, beyond = [], {}
         for term in self.terms:
             if isinstance(term, Map) and term.beyond is not None:
@@ -104,7 +104,7 @@ class SensorModel(PytreeModule):
         return namespace(*blocks).concatenate(blocks, axis=1)
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
-        """Whitened rows of everything known beforehand: stacked over the data's rows they make the posterior."""
+        """Whitened rows of the priors; together with the data's rows they give the posterior."""
         return block_diagonal([term.prior_rows() for term in self.terms])
 
 
@@ -121,8 +121,8 @@ def gyro_model(
     """A gyro axis from its maps and plain numbers (SI), with the maps' discrepancies as the last terms.
 
     `temperature_gradient_std` (rad/s)/(K/s): the prior of dB/dṪ, `inf` flat, None without that term. `harmonics`: the
-    amplitudes (rad) of the encoder's error by order. A turn-on bias that B cannot be told from belongs to B's
-    `common_std`; where B is known it is a process. Errors: `ValueError` where there is nothing to find.
+    amplitudes (rad) of the encoder's error by order. The turn-on bias, which cannot be separated from B, is B's
+    `common_std`; where B is known it is a process. Errors: `ValueError` where there is nothing to estimate.
     """
     maps = [m for m in (bias, scale) if m is not None]
     terms: list[Term] = list(maps)

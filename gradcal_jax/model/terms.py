@@ -1,8 +1,8 @@
-"""Terms of the error model: each says its parameters' names, what is known of them beforehand, and their columns.
+"""Terms of the error model, each with its parameters' names, priors and columns.
 
-A *term* is a source of error that is linear in a few parameters. Its columns are what each parameter's unit adds to the
-integrated error over every piece of a trajectory (rad), a function of `nodes.Nodes` alone, so that a plan and a log
-meet the same term. A new source of error is one more class here.
+A *term* is a source of error that is linear in a few parameters. Its columns are the contributions of each parameter's
+unit to the integrated error over every piece of a trajectory (rad), a function of `nodes.Nodes` alone, so that plans
+and logs use the same terms. A new source of error is one more class here.
 """
 
 from abc import abstractmethod
@@ -25,12 +25,12 @@ TEMPERATURE_GRADIENT: Final = "bias_temperature_gradient"
 HARMONICS: Final = "harmonics"
 DISCREPANCY: Final = "{}_discrepancy"
 
-# A noise of the rate so small beside the fastest one does not show in float64.
+# Noise of the rate below this share of the fastest one has no effect in float64.
 _NO_NOISE = 1e-8
 
 
 class Term(PytreeModule):
-    """A source of error that is linear in `size` parameters; `name` is what a model finds it by."""
+    """A source of error that is linear in `size` parameters; `name` identifies it in a model."""
 
     name: eqx.AbstractVar[str]
 
@@ -42,7 +42,7 @@ class Term(PytreeModule):
     @property
     @abstractmethod
     def size(self) -> int:
-        """How many parameters."""
+        """Number of parameters."""
 
     @abstractmethod
     def names(self) -> list[str]:
@@ -50,23 +50,23 @@ class Term(PytreeModule):
 
     @abstractmethod
     def prior_rows(self) -> Float[AnyArray, "q size"]:
-        """Whitened rows of what is known beforehand; none for a flat prior."""
+        """Whitened rows of the prior; none for a flat one."""
 
     @abstractmethod
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        """What each parameter's unit adds to the integrated error over each piece, rad."""
+        """Contribution of each parameter's unit to the integrated error over each piece, rad."""
 
     @property
     def to_reported(self) -> np.ndarray:
-        """`(size, size)`: the engine's parameters to those that people read."""
+        """`(size, size)`: the engine's parameters to the reported ones."""
         return np.eye(self.size)
 
 
 class Discrepancy(Term):
-    """What the structure of a map leaves out: the next Legendre polynomials, each with the standard deviation `std`.
+    """Functions that the structure of a map omits: the next Legendre polynomials, each with standard deviation `std`.
 
-    Legendre throughout, whatever form the engine computes the structure in: the prior is on these functions. Without
-    `rate` they are functions of temperature alone.
+    Legendre polynomials for any internal form of the map, since the prior is on these functions. Without `rate` they
+    are functions of temperature alone.
     """
 
     temperature: HigherPolynomials
@@ -89,7 +89,7 @@ class Discrepancy(Term):
         return [f"{self.name}{k}" for k in range(self.size)]
 
     def degrees(self) -> list[tuple[int, int]]:
-        """Of each function in temperature and in rate, in the order of `values`; 0 in rate for a map without one."""
+        """Degrees in temperature and in rate of each function, in the order of `values`; 0 for a map without rate."""
         low, high = self.temperature.lowest, self.temperature.lowest + self.temperature.size
         if self.rate is None:
             return [(i, 0) for i in range(low, high)]
@@ -101,10 +101,10 @@ class Discrepancy(Term):
         return namespace(self.std).eye(self.size) / self.std
 
     def _factors(self, temperature, rate) -> list[tuple]:
-        """Pairs of sets of functions whose products the structure leaves out."""
+        """Pairs of sets of functions whose products the structure omits."""
         extra_t = self.temperature
         if self.rate is None:
-            # Of the rates' shape: a unit's are at nodes of their own.
+            # In the rates' shape: the nodes of a unit's rates differ from those of its temperature.
             return [(extra_t(temperature), namespace(temperature).ones((*rate.shape, 1)))]
         all_t, all_w = extra_t.from_zero(temperature), self.rate.from_zero(rate)
         within_t, beyond_t = all_t[..., : extra_t.lowest], all_t[..., extra_t.lowest :]
@@ -129,9 +129,9 @@ class Map(Term):
     """A calibrated function: `B(T)` (`rate` is None, rad/s) or `M(T, ω)`, which the rate multiplies, with its priors.
 
     `prior_std`: standard deviation of each *reported* coefficient, rad/s for B and 1 for M; `inf` is flat.
-    `common_std`: of an error common to the whole map, which the constant cannot be told from (turn-on bias of B).
+    `common_std`: of an error common to the whole map, inseparable from its constant (turn-on bias of B).
     `smoothness_std`: standard deviation of the difference of neighbouring coefficients; `inf` is none.
-    `beyond`: what the structure leaves out, a term of its own in a model.
+    `beyond`: functions that the structure omits, a term of its own in a model.
     """
 
     temperature: Basis
@@ -224,7 +224,7 @@ class Map(Term):
         return nodes.integrals(of_group, self.size, moving_only=w is not None)
 
     def columns_with_beyond(self, nodes: Nodes) -> tuple[Float[AnyArray, "P size"], Float[AnyArray, "P extra"]]:
-        """The map's columns and the discrepancy's, at once where its polynomials go on where the map's own end."""
+        """The map's columns and the discrepancy's, computed together where its polynomials continue the map's."""
         beyond = self.beyond
         assert beyond is not None
         pairs = [(self.temperature, beyond.temperature), (self.rate, beyond.rate)]
@@ -242,7 +242,7 @@ class Map(Term):
         return both[:, : self.size], both[:, self.size :]
 
     def drive(self, group: NodeGroup) -> AnyArray:
-        """What multiplies the functions of temperature at the nodes: 1 for B, `χ(ω)·ω` for M.
+        """Factor of the functions of temperature at the nodes: 1 for B, `χ(ω)·ω` for M.
 
         A sampled rate has noise (errors in variables): the mean of `g(ω̃)` exceeds `g(ω)` by ½σ²g''(ω) + …, and that of
         ½[g(ω̃+σ) + g(ω̃−σ)] exceeds `g(ω̃)` by the same, so `2g(ω̃) − ½[g(ω̃+σ) + g(ω̃−σ)]` has no error to that order
@@ -271,7 +271,7 @@ def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
 
 
 def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:
-    """Whether higher polynomials go on where a map's own, in the engine's form, end."""
+    """Whether higher polynomials continue those of a map, in the engine's form."""
     if own is None or higher is None:
         return own is higher
     if not isinstance(own, Polynomial) or own.internal != "legendre":
@@ -281,7 +281,7 @@ def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:
 
 def _all_products(g: NodeGroup, temperature, most: int, rate, of_rate: int) -> AnyArray:
     """`(k, most, of_rate)`: integrals over the group's pieces of Legendre polynomials in temperature times those in
-    rate, times the rate itself; without `rate`, of those in temperature. The bases say where they are centred.
+    rate, times the rate itself; without `rate`, of those in temperature. The bases define centre and scale.
     """
     x = (g.temperature - temperature.centre) / temperature.scale
     y, weight = (x, g.weight) if rate is None else ((g.rate - rate.centre) / rate.scale, g.weight * g.rate)
@@ -302,7 +302,7 @@ class SignalMap(Term):
     """A function of temperature times a product of signals: misalignment, sensitivity to acceleration, second order.
 
     `signals`: names in the nodes (`SharedNodes.signal`), "|…|" for a magnitude; none: the function itself. `std`: of
-    each *reported* coefficient; `inf` is flat. `symbol`: what the coefficients are called.
+    each *reported* coefficient; `inf` is flat. `symbol`: name of the coefficients.
     """
 
     temperature: Basis
@@ -338,7 +338,7 @@ class SignalMap(Term):
         return nodes.integrals(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
 
     def drive(self, group: NodeGroup) -> AnyArray:
-        """What multiplies the functions of temperature at the nodes."""
+        """Factor of the functions of temperature at the nodes."""
         assert isinstance(group, SharedNodes), "signals are of a body's nodes"
         product = namespace(group.weight).ones(group.weight.shape)
         for name in self.signals:
@@ -402,12 +402,14 @@ class EncoderHarmonics(Term):
         return xp.diag(1.0 / xp.repeat(self.amplitudes, 2))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        return self._waves(nodes.angle_before) - self._waves(nodes.angle_after)
+        return waves(nodes.angle_before, self.orders) - waves(nodes.angle_after, self.orders)
 
-    def _waves(self, angle):
-        xp = namespace(angle)
-        phase = angle[:, None] * np.array([self.orders], dtype=float)
-        return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (angle.shape[0], -1))
+
+def waves(angle: Float[AnyArray, "*s"], orders: tuple[int, ...]) -> Float[AnyArray, "*s m"]:
+    """Cosine and sine of each of `orders` cycles a turn."""
+    xp = namespace(angle)
+    phase = xp.stack([order * angle for order in orders], axis=-1)
+    return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
 
 
 def make_map(
@@ -421,7 +423,7 @@ def make_map(
 ) -> Map:
     """A map from plain numbers (SI). `discrepancy` is (standard deviation, highest degree in T, highest degree in ω).
 
-    Errors: `ValueError` where a discrepancy is asked of a basis that is not polynomial, or reaches no higher than it.
+    Errors: `ValueError` for a discrepancy of a basis that is not polynomial, or of no higher degree than the basis.
     """
     name, beyond = BIAS if rate is None else SCALE_FACTOR, None
     scalar = lambda v: np.asarray(v, dtype=float)  # noqa: E731

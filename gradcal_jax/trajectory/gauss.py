@@ -1,8 +1,8 @@
-"""Gauss nodes of a trajectory: where the terms of a model are integrated, piece by piece.
+"""Gauss nodes of a trajectory, on which the terms of a model are integrated piece by piece.
 
 Each smooth piece is integrated by Gauss–Legendre quadrature, exact to rounding for polynomial bases. Where a basis has
-breaks (bins, B-splines) a piece is divided at the instants at which the temperature or the rate crosses them, and those
-instants carry their derivative, too.
+breaks (bins, B-splines) a piece is divided at the instants at which temperature or rate cross them; the derivatives of
+these instants are included.
 """
 
 from typing import NamedTuple
@@ -16,30 +16,30 @@ from gradcal_jax.arrays import AnyArray, fixed, namespace, repeated, running_sum
 from gradcal_jax.model import BSpline, Discrepancy, GaussNodes, HigherPolynomials, Map, Nodes, Polynomial, SensorModel
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 
-# A raised cosine to the fourth power, the steepest of a cubic M(T, ω), is resolved to 1e-12 by 16 points; a higher
-# degree in rate adds a period to it, and needs two more. Cosine ramps and half sines have half of its periods: so many
-# nodes, and one more for each degree, resolve them as well.
+# 16 nodes resolve a raised cosine to the fourth power, the fastest variation of a cubic M(T, ω), to 1e-12; each higher
+# degree in rate adds a period, and two nodes. Cosine ramps and half sines have half as many periods: 10 nodes, and one
+# more for each degree, are as accurate.
 _MOVING_NODES = 16
 _CUBIC = 3
 _HALF_WAVE_NODES = 10
-# The first members of the motion family (`formulas.MOTION_TERMS`) are so many powers of the time, and then half waves.
+# The first terms of the motion family (`formulas.MOTION_TERMS`) are powers of the time, the next ones half waves.
 _POWERS, _HALF_WAVES = 4, 6
-# A lagging sensor's exponentials are no polynomials.
+# The exponentials of a thermal lag are not polynomials.
 _LAGGED_NODES = 16
-# A piece is divided in halves of halves from its start until the lag's exponential falls by less than e^(this) or so.
+# A piece is bisected towards its start until the lag's exponential decays by less than about e^(this) in each part.
 _LAG_TIMES = 8.0
-# A shape is monotone in each of these shares of a piece but for one turning point, which is found.
+# Number of panels of a piece; in each a shape has at most one turning point, which is computed.
 _PANELS = 8
-# Halvings that locate a crossing: to 2^-45 of a panel.
+# Bisection steps that locate a crossing, to 2^-45 of a panel.
 _HALVINGS = 45
-# In units of rounding: more than the temperature's at the end of a long ramp, less than any integral notices.
-_HAIR = 1e2
+# In units of rounding: more than the temperature's error at the end of a long ramp, negligible in any integral.
+_BREAK_SHIFT = 1e2
 
 
 class Rule(NamedTuple):
-    """How a model's terms are integrated: nodes of a piece (or of a part of it) that moves, and of one that stands;
-    where the bases have breaks; in how many halves of halves a lagging piece is divided; and whether the rate drives
-    any of the noise (`driven`). Structure, not numbers.
+    """How a model's terms are integrated: number of nodes of a moving and of a standing piece (or part of it); breaks
+    of the bases; number of bisections of a piece with thermal lag; whether the rate drives any noise (`driven`).
+    Structure, not numbers.
     """
 
     moving: int
@@ -51,7 +51,7 @@ class Rule(NamedTuple):
 
 
 def rule_of(model: SensorModel, trajectory: Trajectory) -> Rule:
-    """The rule that integrates a model's terms on trajectories like this one, whose numbers are known."""
+    """The integration rule of a model's terms on trajectories like this one, whose numbers are known."""
     bases = [
         basis for term in model.terms if isinstance(term, Map | Discrepancy) for basis in (term.temperature, term.rate)
     ]
@@ -64,10 +64,10 @@ def rule_of(model: SensorModel, trajectory: Trajectory) -> Rule:
     of_time = max(_degree(basis) for basis in of_temperature)
     standing = _LAGGED_NODES if lagged else of_time // 2 + 1
     moving = _MOVING_NODES + 2 * max(0, degree - _CUBIC)
-    # Ramps and free forms are polynomials in time, which few nodes integrate exactly.
+    # Linear ramps and splines are polynomials in time, which few nodes integrate exactly.
     present = np.asarray(trajectory.terms)[np.asarray(trajectory.moving)] != 0.0
     powers = np.flatnonzero(np.any(present, axis=0))
-    # Of a move that does not turn here, and may where the rule is used, the shape is not known.
+    # The shape of a move is unknown if it does not turn here but may where the rule is used.
     if not lagged and np.all(np.any(present, axis=1)) and np.all(powers < _HALF_WAVES):
         smooth = np.all(powers < _POWERS)
         exact = ((degree + 1) * int(np.max(powers, initial=0)) + of_time) // 2 + 1
@@ -81,17 +81,17 @@ def _degree(basis) -> int:
 
 
 def gauss_nodes(trajectory: Trajectory, model: SensorModel, rule: Rule | None = None) -> Nodes:
-    """The nodes on which the model's terms are integrated. `rule`: that of its class, where numbers are traced."""
+    """The nodes on which the model's terms are integrated. `rule`: that of its class, for traced numbers."""
     line = trajectory
     rule = rule_of(model, line) if rule is None else rule
     xp = namespace(line)
     count = line.piece_count
     if isinstance(line.moving, jax.Array):
-        # Where structure is traced, too, all that stands is integrated in its place: what moves is overwritten.
+        # With traced structure all pieces are integrated as standing ones, and moving ones are overwritten.
         standing = [(np.arange(count), rule)]
     else:
         where = np.asarray(~line.moving & ~line.gap)
-        # Traced times may become long: all are divided alike.
+        # Traced times may become long, so all pieces are divided alike.
         long = where & (np.asarray(line.duration * line.lag_rate) > _LAG_TIMES if xp is np else rule.lag_halves > 0)
         brief = np.flatnonzero(where & ~long), rule._replace(lag_halves=0)
         standing = [brief, (np.flatnonzero(long), rule)]
@@ -115,18 +115,18 @@ def _group(line: Trajectory, pieces, rule: Rule, *, moving: bool) -> GaussNodes:
     else:
         v, weight = (xp.broadcast_to(xp.asarray(values), (count, len(x))) for values in (x, w))
     weight = weight * line.duration[pieces][:, None]
-    temperature = line.temperature(v, pieces) + _hair(rule.temperature_breaks)
+    temperature = line.temperature(v, pieces) + _break_shift(rule.temperature_breaks)
     rate = line.rate(v, pieces) if moving else xp.zeros(v.shape)
     return GaussNodes(pieces, weight, rate, temperature, moving)
 
 
-def _hair(breaks: tuple[float, ...]) -> float:
-    """By how much all breaks are taken lower than they are, a rounding error or some.
+def _break_shift(breaks: tuple[float, ...]) -> float:
+    """Shift of all breaks downwards, by a few rounding errors.
 
-    A piece that ends on a break and the next, which begins there, must agree on who crosses it, or the crossing's
-    derivative is lost; plans in round numbers do end there, and no plan is so round as a break less a rounding error.
+    A piece that ends at a break and the next one, which begins there, must agree on which of them crosses it, or the
+    derivative of the crossing is lost. Pieces of plans in round numbers do end at breaks, but not at shifted ones.
     """
-    return float(_HAIR * np.finfo(float).eps * (1.0 + max(abs(b) for b in breaks))) if breaks else 0.0
+    return float(_BREAK_SHIFT * np.finfo(float).eps * (1.0 + max(abs(b) for b in breaks))) if breaks else 0.0
 
 
 def _smooth_panels(line: Trajectory, pieces, rule: Rule, rate_breaks: tuple[float, ...]):
@@ -137,10 +137,10 @@ def _smooth_panels(line: Trajectory, pieces, rule: Rule, rate_breaks: tuple[floa
     a, b = (xp.broadcast_to(xp.asarray(e), (count, len(edges) - 1)) for e in (edges[:-1], edges[1:]))
 
     def temperature(v):
-        return line.temperature(v, pieces) + _hair(rule.temperature_breaks)
+        return line.temperature(v, pieces) + _break_shift(rule.temperature_breaks)
 
     def rate(v):
-        return line.rate(v, pieces) + _hair(rate_breaks)
+        return line.rate(v, pieces) + _break_shift(rate_breaks)
 
     def temperature_slope(v):
         duration, slope, excess = (f[pieces][:, None] for f in (line.duration, line.slope, line.excess))
@@ -158,7 +158,7 @@ def _smooth_panels(line: Trajectory, pieces, rule: Rule, rate_breaks: tuple[floa
     ):
         if not breaks:
             continue
-        # A turning point within a part divides it, so that no break is crossed twice in a half.
+        # A turning point divides a part, so that no break is crossed twice in either of the two.
         turning = fixed(_root(slope, 0.0, a, b))
         for low, high in ((a, turning), (turning, b)):
             bounds += [_crossing(variable, slope, level, low, high) for level in breaks]
@@ -184,7 +184,7 @@ def _root(variable, level: float, a, b):
 
 
 def _crossing(variable, slope, level: float, a: Float[AnyArray, "k n"], b: Float[AnyArray, "k n"]):
-    """As `_root`; one Newton step, whose value is zero, gives the place the derivative of the implicit function."""
+    """As `_root`; one Newton step of value zero adds the derivative of the implicit function."""
     place = fixed(_root(variable, level, a, b))
     xp = namespace(place)
     value, steep = variable(place), fixed(slope(place))

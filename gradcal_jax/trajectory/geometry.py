@@ -1,13 +1,13 @@
-"""Nested table axes on the turning Earth: where a body points, what it sees of gravity, and what small errors change.
+"""Nested table axes on the rotating Earth: a body's attitude, its gravity, and the effect of small errors.
 
 Stages from outside in, body to East-North-Up:
 
     R = exp[τ×] · base · Rot(e₁,θ₁) · exp[δ₁d₁×] · Rot(e₂,θ₂) · … · mounting · exp[μ×]
 
 τ tilt of the base and its azimuth, δ_l the non-orthogonality of the axes l and l+1 about `d_l = e_{l+1} × e_l`, μ the
-error of the mounting. One rule gives what every one of them changes: a small rotation p (body components) inserted at a
+error of the mounting. One rule gives the effect of each of them: a small rotation p (body components) inserted at a
 stage adds `f × p` to the specific force and `ω_outer × p (+ ṗ along an axis that moves)` to the rate, ω_outer being
-the rate of all that stands outside that stage: the Earth's, and that of the axes there.
+the rate outside that stage: the Earth's plus that of the outer axes.
 """
 
 from typing import NamedTuple
@@ -22,11 +22,10 @@ EARTH_RATE = 7.292115e-5
 
 
 class Geometry(PytreeModule):
-    """A table of `L` axes, outermost first, and how the body hangs on it.
+    """A table of `L` axes, outermost first, and the mountings of the body on it.
 
-    `axes`: directions at zero, each in the frame that the axis outside it carries (the first: that of the base).
-    `base`: base to East-North-Up. `mountings`: body to the innermost axis, one after the other. `latitude` rad,
-    `gravity` m/s².
+    `axes`: directions at zero, each in the frame of the next outer axis (the first: in that of the base). `base`: base
+    to East-North-Up. `mountings`: body to the innermost axis, one for each mounting. `latitude` rad, `gravity` m/s².
     """
 
     axes: Float[AnyArray, "L 3"]
@@ -46,8 +45,8 @@ class Geometry(PytreeModule):
 
 
 class Frames(NamedTuple):
-    """What the stages look like from the body. `attitude` `(…, 3, 3)`: body to East-North-Up. Components in the body:
-    `axes` `(…, L, 3)`, and of `d_l` `(…, L − 1, 3)` in `crosses`.
+    """The stages in the body's frame. `attitude` `(…, 3, 3)`: body to East-North-Up. Body components of the axes,
+    `axes` `(…, L, 3)`, and of `d_l`, `crosses` `(…, L − 1, 3)`.
     """
 
     attitude: AnyArray
@@ -56,7 +55,7 @@ class Frames(NamedTuple):
 
 
 def frames(geometry: Geometry, angles: Float[AnyArray, "*s L"], mounting: AnyArray) -> Frames:
-    """The stages at the axes' `angles` (rad), for the mountings of the given numbers `(*s,)`."""
+    """The stages at the axes' `angles` (rad), for the mountings with the numbers `mounting` `(*s,)`."""
     xp = namespace(geometry, angles)
     inner = geometry.mountings[mounting]
     axes, crosses = [], []

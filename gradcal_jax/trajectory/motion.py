@@ -1,8 +1,8 @@
 """Moves of a table axis: shapes by name, resolved into smooth pieces.
 
-A move is described by peak rate, duration and (for the shapes with ramps) ramp time; the angle follows. What of these a
-user gives, and what is worked out, is settled where the spec is read. Here is plain NumPy: a move's *structure*, from
-which `schedule` makes arrays whose times and rates may then be anything.
+A move is described by peak rate, duration and (for the shapes with ramps) ramp time; the angle follows. Reading the
+spec computes these from what the user specifies. This module is plain NumPy: a move's *structure*, which `schedule`
+turns into arrays with arbitrary times and rates.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ import numpy as np
 from gradcal_jax import formulas
 
 Division = tuple[tuple[float, ...], tuple[bool, ...]]
-"""How a smooth part of a move is divided: edges (fractions, 0 to 1), and which of the pieces end with a reading."""
+"""Division of a smooth part of a move: edges (fractions, 0 to 1), and whether each piece ends with a reading."""
 
 
 class PieceTable(NamedTuple):
@@ -22,7 +22,7 @@ class PieceTable(NamedTuple):
 
     A piece lasts `(u_end − u_start)·(by_duration·duration + by_ramp·ramp)` of its move's duration and ramp, and its
     rate is `peak_rate · terms·f(u)` (f: the motion family of `formulas`). Flags: a reading at the end; the axis stands
-    then; the rate not zero throughout; the rate not constant.
+    at the end; the rate is not zero throughout; the rate is not constant.
     """
 
     by_duration: np.ndarray
@@ -41,8 +41,8 @@ class Move:
     """A turn (any of `formulas.SHAPES`), or a rest (`shape="rest"`), of the table axis `axis`.
 
     `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's; `controls` a spline's rates over
-    the peak rate; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: of the same
-    time for an axis that stands meanwhile.
+    the peak rate; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: for
+    an axis that stands during the move.
     """
 
     shape: str
@@ -65,7 +65,7 @@ class Move:
         return float(np.sum(np.sum(family * p.terms, axis=1) * lasting)) * self.peak_rate
 
     def pieces(self, channel: str) -> PieceTable:
-        """The move as the given channel sees it: its own motion, or standing while another axis moves."""
+        """The move on a channel: its own motion, or standing while another axis moves."""
         if self.shape == "rest" or channel != self.axis:
             return standing(self.division_at_rest)
         return turning(self.shape, self.divisions, self.cycles, self.controls, self.unevenness)
@@ -73,7 +73,7 @@ class Move:
 
 @lru_cache(maxsize=4096)
 def standing(division: Division) -> PieceTable:
-    """Standing for the move's duration, divided as said."""
+    """Standing for the move's duration."""
     edges, read = division
     count, at = len(read), np.asarray(edges)
     none = np.zeros(count, bool)
@@ -85,7 +85,7 @@ def standing(division: Division) -> PieceTable:
 def turning(
     shape: str, divisions: tuple[Division, ...], cycles: int, controls: tuple[float, ...], unevenness: float
 ) -> PieceTable:
-    """A turn of unit peak rate, each of its smooth parts divided."""
+    """A turn of unit peak rate with the division of each of its smooth parts."""
     parts = formulas.shape_pieces(shape, cycles=cycles, controls=controls, unevenness=unevenness)
     blocks = []
     for i, ((what, share, coefficients), (edges, read)) in enumerate(zip(parts, divisions, strict=True)):
@@ -107,7 +107,7 @@ def joined(blocks: list[PieceTable]) -> PieceTable:
 
 @lru_cache(maxsize=4096)
 def divide(duration: float, readings: tuple[float, ...], longest: float = np.inf) -> Division:
-    """Divide a part of `duration` at its readings (from its start), until no piece is longer than `longest`."""
+    """Divide a part of `duration` at its readings (from its start) into pieces no longer than `longest`."""
     if duration <= 0.0:
         return (0.0, 1.0), (bool(readings),)
     stops = [float(t) / duration for t in readings]
@@ -129,7 +129,7 @@ def even_division(count: int, read: bool) -> Division:
 def rest(duration: float, read_every: float | None = None, *, read_at_end: bool = False) -> Move:
     """A rest of `duration` s, read every `read_every` s, at its end, or not at all.
 
-    Errors: `ValueError` for what is no number.
+    Errors: `ValueError` for a duration that is no number.
     """
     times = formulas.reading_times(float(duration), read_every)
     if read_at_end and (not times or times[-1] < duration):
@@ -157,7 +157,7 @@ def turn(
 
     `shape`: one of `formulas.SHAPES`; `cycles` of a sinusoid, `controls` of a spline (over the peak rate), `unevenness`
     of a turn by hand. `read_at_end`: the angle is read where the turn ends; `others_read_every` s: of axes that stand
-    meanwhile. `read_every` reads on the move, too, and then `read_at_end` does not matter. `longest_piece` (a few of
+    during the move. `read_every` reads also on the move; `read_at_end` then has no effect. `longest_piece` (a few of
     the shortest correlation time of the noise) divides the parts on which the rate varies.
 
     Errors: `ValueError` for an unknown shape or ramps longer than the move.
@@ -166,7 +166,7 @@ def turn(
         raise ValueError(f"two ramps of {ramp} s do not fit into a move of {duration} s: shorten the ramp or the rate")
     lasting = {"ramp": ramp, "flat": max(duration - 2.0 * ramp, 0.0)}
     if shape == "hand":
-        # Its rate goes up and down four times, and the powers of it in M(T, ω) more often than one quadrature follows.
+        # Its rate oscillates four times, and its powers in M(T, ω) are too fast for one quadrature.
         longest_piece = min(longest_piece, duration / 8)
     readings = formulas.reading_times(duration, read_every) or ([duration] if read_at_end else [])
     divisions, begin = [], 0.0

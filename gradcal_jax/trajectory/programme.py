@@ -1,4 +1,4 @@
-"""Temperature programmes: soaks, ramps and steps of the chamber, and what the sensor's die makes of them."""
+"""Temperature programmes: soaks, ramps and steps of the chamber, and the temperature of the sensor's die."""
 
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ class RampTemperature(NamedTuple):
 class Programme(PytreeModule):
     """Stretches on which the chamber moves at a constant slope: `durations` s, `slopes` K/s, from `start` °C.
 
-    `jumps` K: by how much it changes, in no time, as each stretch begins (the plateaus of the standard method).
+    `jumps` K: instantaneous changes at the begin of each stretch (the plateaus of the standard method).
     """
 
     start: Float[AnyArray, ""]
@@ -47,13 +47,13 @@ class Programme(PytreeModule):
         return end - self.durations * self.slopes, end
 
     def sensor(self, thermal_lag: Float[AnyArray, ""] | float | None = None) -> RampTemperature:
-        """What the sensor follows, for a first-order lag (s) between chamber and die; in equilibrium at the start."""
+        """Sensor temperature for a first-order lag (s) between chamber and die, in equilibrium at the start."""
         begin, _ = self.chamber()
         xp = namespace(self.start, self.durations, self.slopes, thermal_lag)
         if thermal_lag is None:
             return RampTemperature(self.times(), begin, self.slopes, xp.zeros(self.slopes.shape), xp.zeros(()))
         level = begin - self.slopes * thermal_lag
-        # Each stretch begins where the one before left the sensor; what it is off by then decays ever after.
+        # At the begin of each stretch the steady state jumps; the deviation decays through all later stretches.
         times = self.times()
         left = xp.concatenate([begin[:1], level[:-1] + self.slopes[:-1] * self.durations[:-1]]) - level
         since = xp.tril(times[:-1, None] - times[None, :-1])

@@ -1,8 +1,8 @@
-"""A plan as arrays: moves and their times, the pieces that they consist of, the chamber's programme.
+"""A plan as arrays: moves and their times, their pieces, the chamber's programme.
 
-What is whole in a plan (which pieces, which of them are read) stands in index arrays, which are *arguments* of every
-computation as its times and rates are, so that a compiled program serves every plan of its sizes. `Schedule.padded`
-is the one place where sizes are filled up: with pieces that last no time, are not read and change nothing.
+The discrete part of a plan (which pieces there are, which are read) is in index arrays. They are *arguments* of every
+computation like its times and rates, so that a compiled program serves every plan of its sizes. Only `Schedule.padded`
+pads sizes, with pieces of no duration that are not read and have no effect.
 
 Symbols: `M` moves, `P` pieces, `F` fillers (standing that fills what the moves of a stretch leave of it).
 """
@@ -25,17 +25,17 @@ from gradcal_jax.trajectory.trajectory import Trajectory
 Points = Literal["one run", "independent"]
 
 _NO_KNOT = -1
-# A time within this of a knot is at the knot; s.
+# Times this close to a knot are at the knot; s.
 _AT_KNOT = 1e-6
 
 
 class Pieces(PytreeModule):
-    """What every piece is: `(P,)` arrays; see `motion.PieceTable` for the first ones.
+    """Properties of every piece: `(P,)` arrays; see `motion.PieceTable` for the first ones.
 
-    `move`: whose times and rates it has; `segment` counts moves as they are made. `relaxed`: its one reading stands for
-    as many as fit, not a whole number. `gap`: its data are not used, and the origin is read anew at its end.
-    A piece is the share of its move's piece from the knot `low` of the programme to the knot `high`, or the whole of it
-    (−1), so that the temperature within is smooth.
+    `move`: index of the move with its times and rates; `segment` numbers the executed moves. `relaxed`: its one reading
+    represents a number of readings that need not be whole. `gap`: its data are not used, and a new origin is read at
+    its end. A piece is the part of its move's piece from the knot `low` of the programme to the knot `high` (−1: no
+    knot), so that the temperature within is smooth.
     """
 
     move: Int[AnyArray, " P"]
@@ -56,14 +56,14 @@ class Pieces(PytreeModule):
 
 
 class Schedule(PytreeModule):
-    """A plan of one channel. `duration` s, `peak_rate` rad/s, `ramp` s of each move; `fill_move` have the duration that
-    is left between the knots `fill_from` and `fill_to` of the programme after all moves, `fill_counts` times each.
+    """A plan of one channel. `duration` s, `peak_rate` rad/s, `ramp` s of each move; `fill_move` last for the
+    time between the knots `fill_from` and `fill_to` of the programme less that of all moves, `fill_counts` times each.
 
-    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list pieces; entries of P (in a padded
-    schedule) are none. `has_gaps`: whether there are pieces whose data are not used; `cut`: whether knots of the
-    programme may divide pieces. The first piece begins at the knot `first_knot`. `spacing` s: true spacing of the
-    readings of relaxed pieces. `rates`: the reference is a held rate at set points (standard method) and not an angle;
-    `points`: whether these share the run's noise, or are independent of one another.
+    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list pieces; entries equal to P (padding)
+    refer to none. `has_gaps`: whether the data of some pieces are not used; `cut`: whether knots of the programme may
+    divide pieces. The first piece begins at the knot `first_knot`. `spacing` s: true spacing of the readings of relaxed
+    pieces. `rates`: the reference is a held rate at set points (standard method) instead of an angle; `points`: whether
+    the set points share the run's noise or are independent.
     """
 
     duration: Float[AnyArray, " M"]
@@ -89,25 +89,25 @@ class Schedule(PytreeModule):
         return self.pieces.move.shape[0]
 
     def durations(self) -> Float[AnyArray, " M"]:
-        """Of every move (s), fillers included."""
+        """Durations of all moves (s), fillers included."""
         times = self.programme.times()
         left = times[self.fill_to] - times[self.fill_from] - self.fill_counts @ self.duration
         return put(self.duration, self.fill_move, left) if self.fill_move.shape[0] else self.duration
 
     def trajectory(self, thermal_lag: Float[AnyArray, ""] | float | None = None) -> Trajectory:
-        """The plan as the sensor sees it; `thermal_lag` s, of the sensor behind the chamber."""
+        """The plan's trajectory; `thermal_lag` s, of the sensor behind the chamber."""
         p = self.pieces
         durations = self.durations()
         xp = namespace(durations, self.peak_rate, p, self.programme, thermal_lag)
         whole = (p.u_end - p.u_start) * (p.by_duration * durations[p.move] + p.by_ramp * self.ramp[p.move])
         sensor = self.programme.sensor(thermal_lag)
-        # A piece that knots divide counts its whole time once, where its last share ends.
+        # The whole time of a divided piece counts once, at the end of its last part.
         last = p.high < 0
         counted = running_sum(xp.where(last, whole, 0.0))
         begins = sensor.times[self.first_knot] + xp.concatenate([xp.zeros(1), counted[:-1]])
 
         def fraction(knot):
-            # A piece of 1e-100 s is none: its inverse, and that of its square in a slope, would overflow.
+            # A piece of 1e-100 s counts as none: the inverse of its square, in a slope, would overflow.
             return (sensor.times[xp.maximum(knot, 0)] - begins) / xp.where(whole > 1e-100, whole, 1.0)
 
         duration, start, u_start, u_end = whole, begins, p.u_start, p.u_end
@@ -117,7 +117,7 @@ class Schedule(PytreeModule):
             duration, start = whole * (v1 - v0), begins + whole * v0
             width = p.u_end - p.u_start
             u_start, u_end = p.u_start + width * v0, p.u_start + width * v1
-        # The middle says which stretch a piece belongs to: at its start, rounding would.
+        # The middle of a piece defines its stretch: at its start rounding would decide.
         middle = start + 0.5 * duration
         within = xp.clip(xp.searchsorted(sensor.times, middle, side="right") - 1, 0, sensor.slope.shape[0] - 1)
         since = start - sensor.times[within]
@@ -146,9 +146,9 @@ class Schedule(PytreeModule):
         )
 
     def padded(self, moves: int | None = None, stretches: int | None = None) -> "Schedule":
-        """The same plan with sizes filled up to few classes, for a compiled program to serve many.
+        """The same plan with sizes padded to few classes, so that one compiled program serves many plans.
 
-        `moves`, `stretches`: so many, where whoever puts numbers in has as many of them.
+        `moves`, `stretches`: sizes that the caller prescribes.
         """
         count = size_class(self.piece_count)
         moves = size_class(self.duration.shape[0]) if moves is None else moves
@@ -189,7 +189,7 @@ def make_schedule(
     rates: bool = False,
     points: Points = "one run",
 ) -> Schedule:
-    """A schedule from `moves` (duration, peak rate, ramp) as they are `placed` (move, pieces), in order.
+    """A schedule from `moves` (duration, peak rate, ramp) in the order in which they are `placed` (move, pieces).
 
     `gaps`: placements whose data are not used. `fillers`: (move, from knot, to knot, counts). `inner_knots`: those of
     the programme at which the chamber may change its slope within a piece. `spacing`: pieces at rest are relaxed.
@@ -208,16 +208,16 @@ def make_schedule(
     fill_move, fill_from, fill_to = (np.array([f[i] for f in fillers], int) for i in range(3))
     counts = np.array([f[3] for f in fillers], float).reshape(len(fillers), len(moves))
     moving, varying = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
-    made = Schedule(
+    schedule = Schedule(
         duration, peak, ramp, np.asarray(1.0 if spacing is None else float(spacing)), programme, pieces, moving,
         varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(gaps), bool(inner_knots), rates,
         points,
     )  # fmt: skip
-    return _cut_at_knots(made, inner_knots) if inner_knots else made
+    return _cut_at_knots(schedule, inner_knots) if inner_knots else schedule
 
 
 def _cut_at_knots(schedule: Schedule, knots: tuple[int, ...]) -> Schedule:
-    """Divide pieces at the instants where the chamber changes its slope, so that every piece is smooth."""
+    """Divide pieces at the instants at which the chamber changes its slope, so that every piece is smooth."""
     line, times = schedule.trajectory(), schedule.programme.times()
     begin, end = line.start, line.start + line.duration
     source, low, high = [], [], []
@@ -248,11 +248,12 @@ def gradient_plan(
     used: tuple[tuple[int, int], ...] | None = None,
     read_every: float | None = 1.0,
 ) -> Schedule:
-    """Fit the `moves` (and `after` them those of other axes) into the used parts of a programme, as often as they go.
+    """Repeat the `moves`, each time with the moves `after` of other axes, as often as they fit into the used parts of a
+    programme.
 
-    `channel`: the axis whose sensor it is seen by. `used`: (first, last) of the programme's stretches, last not
-    included; None: all. `read_every` s: spacing of the readings while the axis stands for what the cycles leave; None:
-    unread. Errors: `ValueError` when the moves fit nowhere.
+    `channel`: the axis of the sensor. `used`: (first, last) of the programme's stretches, last not included; None: all.
+    `read_every` s: spacing of the readings while the axis stands in the remaining time; None: unread. Errors:
+    `ValueError` when the moves fit nowhere.
     """
     times = programme.times()
     own = sum(m.duration for m in moves)
@@ -271,20 +272,20 @@ def gradient_plan(
         fillers.append((move, begin, end, counts))
         placed.append((move, pieces))
 
-    made = False
+    fits = False
     for k, (first, last) in enumerate(spans):
         if k:
             gaps.append(len(placed))
             fill(spans[k - 1][1], first, np.zeros(len(cycle)), standing(((0.0, 1.0), (False,))))
         available = float(times[last] - times[first])
         cycles, left = repetitions(available, own, period) if moves else (0, available)
-        made |= cycles > 0
+        fits |= cycles > 0
         for n in range(cycles):
             placed += [(i, tables[i]) for i in range(len(moves) if n == cycles - 1 else len(cycle))]
         if left > _AT_KNOT:
             counts = np.repeat([cycles, max(cycles - 1, 0)], [len(moves), len(after)]).astype(float)
             fill(first, last, counts, standing(divide(left, tuple(reading_times(left, read_every)))))
-    if moves and not made:
+    if moves and not fits:
         raise ValueError(
             f"the moves take {own:.6g} s and fit into no used part of the temperature programme: shorten them"
         )
@@ -307,9 +308,9 @@ def standard_plan(
 ) -> Schedule:
     """At each of `temperatures` (°C) a `soak` (s), then each of `rates` (rad/s; 0: standing) for `integration` s.
 
-    The reference is a *rate*, whose error is one draw at each point, so that splitting a point into several readings
-    would buy nothing. `points`: "one run", in which drifts, clock and turn-on bias go on from point to point; or
-    "independent", each with noise of its own (the paper's reading). Errors: `ValueError` for what is no number.
+    The reference is a *rate* with one error for each point, so that dividing a point into several readings gains
+    nothing. `points`: "one run", in which drifts, clock and turn-on bias continue from point to point, or
+    "independent", each with noise of its own (as in the paper). Errors: `ValueError` for values that are no numbers.
     """
     temperatures, rates = (np.asarray(v, dtype=float) for v in (temperatures, rates))
     counts = len(temperatures), len(rates)

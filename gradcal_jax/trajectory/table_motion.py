@@ -1,7 +1,7 @@
-"""The motion of a body on a table of several axes: which axis every piece turns, and the nodes that the body sees.
+"""The motion of a body on a table of several axes: the axis that each piece turns, and the nodes of the body.
 
-One axis turns at a time; all others stand. The pieces, their rates and temperatures are a `Trajectory`, as for a single
-axis; the geometry makes of them the body's rate, specific force and attitude at every instant.
+One axis turns at a time; all others stand. Pieces, rates and temperatures are a `Trajectory`, as for a single axis; the
+geometry yields the body's rate, specific force and attitude at every instant.
 """
 
 import numpy as np
@@ -12,8 +12,8 @@ from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory.geometry import Geometry, frames
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 
-# Nodes that integrate polynomials of a cubic's degree in temperature and rate, and those that a turn needs besides:
-# sines of an angle that goes through `x` rad within a piece want about half of x, with a margin.
+# Nodes for cubic polynomials in temperature and rate, smallest number for a turn, and nodes per rad: sines of an angle
+# that changes by x rad within a piece need about x/2, with a margin.
 _LEAST_NODES = 12
 _FEWEST = 16
 _NODES_PER_RAD = 0.75
@@ -24,10 +24,10 @@ _SAME_POSE = 1e-9
 
 
 class TableMotion(PytreeModule):
-    """`line`: the pieces, `(P,)`; `axis`: which axis each turns (−1: all stand); `mounting`: how the unit hangs then.
+    """`line`: the pieces, `(P,)`; `axis`: the axis that each turns (−1: all stand); `mounting`: its number.
 
-    `start_angles` rad: of the axes as the motion begins. Pieces of one `kind` differ in temperature and by whole turns
-    alone; `example` is one of each of the `K` kinds, and `nodes` how many integrate it.
+    `start_angles` rad: of the axes at the begin of the motion. Pieces of one `kind` differ only in temperature and by
+    whole turns; `example` is a piece of each of the `K` kinds, and `nodes` its number of nodes.
     """
 
     line: Trajectory
@@ -64,7 +64,7 @@ def table_motion(
     before, after = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
     pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
     of_motion = np.round(np.column_stack([line.duration, line.u_start, line.u_end, line.terms]) / _SAME_POSE)
-    # The encoder's error goes from one standstill's to the next's over the whole move that a piece belongs to.
+    # The encoder's error is interpolated between standstills over the whole move of a piece.
     first = np.flatnonzero(np.diff(line.segment, prepend=line.segment[0] - 1))
     segment = np.repeat(np.arange(len(first)), np.diff(first, append=line.piece_count))
     ends = np.append(first[1:], line.piece_count) - 1
@@ -76,15 +76,14 @@ def table_motion(
     waves = max(_WAVES, harmonics + 1)
     turned = np.abs(line.turned()[example])
     nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * waves).astype(int)
-    # What stands sees one direction throughout.
-    # Few sizes: what is done for each costs more than a few nodes too many.
+    # A standing piece has a constant attitude and one node. Few sizes: each costs more than some additional nodes.
     sizes = np.array([_FEWEST, *(size_class(4 * _FEWEST * 2**k) for k in range(12))])
     nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)])
     return TableMotion(line, axis, mounting, geometry, start_angles, np.reshape(kind, -1), example, nodes)
 
 
 def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
-    """The nodes on which a unit's terms are integrated, functions of temperature known by `points` along each piece."""
+    """The nodes of a unit's terms, with functions of temperature interpolated from `points` points on each piece."""
     example = motion.example
     before, after = (angle[example] for angle in motion.angles())
     begin, end = motion.line.ends()
@@ -126,7 +125,7 @@ def body_group(
     joint: Float[AnyArray, "U q L"],
     mounting: Int[np.ndarray, "U q"],
 ) -> BodyGroup:
-    """What a body sees at nodes where the table's axes stand at `angle` (rad) and turn at `joint` (rad/s).
+    """A group of nodes at which the table's axes stand at `angle` (rad) and turn at `joint` (rad/s).
 
     `pieces`: numbers of the kinds, of the pieces, and of each piece's kind among the former. The rest: see `BodyGroup`.
     """

@@ -1,11 +1,11 @@
-"""The trajectory: a plan written out as smooth pieces of one channel, with a reading at the end of some of them.
+"""The trajectory: a plan as smooth pieces of one channel, with a reading at the end of some of them.
 
 Symbols: `P` pieces in order of time. Within piece `k`, at the fraction `v ∈ [0, 1]` of its duration,
 
     u = u_start + (u_end − u_start)·v,   ω = terms_k · f(u)            (f: the motion family of `formulas`)
     T = level_k + slope_k·t + excess_k·exp(−lag_rate·t),  t = v·duration_k
 
-Times in s, rates in rad/s, temperatures in °C. What moves one axis is rest for the others, so each sensor axis has a
+Times in s, rates in rad/s, temperatures in °C. A move of one axis is a rest for the others, so each sensor axis has a
 trajectory of its own.
 """
 
@@ -20,17 +20,17 @@ from jaxtyping import Bool, Float, Int
 from gradcal_jax import formulas
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 
-Everything = slice(None)
-# Times within this of each other are the same; s.
-_HAIR = 1e-6
+_EVERY_PIECE = slice(None)
+# Times that differ by less are the same; s.
+_SAME_TIME = 1e-6
 
 
 class Trajectory(PytreeModule):
-    """Pieces of one channel. Fields of shape `(P,)` unless said; see the module's head for the symbols.
+    """Pieces of one channel. Fields of shape `(P,)` unless stated; see the module's head for the symbols.
 
-    `read`: a reading at the end of the piece, which stands for `share` of them; `at_rest`: the axis stands then;
-    `moving`: the rate is not zero throughout; `gap`: its data are not used, and the origin is read anew at its end;
-    `segment` counts the moves. `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list
+    `read`: a reading at the end of the piece, which represents `share` readings; `at_rest`: the axis stands then;
+    `moving`: the rate is not zero throughout; `gap`: its data are not used, and a new origin is read at its end;
+    `segment` numbers the moves. `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list
     pieces. `has_gaps`, `rates`, `points`: see `schedule.Schedule`; `lagged`: whether `excess` may be other than zero.
     """
 
@@ -60,14 +60,14 @@ class Trajectory(PytreeModule):
     def piece_count(self) -> int:
         return self.duration.shape[0]
 
-    def rate(self, v: Float[AnyArray, "k q"], pieces: Any = Everything) -> Float[AnyArray, "k q"]:
-        """Rate (rad/s) at fractions `v` of each piece, or of each of the `k` given ones."""
+    def rate(self, v: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
+        """Rate (rad/s) at fractions `v` of each of the `pieces`."""
         u_start, u_end = self.u_start[pieces][:, None], self.u_end[pieces][:, None]
         family = formulas.motion_rate(u_start + (u_end - u_start) * v)
         return (family @ self.terms[pieces][:, :, None])[..., 0]
 
-    def angle(self, v: Float[AnyArray, "k q"], pieces: Any = Everything) -> Float[AnyArray, "k q"]:
-        """Angle (rad) turned since the piece began, at fractions `v` of each piece, or of each of the `k` given."""
+    def angle(self, v: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
+        """Angle (rad) since the begin of the piece, at fractions `v` of each of the `pieces`."""
         u_start = self.u_start[pieces][:, None]
         span = self.u_end[pieces][:, None] - u_start
         family = formulas.motion_angle(u_start + span * v) - formulas.motion_angle(u_start)
@@ -75,8 +75,8 @@ class Trajectory(PytreeModule):
         shares = self.duration[pieces][:, None] / xp.where(span > 0.0, span, 1.0)
         return (family @ self.terms[pieces][:, :, None])[..., 0] * shares
 
-    def temperature(self, v: Float[AnyArray, "k q"], pieces: Any = Everything) -> Float[AnyArray, "k q"]:
-        """Sensor temperature (°C) at fractions `v` of each piece, or of each of the `k` given ones."""
+    def temperature(self, v: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
+        """Sensor temperature (°C) at fractions `v` of each of the `pieces`."""
         since, level, slope, excess = (f[pieces][:, None] for f in (self.duration, self.level, self.slope, self.excess))
         if not self.lagged:
             return level + slope * (v * since)
@@ -101,8 +101,8 @@ class Trajectory(PytreeModule):
         return xp.sum(formulas.motion_rate(self.u_end) * self.terms, axis=1)
 
     def between(self, begin: float, end: float) -> "Trajectory":
-        """The pieces that lie wholly between two times (s, as `start` counts), as a trajectory of their own."""
-        kept = (self.start >= begin - _HAIR) & (self.start + self.duration <= end + _HAIR)
+        """The trajectory of the pieces that lie wholly between two times (s, in the time of `start`)."""
+        kept = (self.start >= begin - _SAME_TIME) & (self.start + self.duration <= end + _SAME_TIME)
         rows = np.flatnonzero(kept)
         changes = {name: getattr(self, name)[rows] for name in _OF_PIECES}
         places = {name: np.flatnonzero(np.isin(rows, getattr(self, name))) for name in _PLACES}
@@ -110,16 +110,16 @@ class Trajectory(PytreeModule):
 
 
 class Past(NamedTuple):
-    """What was done of a channel before: a trajectory, and the `pause` after it (s, positive)."""
+    """The past of a channel: its trajectory, and the `pause` after it (s, positive)."""
 
     line: Trajectory
     pause: Float[AnyArray, ""]
 
     def then(self, line: Trajectory) -> Trajectory:
-        """What was done and what is done after it, as one.
+        """The past and the trajectory after it as one.
 
-        In the pause the axis goes back to where the first began, nothing is read, and the noise goes on; at its end the
-        angle's origin is read anew, in a standstill of its own.
+        In the pause the axis returns to its first angle, nothing is read, and the noise continues; at its end a new
+        origin of the angle is read, in a standstill of its own.
         """
         before, pause = self
         count = before.piece_count
@@ -166,9 +166,7 @@ def held(
     rates: bool = False,
     points: Literal["one run", "independent"] = "one run",
 ) -> Trajectory:
-    """A trajectory of held rates (rad/s) while the temperature (°C) runs straight: what a log's pieces were, on the
-    whole.
-    """
+    """A trajectory of constant rates (rad/s) and linear temperatures (°C), the mean motion of a log's pieces."""
     count = len(duration)
     none = np.zeros(count)
     slope = np.where(duration > 0.0, (temperature_end - temperature) / np.where(duration > 0.0, duration, 1.0), 0.0)
@@ -181,7 +179,7 @@ def held(
 
 @lru_cache(maxsize=64)
 def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss–Legendre nodes and weights on [0, 1]; the same arrays for all who ask, which nobody may change."""
+    """Gauss–Legendre nodes and weights on [0, 1], in shared read-only arrays."""
     x, w = np.polynomial.legendre.leggauss(nodes)
     x, w = (x + 1.0) / 2.0, w / 2.0
     x.flags.writeable = w.flags.writeable = False

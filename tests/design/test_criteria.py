@@ -62,6 +62,6 @@ def test_half_waves_are_resolved_by_their_fewer_nodes(name):
     line = built.trajectory()
     rule = rule_of(built.model, line)
     assert rule.moving == {"cubic": 13, "hidden": 14}[name]
-    found = built.model.columns(gauss_nodes(line, built.model, rule))
+    result = built.model.columns(gauss_nodes(line, built.model, rule))
     fine = built.model.columns(gauss_nodes(line, built.model, rule._replace(moving=40)))
-    np.testing.assert_allclose(found, fine, rtol=0, atol=1e-12 * np.max(np.abs(fine)))
+    np.testing.assert_allclose(result, fine, rtol=0, atol=1e-12 * np.max(np.abs(fine)))

@@ -107,12 +107,12 @@ def test_a_discrepancy_counts_in_the_search_as_in_the_prediction():
     at = compiled(case=Case(hidden, None, (asked,), (), np.asarray(1.0), rule))
     known = posterior(information(PLAN.decode(POINT).trajectory(), hidden))
     reported = statistic("mean of max", residual(known, hidden, "scale_factor", TEMPERATURES, RATES)) * 1e6
-    found = at(POINT)
-    assert np.exp(found.logs[0]) == pytest.approx(reported, rel=1e-9)
+    result = at(POINT)
+    assert np.exp(result.logs[0]) == pytest.approx(reported, rel=1e-9)
     assert reported > np.exp(compiled()(POINT).logs[0]) + 1.0
     direction = np.random.default_rng(4).standard_normal(PLAN.size)
     difference = (at(POINT + 1e-5 * direction).logs[0] - at(POINT - 1e-5 * direction).logs[0]) / 2e-5
-    assert found.of_z[0] @ direction == pytest.approx(difference, rel=1e-5)
+    assert result.of_z[0] @ direction == pytest.approx(difference, rel=1e-5)
 
 
 def test_one_program_serves_every_plan_of_its_class():
@@ -144,11 +144,11 @@ def test_the_limit_meets_the_known_g_optimum():
     """M = b0 + b1·x, x = ω/ω_max: all the time at x = ±1 is best, and leaves √2·N/(ω_max·√time) at the ends."""
     constant_in_t = model(0, 1)
     worst = criterion(constant_in_t, "scale_factor", np.array([20.0]), np.linspace(-MAX, MAX, 21), "max")
-    found = limit_of(worst, constant_in_t, 1000.0)
+    result = limit_of(worst, constant_in_t, 1000.0)
     known = np.sqrt(2.0) * WALK / (MAX * np.sqrt(1000.0))
-    assert found.certified <= known * (1 + 1e-12)
-    assert found.certified == pytest.approx(known, rel=1e-6)
-    assert found.reached == pytest.approx(known, rel=1e-6)
+    assert result.certified <= known * (1 + 1e-12)
+    assert result.certified == pytest.approx(known, rel=1e-6)
+    assert result.reached == pytest.approx(known, rel=1e-6)
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
@@ -156,7 +156,7 @@ def test_the_limit_meets_the_known_d_optimum(degree):
     """Polynomials without a constant, x … x^(d+1): their D-optimal weights and places are found here by a search of
     their own, over symmetric designs, of which one is optimal."""
     constant_in_t = model(0, degree)
-    found = limit_of(Optimality(np.eye(degree + 1), "D"), constant_in_t, 1000.0)
+    result = limit_of(Optimality(np.eye(degree + 1), "D"), constant_in_t, 1000.0)
     powers = np.arange(1, degree + 2)
 
     def negative(z):
@@ -174,9 +174,9 @@ def test_the_limit_meets_the_known_d_optimum(degree):
     # The model's columns are Legendre polynomials: their leading coefficients are the change of determinant.
     leading = np.prod([legendre.leg2poly(np.eye(degree + 1)[k])[-1] for k in range(degree + 1)])
     known = WALK / (MAX * np.sqrt(1000.0)) * np.exp((best - 2 * np.log(leading)) / (2 * (degree + 1)))
-    assert found.certified <= known * (1 + 1e-9)
-    assert found.certified == pytest.approx(known, rel=1e-6)
-    assert found.reached == pytest.approx(known, rel=1e-6)
+    assert result.certified <= known * (1 + 1e-9)
+    assert result.certified == pytest.approx(known, rel=1e-6)
+    assert result.reached == pytest.approx(known, rel=1e-6)
 
 
 def test_drift_and_readings_only_raise_the_limit():
@@ -210,8 +210,8 @@ def test_what_multiplies_the_rate_stays_as_known():
         for tau in (1.0, 1200.0, 1e5):
             unstable = gauss_markov(20e-6, tau, bias_gain=0.0, rate_gain=1.0)
             known = 2 * tau * 20e-6**2 / (time + 2 * tau)
-            found = scale_factor_floor(with_(drift + unstable), windows, still, at)
-            np.testing.assert_allclose(found, known, rtol=2e-3)
+            result = scale_factor_floor(with_(drift + unstable), windows, still, at)
+            np.testing.assert_allclose(result, known, rtol=2e-3)
     np.testing.assert_allclose(scale_factor_floor(with_(clock), [], still, at), 3e-6**2)
     both = scale_factor_floor(with_(drift + unstable + clock), [(0.0, time)], still, at)
     np.testing.assert_allclose(both, known + 3e-6**2, rtol=1e-9)
@@ -225,20 +225,20 @@ def test_a_continuous_look_is_what_ever_closer_samples_come_to():
     ramp = lambda t: (-30.0 + 0.25 * t, np.full(np.shape(t), 0.25))  # noqa: E731
     cubic = eqx.tree_at(lambda m: m.processes, model(3, 1), unstable)
     at = np.array([-20.0, 10.0, 60.0])
-    found = scale_factor_floor(cubic, windows, ramp, at)
+    result = scale_factor_floor(cubic, windows, ramp, at)
     times = np.concatenate([np.linspace(a, b, 401) for a, b in windows])
     kernel = 20e-6**2 * np.exp(-np.abs(times[:, None] - times[None]) / tau)
     seen, wanted = (cubic.scale.temperature(t) for t in (ramp(times)[0], at))
     covariance = np.linalg.inv(seen.T @ np.linalg.solve(kernel, seen))
-    np.testing.assert_allclose(found, np.einsum("gi,ij,gj->g", wanted, covariance, wanted), rtol=1e-4)
+    np.testing.assert_allclose(result, np.einsum("gi,ij,gj->g", wanted, covariance, wanted), rtol=1e-4)
 
 
 def test_a_prior_leaves_of_what_stays_as_much_as_one_reading_of_it_would():
     """Of M = c + d with d seen and a prior on c of variance P: shared out, the quarter of it counts."""
     clock, std = constant(3e-6, rate_gain=1.0), 5e-6
     sure = eqx.tree_at(lambda m: m.processes, model(0, 1, prior_std=std), clock)
-    found = scale_factor_floor(sure, [], still, np.array([20.0]))
-    np.testing.assert_allclose(found, 1.0 / (4.0 / std**2 + 1.0 / 3e-6**2), rtol=1e-9)
+    result = scale_factor_floor(sure, [], still, np.array([20.0]))
+    np.testing.assert_allclose(result, 1.0 / (4.0 / std**2 + 1.0 / 3e-6**2), rtol=1e-9)
     loose = eqx.tree_at(lambda m: m.terms[0].prior_std, sure, np.asarray(1.0))
     np.testing.assert_allclose(scale_factor_floor(loose, [], still, np.array([20.0])), 3e-6**2, rtol=1e-9)
 
@@ -269,10 +269,10 @@ def test_the_search_improves_goes_on_where_it_was_and_never_beats_the_limit():
     assert len(rest) == len(whole) - 4
     assert rest[-1].best == best.best
     assert np.array_equal(rest[-1].best_point, best.best_point)
-    found = polish(at, best.best_point)
-    assert found.value <= best.best <= best.first
-    assert found.value == pytest.approx(np.exp(at(found.point).logs[0]), rel=1e-12)
-    assert found.converged, found.sentence
+    result = polish(at, best.best_point)
+    assert result.value <= best.best <= best.first
+    assert result.value == pytest.approx(np.exp(at(result.point).logs[0]), rel=1e-12)
+    assert result.converged, result.sentence
     proven = limit(
         CRITERION,
         LINEAR,
@@ -283,7 +283,7 @@ def test_the_search_improves_goes_on_where_it_was_and_never_beats_the_limit():
         noise_density=least_noise_density(LINEAR, 1.0),
     )
     assert proven.certified <= proven.reached * (1 + 1e-12)
-    assert proven.certified * 1e6 <= found.value
+    assert proven.certified * 1e6 <= result.value
 
 
 def test_a_search_that_is_stopped_ends_at_once_with_its_best():
@@ -319,9 +319,9 @@ class UnderALimit(eqx.Module):
 def test_a_limit_that_binds_is_held():
     at = Compiled(UnderALimit(np.asarray(1.0)), 2)
     *_, last = search(at, starts=2, seed=0, steps=80, hops=0)
-    found = polish(at, last.state.best_point)
-    assert np.allclose(found.point, [1.0, 1.0], atol=1e-5)
-    assert found.converged, found.sentence
-    assert found.gradient_norm < 1e-5
+    result = polish(at, last.state.best_point)
+    assert np.allclose(result.point, [1.0, 1.0], atol=1e-5)
+    assert result.converged, result.sentence
+    assert result.gradient_norm < 1e-5
     # d log f = 2/3 (1, 1) there, and the logarithm of the excess falls by 1/12 (1, 1).
-    np.testing.assert_allclose(multipliers(at, found.point), [8.0], rtol=1e-4)
+    np.testing.assert_allclose(multipliers(at, result.point), [8.0], rtol=1e-4)

@@ -232,8 +232,8 @@ def test_a_lag_goes_on_over_samples_that_were_lost():
 @pytest.mark.parametrize(("at_s", "std_s"), [(-3.0, 4.0), (0.3, 0.5), (40.0, 2.0)])
 def test_how_well_a_lag_is_known_is_told_also_where_there_is_none(at_s, std_s):
     def settle(lag, parameters):
-        found = SimpleNamespace(parameters=np.zeros(1), chi_squared=np.array([((lag - at_s) / std_s) ** 2]))
-        return None, None, found, 0.0
+        result = SimpleNamespace(parameters=np.zeros(1), chi_squared=np.array([((lag - at_s) / std_s) ** 2]))
+        return None, None, result, 0.0
 
     lag, known = _fitted_lag(settle)
     assert lag == pytest.approx(max(at_s, 0.0), abs=0.1)

@@ -38,24 +38,24 @@ def simulated(name, units, seed=0):
 )
 def test_a_thousand_units_err_as_predicted(name):
     built, observations, truth = simulated(name, UNITS)
-    found = solve(whitened(observations, built.model))
+    result = solve(whitened(observations, built.model))
 
     # The covariance is the prediction's own, to rounding.
     predicted = posterior_of_plan(built)
     reported = built.model.to_reported
-    ours, theirs = found.known[0].covariance(reported), predicted.covariance(reported)
+    ours, theirs = result.known[0].covariance(reported), predicted.covariance(reported)
     scale = np.sqrt(np.outer(np.diag(theirs), np.diag(theirs)))
     assert np.max(np.abs(ours - theirs) / scale) < 1e-8
 
     # Mean squared normalised error, and the fit's own chi-square, within their 99 % bands.
     p = truth.shape[1]
     low, high = nees_band(UNITS, p)
-    assert low < np.mean(normalised_errors(found, truth)) / p < high
-    low, high = nees_band(UNITS, int(found.degrees[0]))
-    assert low < np.mean(found.chi_squared) / found.degrees[0] < high
+    assert low < np.mean(normalised_errors(result, truth)) / p < high
+    low, high = nees_band(UNITS, int(result.degrees[0]))
+    assert low < np.mean(result.chi_squared) / result.degrees[0] < high
 
     # What is left of the maps is what was promised.
-    errors = found.parameters - truth
+    errors = result.parameters - truth
     for requirement in built.spec.requirement:
         temperatures, rates, promised = residual_map(built, predicted, requirement)
         grid_t, grid_w = np.meshgrid(temperatures, rates / DEG_PER_S, indexing="ij")

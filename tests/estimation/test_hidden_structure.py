@@ -48,17 +48,17 @@ def test_structure_is_noticed_measured_and_written_for_the_spec(spec):
     assert all(t.noticed and t.asked is not None for t in tests)
     assert not report.as_wished
     assert any("the data ask for degree" in m for m in report.messages["simulated-1"])
-    (found,) = [r for r in report.discrepancies if r.quantity == "scale_factor"]
-    assert found.units == UNITS
-    assert found.low < size < found.high
-    assert 0.5 * size < found.standard_deviation < 2.0 * size
+    (result,) = [r for r in report.discrepancies if r.quantity == "scale_factor"]
+    assert result.units == UNITS
+    assert result.low < size < result.high
+    assert 0.5 * size < result.standard_deviation < 2.0 * size
     # The block goes into the spec as it is.
-    section, line = found.block.splitlines()
+    section, line = result.block.splitlines()
     text = to_toml(spec)
     assert section in text
     again = parse_spec(text.replace(section, f"{section}\n{line}", 1))
     assert float(again.sensor.scale_factor.discrepancy.standard_deviation) / PPM == pytest.approx(
-        found.standard_deviation, rel=0.01
+        result.standard_deviation, rel=0.01
     )
     rows = estimate_rows(report)
     assert rows["discrepancies"][0]["unit"] in ("ppm", "deg/h")
@@ -73,5 +73,5 @@ def test_where_nothing_is_hidden_nothing_is_noticed(spec):
     report = estimate_calibration(spec, logs_of(spec, 0.0))
     tests = [t for c in report.channels for t in c.structure if t.quantity == "scale_factor"]
     assert not any(t.noticed for t in tests)
-    (found,) = [r for r in report.discrepancies if r.quantity == "scale_factor"]
-    assert found.low == 0.0
+    (result,) = [r for r in report.discrepancies if r.quantity == "scale_factor"]
+    assert result.low == 0.0

@@ -60,13 +60,13 @@ def test_points_with_their_sigma_are_weighted_least_squares(tmp_path):
     covariance = np.linalg.inv(x.T @ (x / variance[:, None]))
     expected = covariance @ (x.T @ ((output - rate) / variance))
     (axis,) = report.calibrations[0].axis
-    found = np.array([*axis.bias.coefficients.values(), *axis.scale_factor.coefficients.values()])
-    found[:2] = np.degrees(found[:2])
-    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-12)
+    result = np.array([*axis.bias.coefficients.values(), *axis.scale_factor.coefficients.values()])
+    result[:2] = np.degrees(result[:2])
+    np.testing.assert_allclose(result, expected, rtol=1e-7, atol=1e-12)
     stds = np.sqrt(np.diag(axis.covariance.matrix))
     stds[:2] = np.degrees(stds[:2])
     np.testing.assert_allclose(stds, np.sqrt(np.diag(covariance)), rtol=1e-7)
-    assert np.all(np.abs(found - truth) < 4 * stds)
+    assert np.all(np.abs(result - truth) < 4 * stds)
     assert report.channels[0].consistency.fit.passed
     assert axis.valid_rate[1] == pytest.approx(np.radians(300.0))
     assert report.channels[0].counts == {"used": 60}
@@ -80,13 +80,13 @@ def test_the_command_takes_csv_and_netcdf_alike(tmp_path, capsys):
     variables["s"] = (sigma / 0.02, None)
     dataset = xarray.Dataset({n: ("point", v, {} if u is None else {"units": u}) for n, (v, u) in variables.items()})
     dataset.to_netcdf(tmp_path / "points.nc", engine="h5netcdf")
-    found = []
+    result = []
     for path in (csv, tmp_path / "points.nc"):
         asked = ["estimate", str(path), "--points", str(columns), "--spec", str(tmp_path / "spec.toml")]
         assert main([*asked, "--json", "-o", str(tmp_path / f"{path.suffix[1:]}.toml")]) in (0, 1)
         (channel,) = json.loads(capsys.readouterr().out)["units"][0]["channels"]
-        found.append([p["value"] for p in channel["parameters"]])
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+        result.append([p["value"] for p in channel["parameters"]])
+    np.testing.assert_allclose(result[0], result[1], rtol=1e-9)
     assert 'serial_number = "SN-7"' in (tmp_path / "csv.toml").read_text(encoding="utf-8")
     dataset["table"].attrs["units"] = "rad/s"
     dataset.to_netcdf(tmp_path / "wrong.nc", engine="h5netcdf")

@@ -134,12 +134,12 @@ def test_rate_runs_agree_with_one_another_and_hardly_with_the_steps():
     of the steps. What is left is the drive: a rate is told to it as a count of clock ticks between microsteps, which
     nobody measured.
     """
-    found = [estimate_channels(RATES, rates(run), axes=["y"], options=AT)[0] for run in RUNS]
-    values, deviations = np.array([scale_factor(channel) for channel in found]).T
+    result = [estimate_channels(RATES, rates(run), axes=["y"], options=AT)[0] for run in RUNS]
+    values, deviations = np.array([scale_factor(channel) for channel in result]).T
     assert np.all((values > 1.0033) & (values < 1.0041))
     assert np.all(deviations < 5e-4)
     assert np.all(np.abs(values - values.mean()) < 2.0 * deviations)
-    for channel in found:
+    for channel in result:
         assert len(channel.weights) >= 7
         assert channel.consistency.noise_scale < 2.0
     of_steps = np.array(
@@ -183,13 +183,13 @@ def test_mpu9150_stands_still_between_hand_rotations(number):
         f'rate.{a} = {{ column = "imu{number}", index = {3 + k}, unit = "rad/s" }}\n' for k, a in enumerate("xyz")
     )
     log = import_log(FOLDER / "mikoff_mpu9150_rotations.npz", parse_column_map(text))
-    found = find_standstills(log.rate_rad_per_s[0], log.sample_interval_s, window_s=0.5, shortest_s=1.0)
-    assert found.max() + 1 == 22  # of 28 or 29 rotations told of, some follow one another without a rest
+    result = find_standstills(log.rate_rad_per_s[0], log.sample_interval_s, window_s=0.5, shortest_s=1.0)
+    assert result.max() + 1 == 22  # of 28 or 29 rotations told of, some follow one another without a rest
     if number:
         return
     channels = estimate_channels(STEPS, log, axes=["x"], options=AT)
     names = channels[0].model.names()
-    still = found >= 0
-    mean = np.mean([log.rate_rad_per_s[0, found == k, 0].mean() for k in range(found.max() + 1)])
+    still = result >= 0
+    mean = np.mean([log.rate_rad_per_s[0, result == k, 0].mean() for k in range(result.max() + 1)])
     assert channels[0].estimate.parameters[0][names.index("a0")] == pytest.approx(mean, abs=np.radians(0.05))
     assert channels[0].counts["used"] <= np.count_nonzero(still)

@@ -66,10 +66,10 @@ def test_what_nothing_is_said_of_is_hidden_and_gets_the_smallest_parameters():
     rng = np.random.default_rng(1)
     rows = rng.standard_normal((1, 50, 3))
     rows[:, :, 2] = rows[:, :, 0] + rows[:, :, 1]
-    found = solve(Whitened(rows, rows[0].sum(axis=1)[None], np.zeros((0, 3))))
-    assert found.known[0].hidden.shape == (3, 1)
-    assert found.degrees[0] == 50 - 2
-    assert found.chi_squared[0] < 1e-20
+    result = solve(Whitened(rows, rows[0].sum(axis=1)[None], np.zeros((0, 3))))
+    assert result.known[0].hidden.shape == (3, 1)
+    assert result.degrees[0] == 50 - 2
+    assert result.chi_squared[0] < 1e-20
     known = solve(Whitened(rows, rows[0].sum(axis=1)[None], np.array([[0.0, 0.0, 10.0]])))
     assert known.known[0].hidden.shape == (3, 0)
 
@@ -153,8 +153,8 @@ def test_the_strength_chosen_leaves_less_than_too_little_or_too_much():
 
     def left(std):
         smooth = with_smoothness(model, std, None)
-        found = solve(white._replace(prior=np.asarray(smooth.prior_rows())))
-        return float(np.sqrt(np.mean((found.parameters[0][bias] - truth) ** 2)))
+        result = solve(white._replace(prior=np.asarray(smooth.prior_rows())))
+        return float(np.sqrt(np.mean((result.parameters[0][bias] - truth) ** 2)))
 
     assert left(chosen.bias) < 0.8 * left(1e4 * DEG_PER_H)
     assert left(chosen.bias) < 0.5 * left(0.05 * DEG_PER_H)

@@ -52,12 +52,12 @@ def test_steps_and_noise_are_taken_off_a_temperature(sample_rate_hz):
     ramp = (time - 180.0 * -np.expm1(-time / 180.0)) / 60.0 - 35.0
     rng = np.random.default_rng(1)
     said = np.round((ramp + 5e-3 * rng.standard_normal(len(time))) * 256.0) / 256.0
-    found = smoothed_temperature(time, said)
+    result = smoothed_temperature(time, said)
     # A parabola's value has 9/4 the variance of a mean of 60 s, and 9 times at the ends.
     noise = np.hypot(5e-3, 1.0 / 256.0 / np.sqrt(12.0)) / np.sqrt(60.0 * sample_rate_hz)
     inside = (time > 30.0) & (time < 1770.0)
-    assert np.std((found - ramp)[inside]) < 2.0 * noise
-    assert np.max(np.abs(found - ramp)) < 15.0 * noise
+    assert np.std((result - ramp)[inside]) < 2.0 * noise
+    assert np.max(np.abs(result - ramp)) < 15.0 * noise
     # What the parabola misses of the lag's beginning, and of nothing else.
     np.testing.assert_allclose(smoothed_temperature(time, ramp), ramp, rtol=0, atol=2e-4)
     # Parabolas come back (but for their curvature within a bin of a second, which is averaged: a microkelvin), samples
@@ -95,8 +95,8 @@ def test_the_true_rate_is_found_through_a_map_of_five_per_cent():
     truth[model.where(SCALE_FACTOR)] = table.ravel()
     bias = model.bias.temperature(temperature) @ truth[model.where(BIAS)]
     measured = bias + (1.0 + scale_factor_map(at, by, table)) * rate
-    found = true_rate(model, truth, measured, temperature)
-    np.testing.assert_allclose(found, rate, rtol=1e-12, atol=1e-15)
+    result = true_rate(model, truth, measured, temperature)
+    np.testing.assert_allclose(result, rate, rtol=1e-12, atol=1e-15)
 
 
 def test_two_readings_that_agree_to_the_last_digit_are_two():

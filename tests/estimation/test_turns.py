@@ -34,8 +34,8 @@ def by_hand(seed=0):
 
 
 def test_turns_are_found_and_give_the_scale_factor():
-    log, found = with_turns(by_hand(), list(SAID), axis="x")
-    np.testing.assert_allclose([t.sensed_rad for t in found], SCALE * SAID, rtol=2e-3)
+    log, result = with_turns(by_hand(), list(SAID), axis="x")
+    np.testing.assert_allclose([t.sensed_rad for t in result], SCALE * SAID, rtol=2e-3)
     assert log.table_axes == ("x",)
     assert np.isnan(log.table_angle_rad[:, 0]).sum() >= 4 * 200
     (channel,) = estimate_channels(parse_spec(SPEC), log, axes=("x",))
@@ -51,8 +51,8 @@ def test_turns_are_found_and_give_the_scale_factor():
 
 def test_what_was_recorded_but_not_integrated_is_not_covered():
     """One row of the fastest turn is masked: that turn has no reference, and its rate is not covered."""
-    log, found = with_turns(by_hand(), list(SAID), axis="x")
-    fastest = found[2]
+    log, result = with_turns(by_hand(), list(SAID), axis="x")
+    fastest = result[2]
     status = np.zeros((1, len(log.time_s)), np.uint16)
     status[0, np.searchsorted(log.time_s, fastest.begin_s + 1.0)] = 4
     (channel,) = estimate_channels(parse_spec(SPEC), replace(log, status=status), axes=("x",))

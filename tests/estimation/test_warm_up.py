@@ -124,9 +124,9 @@ def test_a_thermometer_that_steps_by_a_degree():
     unit, (time, temperature) = vehicle(5), warming(2400.0, 25.0)
     log = log_of(unit, time, temperature, 5)
     coarse = estimate_warm_up([Log(time, log.rate_rad_per_s, ("g",), log.axes, np.rint(temperature)[None])])
-    (found,) = coarse.calibrations
-    errors = np.stack([correction.bias(axis, FIT) for axis in found.axis], axis=1) - unit.true_bias(FIT)
-    sigmas, _ = left(errors, found)
+    (result,) = coarse.calibrations
+    errors = np.stack([correction.bias(axis, FIT) for axis in result.axis], axis=1) - unit.true_bias(FIT)
+    sigmas, _ = left(errors, result)
     assert np.abs(sigmas).max() < 3.0
     assert np.sqrt(np.mean(errors**2)) / DEG_PER_H < 12.0
 
@@ -184,12 +184,12 @@ def test_the_stated_sigma_covers_what_is_left(kind):
     inside, sizes, errors = [], [], []
     for seed in range(20):
         unit = vehicle(seed, **KINDS[kind])
-        (found,) = estimate_warm_up([log_of(unit, *warming(2400.0, 10.0), seed)]).calibrations
+        (result,) = estimate_warm_up([log_of(unit, *warming(2400.0, 10.0), seed)]).calibrations
         truth = unit.true_bias(FIT)
         if kind == "random walk":  # its beginning is this run's bias
             truth = truth + drift_at_start(unit, seed)
-        taken = np.stack([correction.bias(axis, FIT) for axis in found.axis], axis=1)
-        sigmas, sigma = left(taken - truth, found)
+        taken = np.stack([correction.bias(axis, FIT) for axis in result.axis], axis=1)
+        sigmas, sigma = left(taken - truth, result)
         inside.append(np.mean(np.abs(sigmas) < 1.96))
         sizes.append(sigma)
         errors.append((taken - truth) / DEG_PER_H)

@@ -3,18 +3,18 @@
 import numpy as np
 
 from gradcal_jax import formulas
-from gradcal_jax.identify.largest_drift import _running_angle, _whole_samples
+from gradcal_jax.identify.largest_drift import _whole_samples, running_angle
 
 
 def drifts(rate, sample_interval_s, integration_time_s, averaging_time_s, *, valid=None):
     """D(t) of every start of one channel, by the plain formula."""
     before = _whole_samples(averaging_time_s, sample_interval_s)
     length = _whole_samples(integration_time_s, sample_interval_s)
-    found = [np.zeros(0)]
+    result = [np.zeros(0)]
     for start, stop in formulas.runs(np.ones(len(rate), bool) if valid is None else valid).tolist():
         if stop - start >= before + length:
-            angle = _running_angle(rate[start:stop], first_sample=start)
+            angle = running_angle(rate[start:stop], first_sample=start)
             anchor = angle[before : len(angle) - length]
             ahead = (angle[before + length :] - anchor) / length
-            found.append(ahead - (anchor - angle[: len(anchor)]) / before)
-    return np.concatenate(found)
+            result.append(ahead - (anchor - angle[: len(anchor)]) / before)
+    return np.concatenate(result)

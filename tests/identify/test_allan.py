@@ -99,8 +99,8 @@ def test_coefficients_and_confidence_hold_what_they_say():
         allan = overlapping_allan(simulate(seed, 5000, 0.1, **truth), 0.1, averaging_times(5000, 0.1, per_decade=6))
         fit = fit_allan(allan, terms=tuple(truth))
         for term, value in truth.items():
-            found = getattr(fit, term)
-            pulls[term].append((found.value**2 - value**2) / (2 * value * found.standard_error))
+            result = getattr(fit, term)
+            pulls[term].append((result.value**2 - value**2) / (2 * value * result.standard_error))
         true = np.sqrt(_design(allan.averaging_time_s) @ np.square([0.03, 0.5, 0.0, 0.05]))
         inside.append((fit.lower < true) & (true < fit.upper))
     for term in ("angle_random_walk", "rate_random_walk"):
@@ -210,8 +210,8 @@ def errors_and_alarms(records, samples, interval, **truth):
         fit = fit_allan(overlapping_allan(simulate(seed, samples, interval, **truth), interval, times))
         alarms += fit.chance < MISFIT
         for term, value in truth.items():
-            found = getattr(fit, term)
-            held[term] += abs(found.value - value) < 1.96 * found.standard_error
+            result = getattr(fit, term)
+            held[term] += abs(result.value - value) < 1.96 * result.standard_error
     return {term: count / records for term, count in held.items()}, alarms / records
 
 

@@ -80,8 +80,8 @@ def test_the_process_found_bounds_fresh_records_of_the_same_kind(drift_std, corr
         assert np.all(bound.largest_drift <= bound.limit * (1 + 1e-9))
         fresh = at_rest(100 + seed, 40, drift_std * DEG_PER_H, correlation_time_s)
         limits = bound.margin * bound.limiting_function
-        found = [np.abs(drifts(fresh, 1.0, float(t), 120.0)) for t in bound.integration_time_s]
-        shares.append([np.mean(one > limit) for one, limit in zip(found, limits, strict=True)])
+        result = [np.abs(drifts(fresh, 1.0, float(t), 120.0)) for t in bound.integration_time_s]
+        shares.append([np.mean(one > limit) for one, limit in zip(result, limits, strict=True)])
         ratios.append(np.max(observe(fresh, 120.0).largest_drift[:, 0] / bound.limit))
         bounds.append(bound.drift_std / DEG_PER_H)
     # 40 h hold few independent windows of 20 minutes: the allowance is for their scatter.
@@ -185,13 +185,13 @@ def test_the_drift_that_decides_is_placed():
 
 def test_the_scatter_of_bounds_is_known_from_one_record():
     """Between twelve records of ten hours σ and ln τ scatter as each of them says, within a factor of 2.5."""
-    found, said = [], []
+    result, said = [], []
     for seed in range(12):
         rate = at_rest(seed, 10, 3 * DEG_PER_H, 120.0)
         bound = fit_direct_bound(observe(rate, 60.0), WALK)
-        found.append((bound.drift_std, np.log(bound.correlation_time_s)))
+        result.append((bound.drift_std, np.log(bound.correlation_time_s)))
         said.append(scatter_of_bound(bound, rate, 1.0))
-    ratio = np.median(said, axis=0) / np.std(found, axis=0)
+    ratio = np.median(said, axis=0) / np.std(result, axis=0)
     assert np.all((ratio > 0.4) & (ratio < 2.5))
     assert scatter_of_bound(bound, rate[:400], 1.0) is None
 

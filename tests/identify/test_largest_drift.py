@@ -46,39 +46,39 @@ def test_equals_the_definition_over_all_starts(seed, samples, before, lengths, k
         with pytest.raises(ValueError, match="fits no unbroken stretch"):
             run()
         return
-    found = run()
+    result = run()
     scale = np.abs(rate).max()
     np.testing.assert_allclose(
-        found.largest_drift[:, 0], [value for value, _ in expected], rtol=1e-9, atol=1e-12 * scale
+        result.largest_drift[:, 0], [value for value, _ in expected], rtol=1e-9, atol=1e-12 * scale
     )
-    assert found.start_count[:, 0].tolist() == [count for _, count in expected]
+    assert result.start_count[:, 0].tolist() == [count for _, count in expected]
     for row, length in enumerate(sorted(set(lengths))):
-        start = int(found.start_index[row, 0])
+        start = int(result.start_index[row, 0])
         assert valid[start - before : start + length].all()
         there = rate[start : start + length].mean() - rate[start - before : start].mean()
-        assert abs(there) == pytest.approx(found.largest_drift[row, 0], rel=1e-9, abs=1e-12 * scale)
+        assert abs(there) == pytest.approx(result.largest_drift[row, 0], rel=1e-9, abs=1e-12 * scale)
 
 
 def test_long_record_equals_the_difference_passes():
     rng = np.random.default_rng(8)
     rate = rng.standard_normal((200_000, 2)) + np.cumsum(rng.standard_normal((200_000, 2)), axis=0) * [1e-3, 0.0]
     times = integration_times(0.5, 500.0, 0.01, count=12)
-    found = largest_drift(rate, 0.01, times, 10.0)
+    result = largest_drift(rate, 0.01, times, 10.0)
     for channel in (0, 1):
-        for row, time in enumerate(found.integration_time_s):
+        for row, time in enumerate(result.integration_time_s):
             values = np.abs(drifts(rate[:, channel], 0.01, float(time), 10.0))
-            assert found.largest_drift[row, channel] == pytest.approx(values.max(), rel=1e-10)
-            assert found.start_index[row, channel] == 1000 + values.argmax()
-            assert found.start_count[row, channel] == len(values)
+            assert result.largest_drift[row, channel] == pytest.approx(values.max(), rel=1e-10)
+            assert result.start_index[row, channel] == 1000 + values.argmax()
+            assert result.start_count[row, channel] == len(values)
 
 
 def test_a_constant_rate_drifts_nowhere_and_a_step_by_its_height():
     constant = largest_drift(np.full(5000, 7.5), 1.0, np.array([1.0, 70.0, 900.0]), 30.0)
     assert np.all(constant.largest_drift == 0.0)
     step = np.where(np.arange(5000) < 2000, 0.0, 3.0)
-    found = largest_drift(step, 1.0, np.array([1.0, 70.0, 900.0]), 30.0)
-    np.testing.assert_allclose(found.largest_drift[:, 0], 3.0, rtol=1e-12)
-    assert found.start_index[:, 0].tolist() == [2000, 2000, 2000]
+    result = largest_drift(step, 1.0, np.array([1.0, 70.0, 900.0]), 30.0)
+    np.testing.assert_allclose(result.largest_drift[:, 0], 3.0, rtol=1e-12)
+    assert result.start_index[:, 0].tolist() == [2000, 2000, 2000]
 
 
 def test_each_channel_may_have_its_own_mask():
@@ -86,10 +86,10 @@ def test_each_channel_may_have_its_own_mask():
     rate[150] = 100.0
     valid = np.ones((400, 2), bool)
     valid[150, 1] = False
-    found = largest_drift(rate, 1.0, np.array([10.0]), 20.0, valid=valid)
+    result = largest_drift(rate, 1.0, np.array([10.0]), 20.0, valid=valid)
     # The lone sample of 100 in a window of ten; masked, nothing is left.
-    np.testing.assert_allclose(found.largest_drift[0], [10.0, 0.0], atol=1e-12)
-    assert found.start_count[0].tolist() == [371, (150 - 29) + (249 - 29)]
+    np.testing.assert_allclose(result.largest_drift[0], [10.0, 0.0], atol=1e-12)
+    assert result.start_count[0].tolist() == [371, (150 - 29) + (249 - 29)]
     assert longest_integration_time(valid[:, 1], 1.0, 20.0) == 229.0
 
 

@@ -121,8 +121,8 @@ def _bound_check(scene):
     inward = jnp.zeros(count).at[jnp.asarray(ramps)].set(-1.0)
     at = lambda s: np.asarray(f(inward * s * _STEP))  # noqa: E731
     slope = (-25 / 12 * at(0) + 4 * at(1) - 3 * at(2) + 4 / 3 * at(3) - at(4) / 4) / _STEP
-    found = gradient @ np.asarray(inward)
-    assert np.max(np.abs(found - slope) / np.linalg.norm(gradient, axis=1)) < 1e-6
+    result = gradient @ np.asarray(inward)
+    assert np.max(np.abs(result - slope) / np.linalg.norm(gradient, axis=1)) < 1e-6
 
 
 @pytest.mark.evidence
@@ -167,6 +167,6 @@ def test_a_break_at_the_end_of_a_piece_keeps_its_derivative():
         return at_readings(moved.trajectory(), model, rule)[-1]
 
     start = jnp.asarray(scene.start)
-    found = jax.jit(jax.jacfwd(last))(start)
+    result = jax.jit(jax.jacfwd(last))(start)
     wanted = (last(start + 1e-3) - last(start - 1e-3)) / 2e-3
-    np.testing.assert_allclose(found, wanted, atol=1e-6 * np.max(np.abs(wanted)))
+    np.testing.assert_allclose(result, wanted, atol=1e-6 * np.max(np.abs(wanted)))

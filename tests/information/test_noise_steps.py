@@ -72,10 +72,10 @@ def test_one_move_against_the_covariance_equation(act):
         y = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
         for a, b in pairwise(edges):
             y = solve_ivp(slope, (a, b), y, method="DOP853", rtol=3e-13, atol=1e-15).y[:, -1]
-        found = [onward[0, k], onward[k, k], np.nan, spread[0, k], spread[k, k]]
+        result = [onward[0, k], onward[k, k], np.nan, spread[0, k], spread[k, k]]
         size = np.array([act.duration, 1.0, 1.0, noise.size**2 * act.duration, noise.size**2])
         for i in (0, 1, 3, 4):
-            assert found[i] / size[i] == pytest.approx(y[i] / size[i], abs=1e-9), (noise, i)
+            assert result[i] / size[i] == pytest.approx(y[i] / size[i], abs=1e-9), (noise, i)
         alone = spread[0, 0]
         noise_only = Scene(0.0, scene.stretches, (act,), arw=0.0, noises=(noise,), scale=scene.scale)
         if k in (2, 6):

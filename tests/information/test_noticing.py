@@ -127,13 +127,13 @@ def test_the_gradient_of_the_probability_to_miss_through_the_information():
 def detected(bench: Bench, count: int, std: float, seed: int) -> tuple[float, np.ndarray, float]:
     """Share of units in which the test notices, their probabilities, and the power predicted for the plan."""
     white, extra, _ = bench.units(count, std, seed)
-    found = components(white, extra)
-    probability = np.array([chi_squared(found, unit).probability for unit in range(count)])
+    result = components(white, extra)
+    probability = np.array([chi_squared(result, unit).probability for unit in range(count)])
     sized = changed(
         bench.spec, {"sensor.scale_factor.discrepancy": HIDDEN | {"standard_deviation": f"{std / PPM} ppm"}}
     )
     (row,) = noticing(assemble(sized))
-    assert row.components == len(found.gains)
+    assert row.components == len(result.gains)
     return float(np.mean(probability < row.false_alarm)), probability, row.power
 
 
@@ -225,7 +225,7 @@ def test_intervals_of_measured_discrepancies_cover_as_they_say(name):
     """2000 trials of one unit each, 95 % intervals: of 500, one lot in twenty would be outside 93 to 97 % by chance."""
     white, extra, _ = Bench(name).units(2000, 10 * PPM, 21)
     every = components(white, extra)
-    found = [size_of([every._replace(y=every.y[:, k : k + 1])]) for k in range(2000)]
-    covered = sum(one.low <= 10 * PPM <= (np.inf if one.high is None else one.high) for one in found)
+    result = [size_of([every._replace(y=every.y[:, k : k + 1])]) for k in range(2000)]
+    covered = sum(one.low <= 10 * PPM <= (np.inf if one.high is None else one.high) for one in result)
     assert 0.93 <= covered / 2000 <= 0.97
-    assert np.median([one.std for one in found]) == pytest.approx(10 * PPM, rel=0.2)
+    assert np.median([one.std for one in result]) == pytest.approx(10 * PPM, rel=0.2)

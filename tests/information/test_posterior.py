@@ -92,9 +92,9 @@ def test_unweighted_least_squares_by_hand():
     np.testing.assert_allclose(unweighted(line, model).deviations(reported), wanted, rtol=1e-10)
     # The best linear estimator weighs the points; it cannot do worse in any parameter.
     best = np.sqrt(np.diagonal(np.linalg.inv(rows.T @ (rows / variance[:, None]))))
-    found = knowledge(plan, model).deviations(reported)
-    np.testing.assert_allclose(found, best, rtol=1e-10)
-    assert np.all(found <= wanted)
+    result = knowledge(plan, model).deviations(reported)
+    np.testing.assert_allclose(result, best, rtol=1e-10)
+    assert np.all(result <= wanted)
 
 
 def test_what_is_common_to_a_run_stays_common_among_its_points():
@@ -155,7 +155,7 @@ def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():
     data, prior = whiten(made.steps, made.columns), made.prior
     known = knowledge(plan, model)
     temperatures, rates = np.array([-10.0, 60.0]), np.array([-4.5, 1.0])
-    found = residual(known, model, "scale_factor", temperatures, rates).ravel()
+    result = residual(known, model, "scale_factor", temperatures, rates).ravel()
     rows = np.concatenate([data, prior])
     size = np.linalg.norm(rows, axis=0)
     gain = np.linalg.lstsq(rows / size, np.eye(len(rows)), rcond=None)[0] / size[:, None]
@@ -169,12 +169,12 @@ def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():
     error_truth = psi @ (truth[c] - of_truth[c]) + chi @ truth[g]
     error_noise = psi @ gain[c][:, : len(data)]
     wanted = np.sqrt(np.sum(error_truth**2, axis=1) + np.sum(error_noise**2, axis=1))
-    np.testing.assert_allclose(found, wanted, rtol=1e-8)
+    np.testing.assert_allclose(result, wanted, rtol=1e-8)
     plain = gyro_model(
         None, make_map(LINEAR, Polynomial(1, 0.0, 5.0), prior_std=1e-2), scene.arw, model.processes, reference
     )
     without = residual(knowledge(plan, plain), plain, "scale_factor", temperatures, rates).ravel()
-    assert np.all(found > without)
+    assert np.all(result > without)
 
 
 @pytest.mark.parametrize(
@@ -192,8 +192,8 @@ def test_what_cannot_be_observed_is_named(acts, names):
     scene = Scene(-30.0, ((200.0, 0.4),), acts, noises=(DRIFT,), scale=(LINEAR, Polynomial(1, 0.0, 5.0)))
     plan, model = core(scene)
     known = knowledge(plan, model)
-    found = unobservable_combinations(known, model)
-    assert sorted(found) == sorted(names)
+    result = unobservable_combinations(known, model)
+    assert sorted(result) == sorted(names)
     values = residual(known, model, "scale_factor", np.array([20.0]), np.array([1.0]))
     assert not np.any(np.isnan(values))
     assert np.all(np.isinf(values)) == bool(names)

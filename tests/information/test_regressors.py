@@ -42,8 +42,8 @@ BINS = (Bins((-40.0, -11.0, 80.0)), Bins((-6.0, -2.0, 1.0, 6.0)))
 
 def by_quad(scene: Scene) -> np.ndarray:
     """Each column's integral over the whole scene, by SciPy's adaptive rule between the breaks."""
-    found = walk(scene)
-    edges = panels(scene, found)
+    result = walk(scene)
+    edges = panels(scene, result)
 
     def integral(f):
         return sum(quad(f, a, b, epsabs=0, epsrel=2e-14, limit=200)[0] for a, b in pairwise(edges))
@@ -58,7 +58,7 @@ def by_quad(scene: Scene) -> np.ndarray:
         for j in range(scene.scale[1].size):
 
             def weighted(t, i=i, j=j):
-                omega = rate_at(found, np.array([t]))[0]
+                omega = rate_at(result, np.array([t]))[0]
                 of_t = values(scene.scale[0], sensor_temperature(scene, np.array([t]))[0])[i]
                 return of_t * values(scene.scale[1], omega)[j] * omega
 
@@ -68,12 +68,12 @@ def by_quad(scene: Scene) -> np.ndarray:
 
 def compare(scene: Scene, tolerance: float = 1e-12) -> None:
     plan, model = core(scene)
-    found = engine_of(plan, model, scene.lag).columns[-1] @ np.linalg.inv(model.to_reported)
+    result = engine_of(plan, model, scene.lag).columns[-1] @ np.linalg.inv(model.to_reported)
     wanted = by_quad(scene)
     # The scale of a column: the same integral of absolute values is at most its time times its largest rate.
     size = np.full_like(wanted, sum(duration for duration, _ in scene.stretches))
     size[scene.bias.size :] *= max(abs(a.peak) for a in scene.moves)
-    np.testing.assert_allclose(found / size, wanted / size, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(result / size, wanted / size, rtol=0, atol=tolerance)
 
 
 @pytest.mark.filterwarnings("ignore::scipy.integrate.IntegrationWarning")
@@ -98,8 +98,8 @@ def test_the_sensitivity_to_gradients_is_the_change_of_temperature():
     plan, model = core(scene)
     line = plan.trajectory(5.0)
     ends = np.asarray(line.start + line.duration)
-    found = np.asarray(at_readings(line, model))[:, model.where(TEMPERATURE_GRADIENT)][:, 0]
-    np.testing.assert_allclose(found, sensor_temperature(scene, ends), atol=1e-13)
+    result = np.asarray(at_readings(line, model))[:, model.where(TEMPERATURE_GRADIENT)][:, 0]
+    np.testing.assert_allclose(result, sensor_temperature(scene, ends), atol=1e-13)
 
 
 def test_the_discrepancys_functions_are_the_polynomials_left_out():
@@ -111,7 +111,7 @@ def test_the_discrepancys_functions_are_the_polynomials_left_out():
         beyond = make_map(*bases, discrepancy=(1e-3, 2, 4))
         made = gyro_model(None, beyond, 1e-5)
         assert beyond.beyond.size == 1 * 5 + 2 * 2 == made.size - beyond.size
-        found = made.columns(gauss_nodes(line, made))[:, made.where("scale_factor_discrepancy")].sum(0)
+        result = made.columns(gauss_nodes(line, made))[:, made.where("scale_factor_discrepancy")].sum(0)
         pairs = [(2, j) for j in range(5)] + [(i, j) for i in range(2) for j in (3, 4)]
         time, act = walk(scene), ACTS[2]
 
@@ -121,6 +121,6 @@ def test_the_discrepancys_functions_are_the_polynomials_left_out():
             return omega * legendre(x, np.eye(3)[i]) * legendre(y, np.eye(5)[j])
 
         wanted = [quad(weighted, 0, act.duration, args=p, epsabs=1e-13)[0] for p in pairs]
-        np.testing.assert_allclose(found, wanted, atol=1e-11)
+        np.testing.assert_allclose(result, wanted, atol=1e-11)
         values = beyond.beyond.values(np.array([70.0]), np.array([300 * DEG]))
         np.testing.assert_allclose(values, 1.0, rtol=1e-13)

@@ -52,12 +52,12 @@ def test_tiles_equal_the_whole(rows, keep):
     whole = whiten(everything, columns)
     expected = np.asarray(whole.T @ whole)
     tile, tiles = padded(everything, columns, rows)
-    found, _ = jax.jit(lambda: information_in_tiles(tile, tiles, PARAMETERS, everything.initial, keep=keep))()
+    result, _ = jax.jit(lambda: information_in_tiles(tile, tiles, PARAMETERS, everything.initial, keep=keep))()
     if keep == "triangle":
-        assert np.allclose(found, np.triu(found))
-        found = found.T @ found
+        assert np.allclose(result, np.triu(result))
+        result = result.T @ result
     size = np.sqrt(np.diagonal(expected))
-    assert np.max(np.abs((np.asarray(found) - expected) / np.outer(size, size))) < 1e-12
+    assert np.max(np.abs((np.asarray(result) - expected) / np.outer(size, size))) < 1e-12
 
 
 def test_the_state_carries_on():

@@ -49,10 +49,10 @@ def test_a_wrong_transpose_comes_back_from_reverse_mode_and_from_nothing_else():
 def test_batched_and_of_one_part_of_the_argument():
     many = (jnp.asarray(RNG.standard_normal((7, 2))), jnp.asarray(RNG.standard_normal((7, 1, 1))))
     matrices = jnp.asarray(RNG.standard_normal((7, 4, 3)))
-    found = jax.jit(jax.vmap(lambda a, m: apply(a, matrix=m)))(many, matrices)
+    result = jax.jit(jax.vmap(lambda a, m: apply(a, matrix=m)))(many, matrices)
     for k in range(7):
         one = jax.tree.map(lambda x, k=k: x[k], many)
-        np.testing.assert_allclose(found[k], forwards((matrices[k], TOLD), one), rtol=1e-13)
+        np.testing.assert_allclose(result[k], forwards((matrices[k], TOLD), one), rtol=1e-13)
     part = jax.grad(lambda first: jnp.sum(apply((first, ARGUMENT[1]))))(ARGUMENT[0])
     np.testing.assert_allclose(part, (TOLD @ jnp.ones(4))[:2], rtol=1e-13)
 

@@ -240,7 +240,7 @@ def _require_consistent(report: UnitReport, truth: dict[str, float]) -> None:
     ("change", "said"),
     [
         (lambda log: replace(log, table_axes=("spin", "tilt")), "one axis after the other must turn"),
-        (lambda log: replace(log, axes=("z", "x", "y")), "do not say the same"),
+        (lambda log: replace(log, axes=("z", "x", "y")), "do not agree"),
         (lambda log: replace(log, axes=("a", "b", "c")), "no gyro x, gyro y, gyro z"),
         (lambda log: replace(log, table_axes=("tilt", "inner")), "no table axis spin"),
         (lambda log: replace(log, table_angle_rad=None, table_axes=()), "no angles of the table"),

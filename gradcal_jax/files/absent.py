@@ -49,15 +49,15 @@ def absent_terms(spec: Spec) -> list[AbsentTerm]:
     sensor, table = spec.sensor, spec.rig.table
     named = {"sensor": sensor.model_fields_set, "rig.table": table.model_fields_set}
     named["rig.table"] = named["rig.table"] | {f"angle.{name}" for name in table.angle.model_fields_set}
-    found: list[AbsentTerm] = []
+    terms: list[AbsentTerm] = []
     for prefix, row, matters in (
         ("sensor", _row("sensor", sensor_grade(sensor).name), _matters_of_sensor(spec)),
         ("rig.table", _row("table", table_grade(spec).name), _matters_of_table(spec)),
     ):
         for term in cast("list[dict[str, Any]]", row["term"]):
             if term["key"] in matters and term["key"] not in named[prefix]:
-                found.append(AbsentTerm(f"{prefix}.{term['key']}", _of_the_maps(term, sensor), term["source"]))
-    return found
+                terms.append(AbsentTerm(f"{prefix}.{term['key']}", _of_the_maps(term, sensor), term["source"]))
+    return terms
 
 
 def with_typical(spec: Spec) -> Spec:

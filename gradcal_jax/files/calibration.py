@@ -268,9 +268,9 @@ def _kind(basis: str) -> str:
     return {"b-spline": "spline", "bins": "bin"}[basis]
 
 
-def _mismatch(found: Mapping[str, float], expected: list[str]) -> list[Problem]:
-    missing = [name for name in expected if name not in found]
-    strange = [name for name in found if name not in set(expected)]
+def _mismatch(coefficients: Mapping[str, float], expected: list[str]) -> list[Problem]:
+    missing = [name for name in expected if name not in coefficients]
+    strange = [name for name in coefficients if name not in set(expected)]
     problems: list[Problem] = []
     if missing:
         problems.append(Problem(("coefficients",), f"lacks {', '.join(missing[:8])}", kind="missing"))

@@ -58,12 +58,12 @@ def without_a_map(path: Path) -> LogError:
     problem = f"{path} is no log of this program (.nc): say what its columns mean in a file and give it with --columns"
     example = "gradcal new column-map -o columns.toml writes one to start from"
     try:
-        found = guess(path)
+        columns = guess(path)
     except (OSError, ValueError):
-        found = None
-    if found is None:
+        columns = None
+    if columns is None:
         return LogError(f"{problem}; {example}")
-    return LogError(f"{problem}; {example}. A guess from its header, to be completed where it says ???:\n\n{found}")
+    return LogError(f"{problem}; {example}. A guess from its header, to be completed where it says ???:\n\n{columns}")
 
 
 def guess(path: Path) -> str | None:
@@ -98,10 +98,10 @@ def guess(path: Path) -> str | None:
 def contradiction(column: str, unit: str) -> str | None:
     """A question where the name of a column of rates or stamps says another unit than its map; None elsewhere."""
     match = _RATE.fullmatch(column) or _TIME.fullmatch(column)
-    told = "???" if match is None else _unit(match[2])
-    if told in ("???", unit):
+    named = "???" if match is None else _unit(match[2])
+    if named in ("???", unit):
         return None
-    return f"the name of column '{column}' says {told}, and the map says {unit}: which of them is right?"
+    return f"the name of column '{column}' says {named}, and the map says {unit}: which of them is right?"
 
 
 def _unit(text: str | None) -> str:

@@ -211,12 +211,12 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
         if axis.bias_temperature_gradient is not None:
             said = said - axis.bias_temperature_gradient * temperature_slope(temperature, log.time_s)
         readable = np.isfinite(said)
-        found = np.full_like(said, np.nan)
-        found[readable] = correct(axis, said[readable], at[readable])
-        rates[:, column] = found
+        rate = np.full_like(said, np.nan)
+        rate[readable] = correct(axis, said[readable], at[readable])
+        rates[:, column] = rate
         if needs_temperature(calibration):
             outside_temperature += count_outside(at[usable], axis.valid_temperature)
-        outside_rate += count_outside(found[usable & readable], axis.valid_rate)
+        outside_rate += count_outside(rate[usable & readable], axis.valid_rate)
     forces = None if log.specific_force_m_per_s2 is None else log.specific_force_m_per_s2[number]
     corrected = log_corrected(log, number, calibration, rates, forces)
     alone = tuple(name for name in log.axes if name not in common)

@@ -60,12 +60,12 @@ def format_problem(document: Mapping[str, Any], expected: str) -> Problem | None
     """What is wrong with the `format` key, if anything."""
     if "format" not in document:
         return Problem(("format",), f'this key is missing; expected "{expected}"', kind="missing")
-    found = document["format"]
-    if found == expected:
+    version = document["format"]
+    if version == expected:
         return None
-    of_kind = isinstance(found, str) and found.split("/")[0] == expected.split("/")[0]
+    of_kind = isinstance(version, str) and version.split("/")[0] == expected.split("/")[0]
     wanted = "this version of the program reads" if of_kind else "expected"
-    return Problem(("format",), f'{wanted} "{expected}"', found)
+    return Problem(("format",), f'{wanted} "{expected}"', version)
 
 
 def model_of(

@@ -115,7 +115,7 @@ def without(calibration: Calibration, zeroed: Sequence[str]) -> tuple[Calibratio
                         gone.append(f"{axis.name}.{name}")
             changed[part_name] = part.model_copy(update={"coefficients": coefficients})
         axes.append(axis.model_copy(update=changed))
-    unknown = [name for name, found in wanted.items() if not found]
+    unknown = [name for name, present in wanted.items() if not present]
     if unknown:
         raise ValueError(f"the calibration has no coefficient {', '.join(unknown)} that could be set to zero")
     return calibration.model_copy(update={"axis": tuple(axes)}), tuple(dict.fromkeys(gone))
@@ -135,8 +135,8 @@ def _lost_scale_factor(axis: AxisCalibration, carried: Floats | float = 0.0) -> 
         return None
     slow, fast = float(axis.valid_rate[0]), float(axis.valid_rate[1])
     temperature, rate = np.meshgrid(range_temperatures(axis), np.linspace(slow, fast, 61), indexing="ij")
-    found = correction.scale_factor(axis, temperature.ravel(), rate.ravel()) - carried
-    return Loss(axis.name, "scale factor", float(np.max(np.abs(found))) * PPM, "ppm")
+    error = correction.scale_factor(axis, temperature.ravel(), rate.ravel()) - carried
+    return Loss(axis.name, "scale factor", float(np.max(np.abs(error))) * PPM, "ppm")
 
 
 def _lost_terms(axis: AxisCalibration) -> list[str]:
@@ -152,11 +152,11 @@ def _lost_terms(axis: AxisCalibration) -> list[str]:
 
 
 def _triad(calibration: Calibration) -> dict[str, AxisCalibration]:
-    found = {axis.name.lower(): axis for axis in calibration.axis if axis.name.lower() in _TRIAD}
-    if not found:
+    axes = {axis.name.lower(): axis for axis in calibration.axis if axis.name.lower() in _TRIAD}
+    if not axes:
         names = ", ".join(axis.name for axis in calibration.axis)
         raise ValueError(f"the target has axes x, y, z, and the calibration has {names}: none of them fits")
-    return found
+    return axes
 
 
 def _of_bias(calibration: Calibration, target: str) -> dict[str, AxisCalibration]:

@@ -190,8 +190,8 @@ def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | N
     _refuse_contradictions(columns)
     table = read_table(path, columns.csv, list(columns.sources()))
     try:
-        found = _columns(table, columns, path.name)
-        return examine(found if rows is None else found.part(rows), columns.policy)
+        log = _columns(table, columns, path.name)
+        return examine(log if rows is None else log.part(rows), columns.policy)
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
 

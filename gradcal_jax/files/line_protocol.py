@@ -165,8 +165,8 @@ class LineQuestion(Section):
     @property
     def fields(self) -> dict[str, str]:
         """Its fields' names -> their kinds."""
-        found = (match for reply in self.reply for match in _FIELD.finditer(reply))
-        return {match[1]: match[2] or "number" for match in found if match[1]}
+        fields = (match for reply in self.reply for match in _FIELD.finditer(reply))
+        return {match[1]: match[2] or "number" for match in fields if match[1]}
 
     @model_validator(mode="after")
     def _ends(self) -> "LineQuestion":
@@ -275,76 +275,78 @@ class LineProtocol(Section):
 
     def _missing(self) -> list[Problem]:
         role = _ROLES[self.role]
-        found = [
+        problems = [
             Problem((table, name), f"this key is missing; a {self.role} needs it", kind="missing")
             for table, needed in (("tell", role.tells), ("state", role.states))
             for name in needed
             if name not in getattr(self, table)
         ]
-        found += [
+        problems += [
             Problem(("ask",), f"no reply has the field {{{name}}}, which a {self.role} needs", kind="missing")
             for name in role.fields
             if name not in self.fields
         ]
-        found += [
+        problems += [
             Problem(("limits", name), f"this key is missing; a {self.role} needs it", kind="missing")
             for name in role.limits
             if getattr(self.limits, name) is None
         ]
         if "ramp" in self.tell and self.limits.free_ramp is None:
             message = "this key is missing; a ramp must be taken off again"
-            found.append(Problem(("limits", "free_ramp"), message, kind="missing"))
-        return found
+            problems.append(Problem(("limits", "free_ramp"), message, kind="missing"))
+        return problems
 
     def _unreadable(self) -> list[Problem]:
         """What is told and cannot be read back."""
-        found: list[Problem] = []
+        problems: list[Problem] = []
         for name, command in self.tell.items():
             key = ("tell", name)
             known = _ROLES[self.role].values
             if name not in known:
-                found.append(Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}"))
+                problems.append(Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}"))
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
             if (name == "setpoint" or command.shown_by) and len(written) != 1:
-                found.append(Problem((*key, "send"), "expected one value, written alike in all lines"))
+                problems.append(Problem((*key, "send"), "expected one value, written alike in all lines"))
             if wrong := {value for value, _ in written} - set(known[name]):
                 allowed = ", ".join(f"{{{value}}}" for value in known[name]) or "no values"
-                found.append(Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}"))
+                problems.append(
+                    Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}")
+                )
             if command.reply and len(command.reply) not in (1, len(command.send)):
-                found.append(Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line"))
+                problems.append(Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line"))
             if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
                 message = "a set value that cannot be read back is not set: expected the fields of replies that show it"
-                found.append(Problem((*key, "shown_by"), message, kind="missing"))
-            found += [
+                problems.append(Problem((*key, "shown_by"), message, kind="missing"))
+            problems += [
                 Problem((*key, "shown_by"), f"no reply has the field {{{field}}}", field)
                 for field in command.shown_by
                 if field not in self.fields
             ]
         if "on" in self.tell and self.role == "axis" and "powered" not in self.state:
-            found.append(Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did"))
+            problems.append(Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did"))
         for key, field in [
             *((("state", name, "field"), entry.field) for name, entry in self.state.items()),
             *((("require", index, "field"), entry.field) for index, entry in enumerate(self.require)),
         ]:
             if field not in self.fields:
-                found.append(Problem(key, f"no reply has the field {{{field}}}", field))
-        return found
+                problems.append(Problem(key, f"no reply has the field {{{field}}}", field))
+        return problems
 
     def _badly_written(self) -> list[Problem]:
-        found: list[Problem] = []
+        problems: list[Problem] = []
         for name, question in self.ask.items():
             for key, template in (*(("reply", reply) for reply in question.reply), ("last", question.last or "")):
                 if problem := _problem_of_reply(template):
-                    found.append(Problem(("ask", name, key), problem, template))
+                    problems.append(Problem(("ask", name, key), problem, template))
         for name, command in self.tell.items():
             for send in command.send:
                 if {"{", "}"} & set(_VALUE.sub("", send)):
-                    found.append(Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send))
+                    problems.append(Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send))
         spoken = [*(q.send for q in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, self.line.ends, self.line.reply_ends) for letter in text):
-            found.append(Problem((), "only characters of one byte can be sent"))
-        return found
+            problems.append(Problem((), "only characters of one byte can be sent"))
+        return problems
 
 
 class _Role:
@@ -408,10 +410,10 @@ def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str
     return _VALUE.sub(write, template), written
 
 
-def shows(told: str, shown: str) -> bool:
+def shows(sent: str, reply: str) -> bool:
     """Whether a number that is read back is the one that was told, to half a step of the device's own decimals."""
-    decimals = min(len(shown.partition(".")[2]), _FINEST_DECIMALS)
-    return abs(float(told) - float(shown)) <= 0.51 * 10.0**-decimals
+    decimals = min(len(reply.partition(".")[2]), _FINEST_DECIMALS)
+    return abs(float(sent) - float(reply)) <= 0.51 * 10.0**-decimals
 
 
 def protocol_of(value: object) -> LineProtocol:

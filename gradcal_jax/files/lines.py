@@ -46,7 +46,7 @@ def _unescaped(text: str) -> str:
 
 class _Scanner:
     def __init__(self, text: str) -> None:
-        self.text, self.at, self.found = text, 0, dict[Key, int]()
+        self.text, self.at, self.lines = text, 0, dict[Key, int]()
         self.counts: dict[Key, int] = {}
         self._line, self._counted = 1, 0
 
@@ -60,7 +60,7 @@ class _Scanner:
                 self.at = self.text.index("]", self.at) + (2 if several else 1)
             else:
                 self.pair(prefix)
-        return self.found
+        return self.lines
 
     def header(self, key: Key, several: bool) -> Key:
         """Where a header's table stands: lists of tables have the number of their last entry in it."""
@@ -124,4 +124,4 @@ class _Scanner:
     def note(self, key: Key) -> None:
         self._line += self.text.count("\n", self._counted, self.at)
         self._counted = self.at
-        self.found.setdefault(key, self._line)
+        self.lines.setdefault(key, self._line)

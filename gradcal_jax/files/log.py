@@ -334,9 +334,9 @@ def read_log(path: str | Path) -> Log:
         raise LogError(f"{path} is no netCDF file that can be read: {error}") from None
     except OSError as error:
         raise LogError(f"{path} cannot be read: {error.strerror or error}") from None
-    found = str(dataset.attrs.get("format"))
-    if found != FORMAT:
-        raise LogError(f'{path} has the format "{found}", where this program reads "{FORMAT}"')
+    version = str(dataset.attrs.get("format"))
+    if version != FORMAT:
+        raise LogError(f'{path} has the format "{version}", where this program reads "{FORMAT}"')
     try:
         return _from_dataset(dataset)
     except LogError as error:

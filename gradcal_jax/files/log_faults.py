@@ -204,14 +204,14 @@ class _Examination:
         }
         return Log(**as_it_is | examined)
 
-    def found(self, kind: str, action: str, count: int, message: str) -> None:
+    def note_fault(self, kind: str, action: str, count: int, message: str) -> None:
         """Note a fault, or raise where it is to be refused."""
         if action == "refuse":
             raise LogError(f"{message} (the policy refuses that: see [policy] of the column map)")
         self.findings.append(Finding(kind, action, count, message))
 
     def wrong_unit(self, question: str) -> None:
-        self.found("wrong unit", self.policy.wrong_units, 0, question)
+        self.note_fault("wrong unit", self.policy.wrong_units, 0, question)
 
     def mask(self, where: Bools, reason: Reason, action: str, words: str) -> None:
         count = int(np.count_nonzero(where))
@@ -219,7 +219,7 @@ class _Examination:
             return
         unit, row = np.argwhere(where)[0]
         named = f" of unit {self.raw.units[unit]}" if len(self.raw.units) > 1 else ""
-        self.found(reason.words, action, count, f"{_rows(count)} {words}, first row {row}{named}")
+        self.note_fault(reason.words, action, count, f"{_rows(count)} {words}, first row {row}{named}")
         if action == "mask":
             self.status[where] |= reason.value
 
@@ -249,7 +249,7 @@ class _Examination:
         ):
             count = int(np.count_nonzero(where))
             if count:
-                self.found(kind, action, count, f"{_rows(count)} {words}, first row {int(np.argmax(where))}")
+                self.note_fault(kind, action, count, f"{_rows(count)} {words}, first row {int(np.argmax(where))}")
                 self.removed[kind] = count
         kept = readable & ~duplicate & ~unordered
         if np.count_nonzero(kept) < 2:
@@ -288,7 +288,7 @@ class _Examination:
                 f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
                 f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept"
             )
-            self.found("gap", self.policy.gaps, len(gaps), text)
+            self.note_fault("gap", self.policy.gaps, len(gaps), text)
         return np.concatenate([[0], gaps + 1]).astype(np.int64)
 
     def rates(self, rate: Floats) -> None:
@@ -313,7 +313,7 @@ class _Examination:
         whole = [name for name, rows in zip(self.raw.units, frozen, strict=True) if rows.all()]
         if whole:
             text = f"the temperature of {', '.join(whole)} never changes: constant, or not connected?"
-            self.found("constant temperature", "keep", 0, text)
+            self.note_fault("constant temperature", "keep", 0, text)
             frozen[frozen.all(axis=1)] = False
         words = "with a temperature that stands still while others of the record move"
         self.mask(frozen, Reason.FROZEN_TEMPERATURE, policy.frozen_temperatures, words)
@@ -395,7 +395,7 @@ class _Examination:
             error = mean * stated - 1
             if _DRIFT < abs(error) < 0.2:
                 text = f"the samples are {error * 1e6:+.0f} ppm longer than at the stated {stated:g} Hz"
-                self.found("clock drift", action, 0, text)
+                self.note_fault("clock drift", action, 0, text)
         if host is not None and bool(np.all(np.abs(host) < _ABSURD)) and len(host) > 2:
             x, y = time - time.mean(), host - host.mean()
             slope = float(x @ y / (x @ x))
@@ -403,11 +403,11 @@ class _Examination:
             uncertain = float(np.std(y - slope * x) / (np.std(x) * np.sqrt(len(x))))
             if abs(slope - 1) > _DRIFT + 3 * uncertain and slope > 0:
                 text = f"the sensor's clock runs {(1 / slope - 1) * 1e6:+.0f} ppm fast against the host's"
-                self.found("clock drift", action, 0, text)
+                self.note_fault("clock drift", action, 0, text)
         wander = _wander(within)
         if wander > _DRIFT:
             text = f"the sample interval wanders by {wander * 1e6:.0f} ppm (rms) in the course of the record"
-            self.found("clock drift", action, 0, text)
+            self.note_fault("clock drift", action, 0, text)
 
 
 def _least_walk(values: Floats, interval: float) -> float:

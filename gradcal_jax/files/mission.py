@@ -120,11 +120,11 @@ def _rows_or_faults(text: str) -> Iterator[MissionRows | str]:
         return
     places = cast("list[tuple[int, float, float]]", columns)
     count = len(_fields(head))
-    found: list[list[float]] = [[], [], []]
+    series: list[list[float]] = [[], [], []]
     numbers: list[int] = []
     for number, line in lines:
         row = _row(_fields(line), places, count)
-        if not isinstance(row, str) and found[0] and row[0] <= found[0][-1]:
+        if not isinstance(row, str) and series[0] and row[0] <= series[0][-1]:
             row = f"the time is not after that of line {numbers[-1]}; rows are in order of time"
         if not isinstance(row, str) and len(numbers) >= _MOST_ROWS:
             row = f"more than {_MOST_ROWS} rows; average them to fewer"
@@ -135,14 +135,14 @@ def _rows_or_faults(text: str) -> Iterator[MissionRows | str]:
                 return
             continue
         numbers.append(number)
-        for column, value in zip(found, row, strict=True):
+        for column, value in zip(series, row, strict=True):
             column.append(value)
     if faults:
         return
     if len(numbers) < 2:
         yield f"line {at}: there are fewer than two rows below the header"
         return
-    time, rate, temperature = found
+    time, rate, temperature = series
     yield MissionRows(tuple(t - time[0] for t in time), tuple(rate), tuple(temperature), tuple(numbers))
 
 

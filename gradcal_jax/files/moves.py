@@ -202,8 +202,8 @@ class _RampedTurn(_PeakedTurn):
         """Complete (θ, A, D, r) by θ = A(D − r)."""
         _, angle, peak, duration = self.sizes()
         ramp = _number(self.ramp)
-        given = [value is not None for value in (angle, peak, duration)]
-        if sum(given) < 2:
+        sizes = [value is not None for value in (angle, peak, duration)]
+        if sum(sizes) < 2:
             message = "the motion is not determined; give two of turn, peak_rate and duration (and ramp if it matters)"
             raise SpecError([Problem((), message)])
         least = self.STEEPNESS / max_acceleration  # ramp time for each unit of peak rate
@@ -238,19 +238,19 @@ class _RampedTurn(_PeakedTurn):
         return self.motion(angle=angle, peak=peak, duration=duration, acceleration=acceleration, ramp=ramp)
 
     def _from_three(self, angle: float, peak: float, duration: float, ramp: float | None) -> float:
-        found = duration - angle / peak
+        fitting = duration - angle / peak
         if ramp is not None and abs(peak * (duration - ramp) - angle) > AGREEMENT * angle:
             turned = f"{math.degrees(peak * (duration - ramp)):.5g} deg"
             message = f"contradicts the others: peak_rate × (duration − ramp) is {turned}; leave one of the four out"
             raise SpecError([Problem((self.angle_key,), message, self._written_angle())])
-        if found <= 0.0 or found > 0.5 * duration * (1.0 + AGREEMENT):
+        if fitting <= 0.0 or fitting > 0.5 * duration * (1.0 + AGREEMENT):
             shortest, longest = _seconds(angle / peak), _seconds(2.0 * angle / peak)
             message = (
                 f"contradicts {self.angle_key} and peak_rate, which need more than {shortest} (no ramps) "
                 f"and at most {longest} (ramps only)"
             )
             raise SpecError([Problem(("duration",), message, str(self.duration))])
-        return min(found, 0.5 * duration)
+        return min(fitting, 0.5 * duration)
 
     def _too_fast(self, angle: float, peak: float, ramp: float, least: float) -> None:
         if self.ramp is not None:
@@ -299,11 +299,11 @@ class _WholeTurn(_PeakedTurn):
             message = "the motion is not determined; give two of turn, peak_rate and duration"
             raise SpecError([Problem((), message)])
         if angle is not None and duration is not None:
-            found = angle / (self.FULLNESS * duration)
-            if peak is not None and abs(found - peak) > AGREEMENT * peak:
-                message = f"contradicts {self.angle_key} and duration, which mean {_round_rate(found)}; leave one out"
+            fitting = angle / (self.FULLNESS * duration)
+            if peak is not None and abs(fitting - peak) > AGREEMENT * peak:
+                message = f"contradicts {self.angle_key} and duration, which mean {_round_rate(fitting)}; leave one out"
                 raise SpecError([Problem(("peak_rate",), message, str(self.peak_rate))])
-            peak = found
+            peak = fitting
         elif peak is not None and duration is not None:
             angle = self.FULLNESS * peak * duration
         else:

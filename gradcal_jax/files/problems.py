@@ -78,10 +78,10 @@ class SpecError(ValueError):
 
 
 def _unique(problems: Iterable[Problem]) -> tuple[Problem, ...]:
-    found: dict[str, Problem] = {}
+    unique: dict[str, Problem] = {}
     for problem in problems:
-        found.setdefault(str(problem), problem)
-    return tuple(found.values())
+        unique.setdefault(str(problem), problem)
+    return tuple(unique.values())
 
 
 def dotted(key: Key) -> str:
@@ -143,10 +143,10 @@ def one_of(known: Iterable[str]) -> str:
 
 def from_validation(error: ValidationError) -> list[Problem]:
     """Every problem in what pydantic found, nested ones and ours among them, in our words."""
-    found = [problem for details in error.errors(include_url=False) for problem in _translate(details)]
+    problems = [problem for details in error.errors(include_url=False) for problem in _translate(details)]
     # A list of which every entry was refused is also "too short": that is no fault of its own.
-    above = {other.key[:n] for other in found for n in range(len(other.key))}
-    return [p for p in found if p.kind != "short" or p.key not in above]
+    above = {other.key[:n] for other in problems for n in range(len(other.key))}
+    return [p for p in problems if p.kind != "short" or p.key not in above]
 
 
 # Pydantic's own kinds of error -> what was expected, in our words; the braces take the error's context.

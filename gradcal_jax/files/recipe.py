@@ -61,7 +61,7 @@ class Predicted(Section):
         return cls.model_validate(tables)
 
 
-class Made(Section):
+class RecipeOrigin(Section):
     """How a recipe came about."""
 
     by: Text
@@ -96,7 +96,7 @@ class Recipe(Section):
     """What else to know."""
     rounded: tuple[Text, ...] = ()
     """What rounding changed."""
-    made: Made
+    made: RecipeOrigin
     """How the file came about."""
     resolution: ControllerSteps
     """Steps of the controllers that it is rounded to."""
@@ -117,7 +117,7 @@ class Recipe(Section):
     def _of_one_piece(self) -> "Recipe":
         chamber, motion = tracks_of(self.spec)
         problems = _differences(chamber.model_dump(mode="json"), self.chamber.model_dump(mode="json"), ("chamber",))
-        written, expected = ([block.model_dump(mode="json") for block in found] for found in (self.motion, motion))
+        written, expected = ([block.model_dump(mode="json") for block in blocks] for blocks in (self.motion, motion))
         problems += _differences(expected, written, ("motion",))
         refuse(*problems[:5])
         return self
@@ -207,5 +207,5 @@ def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:
 
 def is_recipe(document: Mapping[str, Any]) -> bool:
     """Whether tables are a recipe of any version."""
-    found = document.get("format")
-    return isinstance(found, str) and found.split("/")[0] == FORMAT.split("/")[0]
+    version = document.get("format")
+    return isinstance(version, str) and version.split("/")[0] == FORMAT.split("/")[0]

@@ -54,11 +54,11 @@ class ControllerSteps(Section):
 
 def steps_of(spec: Spec | UnitSpec) -> ControllerSteps:
     """The steps that a spec's `[rig.resolution]` gives, defaults for the others."""
-    given = spec.rig.resolution
-    if given is None:
+    resolution = spec.rig.resolution
+    if resolution is None:
         return ControllerSteps()
     names = ("temperature", "time", "rate", "angle")
-    return ControllerSteps(**{name: value for name in names if (value := getattr(given, name)) is not None})
+    return ControllerSteps(**{name: value for name in names if (value := getattr(resolution, name)) is not None})
 
 
 @dataclass(frozen=True)
@@ -81,26 +81,26 @@ def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes:
     rounder = _Rounder(steps or steps_of(spec), keep_shapes)
     tables = tables_of(spec)
     plan: Table = tables["plan"]
-    made: Spec | UnitSpec
+    result: Spec | UnitSpec
     if isinstance(spec, UnitSpec):
         _temperatures(plan, rounder)
         _unit_cycle(spec, plan["cycle"], rounder)
-        made = _keep_cycles(spec, tables, rounder)
+        result = _keep_cycles(spec, tables, rounder)
     elif isinstance(schedule := spec.schedule, GradientSchedule):
         _temperatures(plan, rounder)
         if "read_every" in plan:
             plan["read_every"] = rounder.time(plan["read_every"])
         if schedule.cycle is not None:
             _cycle(spec, plan["cycle"], schedule, schedule.cycle, rounder)
-        made = _keep_cycles(spec, tables, rounder)
+        result = _keep_cycles(spec, tables, rounder)
     else:
         plan["temperatures"] = [rounder.temperature(text) for text in plan["temperatures"]]
         plan["soak"], plan["integration"] = rounder.time_up(plan["soak"]), rounder.time(plan["integration"])
         if "rates" in plan:
             plan["rates"] = [rounder.rate(text) for text in plan["rates"]]
-        made = any_spec_of(tables)
-    changes = _changes(tables_of(spec)["plan"], tables_of(made)["plan"], "plan")
-    return Rounded(cast("AnySpec", made), tuple(changes), tuple(rounder.notes))
+        result = any_spec_of(tables)
+    changes = _changes(tables_of(spec)["plan"], tables_of(result)["plan"], "plan")
+    return Rounded(cast("AnySpec", result), tuple(changes), tuple(rounder.notes))
 
 
 class _Rounder:
@@ -176,14 +176,14 @@ class _Rounder:
 def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder) -> AnySpec:
     """The spec of rounded tables, its slope the next slower one where a repetition of the cycle would be lost."""
     plan = tables["plan"]
-    made, before = any_spec_of(tables), _cycles(spec)
-    if _cycles(made) < before and isinstance(plan.get("gradient"), str):
+    result, before = any_spec_of(tables), _cycles(spec)
+    if _cycles(result) < before and isinstance(plan.get("gradient"), str):
         slope = rounder.slope(tables_of(spec)["plan"]["gradient"], ROUND_FLOOR)
         again = any_spec_of({**tables, "plan": {**plan, "gradient": slope}})
-        made = again if _cycles(again) > _cycles(made) else made
-    if _cycles(made) < before:
-        rounder.notes.append(f"rounding leaves room for {_cycles(made)} cycles instead of {before}")
-    return cast("AnySpec", made)
+        result = again if _cycles(again) > _cycles(result) else result
+    if _cycles(result) < before:
+        rounder.notes.append(f"rounding leaves room for {_cycles(result)} cycles instead of {before}")
+    return cast("AnySpec", result)
 
 
 def _cycles(spec: Spec | UnitSpec) -> int:
@@ -238,7 +238,7 @@ def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
     schedule, axes = spec.schedule, spec.rig.table.axis
     gyro = spec.sensor.gyro
     usable = math.inf if gyro is None else gyro.usable_rate or math.inf
-    given = tables_of(spec)["plan"]["cycle"]["moves"]
+    moves_of_file = tables_of(spec)["plan"]["cycle"]["moves"]
     if "start" in cycle:
         cycle["start"] = {name: rounder.angle(text) for name, text in cycle["start"].items()}
     moves: list[Table] = []
@@ -257,8 +257,8 @@ def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
             message = "the controllers of a whole unit's table turn by ramps; expected another shape"
             raise SpecError([Problem(("plan", "cycle", "moves", step.source, "shape"), message, move.shape)])
         if move.shape in ("hand", "sinusoid"):
-            made = _moves(dict(given[step.source]), move, steepest, fastest, rounder)
-            moves += [{name: value for name, value in table.items() if name != "read"} for table in made]
+            turns = _moves(dict(moves_of_file[step.source]), move, steepest, fastest, rounder)
+            moves += [{name: value for name, value in table.items() if name != "read"} for table in turns]
             at[k] += move.repeat * move.angle
             continue
         shape = rounder.shape(move)
@@ -381,11 +381,11 @@ def _oscillation(
     swing = 0.5 * move.duration / move.cycles
     angle = 2.0 * move.peak_rate * swing / math.pi
     halves = [_turn(way * angle, move, "linear ramps", steepest, fastest, rounder) | kept for way in (1.0, -1.0)]
-    made = [dict(half) for _ in range(move.cycles * move.repeat) for half in halves]
+    turns = [dict(half) for _ in range(move.cycles * move.repeat) for half in halves]
     if move.read_every is None:
-        for place, half in enumerate(made):
+        for place, half in enumerate(turns):
             half["read"] = "end" if move.read_end and (place + 1) % (2 * move.cycles) == 0 else "none"
-    return made
+    return turns
 
 
 # ----------------------------------------------------------------------------------------------------- what changed

@@ -174,9 +174,9 @@ def _still_visible(document: Mapping[str, Any], problems: list[Problem]) -> list
     for name in _SECTIONS.keys() & pruned.keys():
         with contextlib.suppress(ValidationError):
             sections[name] = _SECTIONS[name].validate_python(pruned[name])
-    found = between_sections(*sections.values())
+    between = between_sections(*sections.values())
     said = {problem.key for problem in problems}
-    return [problem for problem in found if problem.key not in said]
+    return [problem for problem in between if problem.key not in said]
 
 
 def _without_unknown_keys(document: Mapping[str, Any], problems: list[Problem]) -> dict[str, Any]:

@@ -292,17 +292,17 @@ def _move(move: ResolvedMove, start: float) -> TrackMove:
 
 def _motion(move: ResolvedMove) -> dict[str, Any]:
     peak = math.degrees(move.peak_rate)
-    found: dict[str, Any] = {
+    motion: dict[str, Any] = {
         "angle": _in("deg", math.degrees(move.angle)),
         "rate": _in("deg/s", peak),
         "acceleration": _in("deg/s^2", trapezoid_acceleration(move) * 180.0 / math.pi),
         "shape": move.shape,
     }
     if move.shape == "sinusoid":
-        return found | {"do": "oscillate", "cycles": move.cycles}
+        return motion | {"do": "oscillate", "cycles": move.cycles}
     if move.shape == "spline":
-        return found | {"do": "spline", "rates": tuple(_in("deg/s", peak * c) for c in move.controls)}
-    return found | {"do": "turn by hand" if move.shape == "hand" else "turn"}
+        return motion | {"do": "spline", "rates": tuple(_in("deg/s", peak * c) for c in move.controls)}
+    return motion | {"do": "turn by hand" if move.shape == "hand" else "turn"}
 
 
 def trapezoid_acceleration(move: ResolvedMove) -> float:

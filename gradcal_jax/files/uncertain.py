@@ -91,13 +91,13 @@ class UncertainSection(Section):
 
 def figures_of(key: str, table: object) -> dict[str, tuple[Quantity, Quantity]]:
     """The least and the largest value (SI) of every uncertain figure of a table and of those in it, by its key."""
-    found: dict[str, tuple[Quantity, Quantity]] = {}
+    figures: dict[str, tuple[Quantity, Quantity]] = {}
     if isinstance(table, UncertainSection):
-        found |= {f"{key}.{name}": ends for name, ends in table.ranges().items()}
+        figures |= {f"{key}.{name}": ends for name, ends in table.ranges().items()}
     if isinstance(table, Section):
         for name, value in table:
-            found |= figures_of(f"{key}.{name}", value)
+            figures |= figures_of(f"{key}.{name}", value)
     elif isinstance(table, tuple):
         for i, entry in enumerate(cast("tuple[object, ...]", table)):
-            found |= figures_of(f"{key}[{i}]", entry)
-    return found
+            figures |= figures_of(f"{key}[{i}]", entry)
+    return figures

@@ -49,10 +49,10 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
     lines += [f"static const float gradcal_inverse[6][6] = {{\n{rows}\n}};"]
     lines += ["", f"#define GRADCAL_T_MIN {literal(low)}", f"#define GRADCAL_T_MAX {literal(high)}"]
     lines += [f"#define GRADCAL_W_MIN {literal(slow)}", f"#define GRADCAL_W_MAX {literal(fast)}", "", _FUNCTION]
-    temperature, raw, found = test
+    temperature, raw, expected = test
     rounding = float(np.max(np.abs(inverse) @ np.abs(raw)))  # of raw counts far off zero
-    tolerance = max(4e-6 * float(np.max(np.abs(found))), 4e-7 * rounding, 1e-7)
-    lines += header_self_test(temperature, raw, found, "6", tolerance)
+    tolerance = max(4e-6 * float(np.max(np.abs(expected))), 4e-7 * rounding, 1e-7)
+    lines += header_self_test(temperature, raw, expected, "6", tolerance)
     return "\n".join(lines) + "\n", errors
 
 

@@ -261,5 +261,5 @@ _SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."
 
 def term_of(name: str, unit: str, signals: tuple[str, ...], coefficients: dict[str, float], **bases: Any):
     """A term from plain numbers; bases that are None are left out."""
-    given = {key: value for key, value in bases.items() if value is not None}
-    return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=coefficients, **given)
+    bases_present = {key: value for key, value in bases.items() if value is not None}
+    return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=coefficients, **bases_present)

@@ -95,7 +95,7 @@ def correct_unit(
     Beyond `temperatures` (°C) and `rates` (rad/s) the maps' values at the edge hold. Other channels stay as they are.
     """
     (low, high), (slow, fast) = temperatures, rates
-    found_rate, found_force = rate.copy(), force.copy()
+    own_rate, own_force = rate.copy(), force.copy()
     for begin in range(0, len(rate), _ROWS_AT_ONCE):
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         at = np.clip(temperature_c[rows], low, high)
@@ -130,8 +130,8 @@ def correct_unit(
                 moved = max(moved, float(np.nanmax(np.abs(change), initial=0.0)) / size)
             if moved <= _SETTLED:
                 break
-        found_rate[rows], found_force[rows] = now[:3].T, now[3:].T
-    return found_rate, found_force
+        own_rate[rows], own_force[rows] = now[:3].T, now[3:].T
+    return own_rate, own_force
 
 
 def triad_of(log: Log, unit: int) -> tuple[Floats, Floats]:
@@ -169,24 +169,22 @@ def apply_unit(calibration: UnitCalibration, log: Log, unit: str | int = 0) -> C
         at = np.full(len(log.time_s), float(calibration.valid_temperature[0]))
     usable = log.usable(number)
     temperatures, covered = calibration.valid_temperature, calibration.valid_rate
-    found_rate, found_force = correct_unit(
-        calibration.channel, rate, force, at, temperatures=temperatures, rates=covered
-    )
+    own_rate, own_force = correct_unit(calibration.channel, rate, force, at, temperatures=temperatures, rates=covered)
     gyros = ["xyz".index(c.axis) for c in calibration.channel if c.kind == "gyro"]
-    outside_rate = count_outside(found_rate[usable][:, gyros], covered)
+    outside_rate = count_outside(own_rate[usable][:, gyros], covered)
     known = {(c.kind, c.axis) for c in calibration.channel}
     alone: list[str] = []
     rates, forces = log.rate_rad_per_s[number].copy(), None
     if log.specific_force_m_per_s2 is not None:
         forces = log.specific_force_m_per_s2[number].copy()
-    for kind, labels, into, found in (
-        ("gyro", log.axes, rates, found_rate),
-        ("accelerometer", log.force_axes, forces, found_force),
+    for kind, labels, into, corrections in (
+        ("gyro", log.axes, rates, own_rate),
+        ("accelerometer", log.force_axes, forces, own_force),
     ):
         for k, label in enumerate(labels):
             if (kind, label) not in known:
                 alone.append(f"{kind} {label}")
             elif into is not None:
-                into[:, k] = found[:, "xyz".index(label)]
+                into[:, k] = corrections[:, "xyz".index(label)]
     corrected = log_corrected(log, number, calibration, rates, forces)
     return Corrected(corrected, count_outside(at[usable], temperatures), outside_rate, tuple(alone))

@@ -234,8 +234,10 @@ def _px4(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
         low, high = (float(t) for t in calibration.valid_temperature)
         rows = exports.px4_rows(parts.axis, "A", number, identity, low, high)
         lines += exports.px4_lines(rows)
-        told = {name: value for name, value, _ in rows}
-        losses += _accelerometer_bias_losses(parts, lambda name, t: exports.px4_correction(told, name, t, number, "A"))
+        parameters = {name: value for name, value, _ in rows}
+        losses += _accelerometer_bias_losses(
+            parts, lambda name, t: exports.px4_correction(parameters, name, t, number, "A")
+        )
         if identity is None:
             notes.append(f"TC_A{number}_ID must be the sensor's device id: with 0 PX4 ignores the set (--device-id)")
         notes.append("CAL_ACC offsets must be zero; corrected = R (raw - offset)")

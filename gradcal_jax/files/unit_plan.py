@@ -285,7 +285,7 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
                 goal = item.pose.get(axis.name)
                 if goal is not None and abs(goal - here[k]) > 1e-9:
                     if by_hand:
-                        problems.append(_not_made_by(rig.table.drive, (*key, "pose"), "pose"))
+                        problems.append(_beyond_drive(rig.table.drive, (*key, "pose"), "pose"))
                     steps.append(UnitStep(k, quickest_turn(float(goal) - here[k], axis, item.peak_rate), i))
                     here[k] = float(goal)
             if item.rest is not None:
@@ -325,7 +325,7 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
             problems += [p.under(*key) for p in error.problems]
             continue
         if (move.shape == "hand") != by_hand:
-            problems.append(_not_made_by(rig.table.drive, (*key, "shape"), move.shape))
+            problems.append(_beyond_drive(rig.table.drive, (*key, "shape"), move.shape))
         problems += [replace(p, key=(*key, *p.key)) for p in _limits(move, axis)]
         steps.append(UnitStep(axes[name], move, i))
         here[axes[name]] += move.repeat * move.angle
@@ -421,7 +421,7 @@ def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
     return problems
 
 
-def _not_made_by(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:
+def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:
     if shape == "hand":
         return Problem(key, f'needs a table that is turned by hand; rig.table.drive is "{drive}"', shape)
     message = (

@@ -164,12 +164,12 @@ class AxisControl:
 
     def allowed(self) -> dict[str, tuple[float, float]]:
         """How fast an axis that has a motor may turn now, by what it was told; and how fast the rig lets it, deg/s."""
-        now, found = self._clock.now(), dict[str, tuple[float, float]]()
+        now, rates = self._clock.now(), dict[str, tuple[float, float]]()
         for name in self._axes:
             limits = self._limits_of(name)
             if not limits.by_hand:
-                found[name] = (self._allowed_dps(name, now), limits.max_rate_dps)
-        return found
+                rates[name] = (self._allowed_dps(name, now), limits.max_rate_dps)
+        return rates
 
     def settle_all(self, meanwhile: Callable[[], None]) -> None:
         """Wait until every axis stands that is to stand."""

@@ -118,7 +118,7 @@ def _stretch(
     steps: list[TrackStep] = []
     for number, piece in enumerate(pieces):
         end = piece.start_s + piece.duration_s
-        told = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
+        target = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
         later = tuple(
             Course(course.start_s - piece.start_s, course.temperature_c, course.ramp_k_per_min)
             for course in knees
@@ -128,8 +128,8 @@ def _stretch(
             TrackStep(
                 piece.name,
                 piece.duration_s,
-                told.temperature_c,
-                told.ramp_k_per_min,
+                target.temperature_c,
+                target.ramp_k_per_min,
                 ready=_stable(stability, first=first) if waits and number == 0 else None,
                 moves=tuple(piece.moves),
                 start_c=_temperature(segments, piece.start_s),

@@ -148,17 +148,17 @@ class ChamberControl:
                 self.hold(course.temperature_c)
                 return
             self._held_c = None
-            told = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
+            command = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
             if self.chamber.limits().hardware_ramp:
                 self._soft = None
                 rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
-                self._event("chamber told", **told, k_per_min=rate)
+                self._event("chamber told", **command, k_per_min=rate)
                 return
             start = self.chamber.read().setpoint_c
             slope = math.copysign(course.ramp_k_per_min / 60.0, course.temperature_c - start)
             self._next_soft_s = self._clock.now()
             self._soft = _SoftRamp(self._next_soft_s, start, course.temperature_c, slope)
-            self._event("chamber told", **told, k_per_min=course.ramp_k_per_min, by="steps of the runner")
+            self._event("chamber told", **command, k_per_min=course.ramp_k_per_min, by="steps of the runner")
 
     def step_soft_ramp(self) -> None:
         """A ramp by set points, at least five seconds apart; to be called often."""

@@ -72,7 +72,7 @@ def run(
     path = Path(folder)
     if rig is not None:
         configs_of(rig)
-        _require_somebody(rig, recipe, attended)
+        _require_operator(rig, recipe, attended)
         return _on_rig(new_folder(path, recipe, rig, about=about), 0, attended)
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
@@ -93,16 +93,16 @@ def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack
     and what is returned: as `run`. Errors: `ValueError` where the folder holds no run, a complete one, or
     one of another recipe or version; `HardwareError` where other devices answer than the run began with.
     """
-    found = RunFolder(Path(folder))
-    first = prepare_resume(found, rig)
-    notes = found.notes()
+    existing = RunFolder(Path(folder))
+    first = prepare_resume(existing, rig)
+    notes = existing.notes()
     if notes["simulated"]:
-        return _simulated(found.path, found.recipe(), notes["simulation"], first, attended)
-    _require_somebody(found.rig(), found.recipe(), attended)
-    return _on_rig(found, first, attended)
+        return _simulated(existing.path, existing.recipe(), notes["simulation"], first, attended)
+    _require_operator(existing.rig(), existing.recipe(), attended)
+    return _on_rig(existing, first, attended)
 
 
-def _require_somebody(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
+def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
     at_terminal = rig.operator is None or rig.operator.port == TERMINAL
     by_hand = any(axis.driver == OPERATOR for axis in rig.axis)
     hung = any(block.hang for block in recipe.motion)
@@ -139,10 +139,12 @@ def _simulated(
     settings: Any = {"seed": int(simulation["seed"]), "sample_rate_hz": float(simulation["sample_rate_hz"])}
     if isinstance(recipe.spec, UnitSpec):
         mounting = 0 if resumed is None else max(mounting_of(folder.contents()) - 1, 0)
-        made = SimulatedUnitLab(recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting)
+        simulated_lab = SimulatedUnitLab(
+            recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting
+        )
     else:
-        made = SimulatedLab(recipe.spec, clock, **settings)
-    with _on_one_core(), made as lab:
+        simulated_lab = SimulatedLab(recipe.spec, clock, **settings)
+    with _on_one_core(), simulated_lab as lab:
         if resumed is None:
             folder = new_folder(path, recipe, lab.rig, simulated=dict(simulation), about=about)
             write_whole(path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")

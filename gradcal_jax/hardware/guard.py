@@ -236,13 +236,13 @@ def make_folder_safe(
         happened.append((clock.now(), name, data))
 
     note("guard", what=f"{why}; making the rig safe")
-    end, pause_s, found = time.monotonic() + keep_trying_s, 1.0, dict[str, SafeOutcome]()
+    end, pause_s, outcomes = time.monotonic() + keep_trying_s, 1.0, dict[str, SafeOutcome]()
     while True:
         for outcome in _try_once(rig, clock, before or {}, deadline_s, note):
-            found[outcome.name] = outcome
+            outcomes[outcome.name] = outcome
             said = {"action": outcome.action, "verified": outcome.verified, "evidence": outcome.evidence}
             note("made safe", by="guard", device=outcome.name, **said)
-        left = {name: outcome for name, outcome in found.items() if not outcome.verified}
+        left = {name: outcome for name, outcome in outcomes.items() if not outcome.verified}
         again = bool(left) and time.monotonic() < end
         if left and keep_trying_s:
             # What a device says at every try is said to whoever is there; the journal has the first and the last.
@@ -254,7 +254,7 @@ def make_folder_safe(
             _write(folder / "journal", happened)
         happened.clear()
         if not again:
-            return list(found.values())
+            return list(outcomes.values())
         time.sleep(pause_s)
         pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
         rig = only_of(rig, set(left))

@@ -84,7 +84,7 @@ class Interlocks:
 
 def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
     """Chamber alarm, faults and over-speed of axes, course of the temperature, stale units, disk space."""
-    given = limits or InterlockLimits()
+    bounds = limits or InterlockLimits()
 
     def alarm(now: Situation) -> str:
         if now.chamber is None or not now.chamber.alarms:
@@ -92,39 +92,39 @@ def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
         return f"the chamber reports alarm {', '.join(now.chamber.alarms)}: see its manual"
 
     def faults(now: Situation) -> str:
-        found = [f"axis {name}: {', '.join(reading.faults)}" for name, reading in now.axes.items() if reading.faults]
-        return "; ".join(found)
+        texts = [f"axis {name}: {', '.join(reading.faults)}" for name, reading in now.axes.items() if reading.faults]
+        return "; ".join(texts)
 
     def over_speed(now: Situation) -> str:
-        found = [
+        texts = [
             f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; it was told {allowed[0]:g} and the rig allows "
             f"{allowed[1]:g}"
             for name, allowed in now.allowed_dps.items()
             if name in now.axes and too_fast(now.axes[name].rate_dps, allowed)
         ]
-        return "; ".join(found)
+        return "; ".join(texts)
 
     def course(now: Situation) -> str:
-        if now.chamber is None or given.temperature_band_k is None or now.course_c is None:
+        if now.chamber is None or bounds.temperature_band_k is None or now.course_c is None:
             return ""
         low, high = now.course_c
         air = now.chamber.air_c
         away = min(air - low, 0.0) or max(air - high, 0.0)
-        if abs(away) <= given.temperature_band_k:
+        if abs(away) <= bounds.temperature_band_k:
             return ""
         return (
             f"the air is at {air:.1f} degC, {away:+.1f} K from the recipe's course of the last "
-            f"{given.temperature_lag_s:g} s; the rig allows {given.temperature_band_k:g} K"
+            f"{bounds.temperature_lag_s:g} s; the rig allows {bounds.temperature_band_k:g} K"
         )
 
     def stale(now: Situation) -> str:
-        if given.imu_stale_s is None:
+        if bounds.imu_stale_s is None:
             return ""
-        old = [f"{name} for {age:.1f} s" for name, age in now.imu_age_s.items() if age > given.imu_stale_s]
+        old = [f"{name} for {age:.1f} s" for name, age in now.imu_age_s.items() if age > bounds.imu_stale_s]
         return f"no bytes from {', '.join(old)}" if old else ""
 
     def disk(now: Situation) -> str:
-        if now.free_bytes >= given.free_bytes:
+        if now.free_bytes >= bounds.free_bytes:
             return ""
         return f"only {now.free_bytes / 1e6:.0f} MB are free on the disk"
 
@@ -137,5 +137,5 @@ def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
             InterlockRule("stale unit", "pause", 0.0, stale),
             InterlockRule("disk space", "pause", 0.0, disk),
         ),
-        given,
+        bounds,
     )

@@ -28,7 +28,7 @@ class SampleLosses:
 
     def __init__(self, decoder: ImuDecoder, sample_rate_hz: float) -> None:
         self._decoder, self._sample_rate_hz = decoder, sample_rate_hz
-        self._found: deque[tuple[float, int, bool]] = deque(maxlen=1 << 16)
+        self._losses: deque[tuple[float, int, bool]] = deque(maxlen=1 << 16)
         self.received = self.missing = 0
 
     def push(self, data: bytes, time_s: float) -> None:
@@ -36,11 +36,11 @@ class SampleLosses:
         missing, restarted = int(batch.gap_before.sum()), bool(batch.restarted.any())
         self.received, self.missing = self.received + len(batch), self.missing + missing
         if missing or restarted:
-            self._found.append((time_s, missing, restarted))
+            self._losses.append((time_s, missing, restarted))
 
     def between(self, executed: ExecutedStep, share: float) -> str:
         """A sentence where more than a share of a step's samples is missing, or the unit began anew in it."""
-        inside = [found for found in list(self._found) if executed.began_s < found[0] <= executed.ended_s]
+        inside = [loss for loss in list(self._losses) if executed.began_s < loss[0] <= executed.ended_s]
         if any(restarted for _, _, restarted in inside):
             return "the unit began anew in mid-step"
         lost = sum(missing for _, missing, _ in inside)

@@ -60,14 +60,14 @@ class RunFolder:
     def notes(self) -> dict[str, Any]:
         """What run.json holds. Raises `RunFolderError` where this is no run's folder."""
         try:
-            found = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
+            notes = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             raise RunFolderError(
                 f"{self.path} is not the folder of a run: there is no run.json that can be read."
             ) from None
-        if not isinstance(found, dict) or found.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
+        if not isinstance(notes, dict) or notes.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
             raise RunFolderError(f"{self.path} holds no {FORMAT}; it may be of another version.")
-        return found  # pyright: ignore[reportUnknownVariableType]
+        return notes  # pyright: ignore[reportUnknownVariableType]
 
     def contents(self) -> JournalContents:
         """The journal as far as it is sound."""
@@ -188,10 +188,10 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
         )
     then: Any = notes.get("rig")
     for now in (folder.rig(), rig):
-        if now is not None and isinstance(then, dict) and (found := _differences(then, rig_tables(now))):
+        if now is not None and isinstance(then, dict) and (differences := _differences(then, rig_tables(now))):
             raise RunFolderError(
-                f"The rig is not the one that the run in {folder.path} began with: {'; '.join(found)}. Put it back, or "
-                "begin a new run."
+                f"The rig is not the one that the run in {folder.path} began with: {'; '.join(differences)}. Put it "
+                "back, or begin a new run."
             )
     if notes.get("version") != version("gradcal_jax"):
         raise RunFolderError(

@@ -78,15 +78,15 @@ def make_safe(
 
 def put_back(bench: Bench) -> dict[str, str]:
     """Put back the settings that drivers have changed; of each device that had any the problem, empty where none."""
-    found: dict[str, str] = {}
+    problems: dict[str, str] = {}
     for name, settings in bench.settings.items():
         if settings.before:
             try:
                 settings.put_back()
-                found[name] = ""
+                problems[name] = ""
             except HardwareError as problem:
-                found[name] = str(problem)
-    return found
+                problems[name] = str(problem)
+    return problems
 
 
 def _try(attempt: SafeOutcome, act: Callable[[], SafeReport], clock: Clock, began_s: float, deadline_s: float) -> None:

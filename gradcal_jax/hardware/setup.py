@@ -77,8 +77,8 @@ DRIVERS: Final[Mapping[str, Driver]] = {
 def driver_names(role: Role) -> list[str]:
     """The drivers that a device of a role may have. Those from outside are imported for it."""
     outside = sorted({entry.name for entry in entry_points(group=ENTRY_POINTS)} - set(DRIVERS))
-    found = {**DRIVERS, **{name: driver_of(name) for name in outside}}
-    return [name for name, driver in found.items() if driver is not None and _fits(driver, role)]
+    drivers = {**DRIVERS, **{name: driver_of(name) for name in outside}}
+    return [name for name, driver in drivers.items() if driver is not None and _fits(driver, role)]
 
 
 def driver_of(name: str) -> Driver | None:
@@ -178,10 +178,10 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
             problems.append(Problem(key, str(problem), value))
     if not problems:
         try:
-            made = config(**values)
-            if driver.role is not None or made.role == role:
-                return made
-            problems.append(Problem((*place, "options", "protocol"), f"describes an {made.role}; expected a {role}"))
+            built = config(**values)
+            if driver.role is not None or built.role == role:
+                return built
+            problems.append(Problem((*place, "options", "protocol"), f"describes an {built.role}; expected a {role}"))
         except SpecError as error:
             problems += [problem.under(*place, "options", "protocol") for problem in error.problems]
         except ValueError as problem:
@@ -191,18 +191,18 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
 
 def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     """The configurations of all devices, by their place in the file. Raises `SpecError` with every problem."""
-    found: dict[tuple[str | int, ...], Any] = {}
+    configs: dict[tuple[str | int, ...], Any] = {}
     problems: list[Problem] = []
     for role, place, device in _devices(rig):
         try:
-            found[place] = config_of(device, role, place)
+            configs[place] = config_of(device, role, place)
             if isinstance(device, AxisDevice) and device.encoder is not None:
-                found[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
+                configs[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
         except SpecError as error:
             problems += error.problems
     if problems:
         raise SpecError(problems)
-    return found
+    return configs
 
 
 def _spelt(name: str) -> tuple[str, str, str]:
@@ -232,12 +232,12 @@ def _value(value: object, name: str, hint: Any) -> object:
 
 
 def _devices(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], Device]]:
-    found: list[tuple[Role, tuple[str | int, ...], Device]] = []
+    devices: list[tuple[Role, tuple[str | int, ...], Device]] = []
     if rig.chamber is not None:
-        found.append(("chamber", ("chamber",), rig.chamber))
-    found.extend(("axis", ("axis", index), axis) for index, axis in enumerate(rig.axis))
-    found.extend(("imu", ("imu", index), imu) for index, imu in enumerate(rig.imu))
-    return found
+        devices.append(("chamber", ("chamber",), rig.chamber))
+    devices.extend(("axis", ("axis", index), axis) for index, axis in enumerate(rig.axis))
+    devices.extend(("imu", ("imu", index), imu) for index, imu in enumerate(rig.imu))
+    return devices
 
 
 @dataclass
@@ -259,11 +259,11 @@ class Bench:
 
     def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
-        found: list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]] = []
-        found += [(entry.name, entry, self.axes[entry.name]) for entry in self.rig.axis]
+        devices: list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]] = []
+        devices += [(entry.name, entry, self.axes[entry.name]) for entry in self.rig.axis]
         if self.chamber is not None and self.rig.chamber is not None:
-            found.append(("chamber", self.rig.chamber, self.chamber))
-        return found + [(entry.name, entry, self.imus[entry.name]) for entry in self.rig.imu]
+            devices.append(("chamber", self.rig.chamber, self.chamber))
+        return devices + [(entry.name, entry, self.imus[entry.name]) for entry in self.rig.imu]
 
     def close(self) -> None:
         self._ports.close()

@@ -42,7 +42,7 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
     starts = [0.0]
     for step in track.steps:
         starts.append(starts[-1] + step.duration_s)
-    found: list[StretchDone] = []
+    stretches: list[StretchDone] = []
     open_step: tuple[int, float] | None = None
     current, first, latest_s = 0, 0, 0.0
 
@@ -52,12 +52,12 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
             number, begins_s = open_step
             lasted_s = min(time_s - begins_s, track.steps[number].duration_s)
             part = StretchDone(starts[number], starts[number] + lasted_s, begins_s, begins_s + lasted_s)
-            before = found[-1] if found else None
+            before = stretches[-1] if stretches else None
             flows = before is not None and abs(before.end_s - part.start_s) + abs(before.ended_s - begins_s) < _SAME_S
             if before is not None and flows:
-                found[-1] = replace(before, end_s=part.end_s, ended_s=part.ended_s)
+                stretches[-1] = replace(before, end_s=part.end_s, ended_s=part.ended_s)
             elif lasted_s > 0.0:
-                found.append(part)
+                stretches.append(part)
         open_step = None
 
     for event in contents.events:
@@ -65,7 +65,7 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
             close(latest_s if event.name == SESSION else event.time_s)
         latest_s = max(latest_s, event.time_s)
         if event.name == SESSION:
-            current, first, latest_s = int(event.data.get("recipe", 0)), len(found), event.time_s
+            current, first, latest_s = int(event.data.get("recipe", 0)), len(stretches), event.time_s
         elif current != recipe:
             continue
         elif event.name == "step begins" and event.data.get("data"):
@@ -73,10 +73,10 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
             open_step = (number, float(event.data["begins_s"])) if 0 <= number < len(track.steps) else None
         elif event.name == "not done":
             bad_s = starts[min(max(int(event.data["number"]), 0), len(track.steps))]
-            parts = [part if part.end_s <= bad_s else _until(part, bad_s) for part in found[first:]]
-            found[first:] = [part for part in parts if part.end_s > part.start_s]
+            parts = [part if part.end_s <= bad_s else _until(part, bad_s) for part in stretches[first:]]
+            stretches[first:] = [part for part in parts if part.end_s > part.start_s]
     close(latest_s)
-    return found
+    return stretches
 
 
 def stretches_of(folder: RunFolder) -> list[StretchDone]:

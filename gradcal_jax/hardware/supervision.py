@@ -98,12 +98,12 @@ class StatusFile:
 def read_status(folder: Path) -> dict[str, Any]:
     """The newest status of a run. Raises `ValueError` where there is none."""
     try:
-        found = json.loads((folder / STATUS).read_text(encoding="utf-8"))
+        status = json.loads((folder / STATUS).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        found = None
-    if not isinstance(found, dict) or found.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
+        status = None
+    if not isinstance(status, dict) or status.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
         raise ValueError(f"{folder} has no {STATUS}: it is not the folder of a run, or its run has not begun")
-    return found  # pyright: ignore[reportUnknownVariableType]
+    return status  # pyright: ignore[reportUnknownVariableType]
 
 
 def sound_alarm(rig: RigFile, sentence: str) -> None:

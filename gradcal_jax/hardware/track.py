@@ -139,7 +139,7 @@ class Track:
 
 def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
     """The dry run: every sentence names a step and what the devices do not accept. Empty: the run may start."""
-    found: list[str] = []
+    problems: list[str] = []
     at = dict.fromkeys(axes, 0.0)
     for step in track.steps:
         where = f"Step {step.name!r}"
@@ -148,50 +148,50 @@ def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str
             courses.append(Course(0.0, step.start_c))
         for course in (*courses, *step.courses):
             if chamber is None:
-                found.append(f"{where} sets a temperature and the rig has no chamber.")
+                problems.append(f"{where} sets a temperature and the rig has no chamber.")
             else:
-                found += [f"{where} {text}" for text in _beyond_chamber(course, chamber)]
+                problems += [f"{where} {text}" for text in _beyond_chamber(course, chamber)]
         if step.goes_there:
             at |= step.start_deg
         for move in step.moves:
             limits = axes.get(move.axis)
             if limits is None:
-                found.append(f"{where} moves axis {move.axis!r}, which the rig does not have ({', '.join(axes)}).")
+                problems.append(f"{where} moves axis {move.axis!r}, which the rig does not have ({', '.join(axes)}).")
                 continue
             goal = at[move.axis] + move.angle_deg if move.kind == "turn" else move.position_deg
-            found += [f"{where}, axis {move.axis!r}, {text}" for text in _beyond_axis(move, goal, limits)]
+            problems += [f"{where}, axis {move.axis!r}, {text}" for text in _beyond_axis(move, goal, limits)]
             at[move.axis] = goal
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(problems))
 
 
 def _beyond_chamber(course: Course, limits: ChamberLimits) -> list[str]:
-    found: list[str] = []
+    problems: list[str] = []
     if not limits.lowest_c <= course.temperature_c <= limits.highest_c:
-        found.append(
+        problems.append(
             f"sets {course.temperature_c:g} degC; the chamber accepts {limits.lowest_c:g} to {limits.highest_c:g}."
         )
     slowest, fastest = limits.slowest_ramp_k_per_min, limits.fastest_ramp_k_per_min
     if course.ramp_k_per_min is not None and limits.hardware_ramp and not slowest <= course.ramp_k_per_min <= fastest:
-        found.append(f"ramps at {course.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
-    return found
+        problems.append(f"ramps at {course.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
+    return problems
 
 
 def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str]:
     if move.kind == "stop":
         return []
-    found: list[str] = []
+    problems: list[str] = []
     if not 0.0 < abs(move.rate_dps) <= limits.max_rate_dps * (1.0 + 1e-9):
-        found.append(f"turns at {abs(move.rate_dps):g} deg/s; it accepts up to {limits.max_rate_dps:g}.")
+        problems.append(f"turns at {abs(move.rate_dps):g} deg/s; it accepts up to {limits.max_rate_dps:g}.")
     if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2 * (1.0 + 1e-9):
-        found.append(
+        problems.append(
             f"accelerates at {move.acceleration_dps2:g} deg/s²; it accepts up to {limits.max_acceleration_dps2:g}."
         )
     lowest = -math.inf if limits.lowest_deg is None else limits.lowest_deg
     highest = math.inf if limits.highest_deg is None else limits.highest_deg
     if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:
-        found.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
+        problems.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
     if move.kind == "spin" and limits.by_hand:
-        found.append("turns at a constant rate, and it is turned by hand: make turns of it, or use a driven axis.")
+        problems.append("turns at a constant rate, and it is turned by hand: make turns of it, or use a driven axis.")
     elif move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
-        found.append("spins, and its travel is limited.")
-    return found
+        problems.append("spins, and its travel is limited.")
+    return problems

@@ -94,8 +94,8 @@ def _streams(path: Path) -> list[GyroStream]:
     reader = importlib.import_module(f"gradcal_jax.files.vehicle.{kind}")
     with _named(path):
         with quietly(_WORDS[kind]):
-            found: Sequence[GyroStream] = reader.gyros(path)
-        if not (streams := [stream for stream in found if len(stream.time_s) > 1]):
+            gyros: Sequence[GyroStream] = reader.gyros(path)
+        if not (streams := [stream for stream in gyros if len(stream.time_s) > 1]):
             raise LogError("there are no samples of a gyro in it")
         return streams
 

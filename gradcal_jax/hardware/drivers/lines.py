@@ -155,11 +155,11 @@ class _Spoken(ExchangeDriver[LinesConfig]):
 
     def _read(self, *names: str) -> Texts:
         """The fields of these names, each question asked once, in this order; what no reply has is absent."""
-        found: Texts = {}
+        fields: Texts = {}
         where = self._said.fields
         for question in dict.fromkeys(where[name] for name in names if name in where):
-            found |= self._ask(self._said.ask[question])
-        return found
+            fields |= self._ask(self._said.ask[question])
+        return fields
 
     def _ask(self, question: LineQuestion) -> Texts:
         heard: Texts = {}
@@ -195,8 +195,8 @@ class _Spoken(ExchangeDriver[LinesConfig]):
         command = self._said.tell[name]
         written: Texts = {}
         for number, send in enumerate(command.send):
-            text, told = formatted(send, values or {})
-            written |= told
+            text, values_sent = formatted(send, values or {})
+            written |= values_sent
             message = self._codec.message(text, bare=command.bare)
             if not command.reply:
                 self._exchange.write(message, pause_after_s=float(self._said.line.pause_after_command))

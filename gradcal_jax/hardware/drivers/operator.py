@@ -142,8 +142,8 @@ class OperatorAxis:
     def identify(self) -> Identity:
         if self._encoder is None:
             return Identity("operator", "turned by hand, angles typed")
-        found = self._encoder.identify()
-        return replace(found, driver="operator", model=f"turned by hand, encoder of {found.driver} {found.model}")
+        encoder = self._encoder.identify()
+        return replace(encoder, driver="operator", model=f"turned by hand, encoder of {encoder.driver} {encoder.model}")
 
     def limits(self) -> AxisLimits:
         config = self._config
@@ -226,18 +226,18 @@ class OperatorAxis:
                 self._console.ring()
             return
         text, time_s = said
-        if (found := self._understood(text, time_s)) is None:
+        if (reading := self._understood(text, time_s)) is None:
             return
-        away = abs(found.position_deg - self._goal_deg)
+        away = abs(reading.position_deg - self._goal_deg)
         if away > self._config.miss_deg and not self._doubted:
             self._doubted = True
             again = "press Enter" if self._encoder is not None else "type it"
             self._console.ask(
-                f"{self._name}: {found.position_deg:.6g} deg is {away:.3g} deg away from {self._goal_deg:.6g} deg; "
+                f"{self._name}: {reading.position_deg:.6g} deg is {away:.3g} deg away from {self._goal_deg:.6g} deg; "
                 f"mend it, or {again} again if it is so:"
             )
             return
-        self._question, self._stands = "", found
+        self._question, self._stands = "", reading
 
     def _understood(self, text: str, time_s: float) -> AxisReading | None:
         if self._encoder is not None:

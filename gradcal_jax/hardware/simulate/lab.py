@@ -59,7 +59,7 @@ class HiddenTruth:
 
     def tables(self, axes: tuple[Axis, ...]) -> dict[str, Any]:
         """For a file: the paper's names of coefficients, SI, by sensor axis."""
-        found: dict[str, Any] = {}
+        tables: dict[str, Any] = {}
         for axis in axes:
             row = AXES.index(axis)
             bias = {f"a{k}": float(np.radians(v)) for k, v in enumerate(self.sensor.bias_dps[row])}
@@ -68,8 +68,8 @@ class HiddenTruth:
                 for cold, values in enumerate(self.sensor.scale_factor[row])
                 for rate, value in enumerate(values)
             }
-            found[axis] = bias | scale | {"gradient": float(np.radians(self.sensor.gradient_deg_per_k[row]))}
-        return found | {"sample_clock_error": self.sensor.clock_error}
+            tables[axis] = bias | scale | {"gradient": float(np.radians(self.sensor.gradient_deg_per_k[row]))}
+        return tables | {"sample_clock_error": self.sensor.clock_error}
 
 
 def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
@@ -125,12 +125,12 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
 
 def _processes(sensor: Sensor) -> tuple[Process, ...]:
     deg = 180.0 / np.pi
-    found = processes_of(sensor.drift, sensor.scale_factor_instability, deg)
+    processes = processes_of(sensor.drift, sensor.scale_factor_instability, deg)
     if (error := sensor.temperature_error) is not None:
         lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
         gains = (float(error.bias_slope or 0.0) * deg, float(error.scale_factor_slope or 0.0))
-        found += (Process(float(error.standard_deviation), float(lasts), *gains),)
-    return found
+        processes += (Process(float(error.standard_deviation), float(lasts), *gains),)
+    return processes
 
 
 def processes_of(drift: Sequence[Any], instability: Sequence[Any] = (), unit: float = 1.0) -> tuple[Process, ...]:
@@ -254,8 +254,8 @@ def axis_tables(name: str, port: str, number: int, says: Any, by_hand: bool) -> 
     limits = {"max_rate": str(says.max_rate), "max_acceleration": str(says.max_acceleration)}
     if by_hand and not np.isinf(float(says.travel)):
         limits["travel"] = str(says.travel)
-    found = {"name": name, "driver": "operator" if by_hand else "zaber", "port": port, "safe": "hold"}
-    return found | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
+    device = {"name": name, "driver": "operator" if by_hand else "zaber", "port": port, "safe": "hold"}
+    return device | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
 
 
 def unit_options(sample_rate_hz: float, burst_s: float) -> Stim300Options:

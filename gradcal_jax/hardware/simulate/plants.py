@@ -158,7 +158,7 @@ class AxisPlant:
         self._offset_deg = 0.0
         # Of the last spin: where it began, how much too far the axis had turned by then, and its share of too much.
         self._spun = (0.0, 0.0, 0.0)
-        self._told_s = -math.inf
+        self._known_until_s = -math.inf
         self._lock = threading.RLock()
 
     def position(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -169,7 +169,7 @@ class AxisPlant:
                 recent = self._phases[-60:]
                 self._table = np.array([(p.start_s, p.position_deg, p.rate_dps, p.acceleration_dps2) for p in recent])
             table = self._table
-            self._told_s = max(self._told_s, float(times_s[-1]))
+            self._known_until_s = max(self._known_until_s, float(times_s[-1]))
         row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]
         after = np.maximum(times_s - row[:, 0], 0.0)
         return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2
@@ -208,7 +208,7 @@ class AxisPlant:
     def spin(self, now_s: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Go to a constant rate and stay there; with rate 0 a controlled stop."""
         with self._lock:
-            now_s = max(now_s, self._told_s)
+            now_s = max(now_s, self._known_until_s)
             position, rate = self.state(now_s)
             phases = self._change(now_s, position, rate, self._held(position, rate_dps), acceleration_dps2)
             self._replace(now_s, self._within_travel(phases))
@@ -220,7 +220,7 @@ class AxisPlant:
     def move_through(self, now_s: float, legs: Sequence[tuple[float, float, float]]) -> None:
         """Trapezoids to one angle after the other, each with its rate and acceleration."""
         with self._lock:
-            now_s = max(now_s, self._told_s)
+            now_s = max(now_s, self._known_until_s)
             position, rate = self.state(now_s)
             phases = self._change(now_s, position, rate, 0.0, legs[0][2])
             for target_deg, rate_dps, acceleration_dps2 in legs:
@@ -249,7 +249,7 @@ class AxisPlant:
     def turn_by_hand(self, now_s: float, target_deg: float, duration_s: float, unevenness: float) -> None:
         """A slow and uneven turn from standstill: the plans' own shape, in pieces of constant acceleration."""
         with self._lock:
-            now_s = max(now_s, self._told_s)
+            now_s = max(now_s, self._known_until_s)
             start, _ = self.state(now_s)
             # Rates at the knots whose straight lines between them turn exactly as far as asked.
             knots = np.linspace(0.0, 1.0, _PIECES_BY_HAND + 1)
@@ -264,11 +264,11 @@ class AxisPlant:
             ]
             self._replace(now_s, [*phases, _Phase(now_s + duration_s, target_deg, 0.0, 0.0)])
 
-    def _held(self, position_deg: float, told_dps: float) -> float:
+    def _held(self, position_deg: float, rate_dps: float) -> float:
         """The rate that the axis goes to when it is told one."""
-        error = self.truth.rate_accuracy * float(self._random.standard_normal()) if told_dps else 0.0
+        error = self.truth.rate_accuracy * float(self._random.standard_normal()) if rate_dps else 0.0
         self._spun = (position_deg, self._too_far(position_deg), error / (1.0 + error))
-        return told_dps * (1.0 + error)
+        return rate_dps * (1.0 + error)
 
     def _too_far(self, position_deg: float) -> float:
         """How much farther an axis that spins has turned than its encoder says, deg."""

@@ -63,12 +63,12 @@ _TYPICAL: Final = {
 }
 
 
-class _Names:
+class _Draws:
     """Draws coefficients and keeps them by the names that the calibration gives them."""
 
     def __init__(self, random: np.random.Generator) -> None:
         self.random = random
-        self.found: dict[str, float] = {}
+        self.values: dict[str, float] = {}
 
     def draw(
         self,
@@ -94,7 +94,7 @@ class _Names:
                     continue
                 for power, value in enumerate(values[row, column]):
                     ending = ordinal(basis, power) if count > 1 or counted else ""
-                    self.found[f"{kind}_{_XYZ[row]}.{symbol}{ending}"] = float(value)
+                    self.values[f"{kind}_{_XYZ[row]}.{symbol}{ending}"] = float(value)
         return Coefficients(values, basis)
 
 
@@ -107,21 +107,21 @@ def _others(symbol: str) -> list[list[str]]:
     return [["" if a == b else f"{symbol}_{b}" for b in _XYZ] for a in _XYZ]
 
 
-def _gyro(triad: GyroTriad, names: _Names) -> TriadTruth:
+def _gyro(triad: GyroTriad, draws: _Draws) -> TriadTruth:
     axes, all_three = triad.axes, [[*_XYZ]] * 3
-    bias = names.draw("gyro", triad.bias, "bias", [["a"]] * 3, axes, counted=True)
+    bias = draws.draw("gyro", triad.bias, "bias", [["a"]] * 3, axes, counted=True)
     assert bias is not None
     scale = None
     if (section := triad.scale_factor) is not None:
         of_t, of_w = temperature_truth(section.temperature), rate_truth(section.rate)
         size = _TYPICAL["scale_factor"] if section.prior is None else float(section.prior)
-        values = size * names.random.standard_normal((3, section.temperature.size, section.rate.size))
+        values = size * draws.random.standard_normal((3, section.temperature.size, section.rate.size))
         powers = of_t.kind == of_w.kind == "polynomial" and max(values.shape[1:]) <= 10
         for row, axis in enumerate(_XYZ):
             for i, j in itertools.product(*map(range, values.shape[1:])):
                 symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
                 if axis in axes:
-                    names.found[f"gyro_{axis}.{symbol}"] = float(values[row, i, j])
+                    draws.values[f"gyro_{axis}.{symbol}"] = float(values[row, i, j])
         scale = ScaleFactors(values, of_t, of_w)
     force = [[f"g_{a}" for a in row] for row in all_three]
     squares = [[f"gg_{a}" for a in row] for row in all_three]
@@ -131,17 +131,17 @@ def _gyro(triad: GyroTriad, names: _Names) -> TriadTruth:
         walk=float(triad.rate_random_walk or 0.0),
         drifts=processes_of(triad.drift, triad.scale_factor_instability),
         scale=scale,
-        misalignment=names.draw("gyro", triad.misalignment, "misalignment", _others("m"), axes),
-        force=names.draw("gyro", triad.g_sensitivity, "g_sensitivity", force, axes),
-        force_squared=names.draw("gyro", triad.g_squared, "g_squared", squares, axes),
+        misalignment=draws.draw("gyro", triad.misalignment, "misalignment", _others("m"), axes),
+        force=draws.draw("gyro", triad.g_sensitivity, "g_sensitivity", force, axes),
+        force_squared=draws.draw("gyro", triad.g_squared, "g_squared", squares, axes),
     )
 
 
-def _accelerometer(triad: AccelerometerTriad, names: _Names) -> TriadTruth:
+def _accelerometer(triad: AccelerometerTriad, draws: _Draws) -> TriadTruth:
     axes, kind = triad.axes, "accelerometer"
 
     def own(section: Any, typical: str, symbol: str) -> Coefficients | None:
-        return names.draw(kind, section, typical, [[symbol]] * 3, axes)
+        return draws.draw(kind, section, typical, [[symbol]] * 3, axes)
 
     bias = own(triad.bias, "force_bias", "a")
     assert bias is not None
@@ -150,26 +150,26 @@ def _accelerometer(triad: AccelerometerTriad, names: _Names) -> TriadTruth:
         white=float(triad.velocity_random_walk),
         drifts=processes_of(triad.drift),
         scale=own(triad.scale_factor, "scale_factor", "s"),
-        misalignment=names.draw(kind, triad.misalignment, "misalignment", _others("m"), axes),
+        misalignment=draws.draw(kind, triad.misalignment, "misalignment", _others("m"), axes),
         second=own(triad.second_order, "second_order", "k2"),
         third=own(triad.third_order, "third_order", "k3"),
         asymmetry=own(triad.asymmetry, "scale_factor", "asymmetry"),
-        cross=names.draw(kind, triad.cross_coupling, "second_order", [[f"k_{p}" for p in _PAIRS]] * 3, axes),
+        cross=draws.draw(kind, triad.cross_coupling, "second_order", [[f"k_{p}" for p in _PAIRS]] * 3, axes),
     )
 
 
 def draw_unit_truth(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
     """The hidden parameters of the unit of this number, in its `names` as the calibration has them, SI."""
-    names = _Names(np.random.default_rng([seed, number, 20261]))
+    draws = _Draws(np.random.default_rng([seed, number, 20261]))
     sensor = spec.sensor
-    gyro = None if sensor.gyro is None else _gyro(sensor.gyro, names)
-    accelerometer = None if sensor.accelerometer is None else _accelerometer(sensor.accelerometer, names)
-    lever = _LEVER_M * names.random.standard_normal(3)
+    gyro = None if sensor.gyro is None else _gyro(sensor.gyro, draws)
+    accelerometer = None if sensor.accelerometer is None else _accelerometer(sensor.accelerometer, draws)
+    lever = _LEVER_M * draws.random.standard_normal(3)
     clock = 0.0
     if sensor.sample_clock_error:
-        clock = names.found["sample_clock"] = float(sensor.sample_clock_error) * float(names.random.standard_normal())
-    of_gyros = lever + _APART_M * names.random.standard_normal(3)
-    return UnitTruth(gyro, accelerometer, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, names.found)
+        clock = draws.values["sample_clock"] = float(sensor.sample_clock_error) * float(draws.random.standard_normal())
+    of_gyros = lever + _APART_M * draws.random.standard_normal(3)
+    return UnitTruth(gyro, accelerometer, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
 
 
 def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:

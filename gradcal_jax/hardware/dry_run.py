@@ -1,6 +1,6 @@
-"""What a run would do, before it does it: what each device will be told, and whether everything that it needs is there.
+"""Dry run: the commands that a run will send to each device, and whether all that it needs is ready.
 
-Nothing moves, but for `try_longest_moves`, which is asked for by name.
+Nothing moves, except in `try_longest_moves`, which has to be requested.
 """
 
 import math
@@ -23,7 +23,7 @@ _ROUNDED = 0.005
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """A step of the run: its own time (what it waits for comes on top), and the commands to the devices in it."""
+    """A step of the run: its own time (without waiting), and the commands to the devices in it."""
 
     name: str
     begins_s: float
@@ -34,7 +34,7 @@ class PlannedStep:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Of a whole run. `problems`: why it would not start; `rounded`: what the chamber makes of slopes."""
+    """The dry run of a recipe. `problems`: why it would not start; `rounded`: slopes that the chamber rounds."""
 
     steps: tuple[PlannedStep, ...]
     duration_s: float
@@ -43,7 +43,7 @@ class DryRun:
 
 
 def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> DryRun:
-    """What a track tells devices that have these limits."""
+    """The commands of a track to devices with these limits."""
     steps: list[PlannedStep] = []
     rounded: list[str] = []
     begins_s, here_c = 0.0, math.nan
@@ -71,7 +71,7 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
 
 
 def _chamber_command(course: Course, here_c: float, limits: ChamberLimits | None) -> tuple[str, str]:
-    """What the chamber is told, and what it makes of it where that differs."""
+    """The command to the chamber, and a sentence where the chamber rounds its rate."""
     rate = course.ramp_k_per_min
     if rate is None:
         return f"hold {course.temperature_c:g} degC", ""
@@ -86,7 +86,7 @@ def _chamber_command(course: Course, here_c: float, limits: ChamberLimits | None
 
 
 def rate_as_made(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> float:
-    """What the controller's steps, of rates or of whole times, make of a ramp."""
+    """The rate of a ramp after rounding to the controller's steps, of rates or of whole times."""
     if limits.ramp_step_s and way_k > 0.0:
         minutes = limits.ramp_step_s / 60.0
         return way_k / (minutes * max(1, round(way_k / rate_k_per_min / minutes)))
@@ -108,7 +108,7 @@ def _moves(name: str, moves: list[AxisCommand], at: dict[str, float]) -> str:
 
 @dataclass(frozen=True)
 class Tried:
-    """Something that a run needs, tried on the device itself."""
+    """A requirement of a run, tried on the device."""
 
     name: str
     what: str
@@ -116,8 +116,8 @@ class Tried:
 
 
 def try_for(bench: Bench, track: Track, clock: Clock, *, move: bool = False) -> list[Tried]:
-    """Try everything that a run needs: a reading of each device, the rates of streams, the track's limits; with `move`
-    the references and the longest move of each axis, there and back."""
+    """Try all that a run needs: a reading of each device, the rates of streams, the track's limits; with `move` the
+    references and the longest move of each axis, there and back."""
     trials: list[Tried] = []
     limits: dict[str, AxisLimits] = {}
     chamber = None
@@ -134,7 +134,7 @@ def try_for(bench: Bench, track: Track, clock: Clock, *, move: bool = False) -> 
             place, limits[name] = axis.read(), axis.limits()
             text = "its angle is not known yet" if math.isnan(place.position_deg) else f"{place.position_deg:.3f} deg"
             faults = ", ".join(place.faults)
-            # Many controllers say that they have no reference by a fault: a run finds it first.
+            # Many controllers report a missing reference as a fault: a run homes the axis first.
             unknown = bool(faults) and not place.referenced
             trials.append(Tried(name, f"{text}; {faults}" if faults else text, not faults or unknown))
         except HardwareError as problem:
@@ -155,14 +155,14 @@ def _streams(bench: Bench, name: str) -> Tried:
         count, missing, last_s = 0, 0, math.nan
         first: tuple[int, float] | None = None
         rate_hz, good, doubtful, began_s = math.nan, False, False, time.monotonic()
-        # What a busy host reads late is off by less the longer it listens.
+        # The longer the measurement, the smaller the error by late readings of a busy host.
         while (lasted_s := time.monotonic() - began_s) < (_LONGEST_S if doubtful else _STREAM_S):
             batch = decoder.push(*unit.read_bytes(0.5))
             if len(batch):
                 missing += int(batch.gap_before[1:].sum())
                 last_s, count = float(batch.host_time_s[-1]), count + len(batch)
                 first = first or (count, last_s)
-                # What came first had waited, nobody knows how long.
+                # The first bytes had waited for an unknown time.
                 rate_hz = (count - first[0]) / (last_s - first[1]) if last_s > first[1] else math.nan
                 good = abs(rate_hz / settings.sample_rate_hz - 1.0) < _RATE_OFF
                 doubtful = not (good or missing)

@@ -1,6 +1,6 @@
-"""What others see of a run: a status file, replaced whole every few seconds, and the alarm that the rig file names.
+"""The status file of a run, replaced as a whole every few seconds, and the alarm command of the rig file.
 
-Both have threads of their own: no disk and no program that is called holds up the run.
+Both have their own threads: neither the disk nor the alarm command delays the run.
 """
 
 import json
@@ -22,15 +22,15 @@ STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
 _ALARM_S: Final = 60.0
 _KNOWS_S: Final = 300.0
-# Nobody looks more often; a rehearsal goes through hours in a minute.
+# No more often, because a rehearsal goes through hours in a minute.
 _WRITE_S: Final = 0.2
 
 Knows = Callable[[Path], Any]
-"""Of a run's folder what is known by what was done, plain; asked every few minutes, in a thread of its own."""
+"""The knowledge from a run so far, as plain data; called every few minutes, in a separate thread."""
 
 
 class StatusFile:
-    """Writes the newest of what it is shown; what came in between is not written."""
+    """Writes the newest status; statuses in between are dropped."""
 
     def __init__(self, folder: Path, *, simulated: bool, knows: Knows | None = None) -> None:
         self._path = folder / STATUS
@@ -56,7 +56,7 @@ class StatusFile:
         self._writer.join(timeout=5.0)
 
     def show(self, progress: RunProgress) -> None:
-        """How the run stands."""
+        """The progress of the run."""
         said = asdict(progress)
         self._put({**said, "state": progress.state.value})
 
@@ -88,7 +88,7 @@ class StatusFile:
                 said, self._newest = self._newest, None
                 if said is None:
                     return
-            # A full disk is the journal's to complain of.
+            # The journal reports a full disk.
             with suppress(OSError):
                 write_whole(self._path, json.dumps(json_of(said), indent=1) + "\n")
             with self._change:
@@ -107,7 +107,7 @@ def read_status(folder: Path) -> dict[str, Any]:
 
 
 def sound_alarm(rig: RigFile, sentence: str) -> None:
-    """Run the command that the rig file names, without a shell; the sentence is its last word."""
+    """Run the command of the rig file, without a shell; the sentence is its last argument."""
     if rig.alarm is None:
         return
     command = [*rig.alarm.command, sentence]

@@ -1,14 +1,14 @@
-"""Devices that speak in lines of text, as a rig file describes them (`files.line_protocol`): chambers and axes.
+"""Devices with a text protocol that a rig file describes (`files.line_protocol`): chambers and axes.
 
-The description says what can be asked, told and seen; here is what is told when, and how it is known to have taken:
+The description has the queries, commands and replies; this driver has their order and verification:
 
-* a chamber's set point, its ramp and whether it conditions are read back after every command; a ramp's rate is shown by
-  the chamber before the target is told, so that no lost line lets it go at full speed;
-* an axis that moves is stopped before it is told something else, unless what it was told is read back; after a move it
-  is known to be on its way, or there.
+* a chamber's set point, ramp and conditioning are read back after every command; the chamber shows a ramp's rate before
+  it gets the target, so that no lost line makes it go at full speed;
+* an axis that moves is stopped before another command, unless commands can be read back; after the command of a move
+  the driver verifies that the axis moves or has arrived.
 
-Lines without a check sum can be damaged into others that are as good: of a move only where the axis then stands tells,
-and whoever waits for it is to compare that (`hardware.turning` does).
+Damage can turn a line without a check sum into another valid line: a move is verified only by the axis's final angle,
+which the caller must compare (`hardware.axis_control` does).
 
 Unverified on real hardware: everything; each description says what its sources leave open.
 """
@@ -42,7 +42,7 @@ from ..transport import Transport
 from .base import ChamberDriver, ExchangeDriver, MeanRate
 
 Texts = dict[str, str]
-"""Fields as the device wrote them."""
+"""Fields in the device's own text."""
 
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _SETTLED_K = 2.0
@@ -52,8 +52,8 @@ _STOPS_AGAIN_S = 1.0
 
 @dataclass(frozen=True)
 class LinesConfig:
-    """Options of the rig file. `protocol`: the name of one that comes with this program, or its tables. What is 0 or
-    absent is the protocol's. `zero_deg` is the rig's angle where the device says 0, `direction` +1 or -1."""
+    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables. 0 or absent: the
+    protocol's value. `zero_deg` is the rig's angle at the device's 0, `direction` +1 or -1."""
 
     protocol: Any = ""
     baudrate: int = 0
@@ -89,7 +89,7 @@ class LinesConfig:
 
 
 class Codec:
-    """Lines of one protocol to bytes and back: pure."""
+    """Codec between lines of one protocol and bytes: pure."""
 
     def __init__(self, said: LineProtocol) -> None:
         self._said = said
@@ -136,7 +136,7 @@ def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | Lin
 
 
 class _Spoken(ExchangeDriver[LinesConfig]):
-    """What both roles share: questions, commands, states."""
+    """Common to both roles: queries, commands, states."""
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         super().__init__(exchange, config)
@@ -154,7 +154,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
         return Identity("lines", model, known.get("serial", ""), known.get("firmware", ""))
 
     def _read(self, *names: str) -> Texts:
-        """The fields of these names, each question asked once, in this order; what no reply has is absent."""
+        """The fields of these names, each query sent once, in this order; fields without a query are absent."""
         fields: Texts = {}
         where = self._said.fields
         for question in dict.fromkeys(where[name] for name in names if name in where):
@@ -168,7 +168,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
             try:
                 text = self._codec.text(frame)
             except Rejected as refused:
-                # What nobody refuses is a question: it was damaged on its way, and is asked again.
+                # Devices do not refuse queries: it was damaged on its way, and is repeated.
                 raise FramingError(str(refused)) from None
             for reply in question.reply:
                 if (match := self._pattern(reply).fullmatch(text)) is not None:
@@ -191,7 +191,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
         return self._patterns[template]
 
     def _tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
-        """Send the lines of a command; returns its values as they were written."""
+        """Send the lines of a command; returns its values as text."""
         command = self._said.tell[name]
         written: Texts = {}
         for number, send in enumerate(command.send):
@@ -217,7 +217,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
             raise FramingError(f"{self._said.title} acknowledged {text!r} by {said!r}, which is another's reply.")
 
     def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
-        """Tell a value until it is shown; returns what is shown."""
+        """Send a value until the device shows it; returns the value shown."""
         (value,) = {written for send in self._said.tell[name].send for written in formatted(send, values)[1].values()}
         return command_and_verify(
             lambda: self._tell(name, values),
@@ -228,7 +228,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
         )
 
     def _switch(self, name: str, state: str, on: bool) -> None:
-        """Tell "on" or "off", where the device does not show that state already, until it does."""
+        """Send "on" or "off" until the device shows that state, unless it does already."""
         asked = self._asks_of(state)
         if self._is(state, self._read(*asked)) is not on:
             command_and_verify(
@@ -299,7 +299,7 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
         self._check(temperature_c)
         now = self.read()
         if not now.conditioning or abs(now.setpoint_c - now.air_c) >= _SETTLED_K:
-            # A ramp begins where the set point is: let that be where the air is.
+            # A ramp begins at the set point: set it to the temperature of the air.
             self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
         unit = self._said.units.ramp
         shown_by = self._said.tell["ramp"].shown_by
@@ -322,7 +322,7 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
         self._tell_shown("setpoint", value, ("target" if "target" in self._said.fields else "setpoint",))
 
     def _free_ramp(self) -> None:
-        """A ramp stays in force until it is taken off, for whoever uses the panel next, too."""
+        """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
         free, command = self._said.limits.free_ramp, self._said.tell.get("ramp")
         if command is None or free is None:
             return
@@ -339,7 +339,7 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
         return value
 
     def _ramp_step(self) -> float:
-        """What the last of the decimals that a ramp is written with stands for, K/min."""
+        """The resolution of the text of a ramp, K/min."""
         command = self._said.tell.get("ramp")
         if command is None:
             return 0.0
@@ -356,7 +356,7 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
 
 
 class LinesAxis(_Spoken):
-    """Role `MotionAxis`. Referenced is an axis that this driver has homed, until it shows a fault."""
+    """Role `MotionAxis`. An axis is referenced after this driver has homed it, until it shows a fault."""
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         _Spoken.__init__(self, exchange, config)
@@ -382,11 +382,11 @@ class LinesAxis(_Spoken):
         return AxisLimits(rate, acceleration, ends[0], ends[1], step, hardware_watchdog=False)
 
     def read(self) -> AxisReading:
-        # Whether it moves first: a position that is read of an axis that stood is where it stands.
+        # The motion is read first: a position read after that is the final one if the axis stood.
         asked = self._asks_of("moving", "fault", "powered")
         texts = self._read(*asked)
         if self._moved and not self._is("moving", texts):
-            # One damaged character makes a standstill of a motion: it is asked for twice.
+            # One damaged character can turn motion into a standstill: the query is sent twice.
             texts = self._read(*asked)
         asked_s = self._clock.now()
         texts |= {} if "position" in texts else self._read("position")
@@ -455,7 +455,7 @@ class LinesAxis(_Spoken):
         )
 
     def stop(self) -> None:
-        # A stop does no harm twice: it is told again and again until the axis stands.
+        # A stop is harmless when repeated: it is sent until the axis stands.
         end = self._clock.now() + self._config.stop_timeout_s
         while True:
             try:
@@ -518,7 +518,7 @@ class LinesAxis(_Spoken):
             self._switch("on", "powered", True)
 
     def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
-        """What a device keeps between moves is set before one, and put back at the end of a run."""
+        """Settings that the device keeps between moves are set before a move, and restored at the end of a run."""
         values = self._motion(rate_dps, acceleration_dps2)
         for name in ("acceleration", "rate"):
             if name in self._said.tell:

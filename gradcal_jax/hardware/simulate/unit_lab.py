@@ -1,10 +1,10 @@
 """A simulated laboratory for the recipe of a whole unit: chamber, a table of nested axes, one or several units.
 
-What the calibration is to find is drawn by the seed from the spec's priors: each unit's own coefficients, and what all
-share, how the base stands and its axes lie, harmonics of the encoders, the mountings. A flat prior draws something
-typical. The accelerometers sit a few centimetres off the axes and feel it. With the frame of the "table axes" the unit
-hangs exactly as its mounting says: that is how the frame is defined. Where the plan turns axes by hand a person does;
-one hangs the units anew where there are several mountings.
+The seed draws the true parameters from the spec's priors: each unit's own coefficients, and the common ones, attitudes
+of base and axes, harmonics of the encoders, the mountings; for a flat prior typical values. The accelerometers are a
+few centimetres off the axes and sense it. With the frame "table axes" the unit's mounting has no error, by definition
+of the frame. A simulated operator turns the axes that the plan turns by hand, and hangs the units anew where there are
+several mountings.
 """
 
 import itertools
@@ -46,11 +46,11 @@ from .unit import (
 
 _XYZ: Final = "xyz"
 _PAIRS: Final = ("xy", "xz", "yz")
-# Of a unit from where the axes meet, and of its gyros from its accelerometers.
+# Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
 _CONSTANT: Final = TruthBasis()
-# Of what has a flat prior, SI: something typical.
+# Typical sizes for flat priors, SI.
 _TYPICAL: Final = {
     "bias": np.radians(0.02),
     "scale_factor": 1e-3,
@@ -64,7 +64,7 @@ _TYPICAL: Final = {
 
 
 class _Draws:
-    """Draws coefficients and keeps them by the names that the calibration gives them."""
+    """Draws coefficients and keeps them by their names in the calibration."""
 
     def __init__(self, random: np.random.Generator) -> None:
         self.random = random
@@ -80,7 +80,7 @@ class _Draws:
         *,
         counted: bool = False,
     ) -> Coefficients | None:
-        """`symbols`: of each sensor axis what its coefficients are called, "" for one that is none."""
+        """`symbols`: names of the coefficients by sensor axis, "" for none."""
         if section is None:
             return None
         basis = _CONSTANT if section.temperature is None else temperature_truth(section.temperature)
@@ -99,7 +99,7 @@ class _Draws:
 
 
 def ordinal(basis: TruthBasis, number: int) -> str:
-    """How the calibration counts a basis's functions."""
+    """The number of a basis function in the calibration's names."""
     return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[basis.kind] + str(number)
 
 
@@ -159,7 +159,7 @@ def _accelerometer(triad: AccelerometerTriad, draws: _Draws) -> TriadTruth:
 
 
 def draw_unit_truth(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
-    """The hidden parameters of the unit of this number, in its `names` as the calibration has them, SI."""
+    """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI."""
     draws = _Draws(np.random.default_rng([seed, number, 20261]))
     sensor = spec.sensor
     gyro = None if sensor.gyro is None else _gyro(sensor.gyro, draws)
@@ -173,7 +173,7 @@ def draw_unit_truth(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
 
 
 def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
-    """How the table stands, its encoders, and what of that the calibration finds, by its names there, SI."""
+    """The table's attitude and encoders, and those of its parameters that are in the calibration, by name, SI."""
     random = np.random.default_rng([seed, 20262])
     rig, named = spec.rig, dict[str, float]()
     table, site = rig.table, rig.site
@@ -194,7 +194,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
         waves: list[tuple[int, float, float]] = []
         for harmonic in axis.angle.harmonics:
             size, order = float(harmonic.amplitude), harmonic.order
-            # The calibration says how far the axis stands beyond its reading, the encoder reads the opposite.
+            # The calibration's sign is true angle less reading, the encoder's the opposite.
             cosine = draw(size, f"angle_{axis.name}_cos{order}")
             sine = draw(size, f"angle_{axis.name}_sin{order}")
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
@@ -230,7 +230,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
 class SimulatedUnitLab(OnPorts):
     """The laboratory for one recipe's spec, with `units` units on the table. A context manager; `rig` is its rig file.
 
-    `mounting`: how the units hang when it begins, from 0. `burst_s` is how often a unit's bytes reach the computer.
+    `mounting`: the first mounting, from 0. `burst_s` is the time between bursts of a unit's bytes to the computer.
     """
 
     def __init__(
@@ -283,7 +283,7 @@ class SimulatedUnitLab(OnPorts):
         self.rig = lab_rig(at_chamber, tables, dict(zip(self.units, others, strict=False)), sample_rate_hz, at_person)
 
     def truths(self) -> dict[str, Any]:
-        """For a file: what the calibrations are to find, by its names there, SI."""
+        """The true parameters by their names in the calibrations, SI, for a file."""
         units = {name: unit.truth.names for name, unit in self.units.items()}
         return {"installation": self._installation, "units": units}
 

@@ -65,7 +65,7 @@ def header_head(calibration: Calibration | UnitCalibration, what: str, said: Seq
 def header_self_test(
     temperature: float, raw: Iterable[float], out: Iterable[float], count: str, within: float
 ) -> list[str]:
-    """The end of a header: a temperature (°C), readings, and what its function must make of them."""
+    """The end of a header: a temperature (°C), readings, and the function's expected results."""
     return [
         "/* self-test: gradcal_correct(GRADCAL_TEST_T, raw, out) must give these within GRADCAL_TEST_TOLERANCE */",
         f"#define GRADCAL_TEST_T {literal(temperature)}",
@@ -138,7 +138,7 @@ static inline void gradcal_correct(float temperature, const float raw[GRADCAL_AX
 
 
 def corrected(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: Floats) -> Floats:
-    """What the header's function gives, step by step in float32: `(n,)`, rad/s."""
+    """The result of the header's function, computed in float32 as there: `(n,)`, rad/s."""
     single = np.float32
     bt0, bts, b = normalised_bias(axis)
     (mt0, mts), (mw0, mws), table = normalised_scale_factor(axis)
@@ -155,7 +155,7 @@ def corrected(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: 
 
 
 def in_powers(table: NDArray[Any], x: Any, w: Any) -> Any:
-    """Σ table[i, j] xⁱ wʲ in float32, step by step as the headers' loops go."""
+    """Σ table[i, j] xⁱ wʲ in float32, in the order of the headers' loops."""
     total: Any = np.zeros(x.shape, np.float32)
     for line in table[::-1]:
         row: Any = np.zeros(x.shape, np.float32)
@@ -188,7 +188,7 @@ def _grid(axis: AxisCalibration) -> tuple[Floats, Floats]:
 
 
 def _self_test(calibration: Calibration) -> tuple[float, list[float], list[float]]:
-    """A temperature and a reading off every round number, and what the header's own polynomials make of it."""
+    """A temperature and a reading, none a round number, and the result by the header's own polynomials."""
     low = max(float(axis.valid_temperature[0]) for axis in calibration.axis)
     high = min(float(axis.valid_temperature[1]) for axis in calibration.axis)
     at = float(np.float32(low + 0.37 * (high - low)))
@@ -203,7 +203,7 @@ def _self_test(calibration: Calibration) -> tuple[float, list[float], list[float
 
 
 def literal(value: float) -> str:
-    """A number as C has it in float32."""
+    """A float32 literal of C."""
     text = f"{np.float32(value):.9g}"
     return (text if any(c in text for c in ".en") else text + ".0") + "f"
 

@@ -1,23 +1,23 @@
-"""`gradcal-lines/1`: a device that is spoken to in lines of text, described without a line of code.
+"""`gradcal-lines/1`: the description of a device with a text protocol, without code.
 
     format = "gradcal-lines/1"
     role   = "chamber"                              # or "axis"
     title  = "Thermotron 3800"
-    [line]                                          # how a message is spoken
+    [line]                                          # the framing of messages
     ends   = "\\r"
-    [ask.air]                                       # what can be read: a question, and its reply with fields in braces
+    [ask.air]                                       # a query, and its reply with fields in braces
     send   = "PVAR1?"
     reply  = "{air}"
-    [tell.setpoint]                                 # what can be told, with values in braces
+    [tell.setpoint]                                 # a command, with values in braces
     send   = ["SETP1,{setpoint:g}", "RUNM"]
-    [state.conditioning]                            # what a field says of the device
+    [state.conditioning]                            # a state of the device, from a field
     field  = "mode"
     bit    = 4
 
-Of a reply `{name}` is a number, `{name:text}` whatever comes before the next character of the template, `{name:char}`
-one character; without a name it is passed over. Whatever is told must be shown by something that is asked: a protocol
-in which a set value cannot be read back is refused. What is told when, and verified how, is the driver's affair
-(`hardware.drivers.lines`); there is no logic here, and no regular expression: a file may come from anybody.
+In a reply `{name}` is a number, `{name:text}` the text up to the next character of the template, `{name:char}` one
+character; a field without a name is ignored. A reply must show the value of every command: a protocol in which a set
+value cannot be read back is refused. The order and verification of commands are in the driver
+(`hardware.drivers.lines`). There is no logic here, and no regular expression, because a file may be untrusted.
 """
 
 import re
@@ -52,7 +52,7 @@ from gradcal_jax.files.section import Section, refuse
 FORMAT: Final = "gradcal-lines/1"
 _FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text|char))?\}")
 _VALUE: Final = re.compile(r"\{([a-z]+):(0?\d{0,2}(?:\.\d)?f|g)\}")
-# Beyond these, what a device shows is its arithmetic.
+# Further decimals of a device are rounding errors.
 _FINEST_DECIMALS: Final = 3
 _NUMBER: Final = r"([-+]?\d+(?:\.\d*)?)"
 
@@ -62,7 +62,7 @@ def _listed(value: object) -> object:
 
 
 Texts = Annotated[tuple[Text, ...], BeforeValidator(_listed), Field(max_length=8)]
-# Of replies one may be empty: nothing but what ends it.
+# A reply may be empty except for its end.
 Replies = Annotated[tuple[Annotated[str, Field(strict=True, max_length=2000)], ...], BeforeValidator(_listed)]
 
 
@@ -218,7 +218,7 @@ class Condition(Section):
         return self
 
     def holds(self, text: str) -> bool:
-        """Whether it is so, by what the device said. A number that is none raises `ValueError`."""
+        """Whether the state holds, by the device's reply. An invalid number raises `ValueError`."""
         if self.bit is not None:
             return bool(int(float(text)) >> self.bit & 1)
         if self.below is not None:
@@ -297,7 +297,7 @@ class LineProtocol(Section):
         return problems
 
     def _unreadable(self) -> list[Problem]:
-        """What is told and cannot be read back."""
+        """Problems of commands that cannot be read back, and of fields that no reply has."""
         problems: list[Problem] = []
         for name, command in self.tell.items():
             key = ("tell", name)
@@ -379,7 +379,7 @@ def _problem_of_reply(template: str) -> str:
 
 
 def reply_pattern(template: str) -> re.Pattern[str]:
-    """What a reply must look like: its named groups are the fields. Takes time in proportion to a line's length."""
+    """The pattern of a reply, with the fields as named groups. Matching is linear in a line's length."""
     pattern, place = "", 0
     for match in _FIELD.finditer(template):
         pattern += _literal(template[place : match.start()])
@@ -393,17 +393,17 @@ def reply_pattern(template: str) -> re.Pattern[str]:
 
 
 def _literal(text: str) -> str:
-    """As many blanks as there are: devices differ."""
+    """Any number of blanks: devices differ."""
     return " +".join(re.escape(part) for part in text.split(" "))
 
 
 def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str, str]]:
-    """A command with its values, and each value as it was written."""
+    """A command with its values, and the text of each value."""
     written: dict[str, str] = {}
 
     def write(match: re.Match[str]) -> str:
         text = format(values[match[1]], match[2])
-        # No device needs a minus before a nought.
+        # No minus sign before zero.
         written[match[1]] = text if float(text) else format(0.0, match[2])
         return written[match[1]]
 
@@ -411,13 +411,13 @@ def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str
 
 
 def shows(sent: str, reply: str) -> bool:
-    """Whether a number that is read back is the one that was told, to half a step of the device's own decimals."""
+    """Whether a number that is read back equals the one sent, to half a step of the device's own decimals."""
     decimals = min(len(reply.partition(".")[2]), _FINEST_DECIMALS)
     return abs(float(sent) - float(reply)) <= 0.51 * 10.0**-decimals
 
 
 def protocol_of(value: object) -> LineProtocol:
-    """The protocol that a rig file gives: the name of one that comes with this program, or its own tables.
+    """The protocol of a rig file: the name of one of this program's, or its own tables.
 
     Raises:
         ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.

@@ -1,4 +1,4 @@
-"""The moves of a cycle: what people write, and the motion that it means.
+"""The moves of a cycle: the keys of the file, and the motion that they define.
 
 Kinematics (D duration, A peak rate, r ramp time, θ angle):
 
@@ -11,10 +11,10 @@ Kinematics (D duration, A peak rate, r ramp time, θ angle):
     spline          integral     largest slope         duration, rates (inner control values)
     hand            AD/2         largest slope         turn|turns, duration, unevenness
 
-The user gives as many keys as fix the motion; with two for a ramped shape the ramps are as short as the table's largest
-acceleration allows. More keys are welcome where they agree within 0.5 % (rounded figures of a paper do); then the
-angle and the duration given are taken as exact. The sign of the motion belongs to `turn`; where the angle follows from
-the other keys it belongs to `peak_rate`.
+The keys must determine the motion; with two keys for a ramped shape the ramps are as short as the table's largest
+acceleration allows. More keys are allowed if they agree within 0.5 % (as rounded figures of a paper do); then angle and
+duration are exact. The sign of the motion is that of `turn`; where the angle follows from the other keys, that of
+`peak_rate`.
 """
 
 import math
@@ -71,7 +71,7 @@ class ResolvedMove:
 
     @property
     def words(self) -> str:
-        """As problems say it."""
+        """In words, for messages."""
         return f"{self.shape}, {self.duration:.4g} s"
 
     @property
@@ -140,7 +140,7 @@ class _Turn(_Move):
 
     @property
     def angle(self) -> float | None:
-        """The angle that was written, in rad."""
+        """The angle of the file, in rad."""
         if self.turns is not None:
             return 2.0 * math.pi * self.turns
         return _number(self.turn)
@@ -168,7 +168,7 @@ class _PeakedTurn(_Turn):
         return self
 
     def sizes(self) -> tuple[float, float | None, float | None, float | None]:
-        """Direction (±1), and the sizes of angle, peak rate and duration that were written."""
+        """Direction (±1), and the sizes of angle, peak rate and duration in the file."""
         angle, peak = self.angle, _number(self.peak_rate)
         leading = angle if angle is not None else peak
         direction = -1.0 if leading is not None and leading < 0.0 else 1.0
@@ -228,7 +228,7 @@ class _RampedTurn(_PeakedTurn):
                     self._too_short(2.0 * ramp)
                 peak = angle / (duration - ramp)
             else:
-                # A(D − least·A) = θ; the smaller root, written so that nothing cancels
+                # A(D − least·A) = θ; the smaller root, without cancellation
                 discriminant = duration**2 - 4.0 * least * angle
                 if discriminant < 0.0:
                     self._too_short(2.0 * math.sqrt(least * angle))
@@ -418,7 +418,7 @@ class Hand(_Turn):
     shape: Literal["hand"]
     """Course of the rate."""
     unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
-    """How unevenly a hand turns, as a share of the rate."""
+    """Unevenness of the turn, as a share of the rate."""
 
     @model_validator(mode="after")
     def _ends_only(self) -> "Hand":

@@ -31,7 +31,7 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
     said = [
         "measured = input + sum of map(T) * signals, solved for the inputs; frame: " + comment(calibration.frame),
         "temperature in degC, rates in rad/s, specific force in m/s^2; x, y, z. Beyond its range the values at the",
-        "edge hold. What the calibration has not comes out as it went in.",
+        "edge hold. Channels that the calibration lacks stay unchanged.",
     ]
     lines = [*header_head(calibration, "calibration of the unit", said, "GRADCAL_UNIT_CALIBRATION_H"), _STRUCT]
     lines += [c_array(f"gradcal_c{k}[]", term.coefficients.values()) for k, (_, term) in enumerate(terms)]
@@ -119,13 +119,13 @@ def _shape(term: CalibratedTerm) -> tuple[float, float, int, float, float, int]:
 
 
 def _inverse(calibration: UnitCalibration) -> Floats:
-    """(6, 6): what each channel's error is divided by."""
+    """(6, 6): the divisor of each channel's error."""
     low, high = (float(t) for t in calibration.valid_temperature)
     return np.asarray(np.linalg.inv(linear_part(calibration.channel, 0.5 * (low + high))[0]), np.float64)
 
 
 def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c: Floats) -> Floats:
-    """What the header's function gives, step by step in float32: `(n, 6)`."""
+    """The result of the header's function, computed in float32 as there: `(n, 6)`."""
     f = np.float32
     low, high = (f(float(v)) for v in calibration.valid_temperature)
     slow, fast = (f(float(v)) for v in calibration.valid_rate)
@@ -151,7 +151,7 @@ def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c
 
 
 def _errors(calibration: UnitCalibration) -> tuple[list[tuple[str, str, float, str]], tuple[float, Floats, Floats]]:
-    """By channel the largest error of the header; and a reading off every round number with what the header makes."""
+    """The largest error of the header by channel; and a reading, no round number, with the header's result."""
     rng = np.random.default_rng(0)
     low, high = (float(t) for t in calibration.valid_temperature)
     slow, fast = (float(r) for r in calibration.valid_rate)

@@ -1,10 +1,10 @@
-"""What a whole unit's calibration does to data, in NumPy, by the formulas that the estimator itself uses.
+"""Correction of data by a whole unit's calibration, in NumPy, by the same formulas as the estimator.
 
     measured = input + Σ map(T) · signals
 
-is solved for the inputs of all channels together: what the sum, taken at the corrected values, leaves of what was
-measured is divided by the linear part and added to them, again until nothing changes. Each round gains a factor of the
-size of what is not linear, or differs from its value at the middle of the temperatures: raw counts are no hindrance.
+is solved for the inputs of all channels together: the residual of the equation at the corrected values is divided by
+the linear part and added to them, until nothing changes. The error shrinks in each iteration by a factor of the size of
+the terms that are not linear, or that differ from their value at the middle temperature; so raw counts converge, too.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None
 
 
 def _at_temperatures(term: CalibratedTerm, temperature_c: Floats) -> Floats:
-    """`(n, functions of the rate)`: what multiplies them, or the map itself."""
+    """`(n, functions of the rate)`: their coefficients, or the map itself."""
     coefficients = np.array(list(term.coefficients.values()))
     one = np.ones((len(temperature_c), 1))
     basis = one if term.temperature is None else basis_values(term.temperature, temperature_c)
@@ -49,9 +49,8 @@ def _at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats | None)
 def channel_error(
     channel: CalibratedChannel, temperature_c: Floats, signals: dict[str, Floats], maps: Sequence[Floats] | None = None
 ) -> Floats:
-    """What a channel says beyond its input, `(n,)`, where the true inputs are `signals` ("rate x" rad/s, "force z"
-    m/s²; those that are not known count as none). `maps`: of each term, `_at_temperatures`.
-    """
+    """The error of a channel's output, `(n,)`, for the true inputs `signals` ("rate x" rad/s, "force z" m/s²; an
+    unknown input counts as zero). `maps`: of each term, `_at_temperatures`."""
     total = np.zeros(len(temperature_c))
     for k, term in enumerate(channel.term):
         of_temperature = _at_temperatures(term, temperature_c) if maps is None else maps[k]
@@ -67,9 +66,8 @@ def channel_error(
 
 
 def linear_part(channels: Sequence[CalibratedChannel], temperature_c: float) -> tuple[Floats, Floats]:
-    """At one temperature, turned slowly: measured = matrix (6, 6) · (rates x, y, z, forces x, y, z) + bias (6,), SI.
-    What the channels have not is taken as perfect.
-    """
+    """At one temperature, for slow rates: measured = matrix (6, 6) · (rates x, y, z, forces x, y, z) + bias (6,), SI.
+    Absent terms count as zero."""
     at, matrix, bias = np.array([temperature_c]), np.eye(6), np.zeros(6)
     for channel in channels:
         for term in channel.term:
@@ -113,7 +111,7 @@ def correct_unit(
                 own, name = signals, f"rate {channel.axis}"
                 beyond = np.zeros(0)
                 if channel.kind == "gyro" and name in signals:
-                    # The map holds at its edge; the rate that it multiplies goes on.
+                    # The map is constant beyond its edge; the rate that it multiplies is not limited.
                     own = signals | {name: np.clip(signals[name], slow, fast)}
                     beyond = signals[name] - own[name]
                 error = channel_error(channel, at, own, of_temperature)
@@ -122,7 +120,7 @@ def correct_unit(
                 left[channel.place] -= error
             moved = 0.0
             for k in np.flatnonzero(there):
-                # Only what acts on it: a reading that is missing takes no other triad with it.
+                # Only channels with an effect: a missing reading does not affect the other triad.
                 acts = np.flatnonzero(there & (inverse[k] != 0.0))
                 change = inverse[k, acts] @ left[acts]
                 now[k] += change
@@ -135,7 +133,7 @@ def correct_unit(
 
 
 def triad_of(log: Log, unit: int) -> tuple[Floats, Floats]:
-    """A unit's rates and specific forces `(n, 3)` along x, y, z; NaN for axes that the log has not."""
+    """A unit's rates and specific forces `(n, 3)` along x, y, z; NaN for axes absent in the log."""
     count = len(log.time_s)
     rate, force = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     for into, labels, values in (

@@ -53,8 +53,7 @@ def fit_clock(
     `resolution_s` of the coarser of the two stamps limits `rate_std` from below, over the whole span.
     An implausible rate, from a stretch too short to show one, counts as 1, known to `_CREDIBLE`.
 
-    Raises:
-        ValueError: fewer than three arrivals, or times that do not increase.
+    Raises `ValueError` for fewer than three arrivals, or times that do not increase.
     """
     # The last sample of a chunk waited least.
     last = np.append(np.diff(host_time_s) > 0.0, True)

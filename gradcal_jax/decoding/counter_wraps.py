@@ -108,7 +108,7 @@ def _lost_rounds(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[di
     doubts: list[Doubt] = []
     quickest: deque[tuple[float, float]] = deque()
     # The step that was reported and not counted, and until when the window behind still shows it.
-    said: deque[tuple[float, int]] = deque()
+    reported: deque[tuple[float, int]] = deque()
     shift_s = 0.0
     arrival_of = np.append(np.searchsorted(arrivals.last, traces), arrivals.last.size)
     bounds: list[int] = np.searchsorted(arrival_of, np.arange(arrivals.last.size + 1)).tolist()
@@ -117,8 +117,8 @@ def _lost_rounds(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[di
         low, high = bounds[number], bounds[number + 1]
         while len(quickest) > 1 and quickest[0][0] < host_s - WINDOW_S:
             quickest.popleft()
-        while said and said[0][0] < host_s:
-            said.popleft()
+        while reported and reported[0][0] < host_s:
+            reported.popleft()
         if quickest:
             behind_s = shift_s + quickest[0][1]
             step = (float(arrivals.ahead_s[number]) - behind_s) / round_s
@@ -130,14 +130,14 @@ def _lost_rounds(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[di
                 if why := _doubtful(arrivals, number, behind_s, step, round_s, high - low):
                     doubts.append(Doubt(row, rounds, True, why))
                 shift_s += rounds * round_s
-            elif rounds > (before := sum(count for _, count in said)):
+            elif rounds > (before := sum(count for _, count in reported)):
                 # A trace that follows within the window is the place of the loss.
                 alone = int(arrival_of[low]) >= number + int(arrivals.follow[number])
                 if alone and _agree(arrivals, number, behind_s + rounds * round_s, round_s):
                     why = f"all stamps after it are later by {step - before:.2f} rounds and nothing shows a loss"
                     row = int(arrivals.last[number - 1]) + 1
                     doubts.append(Doubt(row, rounds - before, False, why))
-                    said.append((host_s + WINDOW_S, rounds - before))
+                    reported.append((host_s + WINDOW_S, rounds - before))
         elif high > low:
             doubts.append(Doubt(int(traces[high - 1]), 0, True, "nothing came before it that stamps could tell it by"))
         late_s = float(arrivals.late_s[number]) - shift_s

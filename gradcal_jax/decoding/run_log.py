@@ -90,10 +90,8 @@ def log(folder: str | Path, unit: str | None = None, *, recording: Log | None = 
 
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
-    """The log of one unit (by name; None: the rig's only one), decoded with the configuration in the journal.
-
-    Raises `HardwareError` where the journal holds no samples of a stretch with data.
-    """
+    """The log of one unit (by name; None: the rig's only one), decoded with the configuration in the journal. Raises
+    `HardwareError` where the journal holds no samples of a stretch with data."""
     rig = rig_as_run(contents, rig)
     device = _device(rig, unit)
     parts: list[_Part] = []
@@ -134,24 +132,24 @@ def log_of_recording(contents: JournalContents, recipe: Recipe, rig: RigFile, re
         # Both have one axis only: its name does not matter.
         rates = dict(zip(labels, rates.values(), strict=True))
     parts: list[_Part] = []
-    laid: list[Alignment] = []
+    alignments: list[Alignment] = []
     for session in sessions:
         if _stretches(session.events):
             tracks = {label: _track(session.events, axis) for axis, label in zip(axes, labels, strict=True)}
-            laid.append(align(recorded.time_s, rates, tracks))
-            samples = _as_samples(recorded, number, rates, laid[-1], session.events)
-            part = _part_with_table(session, samples, _clock_of(laid[-1]), axes, recorded.sample_interval_s)
+            alignments.append(align(recorded.time_s, rates, tracks))
+            samples = _as_samples(recorded, number, rates, alignments[-1], session.events)
+            part = _part_with_table(session, samples, _clock_of(alignments[-1]), axes, recorded.sample_interval_s)
             parts += [] if part is None else [part]
     if not parts:
         raise HardwareError("The recording holds no samples of a stretch of the run with data.")
     who = recorded.units[number]
     provenance = _provenance(parts, sessions, recipe, (who, "recorded elsewhere"), exit_status(contents))
-    provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in laid)
+    provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in alignments)
     log = _joined(parts, labels, who, provenance, 0, tuple(rates))
     message = "; ".join(
         f"the recording's clock is known by {one.readings} readings of {one.bursts} turns to {one.offset_std_s:.2g} s "
         f"and {1e6 * one.rate_std:.2g} ppm (1σ), delays of the table's readings not reckoned"
-        for one in laid
+        for one in alignments
     )
     return replace(log, findings=(*log.findings, Finding("clock found by the motion", "keep", 0, message)))
 
@@ -330,12 +328,11 @@ def _part_with_table(
     at_s = host[rows]
     standing = _standstills(session.events, axes)
     number = np.full(len(rows), -1, np.int64)
-    # The line of the clocks is as sure as the arrivals that it was laid through agree: a row may be earlier or later by
-    # that much.
+    # The stamps are as uncertain as the residuals of the clocks' line: a row may be earlier or later by that much.
     unsure_s = clock.residual_max_s
     for place, (start, end) in enumerate(standing):
-        begun, over = start + _SETTLED_S + sample_s + unsure_s, end - _MARGIN_S - unsure_s
-        first, last = np.searchsorted(at_s, [begun, over])
+        begin, over = start + _SETTLED_S + sample_s + unsure_s, end - _MARGIN_S - unsure_s
+        first, last = np.searchsorted(at_s, [begin, over])
         number[first : max(first, last)] = place
     angles = (
         np.stack([_angles(session.events, axis, at_s, number) for axis in axes], axis=-1)
@@ -367,13 +364,13 @@ def _subset(samples: ImuBatch, rows: NDArray[np.int64]) -> ImuBatch:
 
 def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
     """A new decoder, from the unit's configuration in the journal."""
-    said = next((e for e in session.events if e.name == "configuration" and e.data["device"] == device.name), None)
-    if said is None:
+    own = (e for e in session.events if e.name == "configuration" and e.data["device"] == device.name)
+    if (configuration := next(own, None)) is None:
         return None
     config = config_of(device, "imu", ("imu", device.name))
     driver = driver_of(device.driver)
     assert driver is not None
-    return driver.load().decoder_of(config, said.data["registers"])
+    return driver.load().decoder_of(config, configuration.data["registers"])
 
 
 def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
@@ -602,7 +599,7 @@ def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
     """Places with an uncertain number of missing samples: each kind with its first place."""
     findings: list[Finding] = []
     for traced, kind in ((True, "gap of doubtful length"), (False, "stamps that come later")):
-        places = [(part, *said) for part in parts for said in part.doubts if said[1].traced == traced]
+        places = [(part, *doubt) for part in parts for doubt in part.doubts if doubt[1].traced == traced]
         if places:
             part, first_s, first = places[0]
             samples = part.round_samples
@@ -620,7 +617,7 @@ def _provenance(
     parts: Sequence[_Part], sessions: Sequence[_Session], recipe: Recipe, unit: tuple[str, str], status: str
 ) -> dict[str, str]:
     first_rows = itertools.accumulate((len(part.host_s) for part in parts[:-1]), initial=0)
-    said: dict[str, Any] = {
+    entries: dict[str, Any] = {
         "recipe": recipe.fingerprint,
         "title": recipe.title or "",
         "run": status,
@@ -634,4 +631,4 @@ def _provenance(
         "clock_residual_rms_s": ", ".join(f"{part.clock.residual_rms_s:.1e}" for part in parts),
         "seams": sum(event.name == "seam" for session in sessions for event in session.events),
     }
-    return {name: str(value) for name, value in said.items()}
+    return {name: str(value) for name, value in entries.items()}

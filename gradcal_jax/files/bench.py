@@ -220,8 +220,8 @@ class UnitMounting(Section):
     @model_validator(mode="after")
     def _right_handed(self) -> "UnitMounting":
         if self.determinant != 1.0:
-            said = f"x = {self.x}, y = {self.y}, z = {self.z}"
-            refuse(Problem((), "the body's axes must be three different ones and right-handed (x × y = z)", said))
+            directions = f"x = {self.x}, y = {self.y}, z = {self.z}"
+            refuse(Problem((), "the body's axes must be three different ones and right-handed (x × y = z)", directions))
         return self
 
     @property

@@ -56,15 +56,15 @@ def _course(segment: ChamberSegment) -> str:
 def block_heading(block: MotionBlock) -> str:
     """When a block of motion begins and how often it repeats."""
     if block.repeat == 1:
-        said = f"{block.name}: begins with {block.begins_with}"
+        text = f"{block.name}: begins with {block.begins_with}"
     else:
-        said = f"{block.name}: begins with {block.begins_with}, {block.repeat} times, one every {block.period}"
+        text = f"{block.name}: begins with {block.begins_with}, {block.repeat} times, one every {block.period}"
     if any(block.start.values()):
-        said += f"; before, {', '.join(f'{name} to {angle}' for name, angle in block.start.items())}"
+        text += f"; before, {', '.join(f'{name} to {angle}' for name, angle in block.start.items())}"
     if block.standing_after > 0.0:
         read = "not read" if block.read_every_after is None else f"read every {block.read_every_after}"
-        said += f"; then stand for {block.standing_after} ({read})"
-    return said
+        text += f"; then stand for {block.standing_after} ({read})"
+    return text
 
 
 def move_rows(block: MotionBlock) -> list[tuple[str, ...]]:

@@ -195,8 +195,8 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
         rows = [dict(row) for row in entry.of or of_base]
         names = [row.get("name") for row in rows]
         if entry.minimise not in names:
-            said = f"is none of its requirements: {', '.join(map(str, names)) or 'there are none'}"
-            raise SpecError([Problem(("requirement", i, "minimise"), said, entry.minimise)], source)
+            message = f"is none of its requirements: {', '.join(map(str, names)) or 'there are none'}"
+            raise SpecError([Problem(("requirement", i, "minimise"), message, entry.minimise)], source)
         requirements.append(rows)
     places = itertools.product(*(range(len(x)) for x in (sensors, rigs, requirements, plans)))
     for s, r, q, p in places:

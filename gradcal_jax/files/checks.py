@@ -59,13 +59,13 @@ def _notice(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
         return
     own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
     for name, degree in own.items():
-        asked = getattr(notice, name)
-        if asked is None:
+        hidden = getattr(notice, name)
+        if hidden is None:
             continue
-        if scale.discrepancy is not None and asked != getattr(scale.discrepancy, name):
-            yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", asked)
-        elif asked <= degree:
-            yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", asked)
+        if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
+            yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", hidden)
+        elif hidden <= degree:
+            yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", hidden)
 
 
 def visited_temperatures(plan: GradientPlan | StandardPlan, rig: Rig | None) -> tuple[float, float] | None:

@@ -103,8 +103,8 @@ def correct(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: Fl
     return result
 
 
-def _correct(axis: AxisCalibration, said: Floats, temperature: Floats) -> Floats:
-    without_bias = said - bias(axis, temperature)
+def _correct(axis: AxisCalibration, output: Floats, temperature: Floats) -> Floats:
+    without_bias = output - bias(axis, temperature)
     scale = axis.scale_factor
     if scale is None:
         return without_bias
@@ -125,8 +125,8 @@ def _correct(axis: AxisCalibration, said: Floats, temperature: Floats) -> Floats
         return rate
     first = int(left[0])
     raise ValueError(
-        f"the scale-factor map of axis {axis.name} is too steep to be inverted at {np.degrees(said[first]):.4g} deg/s, "
-        f"{temperature[first]:.4g} degC: is this calibration of another sensor?"
+        f"the scale-factor map of axis {axis.name} is too steep to be inverted at {np.degrees(output[first]):.4g} "
+        f"deg/s, {temperature[first]:.4g} degC: is this calibration of another sensor?"
     )
 
 
@@ -206,12 +206,12 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
         axis = calibration.axis_of(name)
         column = log.axis_index(name)
         at = followed(temperature, log.time_s, log.stretch_starts, float(axis.thermal_lag or 0.0))
-        said = rates[:, column]
+        output = rates[:, column]
         if axis.bias_temperature_gradient is not None:
-            said = said - axis.bias_temperature_gradient * temperature_slope(temperature, log.time_s)
-        readable = np.isfinite(said)
-        rate = np.full_like(said, np.nan)
-        rate[readable] = correct(axis, said[readable], at[readable])
+            output = output - axis.bias_temperature_gradient * temperature_slope(temperature, log.time_s)
+        readable = np.isfinite(output)
+        rate = np.full_like(output, np.nan)
+        rate[readable] = correct(axis, output[readable], at[readable])
         rates[:, column] = rate
         if needs_temperature(calibration):
             outside_temperature += count_outside(at[usable], axis.valid_temperature)

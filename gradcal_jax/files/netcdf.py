@@ -45,7 +45,7 @@ def load_netcdf(path: str | Path, trial_s: float = 30.0) -> Any:
     with trial:
         try:
             import_module("xarray")  # while the trial imports it, too
-            said, _ = trial.communicate(timeout=trial_s + path.stat().st_size / _SLOWEST_BYTES_PER_S)
+            reply, _ = trial.communicate(timeout=trial_s + path.stat().st_size / _SLOWEST_BYTES_PER_S)
         except subprocess.TimeoutExpired:
             raise NetcdfError("it is damaged, reading it comes to no end") from None
         finally:
@@ -53,7 +53,7 @@ def load_netcdf(path: str | Path, trial_s: float = 30.0) -> Any:
     if trial.returncode < 0:
         raise NetcdfError(f"it is damaged, the HDF5 library does not survive it (signal {-trial.returncode})")
     if trial.returncode > 0:
-        raise NetcdfError(said.strip() or "the program that tries it first could not run")
+        raise NetcdfError(reply.strip() or "the program that tries it first could not run")
     return _load(path)
 
 

@@ -80,18 +80,14 @@ def _spec_inside(value: object) -> Spec | UnitSpec:
 
 
 class Recipe(Section):
-    """A whole recipe.
-
-    `status` is a sentence ("not optimised", "converged: …"). `rounded` lists the changes by rounding. `optimisation` is
-    the optimiser's own record: objective, before, now, starts, limits.
-    """
+    """A whole recipe."""
 
     format: Literal["gradcal-recipe/1"]
     """Name and version of this file format."""
     title: Text | None = None
     """A name for people."""
     status: Text
-    """The origin of the plan, in a sentence."""
+    """The origin of the plan, in a sentence ("not optimised", "converged: …")."""
     notes: tuple[Text, ...] = ()
     """Further notes."""
     rounded: tuple[Text, ...] = ()

@@ -251,8 +251,8 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
 def programme_of(
     plan: ChamberCourse, chamber: Chamber, cycle: tuple[float, float] | None
 ) -> tuple[tuple[TemperatureSegment, ...], tuple[Stretch, ...]]:
-    """The chamber's segments, and the stretches of used data with the cycles that fit (`moving`, `period`: durations
-    of a cycle's moves, and of the whole cycle, s). Raises `SpecError`."""
+    """The chamber's segments, and the stretches of used data with the cycles that fit. `cycle`: durations of its moves
+    and of all of it, s. Raises `SpecError`."""
     segments = _programme(plan, chamber) if plan.programme is not None else _ramp(plan, cycle)
     return segments, _stretches(segments, cycle)
 

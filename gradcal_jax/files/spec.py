@@ -175,8 +175,8 @@ def _still_visible(document: Mapping[str, Any], problems: list[Problem]) -> list
         with contextlib.suppress(ValidationError):
             sections[name] = _SECTIONS[name].validate_python(pruned[name])
     between = between_sections(*sections.values())
-    said = {problem.key for problem in problems}
-    return [problem for problem in between if problem.key not in said]
+    reported = {problem.key for problem in problems}
+    return [problem for problem in between if problem.key not in reported]
 
 
 def _without_unknown_keys(document: Mapping[str, Any], problems: list[Problem]) -> dict[str, Any]:

@@ -273,10 +273,10 @@ def hanging(mounting: UnitMounting, number: int) -> str:
     ``mounting 2 (on its side): x along +y, y along -x, z along +z``
     """
     name = "" if mounting.name is None else f" ({mounting.name})"
-    said = f"mounting {number}{name}: x along {mounting.x}, y along {mounting.y}, z along {mounting.z}"
+    text = f"mounting {number}{name}: x along {mounting.x}, y along {mounting.y}, z along {mounting.z}"
     if mounting.rotation is None:
-        return said
-    return f"{said}, turned on by {', '.join(angle.text for angle in mounting.rotation)} about its x, y and z"
+        return text
+    return f"{text}, turned on by {', '.join(angle.text for angle in mounting.rotation)} about its x, y and z"
 
 
 def _move(move: ResolvedMove, start: float) -> TrackMove:

@@ -28,12 +28,12 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
     inverse = _inverse(calibration)
     low, high = (float(t) for t in calibration.valid_temperature)
     slow, fast = (float(r) for r in calibration.valid_rate)
-    said = [
+    remarks = [
         "measured = input + sum of map(T) * signals, solved for the inputs; frame: " + comment(calibration.frame),
         "temperature in degC, rates in rad/s, specific force in m/s^2; x, y, z. Beyond its range the values at the",
         "edge hold. Channels that the calibration lacks stay unchanged.",
     ]
-    lines = [*header_head(calibration, "calibration of the unit", said, "GRADCAL_UNIT_CALIBRATION_H"), _STRUCT]
+    lines = [*header_head(calibration, "calibration of the unit", remarks, "GRADCAL_UNIT_CALIBRATION_H"), _STRUCT]
     lines += [c_array(f"gradcal_c{k}[]", term.coefficients.values()) for k, (_, term) in enumerate(terms)]
     lines += ["", f"#define GRADCAL_TERMS {len(terms)}"]
     lines += ["static const struct gradcal_term gradcal_terms[GRADCAL_TERMS] = {"]
@@ -129,8 +129,8 @@ def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c
     f = np.float32
     low, high = (f(float(v)) for v in calibration.valid_temperature)
     slow, fast = (f(float(v)) for v in calibration.valid_rate)
-    t, said = np.clip(temperature_c.astype(f), low, high), raw.astype(f)
-    out, inverse = np.zeros_like(said), _inverse(calibration).astype(f)
+    t, reading = np.clip(temperature_c.astype(f), low, high), raw.astype(f)
+    out, inverse = np.zeros_like(reading), _inverse(calibration).astype(f)
     for _ in range(_ROUNDS):
         error = np.zeros_like(out)
         for channel in calibration.channel:
@@ -144,7 +144,7 @@ def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c
                     signal = out[:, SIGNALS.index(name.strip("|"))]
                     value = value * (np.abs(signal) if name.startswith("|") else signal)
                 error[:, channel.place] += value
-        left = said - out - error
+        left = reading - out - error
         for j in range(6):
             out += inverse[:, j] * left[:, j : j + 1]
     return out.astype(np.float64)
@@ -163,10 +163,10 @@ def _errors(calibration: UnitCalibration) -> tuple[list[tuple[str, str, float, s
     rate, force = correct_unit(
         calibration.channel, raw[:, :3], raw[:, 3:], temperature, temperatures=(low, high), rates=(slow, fast)
     )
-    said = corrected_in_single(calibration, raw, temperature)
-    apart = np.max(np.abs(said - np.concatenate([rate, force], axis=1)), axis=0)
+    in_header = corrected_in_single(calibration, raw, temperature)
+    apart = np.max(np.abs(in_header - np.concatenate([rate, force], axis=1)), axis=0)
     errors: list[tuple[str, str, float, str]] = []
     for channel in calibration.channel:
         unit, factor = ("deg/h", DEG_PER_H) if channel.kind == "gyro" else ("ug", 1e6 / G)
         errors.append((f"{channel.kind} {channel.axis}", "rounding", float(apart[channel.place]) * factor, unit))
-    return errors, (float(temperature[0]), raw[0], said[0])
+    return errors, (float(temperature[0]), raw[0], in_header[0])

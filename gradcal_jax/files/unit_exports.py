@@ -48,8 +48,8 @@ def export_unit(
         raise ValueError(f'there is no export format "{target}" of a whole unit: known are {known}')
     options = {"temperature_c": temperature_c, "instance": instance, "device_id": device_id}
     done = UNIT_FORMATS[target](calibration, options)
-    said = ("this calibration was made from SIMULATED data",) if calibration.simulated else ()
-    return done._replace(notes=(*done.notes, *said))
+    warning = ("this calibration was made from SIMULATED data",) if calibration.simulated else ()
+    return done._replace(notes=(*done.notes, *warning))
 
 
 # --- parts that serve the targets of single axes ----------------------------------------------------------------------

@@ -115,8 +115,8 @@ class UnitSpec(Section):
         if accelerometer is not None and slow and turning and min(turning) > slow:
             message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
             key = ("sensor", "accelerometer", "read_on_moves_below")
-            said = str(accelerometer.read_on_moves_below)
-            problems.append(Problem(key, message + "leave it out (and the lever arm)", said))
+            limit = str(accelerometer.read_on_moves_below)
+            problems.append(Problem(key, message + "leave it out (and the lever arm)", limit))
         if self.design is not None and self.design.minimise not in (ALL, WORST, *names):
             ending = hint(self.design.minimise, [ALL, WORST, *names])
             message = f"expected {one_of([ALL, WORST])}, or a requirement's name{ending}"

@@ -76,13 +76,14 @@ def _chamber_command(course: Course, here_c: float, limits: ChamberLimits | None
     if rate is None:
         return f"hold {course.temperature_c:g} degC", ""
     way_k = abs(course.temperature_c - here_c)
-    said = f"ramp to {course.temperature_c:g} degC at {rate:.3g} K/min"
+    command = f"ramp to {course.temperature_c:g} degC at {rate:.3g} K/min"
     if limits is None or not limits.hardware_ramp:
-        return said + " (by steps of its set point, every 5 s)", ""
+        return command + " (by steps of its set point, every 5 s)", ""
     executed = rate_as_made(limits, way_k, rate)
     if abs(executed - rate) <= _ROUNDED * rate:
-        return said, ""
-    return f"{said}, of which it makes {executed:.3g}", f"{rate:.3g} K/min become {executed:.3g} K/min in the chamber"
+        return command, ""
+    rounded = f"{rate:.3g} K/min become {executed:.3g} K/min in the chamber"
+    return f"{command}, of which it makes {executed:.3g}", rounded
 
 
 def rate_as_made(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> float:
@@ -171,8 +172,8 @@ def _streams(bench: Bench, name: str) -> Tried:
         return Tried(name, str(problem), False)
     if math.isnan(rate_hz):
         return Tried(name, f"no samples came in {lasted_s:.0f} s", False)
-    said = f"{rate_hz:.1f} of {settings.sample_rate_hz:g} samples/s, {missing} missing"
-    return Tried(name, said, good and not missing)
+    text = f"{rate_hz:.1f} of {settings.sample_rate_hz:g} samples/s, {missing} missing"
+    return Tried(name, text, good and not missing)
 
 
 def try_longest_moves(bench: Bench, track: Track, clock: Clock) -> list[Tried]:

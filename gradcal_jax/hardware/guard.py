@@ -119,21 +119,21 @@ class Guard:
         assert process.stdin is not None
         assert process.stdout is not None
         self.process, self._input = process, process.stdin
-        ready, heard = threading.Event(), list[bytes]()
+        ready, received = threading.Event(), list[bytes]()
         self._unanswered_s = None
 
         def listen(output: IO[bytes]) -> None:
             with output:
-                while said := output.read(64):
-                    if not heard:
-                        heard.append(said)
+                while line := output.read(64):
+                    if not received:
+                        received.append(line)
                         ready.set()
                     self._unanswered_s = None
             ready.set()
 
         threading.Thread(target=listen, args=(process.stdout,), daemon=True, name="hearing the guard").start()
         ready.wait(_TO_START_S)
-        if not heard:
+        if not received:
             self._end()
             raise HardwareError(
                 f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: "
@@ -178,9 +178,9 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
     lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
 
     def listen() -> None:
-        said = b""
+        buffer = b""
         while chunk := os.read(0, 4096):
-            *whole, said = (said + chunk).split(b"\n")
+            *whole, buffer = (buffer + chunk).split(b"\n")
             for line in whole:
                 lines.put(line)
         lines.put(None)
@@ -240,8 +240,8 @@ def make_folder_safe(
     while True:
         for outcome in _try_once(rig, clock, before or {}, deadline_s, note):
             outcomes[outcome.name] = outcome
-            said = {"action": outcome.action, "verified": outcome.verified, "evidence": outcome.evidence}
-            note("made safe", by="guard", device=outcome.name, **said)
+            details = {"action": outcome.action, "verified": outcome.verified, "evidence": outcome.evidence}
+            note("made safe", by="guard", device=outcome.name, **details)
         left = {name: outcome for name, outcome in outcomes.items() if not outcome.verified}
         again = bool(left) and time.monotonic() < end
         if left and keep_trying_s:

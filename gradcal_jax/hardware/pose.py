@@ -38,8 +38,8 @@ def drawn(spec: UnitSpec, angles_deg: Mapping[str, float], mounting: int) -> str
     attitude = attitude @ np.array(hung.columns).T
     if hung.rotation is not None:
         attitude = attitude @ turn_by([float(angle) for angle in hung.rotation])
-    said = {name: f"{name}: body {_seen(np.array(world) @ attitude)}" for name, world in _WORLD.items()}
-    return f"  {said['up']}\n  |  {said['north']}\n  | /\n  o---- {said['east']}"
+    texts = {name: f"{name}: body {_seen(np.array(world) @ attitude)}" for name, world in _WORLD.items()}
+    return f"  {texts['up']}\n  |  {texts['north']}\n  | /\n  o---- {texts['east']}"
 
 
 def turn_about(axis: Sequence[float] | Numbers, angle: float | Numbers) -> Numbers:

@@ -112,14 +112,14 @@ class Exchange:
     ) -> Reply:
         self._send(request, pause_after_s)
         end = time.monotonic() + reply_timeout_s
-        heard = b""
+        received = b""
         problem: FramingError | None = None
         spoke = True
         while (left := end - time.monotonic()) > 0.0:
             # On a silent line virtual time runs on from the start of this reading: a late reply has to come within it.
             data = self.transport.read(min(left, 0.1) if spoke else left)
             spoke = bool(data)
-            heard += data
+            received += data
             for frame in self._framer.push(data):
                 try:
                     return parse(frame)
@@ -133,11 +133,11 @@ class Exchange:
                     problem = damage
         if problem is not None:
             raise problem
-        if heard:
+        if received:
             raise FramingError(
                 f"{self.device} at {self.transport.url} was sent {printable(request)!r} and answered "
-                f"{printable(heard)!r}, which is no complete reply of its protocol. Check that the port leads to this "
-                "device, its baud rate and its terminator."
+                f"{printable(received)!r}, which is no complete reply of its protocol. Check that the port leads to "
+                "this device, its baud rate and its terminator."
             )
         raise ReplyTimeout(
             f"{self.device} at {self.transport.url} was sent {printable(request)!r} and did not answer in "

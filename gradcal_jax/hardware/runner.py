@@ -329,8 +329,8 @@ class Runner:
     def _confirm_steps(self) -> None:
         """Wait until a step's samples are in the journal: a step that a resumed run does not repeat must be complete.
         The first bytes after its end may be a piece of a burst whose other pieces hold the step's last samples."""
-        heard = min(self._imu_heard_s.values(), default=math.inf)
-        while self._unconfirmed and self._shortfall is None and self._unconfirmed[0].ended_s + _ARRIVAL_S <= heard:
+        latest_s = min(self._imu_heard_s.values(), default=math.inf)
+        while self._unconfirmed and self._shortfall is None and self._unconfirmed[0].ended_s + _ARRIVAL_S <= latest_s:
             self._heard_end_s = min(self._heard_end_s, self.clock.now())
             if self.clock.now() < self._heard_end_s + _PIECES_S:
                 return
@@ -490,7 +490,7 @@ class Runner:
             raise HardwareError(self._problem)
         self._axes.watch()
         now = self.clock.now()
-        ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
+        ages = {name: now - latest_s for name, latest_s in self._imu_heard_s.items()}
         free = shutil.disk_usage(self.journal.path.parent).free
         chamber, paused = self._chamber, self.state is RunState.PAUSED
         newest = None if chamber is None else chamber.newest

@@ -132,13 +132,13 @@ def _beating(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> 
             if time.monotonic() - runner.ticked_s > _HANGS_S:
                 continue
             try:
-                said = watched.beat()
+                sentence = watched.beat()
             except HardwareError as problem:
-                said = str(problem)
-            if said:
-                print(said, file=sys.stderr, flush=True)
+                sentence = str(problem)
+            if sentence:
+                print(sentence, file=sys.stderr, flush=True)
                 with suppress(HardwareError):
-                    journal.event(clock.now(), "guard", what=said)
+                    journal.event(clock.now(), "guard", what=sentence)
 
     thread = threading.Thread(target=beat, daemon=True, name="telling the guard")
     thread.start()

@@ -57,8 +57,8 @@ class StatusFile:
 
     def show(self, progress: RunProgress) -> None:
         """The progress of the run."""
-        said = asdict(progress)
-        self._put({**said, "state": progress.state.value})
+        status = asdict(progress)
+        self._put({**status, "state": progress.state.value})
 
     def end(self, result: RunResult) -> None:
         """How the run ended."""
@@ -66,11 +66,11 @@ class StatusFile:
         ended = {"exit_status": result.exit_status, "reason": result.reason, "verified_safe": result.verified_safe}
         self._put({**self._last, "state": state, "steps_done": result.steps_done, **ended})
 
-    def _put(self, said: dict[str, Any]) -> None:
+    def _put(self, status: dict[str, Any]) -> None:
         with self._change:
-            self._last = said
+            self._last = status
             head = {"format": FORMAT, "at_s": time.time(), "simulated": self._simulated}
-            self._newest = {**head, **said} | ({} if self._known is None else {"known": self._known})
+            self._newest = {**head, **status} | ({} if self._known is None else {"known": self._known})
             self._change.notify_all()
 
     def _ask_on(self, knows: Knows) -> None:
@@ -85,12 +85,12 @@ class StatusFile:
         while True:
             with self._change:
                 self._change.wait_for(lambda: self._newest is not None or self._over)
-                said, self._newest = self._newest, None
-                if said is None:
+                newest, self._newest = self._newest, None
+                if newest is None:
                     return
             # The journal reports a full disk.
             with suppress(OSError):
-                write_whole(self._path, json.dumps(json_of(said), indent=1) + "\n")
+                write_whole(self._path, json.dumps(json_of(newest), indent=1) + "\n")
             with self._change:
                 self._change.wait_for(lambda: self._over, _WRITE_S)
 

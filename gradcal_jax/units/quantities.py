@@ -45,13 +45,6 @@ def _dimension_of_unit(unit: Unit) -> Dimension | None:
     return next((dimension for dimension in known if dimension.powers == unit.powers), None)
 
 
-def _dimension_named(dimension: str) -> Dimension:
-    if dimension not in DIMENSIONS:
-        close = difflib.get_close_matches(dimension, DIMENSIONS, n=1, cutoff=0.0)
-        raise UnitError(f"'{dimension}' is not a dimension; nearest: '{close[0]}'")
-    return DIMENSIONS[dimension]
-
-
 def _check(unit: Unit, dimension: Dimension) -> None:
     """Refuse a unit that does not measure the dimension."""
     offset = unit.bare in CELSIUS or unit.bare in FAHRENHEIT
@@ -165,7 +158,10 @@ def parse(text: str, dimension: str) -> float:
     `dimension` is a name from `DIMENSIONS`. Absolute temperatures are returned in °C. Raises `UnitError`, whose message
     names the text, the reason, and an example of what was expected.
     """
-    known = _dimension_named(dimension)
+    if dimension not in DIMENSIONS:
+        close = difflib.get_close_matches(dimension, DIMENSIONS, n=1, cutoff=0.0)
+        raise UnitError(f"'{dimension}' is not a dimension; nearest: '{close[0]}'")
+    known = DIMENSIONS[dimension]
     try:
         return _read(text, known)
     except Refusal as refusal:

@@ -61,6 +61,14 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
         return SafeReport(policy.value, verified, self._evidence(reading))
 
 
+class Unwatched:
+    """An axis without a watchdog."""
+
+    def arm_watchdog(self) -> None: ...
+
+    def heartbeat(self) -> None: ...
+
+
 class MeanRate:
     """An axis's rate from its positions, for controllers that do not report it: the mean since a reading at least 0.4 s
     before, because a noisy encoder that is read twice in a millisecond could show any rate. The time is from the

@@ -27,6 +27,7 @@ from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, Saf
 from ..settings import KeptSettings
 from ..terminal import TextLine
 from ..track import AxisCommand
+from .base import Unwatched
 
 _BELL = "\a"
 
@@ -122,7 +123,7 @@ def open_exchange(line: TextLine, clock: Clock, config: OperatorConfig) -> Conso
     return Console(line, clock)
 
 
-class OperatorAxis:
+class OperatorAxis(Unwatched):
     """Role `MotionAxis`. `name` is shown to the operator; `encoder` is an axis whose motor gets no commands."""
 
     def __init__(
@@ -194,12 +195,6 @@ class OperatorAxis:
             self._question, self._stands = "", None
             self._console.withdraw(f"{self._name}: never mind, leave it where it is.")
 
-    def arm_watchdog(self) -> None:
-        """An operator has no watchdog."""
-
-    def heartbeat(self) -> None:
-        """A person has no watchdog."""
-
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
         return SafeReport(policy.value, True, "nothing drives it: it stands where it was left")
@@ -219,13 +214,13 @@ class OperatorAxis:
 
     def _hear(self) -> None:
         """Take the answer, if there is a valid one."""
-        said = self._console.answer()
-        if said is None:
+        answer = self._console.answer()
+        if answer is None:
             if self._clock.now() >= self._ring_s:
                 self._ring_s += self._config.remind_s
                 self._console.ring()
             return
-        text, time_s = said
+        text, time_s = answer
         if (reading := self._understood(text, time_s)) is None:
             return
         away = abs(reading.position_deg - self._goal_deg)

@@ -155,20 +155,20 @@ class Stim300Stream(ImuDriver[Stim300Config]):
     def _enter_utility(self) -> None:
         if self._in_utility:
             return
-        heard = b""
+        received = b""
         for _ in range(2):
             self._exchange.transport.write(b"UTILITYMODE\r")
             end = time.monotonic() + self._config.mode_timeout_s
             while (left := end - time.monotonic()) > 0.0:
-                heard = (heard + self._exchange.transport.read(min(left, 0.1)))[-4096:]
+                received = (received + self._exchange.transport.read(min(left, 0.1)))[-4096:]
                 # A unit that a killed program left in Utility Mode calls the request invalid: `#,1,180`.
-                if re.search(rb"#UTILITYMODE,234\r|#,1,180\r", heard):
+                if re.search(rb"#UTILITYMODE,234\r|#,1,180\r", received):
                     self._exchange.transport.drain(0.02)
                     self._in_utility = True
                     return
-        raise (FramingError if heard else ReplyTimeout)(
+        raise (FramingError if received else ReplyTimeout)(
             f"The unit at {self._exchange.transport.url} was sent 'UTILITYMODE' and did not enter Utility Mode"
-            + (f"; it sent {printable(heard[-80:])!r}. Check that this is a STIM300 and" if heard else ". Check")
+            + (f"; it sent {printable(received[-80:])!r}. Check that this is a STIM300 and" if received else ". Check")
             + " power, cable (RS-422), baud rate and parity."
         )
 

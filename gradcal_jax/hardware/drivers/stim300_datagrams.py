@@ -225,8 +225,8 @@ class Stim300Decoder:
         if datagram not in self._recent:
             return False
         # A unit with constant output does not repeat its datagrams.
-        said = slice(1, layout.counter)
-        return datagram == self._before or datagram[said] != self._before[said]
+        contents = slice(1, layout.counter)
+        return datagram == self._before or datagram[contents] != self._before[contents]
 
     def _decode(self, block: NDArray[np.uint8], layout: DatagramLayout, host_time_s: float) -> ImuBatch:
         block = self._first_comers(block, layout)

@@ -188,7 +188,7 @@ class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
 
     def _condition(self, on: bool) -> None:
         mode, event = MODE + self._above, self._config.conditioning_event
-        said = "on (set points are ignored while it is off)" if on else "off"
+        state = "on (set points are ignored while it is off)" if on else "off"
         if event:
             register = EVENTS[event - 1]
             self._write_word(register, ON if on else OFF, f"Conditioning {'on' if on else 'off'}")
@@ -196,7 +196,7 @@ class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
             return
         in_force = lambda: self._words(MODE_IN_FORCE + self._above)[0]  # noqa: E731
         wanted = AUTO if on else OFF
-        self._shown(mode, (wanted,), f"The control loop {said}", in_force, lambda value: value == wanted)
+        self._shown(mode, (wanted,), f"The control loop {state}", in_force, lambda value: value == wanted)
 
     def _words(self, register: int, count: int = 1) -> tuple[int, ...]:
         sent = self._message(read_body(register, count))

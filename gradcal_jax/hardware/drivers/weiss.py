@@ -276,15 +276,15 @@ class WeissChamber(ChamberDriver[WeissConfig]):
                 with self._exchange.alone():
                     self._exchange.write(self._request("?"))
                     # There is no end mark: the first byte has the reply's time-out, then silence ends the text.
-                    heard = self._exchange.transport.read(config.reply_timeout_s)
-                    heard += self._exchange.transport.drain(config.description_silence_s, longest_s=10.0)
-                if not heard:
+                    received = self._exchange.transport.read(config.reply_timeout_s)
+                    received += self._exchange.transport.drain(config.description_silence_s, longest_s=10.0)
+                if not received:
                     raise ReplyTimeout(
                         f"The chamber at {self._exchange.transport.url} did not describe itself ($aa?). Check address, "
                         "baud rate and cable; if it has a fixed layout, write read_layout and write_layout in the rig "
                         "file."
                     )
-                self._known = parse_description(heard.decode("ascii", "replace"), config.temperature_channel)
+                self._known = parse_description(received.decode("ascii", "replace"), config.temperature_channel)
         return self._known
 
     def _record(self) -> Record:

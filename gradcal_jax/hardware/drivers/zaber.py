@@ -28,7 +28,7 @@ from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .base import ExchangeDriver, MeanRate
+from .base import ExchangeDriver, MeanRate, Unwatched
 
 WARNINGS = {
     "FF": "critical system error",
@@ -132,7 +132,7 @@ def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Ex
     return Exchange(transport, LineFramer(), clock, "The Zaber stage", config.reply_timeout_s)
 
 
-class ZaberAxis(ExchangeDriver[ZaberConfig]):
+class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
     """Role `MotionAxis`. Several axes of one chain share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ZaberConfig) -> None:
@@ -216,12 +216,6 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
         # A stop is harmless when repeated: no read-back is needed before it.
         self._ask("stop")
         self._until_idle(self._config.stop_timeout_s, "stopping")
-
-    def arm_watchdog(self) -> None:
-        """These stages have no watchdog."""
-
-    def heartbeat(self) -> None:
-        """These stages have no watchdog."""
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self._ask("stop")

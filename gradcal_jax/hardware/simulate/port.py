@@ -162,9 +162,9 @@ class SimulatedPort:
                 time.sleep(0.01)
             if not data:
                 continue
-            for heard in self.commands(data) if self.commands is not None else [data]:
+            for message in self.commands(data) if self.commands is not None else [data]:
                 with self._device_lock:
-                    replies = self.device.receive(heard)
+                    replies = self.device.receive(message)
                 for reply in replies:
                     self._deliver(reply)
             if isinstance(self.device, StreamingDevice):

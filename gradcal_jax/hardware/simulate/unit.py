@@ -148,18 +148,18 @@ class SimulatedUnit(SampledSensor):
         edges = np.interp(shares, np.arange(count + 1.0), ends)
         rate, force = self._motion(edges)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
-        said: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
+        output: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
         for kind, triad in self._triads():
             lever = self.truth.gyro_lever if kind == "gyro" else self.truth.lever
             felt = force + _at_lever(np.array(lever), rate, edges)
             noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else felt
             mean = own.reshape(count, _PARTS, 3).mean(axis=1)
             ideal = _gyro(triad, rate, felt, temperature) if kind == "gyro" else _felt(triad, felt, temperature)
-            said[kind] = ideal.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
+            output[kind] = ideal.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
         return SensorSamples(
             ends[1:],
-            np.degrees(said["gyro"]),
-            said["accelerometer"] / _STANDARD_GRAVITY,
+            np.degrees(output["gyro"]),
+            output["accelerometer"] / _STANDARD_GRAVITY,
             self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0),
         )
 
@@ -198,25 +198,25 @@ def _at_lever(lever: Vectors, rate: Vectors, edges: NDArray[np.float64]) -> Vect
 
 
 def _gyro(truth: TriadTruth, rate: Vectors, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
-    said = rate + truth.bias.at(temperature)[..., 0]
+    output = rate + truth.bias.at(temperature)[..., 0]
     if isinstance(truth.scale, ScaleFactors):
         of_rate = truth.scale.rate(np.degrees(rate).ravel()).reshape(*rate.shape, -1)
         factor = np.einsum("nt,naw,atw->na", truth.scale.temperature(temperature), of_rate, truth.scale.values)
-        said += factor * rate
+        output += factor * rate
     for coefficients, seen in ((truth.misalignment, rate), (truth.force, force), (truth.force_squared, force**2)):
         if coefficients is not None:
-            said += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
-    return said
+            output += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
+    return output
 
 
 def _felt(truth: TriadTruth, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
-    said = force + truth.bias.at(temperature)[..., 0]
+    output = force + truth.bias.at(temperature)[..., 0]
     own = ((truth.scale, force), (truth.second, force**2), (truth.third, force**3), (truth.asymmetry, np.abs(force)))
     for coefficients, seen in own:
         if isinstance(coefficients, Coefficients):
-            said += coefficients.at(temperature)[..., 0] * seen
+            output += coefficients.at(temperature)[..., 0] * seen
     pairs = force[:, [0, 0, 1]] * force[:, [1, 2, 2]]
     for coefficients, seen in ((truth.misalignment, force), (truth.cross, pairs)):
         if coefficients is not None:
-            said += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
-    return said
+            output += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
+    return output
